@@ -1,0 +1,1 @@
+"""Fit articulated bodies to what sensors saw."""

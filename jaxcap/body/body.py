@@ -1,0 +1,50 @@
+"""A body: a skeleton, a surface, and a skin that binds the one to the other."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..geometry.mesh import vertex_normals
+from .kinematics import Transforms, forward_kinematics, joint_positions
+from .pose import Pose
+from .skeleton import Skeleton
+from .skinning import AbstractSkin
+
+
+class Body(eqx.Module):
+    """An articulated surface at rest; `vertices` in metres, `faces` counter-clockwise
+    as seen from outside."""
+
+    skeleton: Skeleton
+    skin: AbstractSkin
+    vertices: Float[Array, "V 3"]
+    faces: Int[Array, "F 3"]
+
+
+class Posed(eqx.Module):
+    """A body in a pose: computed once for an evaluation and handed to every energy."""
+
+    pose: Pose
+    transforms: Transforms
+    #: world positions of the joint centres
+    joints: Float[Array, "J 3"]
+    vertices: Float[Array, "V 3"]
+    normals: Float[Array, "V 3"]
+
+
+def pose_body(body: Body, pose: Pose) -> Posed:
+    """Put a body into a pose. What the caller does not use is not computed under `jit`."""
+    transforms = forward_kinematics(body.skeleton, pose)
+    vertices = body.skin.deform(body.vertices, body.skeleton, pose, transforms)
+    return Posed(
+        pose=pose,
+        transforms=transforms,
+        joints=joint_positions(body.skeleton, transforms),
+        vertices=vertices,
+        normals=vertex_normals(vertices, body.faces),
+    )
+
+
+def body_height(body: Body) -> Float[Array, ""]:
+    """Length of the longest side of the box around the body at rest, metres."""
+    return jnp.max(jnp.max(body.vertices, 0) - jnp.min(body.vertices, 0))

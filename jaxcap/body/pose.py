@@ -1,0 +1,134 @@
+"""One frame's configuration of a skeleton, and how a tangent vector changes it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..geometry import rotation
+from .skeleton import Skeleton, dof_layout
+
+
+class Pose(eqx.Module):
+    """How far every joint has moved from rest.
+
+    Every rotation is a quaternion whatever its joint's kind; the kind says only which
+    tangents exist. `scale` is the similarity about the world's origin (Adaptation, 3.1);
+    `retract` leaves it as it is.
+    """
+
+    translations: Float[Array, "J 3"]
+    rotations: Float[Array, "J 4"]
+    scale: Float[Array, ""]
+
+
+class Motion(eqx.Module):
+    """Poses stacked over frames, with their rate in frames a second."""
+
+    poses: Pose
+    rate: float = eqx.field(static=True, default=30.0)
+
+    @property
+    def num_frames(self) -> int:
+        return self.poses.rotations.shape[0]
+
+    def __getitem__(self, frame: int) -> Pose:
+        """The pose of one frame."""
+        return Pose(self.poses.translations[frame], self.poses.rotations[frame], self.poses.scale[frame])
+
+    def slice(self, frames: slice) -> "Motion":
+        """Some of the frames; a step divides the rate."""
+        poses = Pose(self.poses.translations[frames], self.poses.rotations[frames], self.poses.scale[frames])
+        return Motion(poses, self.rate / abs(frames.step or 1))
+
+
+def rest_pose(skeleton: Skeleton) -> Pose:
+    """The pose in which nothing has moved."""
+    dtype = skeleton.centres.dtype
+    count = skeleton.num_joints
+    return Pose(
+        jnp.zeros((count, 3), dtype), jnp.tile(rotation.identity(dtype), (count, 1)), jnp.ones((), dtype)
+    )
+
+
+def stack_poses(poses: list[Pose], rate: float = 30.0) -> Motion:
+    """A `Motion` of single poses."""
+    return Motion(
+        Pose(
+            jnp.stack([pose.translations for pose in poses]),
+            jnp.stack([pose.rotations for pose in poses]),
+            jnp.stack([pose.scale for pose in poses]),
+        ),
+        rate,
+    )
+
+
+def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:
+    """Move a pose along a tangent vector `d`, metres and radians, laid out by `dof_layout`.
+
+    A rotation is updated on the right, in the body frame (Kineben, 3.2.2); a revolute
+    joint stays on its axis and a universal joint on its two.
+    """
+    layout = dof_layout(skeleton)
+    padded = jnp.append(d, jnp.zeros((), d.dtype))
+    translations = pose.translations + padded[layout.translations]
+    step = _rotation_vectors(skeleton, padded[layout.rotations])
+    rotations = rotation.normalise(rotation.multiply(pose.rotations, rotation.exp(step)))
+    pairs = _of_kind(skeleton, "universal")
+    if pairs.size:
+        angles = universal_angles(skeleton, pose)[pairs] + padded[layout.rotations[pairs, :2]]
+        turned = [rotation.about_axis(skeleton.axes[pairs, i], angles[:, i]) for i in range(2)]
+        rotations = rotations.at[pairs].set(rotation.normalise(rotation.multiply(*turned)))
+    return Pose(translations, rotations, pose.scale)
+
+
+def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
+    """The tangent `d` with `retract(a, d) = b`, where the joints' kinds allow `b`."""
+    layout = dof_layout(skeleton)
+    relative = rotation.log(rotation.multiply(rotation.conjugate(a.rotations), b.rotations))
+    revolute = _of_kind(skeleton, "revolute")
+    if revolute.size:
+        along = jnp.sum(relative[revolute] * skeleton.axes[revolute, 0], -1)
+        relative = relative.at[revolute, 0].set(along)
+    pairs = _of_kind(skeleton, "universal")
+    if pairs.size:
+        change = universal_angles(skeleton, b)[pairs] - universal_angles(skeleton, a)[pairs]
+        wrapped = (change + jnp.pi) % (2 * jnp.pi) - jnp.pi
+        relative = relative.at[pairs, :2].set(wrapped)
+    d = jnp.zeros(skeleton.num_dofs + 1, relative.dtype)
+    d = d.at[layout.translations].set(b.translations - a.translations)
+    return d.at[layout.rotations].set(relative)[:-1]
+
+
+def revolute_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J"]:
+    """Turn of every joint about its first axis, in `[-pi, pi]`; for revolute joints, the angle."""
+    return rotation.angle_about(pose.rotations, skeleton.axes[:, 0])
+
+
+def universal_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 2"]:
+    """The two angles of universal joints, with `R = Rot(axis 0, first) Rot(axis 1, second)`.
+
+    Well defined everywhere: the second axis, perpendicular in part to the first, shows the
+    first angle wherever the second one stands. Rows of other joints have no meaning.
+    """
+    first_axis, second_axis = skeleton.axes[:, 0], skeleton.axes[:, 1]
+    along = jnp.sum(first_axis * second_axis, -1, keepdims=True)
+    across = second_axis - along * first_axis
+    moved = rotation.rotate(pose.rotations, second_axis)
+    sine = jnp.sum(jnp.cross(first_axis, across) * moved, -1)
+    cosine = jnp.sum(across * moved, -1)
+    undefined = sine**2 + cosine**2 < 1e-20
+    first = jnp.arctan2(jnp.where(undefined, 0.0, sine), jnp.where(undefined, 1.0, cosine))
+    rest = rotation.multiply(rotation.about_axis(first_axis, -first), pose.rotations)
+    return jnp.stack([first, rotation.angle_about(rest, second_axis)], -1)
+
+
+def _rotation_vectors(skeleton: Skeleton, numbers: Float[Array, "J 3"]) -> Float[Array, "J 3"]:
+    """Each joint's right update as a rotation vector, from its own one or three numbers."""
+    kinds = np.array(skeleton.kinds)[:, None]
+    along = numbers[:, :1] * skeleton.axes[:, 0]
+    return jnp.where(kinds == "revolute", along, jnp.where(kinds == "universal", 0.0, numbers))
+
+
+def _of_kind(skeleton: Skeleton, kind: str) -> np.ndarray:
+    return np.flatnonzero(np.array(skeleton.kinds) == kind)

@@ -1,0 +1,183 @@
+"""The tree of joints: which joint hangs on which, where it is, and how it may move."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+#: How many numbers move a joint of each kind, as (translations, rotations).
+KINDS: dict[str, tuple[int, int]] = {
+    "fixed": (0, 0),
+    "translate": (3, 0),
+    "revolute": (0, 1),
+    "universal": (0, 2),
+    "ball": (0, 3),
+    "free": (3, 3),
+}
+
+
+class Skeleton(eqx.Module):
+    """A tree of joints, in its rest pose.
+
+    Joint `j` moves bone `j`: the rigid frame of all that hangs on it. A joint turns about
+    its rest centre, `T_j = T_parent(j) . Translate(t_j) . Rot(q_j about c_j)` (Adaptation,
+    section 3.1; the same map as Kineben, eq. 1). Centres, axes and orientations are in the
+    rest frame of the world, in metres.
+
+    - `fixed`: does not move.
+    - `translate`: 3 translations, along the rest axes of the world.
+    - `revolute`: turns about `axes[j, 0]`.
+    - `universal`: turns about `axes[j, 1]`, then about `axes[j, 0]`.
+    - `ball`: turns freely, the update in the body frame, `R <- R exp([dw]x)`.
+    - `free`: `translate` and `ball` at once, the usual root.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    parents: tuple[int, ...] = eqx.field(static=True)
+    kinds: tuple[str, ...] = eqx.field(static=True)
+    centres: Float[Array, "J 3"]
+    #: unit quaternions; the x axis of joint `j`'s own frame is its twist axis
+    orientations: Float[Array, "J 4"]
+    #: unit axes of revolute (the first) and universal (both) joints; others ignore them
+    axes: Float[Array, "J 2 3"]
+
+    @property
+    def num_joints(self) -> int:
+        """J, the number of joints (and of bones)."""
+        return len(self.names)
+
+    @property
+    def num_dofs(self) -> int:
+        """D, the length of a tangent vector: how many numbers change a pose."""
+        return sum(sum(KINDS[kind]) for kind in self.kinds)
+
+    @property
+    def levels(self) -> tuple[tuple[int, ...], ...]:
+        """The joints by their depth in the tree, roots first."""
+        depth = self.depths
+        return tuple(tuple(np.flatnonzero(depth == d).tolist()) for d in range(max(depth) + 1))
+
+    @property
+    def depths(self) -> np.ndarray:
+        """(J,) how many joints lie between a joint and its root."""
+        depth = np.zeros(self.num_joints, int)
+        for joint, parent in enumerate(self.parents):
+            depth[joint] = 0 if parent < 0 else depth[parent] + 1
+        return depth
+
+    @property
+    def descent(self) -> np.ndarray:
+        """(J, J) of bool: `descent[a, d]` where bone `d` moves with joint `a`."""
+        descends = np.eye(self.num_joints, dtype=bool)
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                descends[:, joint] |= descends[:, parent]
+        return descends
+
+    def index(self, name: str) -> int:
+        """The index of a joint by its name. Raises `KeyError` with the names there are."""
+        if name not in self.names:
+            raise KeyError(f"There is no joint '{name}'; the skeleton has {', '.join(self.names)}.")
+        return self.names.index(name)
+
+
+class DofLayout(NamedTuple):
+    """Where each joint's numbers lie in a tangent vector `d (D,)`; plain NumPy, known when
+    traced. `D` itself stands for "no such number": gather from `d` with a zero appended."""
+
+    #: (J, 3) slots of each joint's translations
+    translations: np.ndarray
+    #: (J, 3) slots of each joint's rotations
+    rotations: np.ndarray
+    #: (D,) the joint of each slot
+    joints: np.ndarray
+    #: (D,) a name for each slot, such as `LeftArm.rx`
+    names: tuple[str, ...]
+
+
+def dof_layout(skeleton: Skeleton) -> DofLayout:
+    """The layout of a tangent vector: joint by joint, translations before rotations."""
+    total = skeleton.num_dofs
+    translations = np.full((skeleton.num_joints, 3), total)
+    rotations = np.full((skeleton.num_joints, 3), total)
+    joints, names = [], []
+    for joint, kind in enumerate(skeleton.kinds):
+        for slots, count, label in zip((translations, rotations), KINDS[kind], ("t", "r"), strict=True):
+            slots[joint, :count] = np.arange(count) + len(joints)
+            joints += [joint] * count
+            names += [f"{skeleton.names[joint]}.{label}{'xyz'[i]}" for i in range(count)]
+    return DofLayout(translations, rotations, np.array(joints, int), tuple(names))
+
+
+def make_skeleton(
+    names: Sequence[str],
+    parents: Sequence[int],
+    kinds: Sequence[str],
+    centres,
+    orientations=None,
+    axes=None,
+) -> Skeleton:
+    """A checked `Skeleton`; joints may come in any order and are sorted parents first.
+
+    **Arguments:** `names` J different names; `parents` J indices into `names`, -1 for a
+    root; `kinds` J of `fixed, translate, revolute, universal, ball, free`; `centres (J, 3)`
+    metres; `orientations (J, 4)` quaternions, the identity where not given;
+    `axes (J, 2, 3)`, x and y where not given.
+
+    **Raises:** `ValueError` with one sentence when names repeat, a parent or a kind is
+    unknown, the tree has a cycle, or a number is not finite.
+    """
+    names, parents, kinds = list(names), [int(p) for p in parents], list(kinds)
+    count = len(names)
+    centres = np.asarray(centres, float).reshape(-1, 3)
+    orientations = np.tile([1.0, 0, 0, 0], (count, 1)) if orientations is None else np.asarray(orientations, float)
+    axes = np.tile(np.eye(3)[:2], (count, 1, 1)) if axes is None else np.asarray(axes, float)
+    if count == 0:
+        raise ValueError("A skeleton needs at least one joint; none was given.")
+    if not len(parents) == len(kinds) == len(centres) == len(orientations) == len(axes) == count:
+        raise ValueError(
+            f"A skeleton of {count} names was given {len(parents)} parents, {len(kinds)} kinds, "
+            f"{len(centres)} centres; give one of each for every joint."
+        )
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"The joint name '{name}' stands twice; give every joint its own name.")
+    for name, parent, kind in zip(names, parents, kinds, strict=True):
+        if not -1 <= parent < count:
+            raise ValueError(f"Joint '{name}' has parent {parent}, but there are only joints 0 to {count - 1}.")
+        if kind not in KINDS:
+            raise ValueError(f"Joint '{name}' is of kind '{kind}'; a joint is one of {', '.join(KINDS)}.")
+    for name, centre in zip(names, centres, strict=True):
+        if not np.isfinite(centre).all():
+            raise ValueError(f"The centre of joint '{name}' is {centre.tolist()}; give three finite numbers.")
+    order = _parents_first(names, parents)
+    place = {old: new for new, old in enumerate(order)}
+    lengths = np.linalg.norm(axes, axis=-1, keepdims=True)
+    return Skeleton(
+        names=tuple(names[i] for i in order),
+        parents=tuple(-1 if parents[i] < 0 else place[parents[i]] for i in order),
+        kinds=tuple(kinds[i] for i in order),
+        centres=jnp.asarray(centres[order]),
+        orientations=jnp.asarray((orientations / np.linalg.norm(orientations, axis=-1, keepdims=True))[order]),
+        axes=jnp.asarray((axes / np.where(lengths > 0, lengths, 1.0))[order]),
+    )
+
+
+def _parents_first(names: list[str], parents: list[int]) -> list[int]:
+    """The joints' own order where it will do, else depth first; a cycle is an error."""
+    if all(parent < joint for joint, parent in enumerate(parents)):
+        return list(range(len(names)))
+    order: list[int] = []
+    for joint in range(len(names)):
+        chain = []
+        while joint >= 0 and joint not in order:
+            if joint in chain:
+                cycle = " -> ".join(names[i] for i in chain[chain.index(joint) :] + [joint])
+                raise ValueError(f"The skeleton has a cycle: {cycle}. A joint cannot descend from itself.")
+            chain.append(joint)
+            joint = parents[joint]
+        order += reversed(chain)
+    return order

@@ -1,0 +1,68 @@
+"""Energies: residuals of a posed body, with weights, that add up."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..body.body import Posed
+
+
+class AbstractEnergy(eqx.Module):
+    """A squared residual `E = |r|^2` of a posed body (Kineben, eq. 2).
+
+    A new energy is a class with its data as fields and one method. It sums with others
+    (`a + b`) and is weighted by a number (`3.0 * a`, which triples `E`).
+    """
+
+    @abc.abstractmethod
+    def residual(self, posed: Posed) -> Float[Array, "R"]:
+        """The residual of one posed body, any number of components."""
+
+    def __add__(self, other: "AbstractEnergy") -> "Sum":
+        return Sum(terms_of(self) + terms_of(other))
+
+    def __rmul__(self, weight) -> "Weighted":
+        return Weighted(self, jnp.asarray(weight))
+
+
+class Weighted(AbstractEnergy):
+    """`weight * E` of another energy; the weight is at least zero."""
+
+    energy: AbstractEnergy
+    weight: Float[Array, ""]
+
+    def residual(self, posed):
+        # the root has no slope at zero; a weight of zero is a term that is not there
+        positive = self.weight > 0
+        root = jnp.where(positive, jnp.sqrt(jnp.where(positive, self.weight, 1.0)), 0.0)
+        return root * self.energy.residual(posed)
+
+
+class Sum(AbstractEnergy):
+    """The sum of several energies: their residuals one below the other."""
+
+    terms: tuple[AbstractEnergy, ...]
+
+    def residual(self, posed):
+        return jnp.concatenate([term.residual(posed) for term in self.terms])
+
+
+def terms_of(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
+    """The summands of an energy; itself where it is no sum."""
+    return energy.terms if isinstance(energy, Sum) else (energy,)
+
+
+def name_of(energy: AbstractEnergy) -> str:
+    """The class of an energy, through its weight: `JointLimits`."""
+    return name_of(energy.energy) if isinstance(energy, Weighted) else type(energy).__name__
+
+
+def energies(energy: AbstractEnergy, posed: Posed) -> dict[str, Float[Array, ""]]:
+    """The value `|r|^2` of every summand by its name; equal names are added up."""
+    values: dict[str, Float[Array, ""]] = {}
+    for term in terms_of(energy):
+        r = term.residual(posed)
+        values[name_of(term)] = values.get(name_of(term), jnp.zeros((), r.dtype)) + jnp.sum(r * r)
+    return values

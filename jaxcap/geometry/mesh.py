@@ -1,0 +1,23 @@
+"""Triangle meshes as arrays: normals and areas."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+
+def face_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Float[Array, "F 3"]:
+    """Normals of the triangles, twice their area long; zero for a degenerate triangle."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return jnp.cross(b - a, c - a)
+
+
+def vertex_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Float[Array, "V 3"]:
+    """Unit normals at the vertices, each triangle counted by its area.
+
+    A vertex of no triangle, or of degenerate ones only, has the zero vector for a normal.
+    Differentiable also there.
+    """
+    across = face_normals(vertices, faces)
+    total = jnp.zeros_like(vertices).at[faces.reshape(-1)].add(jnp.repeat(across, 3, axis=0))
+    squared = jnp.sum(total * total, -1, keepdims=True)
+    degenerate = squared < jnp.finfo(vertices.dtype).tiny
+    return total / jnp.sqrt(jnp.where(degenerate, 1.0, squared))
