@@ -1,0 +1,68 @@
+"""What the readers of text formats share: lines with their numbers, floats, clean errors."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import InputError
+
+#: metres in one unit of each name
+UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+
+
+def unit_scale(unit: str) -> float:
+    """Metres in one `unit`. Raises `InputError` for a unit that is not in `UNITS`."""
+    if unit not in UNITS:
+        raise InputError(f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}.")
+    return UNITS[unit]
+
+
+def read_text(path: str | Path) -> str:
+    """A text file's content; any line ending, a byte order mark, and bytes that are not
+    UTF-8 (taken as Latin-1) are fine.
+
+    **Raises:** `InputError` where there is no such file, it is a folder, cannot be read, or
+    is binary.
+    """
+    path = Path(path)
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; check the path.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
+    if b"\0" in raw[:4096]:
+        raise InputError(f"{path}: this is a binary file; give a text file.")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def numbered_lines(text: str, comment: str = "#") -> Iterator[tuple[int, str]]:
+    """`(line number, line)` of all lines that hold more than blanks and a comment."""
+    for number, line in enumerate(text.splitlines(), 1):
+        line = line.split(comment, 1)[0].strip()
+        if line:
+            yield number, line
+
+
+def parse_floats(words: list[str], where: str, what: str) -> list[float]:
+    """Finite floats of `words`; `where` is `path:line` and `what` names them in the error."""
+    numbers = []
+    for word in words:
+        try:
+            numbers.append(float(word))
+        except ValueError:
+            raise InputError(f"{where}: '{word}' in {what} is not a number; write a number there.") from None
+        if not math.isfinite(numbers[-1]):
+            raise InputError(f"{where}: '{word}' in {what} is not finite; write a finite number there.")
+    return numbers
+
+
+def parse_int(word: str, where: str, what: str) -> int:
+    """A whole number; `where` is `path:line` and `what` names it in the error."""
+    try:
+        return int(word)
+    except ValueError:
+        raise InputError(f"{where}: '{word}' for {what} is not a whole number.") from None
