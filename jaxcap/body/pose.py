@@ -100,6 +100,21 @@ def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
     return d.at[layout.rotations].set(relative)[:-1]
 
 
+def project(skeleton: Skeleton, pose: Pose) -> Pose:
+    """The pose nearest to `pose` among those that the joints' kinds allow: a fixed joint
+    does not turn, a revolute one turns about its axis only, and so on."""
+    kinds = np.array(skeleton.kinds)[:, None]
+    twist = rotation.about_axis(skeleton.axes[:, 0], revolute_angles(skeleton, pose))
+    angles = universal_angles(skeleton, pose)
+    pair = rotation.multiply(*(rotation.about_axis(skeleton.axes[:, i], angles[:, i]) for i in range(2)))
+    still = rotation.identity(pose.rotations.dtype)
+    rotations = jnp.where(np.isin(kinds, ["fixed", "translate"]), still, pose.rotations)
+    rotations = jnp.where(kinds == "revolute", twist, rotations)
+    rotations = jnp.where(kinds == "universal", pair, rotations)
+    slides = np.isin(kinds, ["translate", "free"])
+    return Pose(jnp.where(slides, pose.translations, 0.0), rotation.normalise(rotations), pose.scale)
+
+
 def revolute_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J"]:
     """Turn of every joint about its first axis, in `[-pi, pi]`; for revolute joints, the angle."""
     return rotation.angle_about(pose.rotations, skeleton.axes[:, 0])

@@ -34,10 +34,7 @@ class Weighted(AbstractEnergy):
     weight: Float[Array, ""]
 
     def residual(self, posed):
-        # the root has no slope at zero; a weight of zero is a term that is not there
-        positive = self.weight > 0
-        root = jnp.where(positive, jnp.sqrt(jnp.where(positive, self.weight, 1.0)), 0.0)
-        return root * self.energy.residual(posed)
+        return root(self.weight) * self.energy.residual(posed)
 
 
 class Sum(AbstractEnergy):
@@ -66,3 +63,9 @@ def energies(energy: AbstractEnergy, posed: Posed) -> dict[str, Float[Array, ""]
         r = term.residual(posed)
         values[name_of(term)] = values.get(name_of(term), jnp.zeros((), r.dtype)) + jnp.sum(r * r)
     return values
+
+def root(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """The square root of weights, with slope zero where a weight is zero: what is not
+    there stays away under differentiation too."""
+    positive = weights > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, weights, 1.0)), 0.0)

@@ -1,0 +1,42 @@
+"""Points of a body that are to reach given places (Kineben, eq. 2)."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..body.body import Posed
+from ..body.skeleton import Skeleton
+from .term import AbstractEnergy, root
+
+
+class VertexLandmarks(AbstractEnergy):
+    """`sum_i w_i |x_i - y_i|^2` over chosen vertices, metres; a weight of zero is a
+    landmark that was not seen."""
+
+    vertices: Int[Array, "C"]
+    targets: Float[Array, "C 3"]
+    weights: Float[Array, "C"]
+
+    def residual(self, posed):
+        return (root(self.weights)[:, None] * (posed.vertices[self.vertices] - self.targets)).reshape(-1)
+
+
+class BoneLandmarks(AbstractEnergy):
+    """`sum_i w_i |T_b(i) p_i - y_i|^2`: points fixed to bones, such as optical markers or
+    joint centres. `rest (C, 3)` are their places in the rest pose, metres."""
+
+    bones: Int[Array, "C"]
+    rest: Float[Array, "C 3"]
+    targets: Float[Array, "C 3"]
+    weights: Float[Array, "C"]
+
+    def residual(self, posed: Posed):
+        r, t = posed.transforms.rotations[self.bones], posed.transforms.translations[self.bones]
+        places = jnp.einsum("cab,cb->ca", r, self.rest) + t
+        return (root(self.weights)[:, None] * (places - self.targets)).reshape(-1)
+
+
+def joint_landmarks(skeleton: Skeleton, targets: Float[Array, "J 3"], weights=None) -> BoneLandmarks:
+    """Joint centres that are to reach `targets (J, 3)`; all `weights (J,)` one where not given."""
+    joints = jnp.arange(skeleton.num_joints)
+    weights = jnp.ones(skeleton.num_joints, targets.dtype) if weights is None else weights
+    return BoneLandmarks(joints, skeleton.centres, targets, weights)

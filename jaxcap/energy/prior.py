@@ -1,0 +1,23 @@
+"""A preference for poses near a given one."""
+
+from jaxtyping import Array, Float
+
+from ..body.body import Posed
+from ..body.pose import Pose, difference
+from ..body.skeleton import Skeleton
+from .term import AbstractEnergy
+
+
+class PosePrior(AbstractEnergy):
+    """`sum_k (d_k / s_k)^2`, where `d` is the tangent from a reference pose to this one and
+    `s (D,)` are standard deviations in metres and radians (infinite: free).
+
+    Holds what the data do not show, damps a step, or ties a frame to its prediction.
+    """
+
+    skeleton: Skeleton
+    reference: Pose
+    deviations: Float[Array, "D"]
+
+    def residual(self, posed: Posed):
+        return difference(self.skeleton, self.reference, posed.pose) / self.deviations

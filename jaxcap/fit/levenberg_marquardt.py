@@ -1,0 +1,122 @@
+"""Levenberg-Marquardt on a manifold, put together from optimistix's parts."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .problem import AbstractProblem
+
+#: longest history of energies that a solver keeps
+HISTORY = 256
+
+
+class SolverState(eqx.Module):
+    """What a step hands to the next; `history` holds the energy after each step, NaN beyond."""
+
+    step: Float[Array, "D"]
+    info: optx.FunctionInfo.ResidualJac
+    search_state: PyTree
+    num_steps: Int[Array, ""]
+    terminate: Bool[Array, ""]
+    result: optx.RESULTS
+    history: Float[Array, "H"]
+
+
+class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+    """Damped Gauss-Newton steps inside a classical trust region, on a manifold.
+
+    optimistix's own solver adds a step to the unknown. This one takes an `AbstractProblem`
+    as `args`, linearises `d -> r(retract(y, d))` at `d = 0`, and composes the same search
+    and descent, so that no chart is ever left. Rotations move limbs of about `metre_per_radian`,
+    which brings metres and radians to one measure for the isotropic damping.
+
+    The linear solver is Cholesky on the normal equations, 5 to 9 times faster here than
+    `lx.QR()`, which may be put in its place where a problem is ill-conditioned.
+    """
+
+    rtol: float
+    atol: float
+    norm: Callable[[PyTree], Array]
+    descent: optx.DampedNewtonDescent
+    search: optx.ClassicalTrustRegion
+
+    def __init__(
+        self,
+        rtol: float = 1e-5,
+        atol: float = 1e-6,
+        linear_solver: lx.AbstractLinearSolver = lx.Normal(lx.Cholesky()),  # noqa: B008
+    ):
+        self.rtol, self.atol, self.norm = rtol, atol, optx.max_norm
+        self.descent = optx.DampedNewtonDescent(linear_solver)
+        self.search = optx.ClassicalTrustRegion()
+
+    def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
+        del fn, options, f_struct, aux_struct, tags
+        info = information(args, y)
+        zero = jnp.zeros(info.jac.in_size(), info.residual.dtype)
+        search_state = self.search.init(zero, info)
+        first = self.descent.step(jnp.ones((), zero.dtype), self.descent.query(zero, info, self.descent.init(zero, info)))
+        return SolverState(
+            step=first[0],
+            info=info,
+            search_state=search_state,
+            num_steps=jnp.array(0),
+            terminate=jnp.array(False),
+            result=first[1],
+            history=jnp.full(HISTORY, jnp.nan, zero.dtype),
+        )
+
+    def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
+        del fn, options, tags
+        candidate = args.retract(y, state.step)
+        info_there = information(args, candidate)
+        step_size, accept, _, search_state = self.search.step(
+            jnp.array(False), jnp.zeros_like(state.step), state.step, state.info, info_there, state.search_state
+        )
+        before, after = state.info.as_min(), info_there.as_min()
+        small = self.norm(state.step) < self.atol
+        flat = jnp.abs(before - after) <= self.rtol * jnp.abs(before) + jnp.finfo(before.dtype).tiny
+        y = where(accept, candidate, y)
+        info = where(accept, info_there, state.info)
+        descent_state = self.descent.query(state.step, info, self.descent.init(state.step, info))
+        step, result = self.descent.step(step_size, descent_state)
+        state = SolverState(
+            step=step,
+            info=info,
+            search_state=search_state,
+            num_steps=state.num_steps + 1,
+            terminate=small | (accept & flat),
+            result=result,
+            history=state.history.at[state.num_steps].set(2.0 * info.as_min(), mode="drop"),
+        )
+        return y, state, None
+
+    def terminate(self, fn, y, args, options, state, tags):
+        del fn, y, args, options, tags
+        return state.terminate, state.result
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result) -> tuple[Any, Any, dict]:
+        del fn, args, options, tags, result
+        return y, aux, {"history": state.history}
+
+
+def information(problem: AbstractProblem, y) -> optx.FunctionInfo.ResidualJac:
+    """Residual and Jacobian in the form that optimistix's searches and descents take."""
+    residual, jacobian = problem.linearise(y)
+    return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian))
+
+
+def where(condition: Bool[Array, ""], a: PyTree, b: PyTree) -> PyTree:
+    """`a` or `b`, leaf by leaf."""
+    dynamic_a, static = eqx.partition(a, eqx.is_array)
+    dynamic_b, _ = eqx.partition(b, eqx.is_array)
+    chosen = eqx.filter(dynamic_a, False)
+    import jax
+
+    chosen = jax.tree.map(lambda x, z: jnp.where(condition, x, z), dynamic_a, dynamic_b)
+    return eqx.combine(chosen, static)

@@ -1,0 +1,96 @@
+"""What is minimised, and how it is linearised on the manifold of poses."""
+
+import abc
+from typing import Generic, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..body.body import Body, pose_body
+from ..body.jacobian import has_analytic_jacobian, point_jacobian, projected_jacobian
+from ..body.pose import Pose, retract
+from ..energy.landmarks import VertexLandmarks
+from ..energy.points import PointToPlane, PointToPoint
+from ..energy.term import AbstractEnergy, Sum, Weighted, root, terms_of
+
+Unknown = TypeVar("Unknown")
+
+
+class AbstractProblem(eqx.Module, Generic[Unknown]):
+    """A sum of squares over a manifold, for the solvers of this wing.
+
+    A solver sees a point of the manifold only through these three verbs: tangents `d (D,)`
+    are flat arrays, and `y + d` is `retract(y, d)`.
+    """
+
+    @abc.abstractmethod
+    def residual(self, y: Unknown) -> Float[Array, "R"]:
+        """The residual at `y`; what is minimised is the sum of its squares."""
+
+    @abc.abstractmethod
+    def linearise(self, y: Unknown) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
+        """The residual at `y`, and its Jacobian by `d` of `residual(retract(y, d))` at 0."""
+
+    @abc.abstractmethod
+    def retract(self, y: Unknown, d: Float[Array, "D"]) -> Unknown:
+        """Move from `y` along the tangent `d`."""
+
+
+class PoseProblem(AbstractProblem[Pose]):
+    """Find the pose of a body that makes an energy least."""
+
+    energy: AbstractEnergy
+    body: Body
+
+    def residual(self, y: Pose):
+        return self.energy.residual(pose_body(self.body, y))
+
+    def linearise(self, y: Pose):
+        return linearise(self.energy, self.body, y)
+
+    def retract(self, y: Pose, d: Float[Array, "D"]):
+        return retract(self.body.skeleton, y, d)
+
+
+def linearise(
+    energy: AbstractEnergy, body: Body, pose: Pose
+) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
+    """Residual and Jacobian of an energy at a pose, by tangents of `retract`.
+
+    Terms over many vertices use the analytic Jacobian of the skin (Kineben, eqs. 8 to 13),
+    which costs one sum down the tree for each joint; forward autodiff, which all other
+    terms use, pushes each of the D tangents through the whole skin.
+    """
+    posed = pose_body(body, pose)
+    analytic, others = [], []
+    for term in terms_of(energy):
+        (analytic if has_analytic_jacobian(body.skin) and _over_vertices(term) else others).append(term)
+    rows = [(term.residual(posed), _vertex_jacobian(term, body, posed)) for term in analytic]
+    if others:
+        rest = Sum(tuple(others))
+        zero = jnp.zeros(body.skeleton.num_dofs, body.vertices.dtype)
+
+        def moved(d):
+            r = rest.residual(pose_body(body, retract(body.skeleton, pose, d)))
+            return r, r
+
+        jacobian, r = jax.jacfwd(moved, has_aux=True)(zero)
+        rows.append((r, jacobian))
+    return jnp.concatenate([r for r, _ in rows]), jnp.concatenate([j for _, j in rows])
+
+
+def _over_vertices(term: AbstractEnergy) -> bool:
+    inner = term.energy if isinstance(term, Weighted) else term
+    return isinstance(inner, PointToPoint | PointToPlane | VertexLandmarks)
+
+
+def _vertex_jacobian(term, body, posed) -> Float[Array, "R D"]:
+    if isinstance(term, Weighted):
+        return root(term.weight) * _vertex_jacobian(term.energy, body, posed)
+    scale = root(term.weights)
+    if isinstance(term, PointToPlane):
+        return projected_jacobian(body, posed, term.vertices, scale[:, None] * term.normals)
+    jacobian = point_jacobian(body, posed, term.vertices)
+    return (scale[:, None, None] * jacobian).reshape(-1, jacobian.shape[-1])
