@@ -15,11 +15,13 @@ class Pose(eqx.Module):
     Every rotation is a quaternion whatever its joint's kind; the kind says only which
     tangents exist. `scale` is the similarity about the world's origin (Adaptation, 3.1);
     `retract` leaves it as it is.
+
+    The verbs take one frame, `(J, ...)`; a `Motion` holds poses stacked, `(F, J, ...)`.
     """
 
-    translations: Float[Array, "J 3"]
-    rotations: Float[Array, "J 4"]
-    scale: Float[Array, ""]
+    translations: Float[Array, "*frames J 3"]
+    rotations: Float[Array, "*frames J 4"]
+    scale: Float[Array, "*frames"]
 
 
 class Motion(eqx.Module):
