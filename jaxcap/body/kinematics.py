@@ -47,9 +47,7 @@ def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
         order += level
         above_r, above_t, above = level_r, level_t, level
     back = np.argsort(order)
-    return Transforms(
-        pose.scale * jnp.concatenate(done_r)[back], pose.scale * jnp.concatenate(done_t)[back]
-    )
+    return Transforms(pose.scale * jnp.concatenate(done_r)[back], pose.scale * jnp.concatenate(done_t)[back])
 
 
 def joint_positions(skeleton: Skeleton, transforms: Transforms) -> Float[Array, "J 3"]:

@@ -133,7 +133,9 @@ def make_skeleton(
     names, parents, kinds = list(names), [int(p) for p in parents], list(kinds)
     count = len(names)
     centres = np.asarray(centres, float).reshape(-1, 3)
-    orientations = np.tile([1.0, 0, 0, 0], (count, 1)) if orientations is None else np.asarray(orientations, float)
+    orientations = (
+        np.tile([1.0, 0, 0, 0], (count, 1)) if orientations is None else np.asarray(orientations, float)
+    )
     axes = np.tile(np.eye(3)[:2], (count, 1, 1)) if axes is None else np.asarray(axes, float)
     if count == 0:
         raise ValueError("A skeleton needs at least one joint; none was given.")
@@ -147,7 +149,9 @@ def make_skeleton(
             raise ValueError(f"The joint name '{name}' stands twice; give every joint its own name.")
     for name, parent, kind in zip(names, parents, kinds, strict=True):
         if not -1 <= parent < count:
-            raise ValueError(f"Joint '{name}' has parent {parent}, but there are only joints 0 to {count - 1}.")
+            raise ValueError(
+                f"Joint '{name}' has parent {parent}, but there are only joints 0 to {count - 1}."
+            )
         if kind not in KINDS:
             raise ValueError(f"Joint '{name}' is of kind '{kind}'; a joint is one of {', '.join(KINDS)}.")
     for name, centre in zip(names, centres, strict=True):
@@ -161,7 +165,9 @@ def make_skeleton(
         parents=tuple(-1 if parents[i] < 0 else place[parents[i]] for i in order),
         kinds=tuple(kinds[i] for i in order),
         centres=jnp.asarray(centres[order]),
-        orientations=jnp.asarray((orientations / np.linalg.norm(orientations, axis=-1, keepdims=True))[order]),
+        orientations=jnp.asarray(
+            (orientations / np.linalg.norm(orientations, axis=-1, keepdims=True))[order]
+        ),
         axes=jnp.asarray((axes / np.where(lengths > 0, lengths, 1.0))[order]),
     )
 

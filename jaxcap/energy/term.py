@@ -64,6 +64,7 @@ def energies(energy: AbstractEnergy, posed: Posed) -> dict[str, Float[Array, ""]
         values[name_of(term)] = values.get(name_of(term), jnp.zeros((), r.dtype)) + jnp.sum(r * r)
     return values
 
+
 def root(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """The square root of weights, with slope zero where a weight is zero: what is not
     there stays away under differentiation too."""

@@ -112,7 +112,9 @@ def shortest_arc(a: Vector, b: Vector) -> Quaternion:
     For opposite vectors it is a half turn about some perpendicular of `a`.
     """
     w = 1.0 + jnp.sum(a * b, -1, keepdims=True)
-    helper = jnp.where(jnp.abs(a[..., :1]) < 0.6, jnp.array([1.0, 0, 0], a.dtype), jnp.array([0, 1.0, 0], a.dtype))
+    helper = jnp.where(
+        jnp.abs(a[..., :1]) < 0.6, jnp.array([1.0, 0, 0], a.dtype), jnp.array([0, 1.0, 0], a.dtype)
+    )
     opposite = w < 1e-6
     v = jnp.where(opposite, jnp.cross(a, helper), jnp.cross(a, b))
     return normalise(jnp.concatenate([jnp.where(opposite, 0.0, w), v], -1))
