@@ -4,7 +4,7 @@ The energies that hold a pose to them are elsewhere; `.cst` and `.asf` files are
 into these arrays, and `.npz` bodies carry them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -52,7 +52,7 @@ class JointRanges(eqx.Module):
 
 def make_joint_ranges(
     skeleton: Skeleton,
-    ranges: Mapping[str, tuple] | None = None,
+    ranges: Mapping[str, Sequence] | None = None,
     cones: Mapping[str, Cone] | None = None,
 ) -> JointRanges:
     """`JointRanges` from limits by joint name.
@@ -75,7 +75,9 @@ def make_joint_ranges(
             )
         for number, (lower, upper) in enumerate(pairs):
             if not lower <= upper:
-                raise ValueError(f"The range of joint '{name}' goes from {lower:g} down to {upper:g}; swap them.")
+                raise ValueError(
+                    f"The range of joint '{name}' goes from {lower:g} down to {upper:g}; swap them."
+                )
             rows.append((joint, number, lower, upper))
     for name, cone in (cones or {}).items():
         joint = _joint(skeleton, name, ("ball", "free"), "cone")
@@ -85,7 +87,9 @@ def make_joint_ranges(
         if not (lengths > 0).all():
             raise ValueError(f"A cone of joint '{name}' has the axis (0, 0, 0); give it a direction.")
         if not ((angles >= 0) & (angles <= np.pi + 1e-9)).all():
-            raise ValueError(f"The cone angles of joint '{name}' are {angles.tolist()}; give 0 to pi radians.")
+            raise ValueError(
+                f"The cone angles of joint '{name}' are {angles.tolist()}; give 0 to pi radians."
+            )
         balls.append((joint, axes / lengths[:, None], angles))
     table = np.asarray(rows, float).reshape(-1, 4)
     axes = np.asarray([ball[1] for ball in balls], float).reshape(-1, 2, 3)
@@ -105,7 +109,9 @@ def make_joint_ranges(
 
 def _joint(skeleton: Skeleton, name: str, kinds: tuple[str, ...], what: str) -> int:
     if name not in skeleton.names:
-        raise ValueError(f"There is a {what} for joint '{name}', but the skeleton has {', '.join(skeleton.names)}.")
+        raise ValueError(
+            f"There is a {what} for joint '{name}', but the skeleton has {', '.join(skeleton.names)}."
+        )
     joint = skeleton.names.index(name)
     if skeleton.kinds[joint] not in kinds:
         raise ValueError(

@@ -1,0 +1,239 @@
+"""Acclaim skeletons (`.asf`) and their motions (`.amc`), read.
+
+A bone's motion is given in the bone's own `axis` frame `C`: its local transform is
+`L = C M C^-1 B`, with `M` the product of the rotations about its `dof` axes, the first
+listed applied first, and `B` the step along its parent. The joint of a bone lies at the
+bone's start, which is its parent's end, so `C M C^-1` is at once the joint's rotation in
+the rest frame of the world.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..body.limits import JointRanges, make_joint_ranges
+from ..body.skeleton import Skeleton, make_skeleton
+from ..errors import InputError
+from .text import numbered_lines, parse_floats, read_text
+from .tree import END, twist_orientations
+
+_KINDS = ("fixed", "revolute", "universal", "ball")
+
+
+class Asf(NamedTuple):
+    """What an `.asf` file says. Names lead to arrays; angles are in radians, lengths in metres."""
+
+    #: bones as joints; the root is `free`, and every last bone has an end, `<bone>.end`
+    skeleton: Skeleton
+    #: which rotations each bone has, in the file's order, such as `("rx", "rz")`
+    dofs: dict[str, tuple[str, ...]]
+    #: (3, 3) the rotation `C` of each bone's own frame
+    frames: dict[str, np.ndarray]
+    lengths: dict[str, float]
+    #: (dofs, 2) lower and upper of each dof, in the bone's own frame; not all bones have one
+    limits: dict[str, np.ndarray]
+    #: the limits of revolute and universal joints (those of ball joints are Euler boxes)
+    ranges: JointRanges
+    #: metres in one unit of the file
+    metres: float
+    #: whether angles of the motions are in degrees
+    degrees: bool
+
+
+def read_asf(path: str | Path) -> Asf:
+    """Read an Acclaim skeleton. Lengths are inches divided by the file's `length` unit.
+
+    **Raises:** `InputError` with file and line where the file is wrong or says something
+    that is not supported (bones that slide or stretch).
+    """
+    sections: dict[str, list[tuple[int, str]]] = {}
+    current: list[tuple[int, str]] = []
+    for number, line in numbered_lines(read_text(path)):
+        if line.startswith(":"):
+            key, _, value = line[1:].partition(" ")
+            current = sections.setdefault(key.lower(), [])
+            line = value.strip()
+        if line:
+            current.append((number, line))
+    for key in ("root", "bonedata", "hierarchy"):
+        if key not in sections:
+            raise InputError(f"{path}: there is no ':{key}' section; this is not a whole .asf file.")
+    units = {
+        words[0].lower(): (number, words[1])
+        for number, line in sections.get("units", [])
+        if len(words := line.split()) > 1
+    }
+    number, length = units.get("length", (0, "1"))
+    unit = parse_floats([length], f"{path}:{number}", "the unit of length")[0]
+    if unit <= 0:
+        raise InputError(f"{path}:{number}: the unit of length is {unit:g}; it must be more than zero.")
+    metres = 0.0254 / unit
+    degrees = units.get("angle", (0, "deg"))[1].lower().startswith("deg")
+    turn = np.pi / 180 if degrees else 1.0
+    root = _fields(sections["root"], path)
+    bones = {"root": root, **_bones(sections["bonedata"], path)}
+    parents = _hierarchy(sections["hierarchy"], bones, path)
+
+    dofs, frames, lengths, limits = {}, {}, {}, {}
+    for name, bone in bones.items():
+        dofs[name] = _dofs(name, bone, path)
+        angles, order = bone.get("axis", (0, ["0", "0", "0", "XYZ"]))[1][:3], "xyz"
+        if name == "root":
+            order = "".join(bone.get("axis", (0, ["XYZ"]))[1]).lower()
+            angles = bone.get("orientation", (0, ["0", "0", "0"]))[1]
+        elif len(bone.get("axis", (0, []))[1]) > 3:
+            order = bone["axis"][1][3].lower()
+        where = f"{path}:{bone.get('axis', bone['first'])[0]}"
+        turned = np.array(parse_floats(angles, where, f"the axis of '{name}'")) * turn
+        if sorted(order) != ["x", "y", "z"] or len(turned) != 3:
+            raise InputError(f"{where}: the axis of '{name}' needs three angles and an order such as XYZ.")
+        frames[name] = Rotation.from_euler(order, turned).as_matrix()
+        if "limits" in bone:
+            words = " ".join(bone["limits"][1]).replace("(", " ").replace(")", " ").split()
+            pairs = np.array(_bounds(words, f"{path}:{bone['limits'][0]}", name)) * turn
+            if len(pairs) != 2 * len(dofs[name]):
+                raise InputError(
+                    f"{path}:{bone['limits'][0]}: '{name}' has {len(dofs[name])} dofs but {len(pairs) / 2:g} limits."
+                )
+            limits[name] = np.sort(pairs.reshape(-1, 2), 1)
+    order = _root_first(parents)
+    position = (
+        np.array(_vector(root, "position", "root", path)) * metres if "position" in root else np.zeros(3)
+    )
+    ends = {"root": position}
+    rows = [("root", -1, "free", position)]
+    for name in order[1:]:
+        bone, above = bones[name], parents[name]
+        direction = np.array(_vector(bone, "direction", name, path))
+        size = np.linalg.norm(direction)
+        if size < 1e-9:
+            raise InputError(f"{path}:{bone['direction'][0]}: the direction of '{name}' is (0, 0, 0).")
+        lengths[name] = _vector(bone, "length", name, path, 1)[0] * metres
+        ends[name] = ends[above] + direction / size * lengths[name]
+        rotations = len([dof for dof in dofs[name] if dof[0] == "r"])
+        rows.append((name, order.index(above), _KINDS[rotations], ends[above]))
+    for name in order[1:]:
+        if name not in parents.values():
+            rows.append((name + END, order.index(name), "fixed", ends[name]))
+    names, above, kinds, centres = zip(*rows, strict=True)
+    axes = np.tile(np.eye(3)[:2], (len(rows), 1, 1))
+    for joint, name in enumerate(names):
+        if kinds[joint] in ("revolute", "universal"):
+            # the last dof is outermost, and a universal joint's first axis is
+            letters = [dof[1] for dof in reversed(dofs[name])]
+            for place, letter in enumerate(letters):
+                axes[joint, place] = frames[name][:, "xyz".index(letter)]
+    skeleton = make_skeleton(
+        names, above, kinds, centres, twist_orientations(np.array(centres), list(above)), axes
+    )
+    ranges = {
+        name: limits[name][::-1].tolist()
+        for name, kind in zip(names, kinds, strict=True)
+        if kind in ("revolute", "universal") and name in limits
+    }
+    return Asf(skeleton, dofs, frames, lengths, limits, make_joint_ranges(skeleton, ranges), metres, degrees)
+
+
+def _fields(lines: list[tuple[int, str]], path) -> dict[str, tuple[int, list[str]]]:
+    """A bone's keywords with the line and the words of each; limits go on over lines."""
+    fields: dict[str, tuple[int, list[str]]] = {"first": (lines[0][0] if lines else 0, [])}
+    for number, line in lines:
+        words = line.split()
+        if line.startswith("(") and "limits" in fields:
+            fields["limits"][1].extend(words)
+        else:
+            fields[words[0].lower()] = (number, words[1:])
+    return fields
+
+
+def _bones(lines: list[tuple[int, str]], path) -> dict[str, dict]:
+    bones: dict[str, dict] = {}
+    block: list[tuple[int, str]] | None = None
+    for number, line in lines:
+        if line == "begin":
+            block = []
+        elif line == "end" and block is not None:
+            fields = _fields(block, path)
+            if not fields.get("name", (0, []))[1]:
+                raise InputError(f"{path}:{number}: a bone ends here that has no name.")
+            name = fields["name"][1][0]
+            if name in bones or name == "root":
+                raise InputError(f"{path}:{fields['name'][0]}: the bone '{name}' stands twice.")
+            bones[name], block = fields, None
+        elif block is None:
+            raise InputError(f"{path}:{number}: '{line}' stands outside of 'begin' and 'end'.")
+        else:
+            block.append((number, line))
+    if block is not None:
+        raise InputError(f"{path}: the last bone has no 'end'; the file is cut short.")
+    return bones
+
+
+def _dofs(name: str, bone: dict, path) -> tuple[str, ...]:
+    number, words = bone.get("order" if name == "root" else "dof", (0, []))
+    words = tuple(word.lower() for word in words)
+    allowed = ("rx", "ry", "rz") + (("tx", "ty", "tz") if name == "root" else ())
+    for word in words:
+        if word not in allowed or words.count(word) > 1:
+            raise InputError(
+                f"{path}:{number}: the dof '{word}' of '{name}' is not supported; use {', '.join(allowed)} once each."
+            )
+    return words
+
+
+def _bounds(words: list[str], where: str, name: str) -> list[float]:
+    """Limits, where `inf` and `-inf` are allowed."""
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise InputError(f"{where}: the limits of '{name}' are not numbers: {' '.join(words)}.") from None
+
+
+def _vector(bone: dict, key: str, name: str, path, count: int = 3) -> list[float]:
+    if key not in bone:
+        raise InputError(f"{path}:{bone['first'][0]}: '{name}' has no {key}; give it {count} numbers.")
+    number, words = bone[key]
+    values = parse_floats(words[:count], f"{path}:{number}", f"the {key} of '{name}'")
+    if len(values) != count:
+        raise InputError(f"{path}:{number}: the {key} of '{name}' has {len(values)} numbers; give {count}.")
+    return values
+
+
+def _hierarchy(lines: list[tuple[int, str]], bones: dict, path) -> dict[str, str]:
+    """The parent of each bone; the root has none."""
+    parents: dict[str, str] = {}
+    for number, line in lines:
+        words = line.split()
+        if words[0] in ("begin", "end"):
+            continue
+        for name in words:
+            if name not in bones:
+                raise InputError(f"{path}:{number}: the bone '{name}' is not in ':bonedata'.")
+        for child in words[1:]:
+            if child in parents or child == "root":
+                raise InputError(f"{path}:{number}: the bone '{child}' is given a parent twice.")
+            parents[child] = words[0]
+    for name in bones:
+        if name != "root" and name not in parents:
+            raise InputError(
+                f"{path}:{bones[name]['first'][0]}: the bone '{name}' has no place in ':hierarchy'."
+            )
+    reached = _root_first(parents)
+    for name in parents:
+        if name not in reached:
+            raise InputError(
+                f"{path}:{bones[name]['first'][0]}: the bone '{name}' hangs on itself, not on the root."
+            )
+    return parents
+
+
+def _root_first(parents: dict[str, str]) -> list[str]:
+    """All bones below the root, parents before children, chain by chain."""
+    order, stack = [], ["root"]
+    while stack:
+        bone = stack.pop()
+        order.append(bone)
+        stack += reversed([child for child, parent in parents.items() if parent == bone])
+    return order
