@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
@@ -32,8 +33,8 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     optimistix's own solver adds a step to the unknown. This one takes an `AbstractProblem`
     as `args`, linearises `d -> r(retract(y, d))` at `d = 0`, and composes the same search
-    and descent, so that no chart is ever left. Rotations move limbs of about `metre_per_radian`,
-    which brings metres and radians to one measure for the isotropic damping.
+    and descent, so that no chart is ever left. A problem brings its unknowns to one
+    measure (`AbstractProblem.scales`), for the damping is isotropic.
 
     The linear solver is Cholesky on the normal equations, 5 to 9 times faster here than
     `lx.QR()`, which may be put in its place where a problem is ill-conditioned.
@@ -73,7 +74,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
         del fn, options, tags
-        candidate = args.retract(y, state.step)
+        candidate = args.retract(y, args.scales() * state.step)
         info_there = information(args, candidate)
         step_size, accept, _, search_state = self.search.step(
             jnp.array(False), jnp.zeros_like(state.step), state.step, state.info, info_there, state.search_state
@@ -106,17 +107,13 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
 
 def information(problem: AbstractProblem, y) -> optx.FunctionInfo.ResidualJac:
-    """Residual and Jacobian in the form that optimistix's searches and descents take."""
+    """Residual and Jacobian, by scaled tangents, as optimistix's searches and descents take them."""
     residual, jacobian = problem.linearise(y)
-    return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian))
+    return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian * problem.scales()))
 
 
 def where(condition: Bool[Array, ""], a: PyTree, b: PyTree) -> PyTree:
     """`a` or `b`, leaf by leaf."""
-    dynamic_a, static = eqx.partition(a, eqx.is_array)
-    dynamic_b, _ = eqx.partition(b, eqx.is_array)
-    chosen = eqx.filter(dynamic_a, False)
-    import jax
-
-    chosen = jax.tree.map(lambda x, z: jnp.where(condition, x, z), dynamic_a, dynamic_b)
-    return eqx.combine(chosen, static)
+    arrays_a, rest = eqx.partition(a, eqx.is_array)
+    arrays_b, _ = eqx.partition(b, eqx.is_array)
+    return eqx.combine(jax.tree.map(lambda x, z: jnp.where(condition, x, z), arrays_a, arrays_b), rest)

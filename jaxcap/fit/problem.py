@@ -9,8 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
-from ..body.jacobian import has_analytic_jacobian, point_jacobian, projected_jacobian
+from ..body.jacobian import point_jacobian, projected_jacobian
 from ..body.pose import Pose, retract
+from ..body.skeleton import dof_layout
+from ..body.skinning import LinearSkin, RigidSkin
 from ..energy.landmarks import VertexLandmarks
 from ..energy.points import PointToPlane, PointToPoint
 from ..energy.term import AbstractEnergy, Sum, Weighted, root, terms_of
@@ -37,6 +39,15 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
     def retract(self, y: Unknown, d: Float[Array, "D"]) -> Unknown:
         """Move from `y` along the tangent `d`."""
 
+    @abc.abstractmethod
+    def scales(self) -> Float[Array, "D"]:
+        """How much of each number of a tangent counts as one unit: brings metres and
+        radians to one measure, for dampings that are isotropic."""
+
+
+#: a joint turned by a radian moves what hangs on it by about as many metres
+LEVER = 0.3
+
 
 class PoseProblem(AbstractProblem[Pose]):
     """Find the pose of a body that makes an energy least."""
@@ -53,6 +64,11 @@ class PoseProblem(AbstractProblem[Pose]):
     def retract(self, y: Pose, d: Float[Array, "D"]):
         return retract(self.body.skeleton, y, d)
 
+    def scales(self):
+        layout = dof_layout(self.body.skeleton)
+        scales = jnp.ones(self.body.skeleton.num_dofs + 1, self.body.vertices.dtype)
+        return scales.at[layout.translations].set(LEVER)[:-1]
+
 
 def linearise(
     energy: AbstractEnergy, body: Body, pose: Pose
@@ -64,9 +80,9 @@ def linearise(
     terms use, pushes each of the D tangents through the whole skin.
     """
     posed = pose_body(body, pose)
-    analytic, others = [], []
-    for term in terms_of(energy):
-        (analytic if has_analytic_jacobian(body.skin) and _over_vertices(term) else others).append(term)
+    known = isinstance(body.skin, RigidSkin | LinearSkin)
+    analytic = [term for term in terms_of(energy) if known and _over_vertices(term)]
+    others = [term for term in terms_of(energy) if not (known and _over_vertices(term))]
     rows = [(term.residual(posed), _vertex_jacobian(term, body, posed)) for term in analytic]
     if others:
         rest = Sum(tuple(others))

@@ -1,0 +1,94 @@
+"""Gauss-Newton with step halving (Kineben, algorithm 1), on a manifold."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from .levenberg_marquardt import HISTORY
+from .problem import AbstractProblem
+
+
+class GaussNewtonState(eqx.Module):
+    """What a step hands to the next; `history` holds the energy after each step, NaN beyond."""
+
+    energy: Float[Array, ""]
+    num_steps: Int[Array, ""]
+    terminate: Bool[Array, ""]
+    history: Float[Array, "H"]
+
+
+class GaussNewton(optx.AbstractLeastSquaresSolver):
+    """Kineben's own solver: `d* = -(J^T J + damping I)^-1 J^T r`, then `d*`, `d*/2`, `d*/4`
+    and so on, until the energy falls (Kineben, eq. 5 and algorithm 1).
+
+    The paper's loop never ends where no step helps; here `max_halvings` ends it, and the
+    solver stops there. `damping` is the small constant of the paper on the diagonal.
+    """
+
+    rtol: float = 1e-5
+    atol: float = 1e-6
+    damping: float = 1e-6
+    max_halvings: int = 12
+    norm: Callable[[PyTree], Array] = optx.max_norm
+
+    def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
+        del fn, options, f_struct, aux_struct, tags
+        energy = energy_of(args, y)
+        return GaussNewtonState(
+            energy, jnp.array(0), jnp.array(False), jnp.full(HISTORY, jnp.nan, energy.dtype)
+        )
+
+    def step(self, fn, y, args: AbstractProblem, options, state: GaussNewtonState, tags):
+        del fn, options, tags
+        full = damped_step(*args.linearise(y), self.damping * jnp.ones_like(args.scales()))
+
+        def too_high(carry):
+            _, energy, halvings = carry
+            # written so that an energy that is not a number counts as too high
+            return ~(energy < state.energy) & (halvings < self.max_halvings)
+
+        def halve(carry):
+            share, _, halvings = carry
+            return share / 2, energy_of(args, args.retract(y, share / 2 * full)), halvings + 1
+
+        one = jnp.ones((), full.dtype)
+        start = one, energy_of(args, args.retract(y, full)), jnp.array(0)
+        share, energy, _ = jax.lax.while_loop(too_high, halve, start)
+        better = energy < state.energy
+        step = jnp.where(better, share, 0.0) * full
+        energy = jnp.where(better, energy, state.energy)
+        flat = state.energy - energy <= self.rtol * state.energy
+        state = GaussNewtonState(
+            energy=energy,
+            num_steps=state.num_steps + 1,
+            terminate=~better | flat | (self.norm(step) < self.atol),
+            history=state.history.at[state.num_steps].set(energy, mode="drop"),
+        )
+        return args.retract(y, step), state, None
+
+    def terminate(self, fn, y, args, options, state, tags):
+        del fn, y, args, options, tags
+        return state.terminate, optx.RESULTS.successful
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        del fn, args, options, tags, result
+        return y, aux, {"history": state.history}
+
+
+def energy_of(problem: AbstractProblem, y) -> Float[Array, ""]:
+    """`|r|^2` at `y`."""
+    r = problem.residual(y)
+    return r @ r
+
+
+def damped_step(
+    residual: Float[Array, "R"], jacobian: Float[Array, "R D"], damping: Float[Array, "D"]
+) -> Float[Array, "D"]:
+    """`-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5)."""
+    normal = jacobian.T @ jacobian + jnp.diag(damping)
+    return -cho_solve((jnp.linalg.cholesky(normal), True), jacobian.T @ residual)

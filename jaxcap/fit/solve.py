@@ -1,0 +1,90 @@
+"""Find the pose that makes an energy least, and differentiate through the finding."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float, Int
+
+from ..body.body import Body, pose_body
+from ..body.pose import Pose, project, retract
+from ..energy.term import AbstractEnergy, energies
+from .levenberg_marquardt import LevenbergMarquardt
+from .problem import PoseProblem
+
+
+class Solution(eqx.Module):
+    """The outcome of `solve`."""
+
+    pose: Pose
+    #: `|r|^2` of every term at the solution, by the term's name
+    energies: dict[str, Float[Array, ""]]
+    #: `|r|^2` after each step, NaN beyond the last
+    history: Float[Array, "H"]
+    num_steps: Int[Array, ""]
+    #: `RESULTS.successful`, or why the solver stopped before it converged
+    result: optx.RESULTS
+
+
+def solve(
+    energy: AbstractEnergy,
+    body: Body,
+    start: Pose,
+    solver: optx.AbstractLeastSquaresSolver | None = None,
+    max_steps: int = 64,
+) -> Solution:
+    """The pose of a body that makes an energy least, from a start near it.
+
+    **Arguments:** `solver` is `LevenbergMarquardt()` where not given, or `GaussNewton()`;
+    `max_steps` bounds its steps. A start that the joints' kinds do not allow is projected.
+
+    `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to
+    every array of the energy and of the body; not to the start, on which a minimum does
+    not depend. Nothing is raised where the solver fails: see `Solution.result`.
+    """
+    problem = PoseProblem(energy, body)
+    solver = LevenbergMarquardt() if solver is None else solver
+    pose, (history, num_steps, result) = _minimum(problem, project(body.skeleton, start), solver, max_steps)
+    return Solution(pose, energies(energy, pose_body(body, pose)), history, num_steps, result)
+
+
+def _evaluate(pose: Pose, problem: PoseProblem) -> Float[Array, "R"]:
+    return problem.residual(pose)
+
+
+@eqx.filter_custom_jvp
+def _minimum(problem, start, solver, max_steps):
+    solution = optx.least_squares(
+        _evaluate, solver, start, args=problem, max_steps=max_steps, throw=False
+    )
+    return solution.value, (solution.stats["history"], solution.stats["num_steps"], solution.result)
+
+
+@_minimum.def_jvp
+def _implicit(primals, tangents):
+    """At a minimum the gradient `g(d; p)` by the pose's tangent vanishes for every value of
+    the parameters `p`, so that `d' = -(dg/dd)^-1 (dg/dp) p'`, with the whole Hessian."""
+    problem, start, solver, max_steps = primals
+    pose, stats = _minimum(problem, start, solver, max_steps)
+    zero = jnp.zeros(problem.body.skeleton.num_dofs, pose.rotations.dtype)
+    hessian = jax.jacfwd(lambda d: _gradient(problem, pose, d))(zero)
+    _, change = eqx.filter_jvp(lambda p: _gradient(p, pose, zero), (problem,), (tangents[0],))
+    step = -jnp.linalg.solve(hessian, change)
+    _, pose_tangent = eqx.filter_jvp(
+        lambda p, d: _moved(p, pose, d), (problem, zero), (tangents[0], step)
+    )
+    return (pose, stats), (pose_tangent, jax.tree.map(lambda _: None, stats))
+
+
+def _moved(problem: PoseProblem, pose: Pose, d: Float[Array, "D"]) -> Pose:
+    """Along `d` on the manifold that the joints' own axes span, which may be parameters."""
+    skeleton = problem.body.skeleton
+    return retract(skeleton, project(skeleton, pose), d)
+
+
+def _gradient(problem: PoseProblem, pose: Pose, d: Float[Array, "D"]) -> Float[Array, "D"]:
+    def half_energy(d):
+        r = problem.residual(_moved(problem, pose, d))
+        return 0.5 * (r @ r)
+
+    return jax.grad(half_energy)(d)

@@ -1,0 +1,61 @@
+"""How well the data hold a solution: covariance, and directions they do not show."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..body.body import Body
+from ..body.pose import Pose
+from ..body.skeleton import Skeleton, dof_layout
+from ..energy.term import AbstractEnergy
+from .problem import PoseProblem
+
+
+class Uncertainty(eqx.Module):
+    """What the normal matrix `J^T J` tells at a solution, by tangents of `retract`."""
+
+    #: `variance * (J^T J)^+`, metres and radians squared; directions unseen are left out
+    covariance: Float[Array, "D D"]
+    #: curvatures of the energy along `directions`, in scaled units, rising
+    curvatures: Float[Array, "D"]
+    #: columns are directions in tangent space, in scaled units
+    directions: Float[Array, "D D"]
+    #: which directions the energy does not hold
+    unobservable: Bool[Array, "D"]
+
+
+def uncertainty(
+    energy: AbstractEnergy, body: Body, pose: Pose, variance=None, tolerance: float | None = None
+) -> Uncertainty:
+    """First-order uncertainty of a solved pose.
+
+    **Arguments:** `variance` is that of one component of the residual; where not given it
+    is estimated as `|r|^2 / (R - D)`. A direction counts as unobservable where its
+    curvature is below `tolerance` (square root of the machine's precision where not given) times the largest.
+    """
+    problem = PoseProblem(energy, body)
+    residual, jacobian = problem.linearise(pose)
+    scales = problem.scales()
+    scaled = jacobian * scales
+    if variance is None:
+        variance = residual @ residual / max(residual.shape[0] - scales.shape[0], 1)
+    curvatures, directions = jnp.linalg.eigh(scaled.T @ scaled)
+    if tolerance is None:
+        tolerance = float(np.sqrt(jnp.finfo(residual.dtype).eps))
+    unobservable = curvatures <= tolerance * curvatures[-1]
+    inverse = jnp.where(unobservable, 0.0, 1.0 / jnp.where(unobservable, 1.0, curvatures))
+    spread = scales[:, None] * directions
+    return Uncertainty(variance * (spread * inverse) @ spread.T, curvatures, directions, unobservable)
+
+
+def describe_unobservable(skeleton: Skeleton, result: Uncertainty) -> list[str]:
+    """A line for each unobservable direction: the numbers of the pose that make most of it."""
+    names = dof_layout(skeleton).names
+    lines = []
+    for column in np.flatnonzero(np.asarray(result.unobservable)):
+        direction = np.asarray(result.directions[:, column])
+        largest = np.argsort(-np.abs(direction))[:3]
+        parts = [f"{direction[k]:+.2f} {names[k]}" for k in largest if abs(direction[k]) > 0.1]
+        lines.append("The data do not show " + ", ".join(parts) + ".")
+    return lines
