@@ -1,0 +1,1 @@
+"""Measurements on real input; each is run as `python -m benchmarks.NAME`."""

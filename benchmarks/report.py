@@ -1,0 +1,144 @@
+"""What all benchmarks share: a clock that keeps compilation apart, and the last line.
+
+    timer = Timer()
+    result = timer(tracked, body, clouds)
+    finish("track", figures={"error_mm": 4.2}, limits={"error_mm": ("<=", 5.0)}, seconds=timer.seconds)
+
+A figure stands in `figures`, what it is held to in `limits`. The line on standard output
+is JSON; everything else that a benchmark says goes to standard error by `progress`.
+"""
+
+import json
+import math
+import operator
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn
+
+import jax
+import numpy as np
+
+OPERATORS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt, "==": operator.eq}
+
+
+class Timer:
+    """Wall seconds of calls, the first call of each function (which compiles) apart.
+
+    Every call waits for its result, so that nothing is timed that has only been queued.
+    A first call counts whole as compilation: at the sizes of a benchmark its run is small
+    beside it. A function that is called at several shapes compiles anew: one timer a shape.
+    """
+
+    def __init__(self):
+        self.compile = 0.0
+        self.runs: list[float] = []
+        self._seen: set[Any] = set()
+
+    def __call__(self, function: Callable, *args, **kwargs):
+        """`function(*args, **kwargs)`, timed; returns its result when it is there."""
+        start = time.perf_counter()
+        result = jax.block_until_ready(function(*args, **kwargs))
+        taken = time.perf_counter() - start
+        if function in self._seen:
+            self.runs.append(taken)
+        else:
+            self._seen.add(function)
+            self.compile += taken
+        return result
+
+    @property
+    def median(self) -> float:
+        """Median seconds of the calls after the first ones."""
+        return float(np.median(self.runs)) if self.runs else math.nan
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """`compile` (all first calls), `run` (all later ones) and `median_run`."""
+        return {"compile": self.compile, "run": float(sum(self.runs)), "median_run": self.median}
+
+
+def median_seconds(function: Callable, *args, repeats: int = 30) -> tuple[float, float]:
+    """`(median, first)` wall seconds of `repeats` calls after a first one that compiles."""
+    timer = Timer()
+    for _ in range(repeats + 1):
+        timer(function, *args)
+    return timer.median, timer.compile
+
+
+def progress(text: str) -> None:
+    """Say how far a benchmark is, on standard error."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def misses(figures: Mapping[str, Any], limits: Mapping[str, tuple[str, float]]) -> list[str]:
+    """The names of the limits that do not hold; one without a figure, or with a figure
+    that is not a number, does not hold."""
+    return [
+        name
+        for name, (sign, bound) in limits.items()
+        if name not in figures or not OPERATORS[sign](float(figures[name]), bound)
+    ]
+
+
+def finish(
+    name: str,
+    figures: Mapping[str, Any],
+    limits: Mapping[str, tuple[str, float]] | None = None,
+    sizes: Mapping[str, Any] | None = None,
+    seconds: Mapping[str, Any] | None = None,
+) -> NoReturn:
+    """Print the one line of JSON and leave: exit code 0, or 1 where a limit is missed.
+
+    **Arguments:** `figures` what was measured, by names that carry their unit
+    (`error_mm`); `limits` of some of them, as `(sign, bound)` with a sign out of
+    `<= >= < > ==`; `sizes` of the problem; `seconds`, such as `Timer().seconds`.
+    """
+    limits = limits or {}
+    missed = misses(figures, limits)
+    for miss in missed:
+        sign, bound = limits[miss]
+        progress(f"{name}: {miss} is {figures.get(miss, 'missing')}, and should be {sign} {bound:g}.")
+    line = {
+        "benchmark": name,
+        "passed": not missed,
+        "missed": missed,
+        "figures": _plain(figures),
+        "limits": {key: [sign, bound] for key, (sign, bound) in limits.items()},
+        "sizes": _plain(sizes or {}),
+        "seconds": _plain(seconds or {}),
+        "machine": machine(),
+    }
+    print(json.dumps(line), flush=True)
+    sys.exit(1 if missed else 0)
+
+
+def machine() -> dict[str, Any]:
+    """Versions, and what ran beside the benchmark: the load average of the last minute."""
+    return {
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+        "backend": jax.default_backend(),
+        "x64": bool(jax.config.jax_enable_x64),  # pyright: ignore[reportAttributeAccessIssue]
+        "cores": os.cpu_count(),
+        "load": round(os.getloadavg()[0], 2),
+    }
+
+
+def _plain(value):
+    """Numbers and containers as JSON has them; numbers to six digits, as text where not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating) or getattr(value, "shape", None) == ():
+        number = float(value)
+        return float(f"{number:.6g}") if math.isfinite(number) else str(number)
+    return value.tolist() if hasattr(value, "tolist") else value
