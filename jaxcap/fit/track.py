@@ -1,0 +1,110 @@
+"""Follow a body through a sequence of clouds, each frame from the one before."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..body.body import Body
+from ..body.pose import Pose, difference, rest_pose, retract
+from ..body.skeleton import Skeleton, dof_layout
+from ..energy.prior import PosePrior
+from ..energy.term import AbstractEnergy, Sum
+from ..observe import Cloud
+from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, frame_statistics, make_mixture, uniform_priors
+from .parts import Parts, make_parts
+
+
+class Tracker(eqx.Module):
+    """All that stays the same from frame to frame."""
+
+    body: Body
+    parts: Parts
+    mixture: Mixture
+    #: deviations of a pose from the one that its forerunners predict, metres and radians
+    motion_deviations: Float[Array, "D"]
+    #: deviations of a pose from rest, which hold what a cloud does not show
+    rest_deviations: Float[Array, "D"]
+    #: share of the last change that a frame is predicted to go on with
+    momentum: Float[Array, ""]
+    #: factor on the last frame's sigma at the start of a frame, and its least value in metres
+    sigma_growth: Float[Array, ""]
+    sigma_start: Float[Array, ""]
+    #: further terms, such as `JointLimits`
+    terms: tuple[AbstractEnergy, ...]
+    #: steps of expectation maximisation on a frame
+    iterations: int = eqx.field(static=True)
+
+
+class TrackState(eqx.Module):
+    """What one frame hands to the next."""
+
+    estimate: Estimate
+    #: change of the pose over the last frame
+    change: Float[Array, "D"]
+
+
+def make_tracker(
+    body: Body,
+    mixture: Mixture | None = None,
+    terms: tuple[AbstractEnergy, ...] = (),
+    *,
+    motion_deviation: tuple[float, float] = (0.05, 0.3),
+    rest_deviation: float = 1.0,
+    momentum: float = 0.8,
+    sigma_growth: float = 1.5,
+    sigma_start: float = 0.015,
+    iterations: int = 4,
+) -> Tracker:
+    """A `Tracker` for a body.
+
+    **Arguments:** `motion_deviation` in metres for the root and radians for joints, how far
+    a frame strays from its prediction; `rest_deviation` in radians, how far joints stray from
+    rest; `terms` are further energies, in units of a log-likelihood.
+    """
+    bones = body.skin.parts()
+    return Tracker(
+        body=body,
+        parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
+        mixture=make_mixture() if mixture is None else mixture,
+        motion_deviations=_deviations(body.skeleton, *motion_deviation),
+        rest_deviations=_deviations(body.skeleton, jnp.inf, rest_deviation),
+        momentum=jnp.asarray(momentum),
+        sigma_growth=jnp.asarray(sigma_growth),
+        sigma_start=jnp.asarray(sigma_start),
+        terms=terms,
+        iterations=iterations,
+    )
+
+
+def start_state(tracker: Tracker, pose: Pose, sigma: float = 0.05) -> TrackState:
+    """The state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
+    estimate = Estimate(pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts))
+    return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
+
+
+def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
+    """One frame: predict, a few steps of expectation maximisation, and how well it went.
+
+    Pure, and of the form that `jax.lax.scan` takes once `tracker` is bound.
+    """
+    skeleton, before = tracker.body.skeleton, state.estimate
+    predicted = retract(skeleton, before.pose, tracker.momentum * state.change)
+    rest = PosePrior(skeleton, rest_pose(skeleton), tracker.rest_deviations)
+    prior = Sum((PosePrior(skeleton, predicted, tracker.motion_deviations), rest, *tracker.terms))
+    volume = box_volume(cloud)
+    sigma = jnp.maximum(tracker.sigma_growth * before.sigma, tracker.sigma_start)
+
+    def step(_, estimate):
+        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate)
+
+    start = Estimate(predicted, sigma, before.priors)
+    estimate = jax.lax.fori_loop(0, tracker.iterations, step, start)
+    statistics = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
+    return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics
+
+
+def _deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:
+    layout = dof_layout(skeleton)
+    deviations = jnp.full(skeleton.num_dofs + 1, radians, skeleton.centres.dtype)
+    return deviations.at[layout.translations].set(metres)[:-1]
