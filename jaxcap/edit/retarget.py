@@ -1,0 +1,223 @@
+"""Give one skeleton's motion to another of different proportions and another rest pose.
+
+Every matched bone of the target turns in the world as its source bone does, after a
+constant rotation that makes up for the two rest poses (T-pose against A-pose): limbs are
+aligned bone by bone, so that they point the same way; the trunk, whose rest is upright in
+both, is aligned as a whole, since its bones differ by anatomy and not by pose.
+"""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.kinematics import forward_kinematics, joint_positions
+from ..body.pose import Motion, Pose, universal_angles
+from ..body.skeleton import Skeleton
+from ..geometry import rotation
+from .joint_names import GIRDLES, LEGS, match_names, plain_name, sided
+
+
+class _Plan(NamedTuple):
+    """What does not change over the frames; J is the target's number of joints."""
+
+    #: (J,) the source joint of each target joint, -1 for none
+    sources: np.ndarray
+    #: (J, 4) rotation from the target's rest to the source's rest, bone by bone
+    alignment: np.ndarray
+    #: the joints whose mean is carried over: indices into source and target
+    anchors: tuple[np.ndarray, np.ndarray]
+    #: target metres for one source metre
+    ratio: float
+
+
+def retarget(
+    motion: Motion, source: Skeleton, target: Skeleton, names: Mapping[str, str] | None = None
+) -> Motion:
+    """The `motion` of `source` as a motion of `target`, in the world of the source.
+
+    Matched limb bones point where the source's point, exactly so where the target's joints
+    are ball joints; a revolute or universal joint takes the part that its axes allow. A
+    joint without a match stays as it is at rest. The middle of the hips follows that of the
+    source, scaled by the ratio of the leg lengths, so that feet keep to the floor; without
+    matched legs the root does, scaled by the ratio of all matched bones.
+
+    **Arguments:** `names` leads from source to target names; where it is not given, equal
+    names and the names that ASF, CMU BVH and the embedded human have for one joint match.
+
+    **Raises:** `ValueError` when `names` holds a name that a skeleton does not have, when
+    fewer than three joints match, or when the motion has other joints than `source`.
+    """
+    if motion.poses.rotations.shape[1] != source.num_joints:
+        raise ValueError(
+            f"The motion moves {motion.poses.rotations.shape[1]} joints and the source skeleton has "
+            f"{source.num_joints}; give the skeleton that the motion was read with."
+        )
+    plan = _plan(source, target, match_names(source.names, target.names, names))
+    poses = _retarget_frames(
+        source,
+        target,
+        motion.poses,
+        jnp.asarray(plan.sources),
+        jnp.asarray(plan.alignment, target.centres.dtype),
+        (jnp.asarray(plan.anchors[0]), jnp.asarray(plan.anchors[1])),
+        jnp.asarray(plan.ratio, target.centres.dtype),
+    )
+    return Motion(poses, motion.rate)
+
+
+@eqx.filter_jit
+def _retarget_frames(source, target, poses, sources, alignment, anchors, ratio) -> Pose:
+    frame = lambda pose: _retarget_frame(source, target, pose, sources, alignment, anchors, ratio)  # noqa: E731
+    return jax.vmap(frame)(poses)
+
+
+def _retarget_frame(source, target, pose, sources, alignment, anchors, ratio) -> Pose:
+    moved = forward_kinematics(source, pose)
+    whole = rotation.from_matrix(moved.rotations / pose.scale)
+    wanted = rotation.multiply(whole[jnp.maximum(sources, 0)], alignment)
+    rotations = _local_rotations(target, wanted, sources >= 0)
+    still = Pose(jnp.zeros_like(target.centres), rotations, jnp.ones((), rotations.dtype))
+    reached = joint_positions(target, forward_kinematics(target, still))
+    shift = ratio * jnp.mean(joint_positions(source, moved)[anchors[0]], 0) - jnp.mean(reached[anchors[1]], 0)
+    return Pose(still.translations.at[0].set(shift), rotations, still.scale)
+
+
+def _local_rotations(target: Skeleton, wanted: Float[Array, "J 4"], matched: Array) -> Float[Array, "J 4"]:
+    """Local rotations by which each matched bone stands in the world as `wanted`, from the
+    root down, so that what one joint cannot do the next one makes good."""
+    identity = rotation.identity(wanted.dtype)
+    local = jnp.tile(identity, (target.num_joints, 1))
+    whole = local
+    parents = np.array(target.parents)
+    for level in target.levels:
+        joints = np.array(level)
+        above = jnp.where(parents[joints, None] < 0, identity, whole[np.maximum(parents[joints], 0)])
+        turn = rotation.normalise(rotation.multiply(rotation.conjugate(above), wanted[joints]))
+        local = local.at[joints].set(jnp.where(matched[joints, None], turn, identity))
+        local = _allowed(target, local)
+        whole = whole.at[joints].set(rotation.multiply(above, local[joints]))
+    return local
+
+
+def _allowed(skeleton: Skeleton, rotations: Float[Array, "J 4"]) -> Float[Array, "J 4"]:
+    """The part of each rotation that its joint's kind can do."""
+    kinds = np.array(skeleton.kinds)[:, None]
+    first, second = skeleton.axes[:, 0], skeleton.axes[:, 1]
+    twist = rotation.swing_twist(rotations, first)[1]
+    pose = Pose(jnp.zeros_like(skeleton.centres), rotations, jnp.ones((), rotations.dtype))
+    angles = universal_angles(skeleton, pose)
+    pair = rotation.multiply(
+        rotation.about_axis(first, angles[:, 0]), rotation.about_axis(second, angles[:, 1])
+    )
+    allowed = jnp.where(kinds == "revolute", twist, jnp.where(kinds == "universal", pair, rotations))
+    return jnp.where(
+        np.isin(kinds, ["ball", "free", "revolute", "universal"]), allowed, rotation.identity(rotations.dtype)
+    )
+
+
+def _plan(source: Skeleton, target: Skeleton, matches: dict[int, int]) -> _Plan:
+    """`matches` leads from target to source joints."""
+    source_centres, target_centres = np.asarray(source.centres, float), np.asarray(target.centres, float)
+    joints = np.array(sorted(matches))
+    sources = np.full(target.num_joints, -1)
+    sources[joints] = [matches[joint] for joint in joints]
+    upright = _upright(target_centres[joints], source_centres[sources[joints]])
+    follows, source_descent = _follows(target, source, matches), source.descent
+    has_side, plain = sided(target.names), [plain_name(name) for name in target.names]
+
+    alignment = np.tile(_quaternion(upright), (target.num_joints, 1))
+    for joint in joints:
+        parent = target.parents[joint]
+        if not has_side[joint]:
+            continue
+        if parent >= 0:
+            alignment[joint] = alignment[parent]
+        child = follows.get(int(joint))
+        if child is None or plain[joint] in GIRDLES or not source_descent[sources[joint], sources[child]]:
+            continue
+        here = target_centres[child] - target_centres[joint]
+        there = source_centres[sources[child]] - source_centres[sources[joint]]
+        lengths = np.linalg.norm(here), np.linalg.norm(there)
+        if min(lengths) > 1e-6:
+            # from where the parent's alignment leaves it, so that no twist comes in between
+            carried = rotation.rotate(jnp.asarray(alignment[joint]), jnp.asarray(here / lengths[0]))
+            arc = rotation.shortest_arc(carried, jnp.asarray(there / lengths[1]))
+            alignment[joint] = rotation.multiply(arc, jnp.asarray(alignment[joint]))
+            twist = _hinge_twist(source, target, sources, follows, int(joint), alignment[joint])
+            alignment[joint] = rotation.multiply(
+                rotation.about_axis(jnp.asarray(there / lengths[1]), jnp.asarray(twist)),
+                jnp.asarray(alignment[joint]),
+            )
+
+    legs = [[plain.index(name) for name in leg] for leg in LEGS if set(leg) <= set(plain)]
+    legs = [leg for leg in legs if set(leg) <= set(matches)]
+    bones = [pair for leg in legs for pair in pairwise(leg)] or list(follows.items())
+    first, last = np.array(bones).reshape(-1, 2).T
+    here = np.linalg.norm(target_centres[last] - target_centres[first], axis=-1).sum()
+    there = np.linalg.norm(source_centres[sources[last]] - source_centres[sources[first]], axis=-1).sum()
+    anchors = np.array([leg[0] for leg in legs] or [joints[0]])
+    return _Plan(sources, alignment, (sources[anchors], anchors), float(here / there) if there > 0 else 1.0)
+
+
+def _hinge_twist(source, target, sources, follows, joint: int, alignment: np.ndarray) -> float:
+    """Radians about the source's bone by which the aligned bone must turn so that the hinge at
+    its far end turns about the source's axis. Without it an elbow bent at rest would bend
+    sideways. Zero where the source has no hinge, or the target's rest does not show one."""
+    child = follows[joint]
+    grandchild = follows.get(child)
+    if grandchild is None or source.kinds[sources[child]] != "revolute":
+        return 0.0
+    centres = np.asarray(target.centres, float)
+    bend = np.cross(centres[child] - centres[joint], centres[grandchild] - centres[child])
+    reach = np.linalg.norm(centres[child] - centres[joint]) * np.linalg.norm(
+        centres[grandchild] - centres[child]
+    )
+    if np.linalg.norm(bend) < 0.1 * reach:
+        return 0.0
+    bone = np.asarray(source.centres[sources[child]] - source.centres[sources[joint]], float)
+    bone = bone / np.linalg.norm(bone)
+    here = np.asarray(rotation.rotate(jnp.asarray(alignment), jnp.asarray(bend)))
+    there = np.asarray(source.axes[sources[child], 0], float)
+    # the sign of a hinge's axis means nothing: take the nearer of the two
+    there = there if here @ there > 0 else -there
+    here, there = (v - (v @ bone) * bone for v in (here, there))
+    return float(np.arctan2(bone @ np.cross(here, there), here @ there))
+
+
+def _follows(target: Skeleton, source: Skeleton, matches: dict[int, int]) -> dict[int, int]:
+    """The next matched joint along the longest chain of matched joints below each one."""
+    chain = dict.fromkeys(matches, 0)
+    follows: dict[int, int] = {}
+    for joint in sorted(matches, reverse=True):
+        above = target.parents[joint]
+        while above >= 0 and above not in matches:
+            above = target.parents[above]
+        if above >= 0 and chain[joint] + 1 >= chain[above]:
+            chain[above], follows[above] = chain[joint] + 1, joint
+    return follows
+
+
+def _upright(target: np.ndarray, source: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation from the target's rest to the source's as they stand, whatever the arms
+    do: the best fit of the joints (Kabsch), put onto the nearest turn of the coordinate axes,
+    because a person at rest stands along them; the fit itself where none is near."""
+    u, _, vt = np.linalg.svd((source - source.mean(0)).T @ (target - target.mean(0)))
+    fit = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    snapped = np.zeros((3, 3))
+    remaining = np.abs(fit)
+    for _ in range(3):
+        row, column = np.unravel_index(np.argmax(remaining), (3, 3))
+        snapped[row, column] = np.sign(fit[row, column])
+        remaining[row, :] = remaining[:, column] = -1.0
+    near = np.trace(snapped.T @ fit) > 1 + 2 * np.cos(np.radians(30.0)) and np.linalg.det(snapped) > 0
+    return snapped if near else fit
+
+
+def _quaternion(matrix: np.ndarray) -> np.ndarray:
+    return np.asarray(rotation.from_matrix(jnp.asarray(matrix)))
