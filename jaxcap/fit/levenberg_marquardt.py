@@ -20,7 +20,8 @@ class SolverState(eqx.Module):
     """What a step hands to the next; `history` holds the energy after each step, NaN beyond."""
 
     step: Float[Array, "D"]
-    info: optx.FunctionInfo.ResidualJac
+    # optimistix nests this class by assignment, which pyright does not follow
+    info: optx.FunctionInfo.ResidualJac  # pyright: ignore[reportInvalidTypeForm]
     search_state: PyTree
     num_steps: Int[Array, ""]
     terminate: Bool[Array, ""]
@@ -106,7 +107,9 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"history": state.history}
 
 
-def information(problem: AbstractProblem, y) -> optx.FunctionInfo.ResidualJac:
+def information(
+    problem: AbstractProblem, y
+) -> optx.FunctionInfo.ResidualJac:  # pyright: ignore[reportInvalidTypeForm]
     """Residual and Jacobian, by scaled tangents, as optimistix's searches and descents take them."""
     residual, jacobian = problem.linearise(y)
     return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian * problem.scales()))
