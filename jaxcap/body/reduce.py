@@ -1,0 +1,159 @@
+"""Fewer vertices for the same body: decimation, and what it takes to carry shape and skin over."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from .body import Body
+from .skinning import AbstractSkin, LinearSkin, RigidSkin
+
+#: the smallest closed surface
+LEAST_VERTICES = 4
+
+
+class Attachment(NamedTuple):
+    """How points hang on a surface: each in the plane of its nearest triangle, and off it.
+
+    It holds for any shape of the surface with the same triangles, and gives back the points
+    exactly on the one it was made for.
+    """
+
+    #: vertices of the nearest triangle
+    corners: Int[np.ndarray, "N 3"]
+    #: barycentric coordinates of the foot of the perpendicular; they may leave [0, 1] by a little
+    shares: Float[np.ndarray, "N 3"]
+    #: heights over the triangle, metres
+    heights: Float[np.ndarray, "N"]
+
+
+def reduce_body(body: Body, vertices: int) -> Body:
+    """The same body with about so many `vertices`, for speed; the skeleton stays as it is.
+
+    The surface is decimated by quadric errors (Garland and Heckbert 1997, as implemented by
+    `fast_simplification`), which keeps its volume and leaves a closed surface closed. The weights
+    of a `LinearSkin` are interpolated at the nearest points of the full surface, and the bones of a
+    `RigidSkin` are those of its nearest vertices. The same body always gives the same result; a
+    body that already is as small is returned as it is.
+
+    **Raises:** `ValueError` with one sentence when fewer than 4 vertices are asked for, when the
+    surface cannot be reduced so far, or when the skin is of another kind.
+    """
+    if vertices < LEAST_VERTICES:
+        raise ValueError(
+            f"A body cannot be reduced to {vertices} vertices; ask for {LEAST_VERTICES} or more."
+        )
+    if len(body.vertices) <= vertices:
+        return body
+    shape, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
+    points, triangles = decimate(shape, faces, vertices)
+    return Body(
+        body.skeleton,
+        carry_skin(body.skin, attach(points, shape, faces)),
+        jnp.asarray(points, body.vertices.dtype),
+        jnp.asarray(triangles, body.faces.dtype),
+    )
+
+
+def decimate(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int
+) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "G 3"]]:
+    """A surface of about `count` vertices; none of them unused, no triangle without area.
+
+    **Raises:** `ValueError` with one sentence when the surface cannot be reduced so far.
+    """
+    import fast_simplification  # here, as most programs never decimate
+
+    # one collapsed edge takes a vertex and two triangles away
+    target = max(len(faces) - 2 * (len(vertices) - count), LEAST_VERTICES)
+    closed = _is_closed(faces)
+    best = None
+    # the gentlest collapse that gets there: fast ones spoil the shape, and may tear a closed surface
+    for haste in (3.0, 4.0, 5.0, 6.0, 7.0):
+        # it takes writable arrays in C order only
+        points, triangles = fast_simplification.simplify(
+            np.array(vertices, float), np.array(faces, np.int32), target_count=target, agg=haste
+        )
+        points, triangles = _tidy(np.asarray(points, float), np.asarray(triangles))
+        if len(triangles) and _is_closed(triangles) >= closed:
+            best = points, triangles
+            if len(points) <= 1.02 * count + 1:
+                return best
+    found = "nothing" if best is None else f"{len(best[0])}"
+    raise ValueError(
+        f"A surface of {len(vertices)} vertices could not be reduced to {count}: {found} is left at best; "
+        f"ask for more vertices."
+    )
+
+
+def attach(
+    points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Attachment:
+    """Hang `points` on a surface. Works in metres or any other unit."""
+    import trimesh
+
+    # triangles without area have no plane to hang on
+    sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
+    faces = faces[np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0]
+    surface = trimesh.Trimesh(vertices, faces, process=False)
+    _, _, nearest = trimesh.proximity.closest_point(surface, points)
+    corners = faces[nearest]
+    origin, first, second, normal = _frames(vertices, corners)
+    # least squares in the triangle's own, oblique frame
+    frame = np.stack([first, second, normal], axis=2)
+    local = np.linalg.solve(frame, (points - origin)[:, :, None])[:, :, 0]
+    shares = np.stack([1 - local[:, 0] - local[:, 1], local[:, 0], local[:, 1]], axis=1)
+    return Attachment(corners, shares, local[:, 2])
+
+
+def follow(attachment: Attachment, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "N 3"]:
+    """Where attached points lie on another shape of the surface."""
+    normal = _frames(vertices, attachment.corners)[3]
+    foot = np.einsum("nc,nca->na", attachment.shares, vertices[attachment.corners])
+    return foot + attachment.heights[:, None] * normal
+
+
+def carry_weights(attachment: Attachment, weights: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "N J"]:
+    """Weights of attached points, interpolated inside their triangles; rows sum to one again."""
+    inside = np.maximum(attachment.shares, 0.0)
+    inside /= inside.sum(axis=1, keepdims=True)
+    carried = np.einsum("nc,ncj->nj", inside, weights[attachment.corners])
+    return carried / carried.sum(axis=1, keepdims=True)
+
+
+def carry_skin(skin: AbstractSkin, attachment: Attachment) -> AbstractSkin:
+    """The skin of attached points, from the skin of the surface they hang on."""
+    if isinstance(skin, LinearSkin):
+        weights = carry_weights(attachment, np.asarray(skin.weights, float))
+        return LinearSkin(jnp.asarray(weights, skin.weights.dtype))
+    if isinstance(skin, RigidSkin):
+        nearest = np.take_along_axis(attachment.corners, attachment.shares.argmax(1)[:, None], 1)[:, 0]
+        return RigidSkin(skin.bones[nearest])
+    raise ValueError(
+        f"A body with a {type(skin).__name__} cannot be reduced; give it a LinearSkin or a RigidSkin."
+    )
+
+
+def _frames(vertices: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Origin, two sides and unit normal (each (N, 3)) of triangles."""
+    origin, second, third = np.moveaxis(vertices[corners], 1, 0)
+    first, second = second - origin, third - origin
+    normal = np.cross(first, second)
+    return origin, first, second, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _is_closed(faces: np.ndarray) -> bool:
+    """Whether every edge has exactly two triangles, once in each direction."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    if len(np.unique(edges, axis=0)) < len(edges):
+        return False
+    return np.array_equal(np.unique(edges, axis=0), np.unique(edges[:, ::-1], axis=0))
+
+
+def _tidy(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Without triangles that have no area, and then without unused vertices."""
+    first, second = np.moveaxis(points[triangles[:, 1:]] - points[triangles[:, :1]], 1, 0)
+    triangles = triangles[np.linalg.norm(np.cross(first, second), axis=1) > 0]
+    used, places = np.unique(triangles, return_inverse=True)
+    return points[used], places.reshape(-1, 3)
