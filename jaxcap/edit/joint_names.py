@@ -36,6 +36,8 @@ ALIASES: dict[str, str] = {
     **ASF_TO_BVH,
     "LeftHandIndex1": "LeftHandFinger1",
     "RightHandIndex1": "RightHandFinger1",
+    "LFingers": "LeftHandFinger1",
+    "RFingers": "RightHandFinger1",
 }
 
 #: thigh, shin and foot of each leg

@@ -10,11 +10,18 @@ from ..errors import InputError
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
 
-def unit_scale(unit: str) -> float:
-    """Metres in one `unit`. Raises `InputError` for a unit that is not in `UNITS`."""
-    if unit not in UNITS:
-        raise InputError(f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}.")
-    return UNITS[unit]
+def unit_scale(unit: str | float) -> float:
+    """Metres in one `unit`, which is one of `UNITS` or that number itself.
+
+    **Raises:** `InputError` for anything else.
+    """
+    if isinstance(unit, str):
+        if unit not in UNITS:
+            raise InputError(f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}.")
+        return UNITS[unit]
+    if not (math.isfinite(unit) and unit > 0):
+        raise InputError(f"{unit} metres cannot be a unit of length; give a number above zero.")
+    return float(unit)
 
 
 def read_text(path: str | Path) -> str:

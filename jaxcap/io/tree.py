@@ -15,13 +15,13 @@ END = ".end"
 
 
 def is_end(names: tuple[str, ...], parents: tuple[int, ...], kinds: tuple[str, ...], joint: int) -> bool:
-    """Whether a joint is the mere end of its parent: `fixed`, a leaf, `<parent>.end`."""
+    """Whether a joint is the mere end of its parent: `fixed`, a leaf, named `<parent>.end`."""
     parent = parents[joint]
     return (
         parent >= 0
         and kinds[joint] == "fixed"
         and joint not in parents
-        and names[joint] == names[parent] + END
+        and names[joint].startswith(names[parent] + END)
     )
 
 
