@@ -33,7 +33,7 @@ WEIGHTS = ("minweight", "averageweight", "maxweight")
 HEIGHTS = ("minheight", "maxheight")
 REDUCED = {"medium": 5000, "low": 1500}
 #: whom the reduced meshes are made on: between all people, so that they serve every one of them
-MIDDLE = Traits(sex=0.5, age=25.0, weight=0.7, muscle=0.6)
+MIDDLE = Traits(sex=0.4, age=25.0, weight=0.6, muscle=0.7)
 
 
 def read_base(archive: zipfile.ZipFile) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:

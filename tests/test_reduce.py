@@ -41,8 +41,8 @@ def test_a_sphere_stays_a_sphere(sphere, count):
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 1.0, atol=10 / count)
     assert np.array_equal(np.unique(reduced.faces), np.arange(count))
     truth = 0.5 * (1 + mesh.vertices[:, 2])
-    np.testing.assert_allclose(reduced.skin.weights[:, 0], truth, atol=10 / count)
-    np.testing.assert_allclose(reduced.skin.weights.sum(1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(reduced.skin.influence(2)[:, 0], truth, atol=10 / count)
+    np.testing.assert_allclose(reduced.skin.influence(2).sum(1), 1.0, atol=1e-12)
     again = reduce_body(body, count)
     np.testing.assert_array_equal(reduced.vertices, again.vertices)
     np.testing.assert_array_equal(reduced.faces, again.faces)
@@ -54,7 +54,7 @@ def test_rigid_bones_are_those_of_the_nearest_vertex(sphere):
     z = np.asarray(reduced.vertices)[:, 2]
     clear = np.abs(z) > 0.05  # more than half an edge from the seam
     assert clear.mean() > 0.9
-    np.testing.assert_array_equal(np.asarray(reduced.skin.bones)[clear], z[clear] > 0)
+    np.testing.assert_array_equal(np.asarray(reduced.skin.parts())[clear], z[clear] > 0)
 
 
 def test_an_open_flat_surface_stays_flat():
@@ -66,7 +66,7 @@ def test_an_open_flat_surface_stays_flat():
     )
     points, triangles = decimate(vertices, faces, 200)
     mesh = trimesh.Trimesh(points, triangles, process=False)
-    assert len(points) <= 205
+    assert 150 < len(points) < 250
     np.testing.assert_allclose(points[:, 2], 0.0, atol=1e-9)
     assert abs(mesh.area - 2.0) < 0.04
     assert mesh.face_normals[:, 2].min() > 0.99
