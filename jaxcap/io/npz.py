@@ -1,0 +1,205 @@
+"""Bodies and motions as `.npz`: plain arrays with a format name and a version, never pickled."""
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..body.body import Body
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton, make_skeleton
+from ..body.skinning import AbstractSkin, LinearSkin, RigidSkin
+from ..errors import InputError
+from .atomic import replacing
+
+VERSION = 1
+
+#: skins by the name that a file gives them, with their arrays
+SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
+    "rigid": (RigidSkin, ("bones",)),
+    "linear": (LinearSkin, ("weights",)),
+}
+
+
+def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | None = None) -> None:
+    """Write a body, with joint limits as any arrays by name; load them with `load_limits`.
+
+    **Raises:** `InputError` where the file cannot be written or the skin has no name in
+    `SKINS`.
+    """
+    kind = next((name for name, (cls, _) in SKINS.items() if type(body.skin) is cls), None)
+    if kind is None:
+        raise InputError(
+            f"{path}: a body with a {type(body.skin).__name__} cannot be written; use {', '.join(SKINS)} skins."
+        )
+    arrays = {
+        **_skeleton_arrays(body.skeleton),
+        "vertices": body.vertices,
+        "faces": body.faces,
+        "skin": np.array(kind),
+        **{f"skin.{name}": getattr(body.skin, name) for name in SKINS[kind][1]},
+        **{f"limits.{name}": values for name, values in (limits or {}).items()},
+    }
+    _save(path, "jaxcap body", arrays)
+
+
+def load_body(path: str | Path) -> Body:
+    """Read a body that `save_body` wrote.
+
+    **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
+    """
+    arrays = _load(path, "jaxcap body")
+    kind = str(arrays["skin"]) if "skin" in arrays else ""
+    if kind not in SKINS:
+        raise InputError(
+            f"{path}: the skin '{kind}' is not known; this version reads {', '.join(SKINS)} skins."
+        )
+    cls, names = SKINS[kind]
+    skeleton = _skeleton(arrays, path)
+    vertices, faces = _get(arrays, "vertices", path, (None, 3)), _get(arrays, "faces", path, (None, 3))
+    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise InputError(
+            f"{path}: a face names vertex {faces.max()}, but there are {len(vertices)} vertices."
+        )
+    skin = cls(*(jnp.asarray(_get(arrays, f"skin.{name}", path, (len(vertices),))) for name in names))
+    influence = skin.influence(skeleton.num_joints).shape
+    if influence[1] != skeleton.num_joints or int(skin.parts().max()) >= skeleton.num_joints:
+        raise InputError(
+            f"{path}: the skin is for other bones than the {skeleton.num_joints} of the skeleton."
+        )
+    return Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
+
+
+def load_limits(path: str | Path) -> dict[str, np.ndarray]:
+    """The joint limits of a body file, by the names they were saved under; none is `{}`."""
+    arrays = _load(path, "jaxcap body")
+    return {name.removeprefix("limits."): a for name, a in arrays.items() if name.startswith("limits.")}
+
+
+def save_motion(path: str | Path, motion: Motion, skeleton: Skeleton | None = None) -> None:
+    """Write a motion; with its skeleton, the file says whose it is.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    poses = motion.poses
+    arrays = {"translations": poses.translations, "rotations": poses.rotations, "scale": poses.scale}
+    names = {} if skeleton is None else _skeleton_arrays(skeleton)
+    _save(path, "jaxcap motion", {**arrays, "rate": np.array(motion.rate, float), **names})
+
+
+def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
+    """Read a motion that `save_motion` wrote.
+
+    **Raises:** `InputError` where the file is not one or is damaged, or where `skeleton` is
+    given and has other joints.
+    """
+    arrays = _load(path, "jaxcap motion")
+    rotations = _get(arrays, "rotations", path, (None, None, 4))
+    frames, joints = rotations.shape[:2]
+    translations = _get(arrays, "translations", path, (frames, joints, 3))
+    scale, rate = _get(arrays, "scale", path, (frames,)), _get(arrays, "rate", path, ())
+    if skeleton is not None:
+        names = tuple(arrays["names"].tolist()) if "names" in arrays else skeleton.names
+        if names != skeleton.names or joints != skeleton.num_joints:
+            raise InputError(
+                f"{path}: this motion is of the {joints} joints {', '.join(names)}, not of the skeleton's "
+                f"{', '.join(skeleton.names)}; retarget it."
+            )
+    return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), float(rate))
+
+
+def load_skeleton(path: str | Path) -> Skeleton:
+    """The skeleton in a body file, or in a motion file that was written with one."""
+    return _skeleton(_load(path, "jaxcap body", "jaxcap motion"), path)
+
+
+def _skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
+    return {
+        "names": np.array(skeleton.names, dtype=str),
+        "parents": np.array(skeleton.parents, dtype=np.int64),
+        "kinds": np.array(skeleton.kinds, dtype=str),
+        "centres": np.asarray(skeleton.centres),
+        "orientations": np.asarray(skeleton.orientations),
+        "axes": np.asarray(skeleton.axes),
+    }
+
+
+def _skeleton(arrays: dict[str, np.ndarray], path) -> Skeleton:
+    names = _get(arrays, "names", path, (None,)).tolist()
+    count = len(names)
+    parents, kinds = (_get(arrays, name, path, (count,)).tolist() for name in ("parents", "kinds"))
+    shapes = {"centres": (count, 3), "orientations": (count, 4), "axes": (count, 2, 3)}
+    numbers = {name: _get(arrays, name, path, shape) for name, shape in shapes.items()}
+    try:
+        checked = make_skeleton(names, parents, kinds, numbers["centres"])
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    if checked.names != tuple(names):
+        raise InputError(f"{path}: a joint stands before its parent; this file was not written by save_body.")
+    # the arrays as they are, so that a body comes back to the last bit
+    arrays = {name: jnp.asarray(values) for name, values in numbers.items()}
+    return Skeleton(names=checked.names, parents=checked.parents, kinds=checked.kinds, **arrays)
+
+
+def _save(path: str | Path, kind: str, arrays: Mapping) -> None:
+    plain = {name: np.asarray(values) for name, values in arrays.items()}
+    for name, values in plain.items():
+        if values.dtype == object:
+            raise InputError(f"{path}: '{name}' is not an array of numbers or text; it cannot be written.")
+    with replacing(path) as beside, open(beside, "wb") as file:
+        np.savez_compressed(file, format=np.array(kind), version=np.array(VERSION), **plain)
+
+
+def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """All arrays of any `.npz` file. Raises `InputError` where it is not one, is damaged, or
+    holds pickled objects, which are never read."""
+    try:
+        with open(path, "rb") as raw:
+            start = raw.read(6)
+            if start == b"\x93NUMPY":
+                raise InputError(f"{path}: this is a single array, not an .npz file of named arrays.")
+            if not start.startswith(b"PK"):
+                raise InputError(f"{path}: this is not an .npz file.")
+            raw.seek(0)
+            with np.load(raw, allow_pickle=False) as file:
+                return {name: file[name] for name in file.files}
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; check the path.") from None
+    except ValueError:
+        raise InputError(
+            f"{path}: this file holds pickled objects, which are never read; write plain arrays."
+        ) from None
+    except (OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"{path}: this is not a whole .npz file ({type(error).__name__}).") from None
+
+
+def _load(path: str | Path, *kinds: str) -> dict[str, np.ndarray]:
+    arrays = load_arrays(path)
+    found = str(arrays["format"]) if "format" in arrays else "unmarked file"
+    if found not in kinds:
+        raise InputError(
+            f"{path}: this is a '{found}', not a '{kinds[0]}'; it holds {', '.join(list(arrays)[:8])}."
+        )
+    version = int(arrays["version"]) if "version" in arrays else 0
+    if version != VERSION:
+        raise InputError(f"{path}: this file has version {version}; this program reads version {VERSION}.")
+    return arrays
+
+
+def _get(arrays: dict[str, np.ndarray], name: str, path, shape: tuple[int | None, ...]) -> np.ndarray:
+    """An array of which the first axes must have `shape` (None is any length)."""
+    if name not in arrays:
+        raise InputError(f"{path}: the array '{name}' is missing; this file is not whole.")
+    values = arrays[name]
+    fits = values.ndim >= len(shape) and all(
+        n is None or n == m for n, m in zip(shape, values.shape, strict=False)
+    )
+    if not fits:
+        wanted = " x ".join("any" if n is None else str(n) for n in shape)
+        raise InputError(f"{path}: the array '{name}' has the shape {values.shape}; it must be {wanted}.")
+    return values
