@@ -172,8 +172,8 @@ def test_reduced_people_bend_as_the_full_one_does(resolution):
     big, small = (posed(body, turned(body, turns)).vertices for body in (full, reduced))
     mesh = trimesh.Trimesh(np.asarray(big), np.asarray(full.faces), process=False)
     distances = trimesh.proximity.closest_point(mesh, np.asarray(small))[1]
-    assert distances.mean() < 2e-3
-    assert distances.max() < 12e-3
+    assert distances.mean() < 1e-3
+    assert distances.max() < 6e-3
 
 
 @pytest.mark.parametrize(

@@ -71,8 +71,8 @@ def human(
 
     The body is MakeHuman's (CC0; `assets/README.md`): closed, with linear blend skinning, in
     metres. Y is up, the person looks along +z with the left side towards +x, and stands in an
-    A-pose with the elbows a little bent. The origin is MakeHuman's: the soles of a grown person are
-    at y = -0.82 whatever the height, so people stand on one floor.
+    A-pose with the elbows a little bent. The origin is MakeHuman's: the soles of everybody are
+    at y = -0.82 (to 2 mm), so people stand on one floor.
 
     **Arguments:**
 
