@@ -1,0 +1,142 @@
+"""Small bodies, random poses, and the one check that every energy passes."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcap.body.body import Body, pose_body
+from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
+from jaxcap.body.skinning import LinearSkin, RigidSkin
+
+_retract, _pose_body = eqx.filter_jit(retract), eqx.filter_jit(pose_body)
+
+
+def chain_skeleton() -> Skeleton:
+    """Nine joints of every kind, with one fork; centres and axes lie askew."""
+    rng = np.random.default_rng(7)
+    joints = [
+        ("root", -1, "free"),
+        ("spine", 0, "universal"),
+        ("chest", 1, "ball"),
+        ("slide", 2, "translate"),
+        ("elbow", 3, "revolute"),
+        ("hand", 4, "ball"),
+        ("tool", 5, "fixed"),
+        ("neck", 2, "ball"),
+        ("jaw", 7, "revolute"),
+    ]
+    names, parents, kinds = zip(*joints, strict=True)
+    centres = [[0, 0, 0], [0.1, 0, 0.02], [0.25, 0, 0], [0.4, 0, 0.1], [0.55, 0.02, 0.1], [0.7, 0, 0.1]]
+    centres += [[0.8, 0, 0.1], [0.4, 0, -0.1], [0.5, 0.02, -0.12]]
+    first = rng.normal(size=(len(joints), 3))
+    second = np.cross(first, rng.normal(size=(len(joints), 3)))
+    return make_skeleton(names, parents, kinds, centres, axes=np.stack([first, second], 1))
+
+
+def chain_body(skin: str = "linear") -> Body:
+    """A forked tube of 48 vertices around `chain_skeleton`, skinned `linear` or `rigid`."""
+    skeleton = chain_skeleton()
+    rng = np.random.default_rng(8)
+    vertices, faces = [], []
+    for start, end in ((0, 2), (2, 6), (2, 8)):
+        vertices, faces = _tube(vertices, faces, skeleton.centres[start], skeleton.centres[end])
+    vertices = np.array(vertices) + 0.005 * rng.normal(size=(len(vertices), 3))
+    apart = np.linalg.norm(vertices[:, None] - np.asarray(skeleton.centres)[None], axis=-1)
+    if skin == "rigid":
+        bound = RigidSkin(jnp.asarray(np.argmin(apart, 1)))
+    else:
+        weights = np.exp(-((apart / 0.12) ** 2))
+        bound = LinearSkin(jnp.asarray(weights / weights.sum(1, keepdims=True)))
+    return Body(skeleton, bound, jnp.asarray(vertices), jnp.asarray(faces))
+
+
+def random_pose(skeleton: Skeleton, rng: np.random.Generator, size: float = 0.5, scale: float = 1.0) -> Pose:
+    """A pose whose tangent from rest has independent normal numbers of deviation `size`."""
+    rest = rest_pose(skeleton)
+    rest = eqx.tree_at(lambda pose: pose.scale, rest, jnp.asarray(scale, rest.scale.dtype))
+    return _retract(skeleton, rest, jnp.asarray(size * rng.normal(size=skeleton.num_dofs)))
+
+
+def half_turned_pose(skeleton: Skeleton, rng: np.random.Generator, short_of: float = 1e-3) -> Pose:
+    """Every turning joint turned by `pi - short_of` radians about some axis of its own."""
+    d = []
+    for kind in skeleton.kinds:
+        shifts, turns = KINDS[kind]
+        direction = rng.normal(size=turns)
+        length = np.linalg.norm(direction) if turns == 3 else np.abs(direction)
+        d += [*(0.1 * rng.normal(size=shifts)), *((np.pi - short_of) * direction / np.maximum(length, 1e-9))]
+    return _retract(skeleton, rest_pose(skeleton), jnp.asarray(d))
+
+
+def awkward_poses(skeleton: Skeleton, seed: int = 0) -> list[Pose]:
+    """Rest, small, ordinary and half-turned poses: where derivatives go wrong first."""
+    rng = np.random.default_rng(seed)
+    ordinary = [random_pose(skeleton, rng, size) for size in (1e-5, 0.5, 1.0)]
+    return [rest_pose(skeleton), *ordinary, half_turned_pose(skeleton, rng)]
+
+
+@eqx.filter_jit
+def _residual(energy, body: Body, pose: Pose, d):
+    return energy.residual(pose_body(body, retract(body.skeleton, pose, d)))
+
+
+@eqx.filter_jit
+def _derivatives(energy, body: Body, pose: Pose):
+    """Residual and its Jacobian by forward and by reverse mode."""
+    at = partial(_residual, energy, body, pose)
+    still = jnp.zeros(body.skeleton.num_dofs, body.vertices.dtype)
+    return at(still), jax.jacfwd(at)(still), jax.jacrev(at)(still)
+
+
+@eqx.filter_jit
+def _central_differences(energy, body: Body, pose: Pose, step: float):
+    steps = step * jnp.eye(body.skeleton.num_dofs, dtype=body.vertices.dtype)
+    slope = lambda d: (_residual(energy, body, pose, d) - _residual(energy, body, pose, -d)) / (2 * step)  # noqa: E731
+    return jax.lax.map(slope, steps).T
+
+
+def check_energy(energy, body: Body, poses=None, analytic=None, step: float = 1e-6, tolerance: float = 1e-6):
+    """Hold the Jacobian of `energy.residual` to central differences, in float64.
+
+    The Jacobian is that of `d -> residual(pose_body(body, retract(skeleton, pose, d)))` at
+    `d = 0`; forward and reverse mode must agree with it within `tolerance`, relative to its
+    largest number (or to one). `poses` stand beside the awkward ones. `analytic`, where
+    given, maps a `Posed` to the Jacobian and must agree with autodiff to 1e-10.
+    """
+    for number, pose in enumerate([*awkward_poses(body.skeleton), *(poses or [])]):
+        value, forward, reverse = _derivatives(energy, body, pose)
+        assert np.isfinite(value).all(), f"the residual is not finite at pose {number}"
+        numeric = _central_differences(energy, body, pose, step)
+        scale = max(1.0, float(np.abs(numeric).max(initial=0.0)))
+        for name, jacobian in (("forward", forward), ("reverse", reverse)):
+            np.testing.assert_allclose(
+                jacobian, numeric, rtol=0, atol=tolerance * scale, err_msg=f"{name} mode at pose {number}"
+            )
+        if analytic is not None:
+            closed = analytic(_pose_body(body, pose))
+            np.testing.assert_allclose(
+                closed, forward, rtol=0, atol=1e-10 * scale, err_msg=f"closed form at pose {number}"
+            )
+
+
+def _tube(vertices, faces, start, end, rings: int = 4, sides: int = 4):
+    """Add a closed-sided tube of 16 vertices around the line from `start` to `end`."""
+    start, end = np.asarray(start), np.asarray(end)
+    along = (end - start) / np.linalg.norm(end - start)
+    across = np.cross(along, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    up = np.cross(across, along)
+    first = len(vertices)
+    for share in np.linspace(0.0, 1.0, rings):
+        for angle in 2 * np.pi * np.arange(sides) / sides:
+            offset = 0.05 * (np.cos(angle) * across + np.sin(angle) * up)
+            vertices = [*vertices, start + share * (end - start) + offset]
+    for ring in range(rings - 1):
+        for side in range(sides):
+            a, b = (first + ring * sides + (side + i) % sides for i in range(2))
+            faces = [*faces, [a, b, b + sides], [a, b + sides, a + sides]]
+    return vertices, faces

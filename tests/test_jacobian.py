@@ -1,0 +1,161 @@
+"""Closed-form derivatives against autodiff, finite differences and the paper's operators."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import awkward_poses, chain_body, check_energy, random_pose
+from jaxtyping import Array, Int
+
+from jaxcap.body import jacobian as jacobians
+from jaxcap.body.body import Posed, pose_body
+from jaxcap.body.pose import retract
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.body.skinning import AbstractSkin
+from jaxcap.energy.term import AbstractEnergy
+from jaxcap.geometry import rotation
+
+BODIES = {skin: chain_body(skin) for skin in ("linear", "rigid")}
+#: some vertices, one of them twice, in no order
+CHOSEN = jnp.array([40, 3, 17, 3, 25, 31, 0, 12, 44])
+
+posed_of = eqx.filter_jit(pose_body)
+point_jacobian = eqx.filter_jit(jacobians.point_jacobian)
+projected_jacobian = eqx.filter_jit(jacobians.projected_jacobian)
+subtree_moments = eqx.filter_jit(jacobians.subtree_moments)
+
+
+class Places(AbstractEnergy):
+    """The posed vertices themselves."""
+
+    vertices: Int[Array, "C"]
+
+    def residual(self, posed: Posed):
+        return posed.vertices[self.vertices].reshape(-1)
+
+
+@pytest.fixture(params=BODIES)
+def body(request):
+    return BODIES[request.param]
+
+
+def test_point_jacobian_against_autodiff_and_central_differences(body, rng):
+    analytic = lambda posed: point_jacobian(body, posed, CHOSEN).reshape(3 * len(CHOSEN), -1)  # noqa: E731
+    check_energy(Places(CHOSEN), body, [random_pose(body.skeleton, rng, 1.0, scale=1.3)], analytic)
+
+
+def test_projected_rows_are_the_jacobian_along_directions(body, rng):
+    directions = jnp.asarray(rng.normal(size=(len(CHOSEN), 3)))
+    for pose in awkward_poses(body.skeleton):
+        posed = posed_of(body, pose)
+        expected = jnp.einsum("ca,cad->cd", directions, point_jacobian(body, posed, CHOSEN))
+        np.testing.assert_allclose(projected_jacobian(body, posed, CHOSEN, directions), expected, atol=1e-14)
+
+
+def test_moments_are_sums_over_descendants(body, rng):
+    posed = posed_of(body, random_pose(body.skeleton, rng, 1.0))
+    moments, shares = subtree_moments(body, posed, CHOSEN)
+    weights = np.asarray(body.skin.influence(body.skeleton.num_joints))
+    r, t = np.asarray(posed.transforms.rotations), np.asarray(posed.transforms.translations)
+    for row, vertex in enumerate(np.asarray(CHOSEN)):
+        for joint in range(body.skeleton.num_joints):
+            below = np.flatnonzero(body.skeleton.descent[joint])
+            points = r[below] @ np.asarray(body.vertices[vertex]) + t[below]
+            np.testing.assert_allclose(moments[row, joint], weights[vertex, below] @ points, atol=1e-14)
+            np.testing.assert_allclose(shares[row, joint], weights[vertex, below].sum(), atol=1e-14)
+    # all hangs on the root: its moment is the posed vertex
+    np.testing.assert_allclose(moments[:, 0], posed.vertices[CHOSEN], atol=1e-14)
+
+
+def test_papers_operators_are_the_twists(rng):
+    """Kineben's 4 x 4 matrices (eqs. 8, 10, 13), applied to a rigid body's posed points."""
+    body = BODIES["rigid"]
+    skeleton = body.skeleton
+    posed = posed_of(body, random_pose(skeleton, rng, 1.0))
+    layout = dof_layout(skeleton)
+    rotations, joints = posed.transforms.rotations, posed.joints
+    columns = point_jacobian(body, posed, CHOSEN)
+    points = jnp.concatenate([posed.vertices[CHOSEN], jnp.ones((len(CHOSEN), 1))], 1)
+    seen = set()
+    for number, joint in enumerate(layout.joints):
+        kind, parent = skeleton.kinds[joint], skeleton.parents[joint]
+        above = rotations[parent] if parent >= 0 else jnp.eye(3)
+        place = layout.rotations[joint].tolist()
+        if number in layout.translations[joint]:
+            operator = jacobians.translate_operator(
+                above[:, layout.translations[joint].tolist().index(number)]
+            )
+        elif kind == "revolute":
+            operator = jacobians.revolute_operator(above @ skeleton.axes[joint, 0], joints[joint])
+        elif kind in ("ball", "free"):
+            operator = jacobians.ball_operator(rotations[joint], joints[joint], place.index(number))
+        else:
+            continue
+        seen.add(kind)
+        moves = skeleton.descent[joint][np.asarray(body.skin.bones[CHOSEN])]
+        expected = np.where(moves[:, None], (points @ operator.T)[:, :3], 0.0)
+        np.testing.assert_allclose(columns[:, :, number], expected, atol=1e-14)
+    assert seen == {"free", "ball", "translate", "revolute"}
+
+
+def test_ball_operator_is_the_papers_skew_form(rng):
+    """Eqs. 12 and 41: the three columns together are `-[x - (R q + t)]x R`."""
+    turn = rotation.to_matrix(rotation.exp(jnp.asarray(rng.normal(size=3))))
+    centre, x = jnp.asarray(rng.normal(size=3)), jnp.asarray(rng.normal(size=3))
+    columns = [(jacobians.ball_operator(turn, centre, i) @ jnp.append(x, 1.0))[:3] for i in range(3)]
+    np.testing.assert_allclose(np.stack(columns, 1), -rotation.skew(x - centre) @ turn, atol=1e-14)
+
+
+def test_the_cone_gradient_has_the_papers_sign(rng):
+    """Eq. 16 is `+ x_B x R^T x_B`, by central differences of `x_B . R exp(d) x_B`."""
+    for angle in (0.0, 0.4, 2.0, np.pi - 1e-3):
+        axis, turn_axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        axis, q = jnp.asarray(axis), rotation.exp(angle * jnp.asarray(turn_axis))
+        cosine = lambda d, axis=axis, q=q: axis @ rotation.rotate(rotation.multiply(q, rotation.exp(d)), axis)  # noqa: E731
+        numeric = np.array([(cosine(e) - cosine(-e)) / 2e-6 for e in 1e-6 * jnp.eye(3)])
+        gradient = jacobians.cone_gradient(axis, rotation.to_matrix(q))
+        np.testing.assert_allclose(gradient, numeric, atol=1e-9)
+        if 0.1 < angle < 3.0:
+            assert np.abs(gradient).max() > 1e-2  # so that the other sign would not do
+
+
+def test_the_jacobian_predicts_a_small_step(body, rng):
+    """The error of the first order falls with the square of the step."""
+    pose = random_pose(body.skeleton, rng, 0.8)
+    posed = posed_of(body, pose)
+    slope = point_jacobian(body, posed, CHOSEN)
+    d = jnp.asarray(rng.normal(size=body.skeleton.num_dofs))
+    errors = []
+    for size in (1e-2, 1e-3):
+        moved = posed_of(body, retract(body.skeleton, pose, size * d)).vertices[CHOSEN]
+        errors.append(float(jnp.abs(moved - posed.vertices[CHOSEN] - size * slope @ d).max()))
+    assert errors[1] < 0.02 * errors[0]
+
+
+def test_single_precision_keeps_its_digits(body, rng):
+    """Within 2e-6 of float64, for a body of a metre."""
+    pose = random_pose(body.skeleton, rng, 0.8)
+    low = jax.tree.map(lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, (body, pose))
+    posed = posed_of(*low)
+    jacobian = point_jacobian(low[0], posed, CHOSEN)
+    assert jacobian.dtype == jnp.float32
+    np.testing.assert_allclose(jacobian, point_jacobian(body, posed_of(body, pose), CHOSEN), atol=2e-6)
+
+
+def test_other_skins_are_refused_in_a_sentence():
+    class Bulging(AbstractSkin):
+        def deform(self, vertices, skeleton, pose, transforms):
+            return 1.1 * vertices
+
+        def parts(self):
+            return jnp.zeros(48, int)
+
+        def influence(self, num_bones):
+            return jnp.ones((48, num_bones)) / num_bones
+
+    body = BODIES["linear"]
+    bulging = eqx.tree_at(lambda b: b.skin, body, Bulging())
+    posed = posed_of(body, awkward_poses(body.skeleton)[0])
+    with pytest.raises(TypeError, match="not for Bulging"):
+        jacobians.point_jacobian(bulging, posed, CHOSEN)

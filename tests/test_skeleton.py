@@ -1,0 +1,109 @@
+"""The tree of joints against brute force, and what it refuses."""
+
+import numpy as np
+import pytest
+from helpers import chain_skeleton
+
+from jaxcap.body.skeleton import KINDS, dof_layout, make_skeleton
+
+
+def random_tree(rng, count: int):
+    """Names, parents in arbitrary order, and centres; more than one root."""
+    order = rng.permutation(count)
+    parents = np.full(count, -1)
+    for place in range(2, count):
+        parents[order[place]] = order[rng.integers(0, place)]
+    names = [f"joint{i}" for i in range(count)]
+    return names, parents.tolist(), rng.normal(size=(count, 3))
+
+
+def ancestors(parents, joint) -> list[int]:
+    chain = []
+    while joint >= 0:
+        chain.append(joint)
+        joint = parents[joint]
+    return chain
+
+
+def test_joints_are_sorted_parents_first_and_keep_what_is_theirs(rng):
+    names, parents, centres = random_tree(rng, 12)
+    kinds = rng.choice(list(KINDS), 12).tolist()
+    axes = rng.normal(size=(12, 2, 3))
+    skeleton = make_skeleton(names, parents, kinds, centres, axes=axes)
+    assert all(parent < joint for joint, parent in enumerate(skeleton.parents))
+    assert sorted(skeleton.names) == sorted(names)
+    for new, name in enumerate(skeleton.names):
+        old = names.index(name)
+        parent = skeleton.parents[new]
+        assert (names[parents[old]] if parents[old] >= 0 else None) == (
+            skeleton.names[parent] if parent >= 0 else None
+        )
+        assert skeleton.kinds[new] == kinds[old]
+        np.testing.assert_allclose(skeleton.centres[new], centres[old])
+        np.testing.assert_allclose(
+            skeleton.axes[new], axes[old] / np.linalg.norm(axes[old], axis=1, keepdims=True), atol=1e-15
+        )
+
+
+def test_an_order_that_will_do_is_kept():
+    names = ["a", "b", "c"]
+    assert make_skeleton(names, [-1, 0, 0], ["ball"] * 3, np.zeros((3, 3))).names == tuple(names)
+
+
+def test_levels_depths_and_descent_against_walking_up_the_tree(rng):
+    names, parents, centres = random_tree(rng, 15)
+    skeleton = make_skeleton(names, parents, ["ball"] * 15, centres)
+    chains = [ancestors(skeleton.parents, joint) for joint in range(15)]
+    assert skeleton.depths.tolist() == [len(chain) - 1 for chain in chains]
+    assert sorted(joint for level in skeleton.levels for joint in level) == list(range(15))
+    for depth, level in enumerate(skeleton.levels):
+        assert all(len(chains[joint]) - 1 == depth for joint in level)
+    expected = np.array([[above in chains[below] for below in range(15)] for above in range(15)])
+    np.testing.assert_array_equal(skeleton.descent, expected)
+
+
+def test_layout_gives_every_number_one_place():
+    skeleton = chain_skeleton()
+    layout = dof_layout(skeleton)
+    assert skeleton.num_dofs == len(layout.joints) == len(layout.names) == len(set(layout.names))
+    used = np.concatenate([layout.translations.ravel(), layout.rotations.ravel()])
+    used = used[used < skeleton.num_dofs]
+    assert sorted(used.tolist()) == list(range(skeleton.num_dofs))
+    for joint, kind in enumerate(skeleton.kinds):
+        assert np.sum(layout.translations[joint] < skeleton.num_dofs) == KINDS[kind][0]
+        assert np.sum(layout.rotations[joint] < skeleton.num_dofs) == KINDS[kind][1]
+        assert np.sum(layout.joints == joint) == sum(KINDS[kind])
+    assert layout.names[:4] == ("root.tx", "root.ty", "root.tz", "root.rx")
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"parents": [2, 0, 1]}, "cycle: (a -> |b -> |c -> )+"),
+        ({"parents": [-1, 1, 0]}, "cycle: b -> b"),
+        ({"parents": [-1, 0, 7]}, "'c' has parent 7"),
+        ({"parents": [-1, 0, -2]}, "'c' has parent -2"),
+        ({"names": ["a", "b", "a"]}, "'a' stands twice"),
+        ({"kinds": ["free", "ball", "hinge"]}, "'c' is of kind 'hinge'"),
+        ({"centres": [[0, 0, 0], [0, np.nan, 0], [0, 0, 0]]}, "centre of joint 'b'"),
+        ({"centres": np.zeros((2, 3))}, "2 centres"),
+        ({"names": [], "parents": [], "kinds": [], "centres": np.zeros((0, 3))}, "at least one joint"),
+    ],
+)
+def test_wrong_skeletons_end_in_a_sentence(change, sentence):
+    good = {
+        "names": ["a", "b", "c"],
+        "parents": [-1, 0, 1],
+        "kinds": ["free", "ball", "ball"],
+        "centres": np.zeros((3, 3)),
+    }
+    make_skeleton(**good)
+    with pytest.raises(ValueError, match=sentence):
+        make_skeleton(**{**good, **change})
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    skeleton = chain_skeleton()
+    assert skeleton.index("elbow") == skeleton.names.index("elbow")
+    with pytest.raises(KeyError, match="root, spine"):
+        skeleton.index("tail")
