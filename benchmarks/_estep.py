@@ -13,7 +13,9 @@ from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.observe import Cloud
 
 
-def make_scene(path: Path, num_vertices: int = 5000, num_points: int = 5000, noise: float = 0.005, seed: int = 0):
+def make_scene(
+    path: Path, num_vertices: int = 5000, num_points: int = 5000, noise: float = 0.005, seed: int = 0
+):
     """A decimated human and a noisy cloud sampled on it with one outlier in ten.
 
     Returns `(parts, vertices, normals, cloud)`, float32.
@@ -40,7 +42,9 @@ def make_scene(path: Path, num_vertices: int = 5000, num_points: int = 5000, noi
     low, high = vertices.min(0) - 0.2, vertices.max(0) + 0.2
     points[outliers] = rng.uniform(low, high, (outliers.sum(), 3))
     cloud = Cloud(
-        jnp.asarray(points, jnp.float32), jnp.asarray(directions, jnp.float32), jnp.ones(num_points, jnp.float32)
+        jnp.asarray(points, jnp.float32),
+        jnp.asarray(directions, jnp.float32),
+        jnp.ones(num_points, jnp.float32),
     )
     parts = make_parts(bones, data["weights"].shape[1], vertices)
     return parts, jnp.asarray(vertices), jnp.asarray(normals), cloud
@@ -71,7 +75,9 @@ def brute_force_posterior(
         squared = jnp.where(compatible, squared, jnp.inf)
         nearest = jnp.argmin(squared, 1)
         found = jnp.take_along_axis(squared, nearest[:, None], 1)[:, 0]
-        log_parts = jnp.log((1 - outlier) * uniform) - 1.5 * jnp.log(2 * jnp.pi * sigma**2) - found / (2 * sigma**2)
+        log_parts = (
+            jnp.log((1 - outlier) * uniform) - 1.5 * jnp.log(2 * jnp.pi * sigma**2) - found / (2 * sigma**2)
+        )
         logs = jnp.append(log_parts, jnp.log(outlier / box_volume))
         return jax.nn.softmax(logs), jnp.take_along_axis(index, nearest[:, None], 1)[:, 0]
 

@@ -37,7 +37,7 @@ class Parts(eqx.Module):
 def make_parts(
     bones: Int[Array | np.ndarray, "V"],
     num_parts: int,
-    vertices: Float[Array | np.ndarray, "V 3"] | None = None,
+    vertices: Float[Array | np.ndarray, "W 3"] | None = None,
 ) -> Parts:
     """The blocks of a body whose vertex `v` belongs to part `bones[v]`; made once, in NumPy.
 
