@@ -1,10 +1,11 @@
 """A preference for poses near a given one."""
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..body.body import Posed
 from ..body.pose import Pose, difference
-from ..body.skeleton import Skeleton
+from ..body.skeleton import Skeleton, dof_layout
 from .term import AbstractEnergy
 
 
@@ -21,3 +22,9 @@ class PosePrior(AbstractEnergy):
 
     def residual(self, posed: Posed):
         return difference(self.skeleton, self.reference, posed.pose) / self.deviations
+
+
+def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:
+    """A deviation for every number of a tangent: one for what slides, one for what turns."""
+    deviations = jnp.full(skeleton.num_dofs + 1, radians, skeleton.centres.dtype)
+    return deviations.at[dof_layout(skeleton).translations].set(metres)[:-1]

@@ -7,8 +7,7 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body
 from ..body.pose import Pose, difference, rest_pose, retract
-from ..body.skeleton import Skeleton, dof_layout
-from ..energy.prior import PosePrior
+from ..energy.prior import PosePrior, tangent_deviations
 from ..energy.term import AbstractEnergy, Sum
 from ..observe import Cloud
 from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, frame_statistics, make_mixture, uniform_priors
@@ -67,8 +66,8 @@ def make_tracker(
         body=body,
         parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
         mixture=make_mixture() if mixture is None else mixture,
-        motion_deviations=_deviations(body.skeleton, *motion_deviation),
-        rest_deviations=_deviations(body.skeleton, jnp.inf, rest_deviation),
+        motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
+        rest_deviations=tangent_deviations(body.skeleton, jnp.inf, rest_deviation),
         momentum=jnp.asarray(momentum),
         sigma_growth=jnp.asarray(sigma_growth),
         sigma_start=jnp.asarray(sigma_start),
@@ -102,9 +101,3 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     estimate = jax.lax.fori_loop(0, tracker.iterations, step, start)
     statistics = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
     return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics
-
-
-def _deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:
-    layout = dof_layout(skeleton)
-    deviations = jnp.full(skeleton.num_dofs + 1, radians, skeleton.centres.dtype)
-    return deviations.at[layout.translations].set(metres)[:-1]

@@ -1,0 +1,158 @@
+"""Find a pose from nothing: many starts side by side, the best go on."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from ..body.body import pose_body
+from ..body.pose import Pose, rest_pose, retract
+from ..body.skeleton import Skeleton, dof_layout
+from ..energy.prior import PosePrior, tangent_deviations
+from ..energy.term import Sum
+from ..geometry import rotation
+from ..observe import Cloud
+from .em import Estimate, box_volume, em_step, frame_statistics, uniform_priors
+from .track import Tracker
+
+#: sigma falls from the size of a trunk to that of a wrist, metres
+COARSE = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
+FINE = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
+#: deviation at which starts are compared, metres
+JUDGE = 0.02
+
+
+def anneal(
+    tracker: Tracker, cloud: Cloud, start: Pose, sigmas: Float[Array, "S"]
+) -> tuple[Estimate, Float[Array, ""]]:
+    """Expectation maximisation with a given deviation at every step, which falls: wide, it
+    pulls a body from afar, narrow, it fits it (deterministic annealing, Ueda and Nakano 1998).
+
+    Returns the estimate and its mean log-likelihood at a deviation common to all starts.
+    """
+    skeleton = tracker.body.skeleton
+    rest = PosePrior(skeleton, rest_pose(skeleton), tracker.rest_deviations)
+    prior = Sum((rest, *tracker.terms))
+    volume = box_volume(cloud)
+
+    def step(estimate, sigma):
+        wide = Estimate(estimate.pose, sigma, estimate.priors)
+        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide), None
+
+    first = Estimate(start, jnp.asarray(sigmas[0]), uniform_priors(tracker.parts))
+    last, _ = jax.lax.scan(step, first, sigmas)
+    judged = Estimate(last.pose, jnp.asarray(JUDGE, last.sigma.dtype), last.priors)
+    statistics = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, judged)
+    score = jnp.where(jnp.isfinite(statistics.log_likelihood), statistics.log_likelihood, -jnp.inf)
+    return last, score
+
+
+@eqx.filter_jit
+def anneal_all(
+    tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
+) -> tuple[Pose, Float[Array, "P"]]:
+    """`anneal` from each of P stacked starts; poses and scores, best first."""
+
+    def one(start):
+        estimate, score = anneal(tracker, cloud, start, sigmas)
+        return estimate.pose, score
+
+    poses, scores = jax.lax.map(one, starts)
+    order = jnp.argsort(-scores)
+    return jax.tree.map(lambda leaf: leaf[order], poses), scores[order]
+
+
+def turned_starts(
+    tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]
+) -> Pose:
+    """A pose turned about the vertical `up` in `count` equal steps and moved so that the middles
+    of surface and cloud meet; `(count, ...)`. The middle is a median, which outliers do not move."""
+    posed = pose_body(tracker.body, pose)
+    middle = jnp.median(posed.vertices, 0)
+    points = jnp.where((cloud.weights > 0)[:, None], cloud.points, jnp.nan)
+    target = jnp.nanmedian(points, 0)
+    angles = jnp.linspace(0.0, 2 * jnp.pi, count, endpoint=False).astype(middle.dtype)
+    centre = tracker.body.skeleton.centres[0]
+
+    def turn(angle):
+        q = rotation.about_axis(up, angle)
+        # the root turns about its own centre: where that leaves the middle of the surface
+        moved = rotation.rotate(q, middle - centre - pose.translations[0]) + centre
+        rotations = pose.rotations.at[0].set(rotation.multiply(q, pose.rotations[0]))
+        translations = pose.translations.at[0].set(target - moved)
+        return Pose(translations, rotations, pose.scale)
+
+    return jax.vmap(turn)(angles)
+
+
+def perturbed_starts(
+    skeleton: Skeleton, poses: Pose, count: int, deviations: Float[Array, "D"], key: PRNGKeyArray
+) -> Pose:
+    """`count` random neighbours of each of P stacked poses, and the poses themselves;
+    `(P * (count + 1), ...)`."""
+    num = poses.rotations.shape[0]
+    steps = deviations * jax.random.normal(key, (count, num, skeleton.num_dofs), poses.rotations.dtype)
+    return _neighbours(skeleton, poses, steps)
+
+
+def subtree_starts(
+    skeleton: Skeleton, poses: Pose, count: int, deviations: Float[Array, "D"], key: PRNGKeyArray
+) -> Pose:
+    """As `perturbed_starts`, but each neighbour turns one random joint and all that hangs on
+    it: a limb that was lost finds its place while the rest of the body stays."""
+    num = poses.rotations.shape[0]
+    which, how = jax.random.split(key)
+    bearers = np.flatnonzero((skeleton.descent.sum(1) > 1) & (np.array(skeleton.parents) >= 0))
+    joints = jax.random.choice(which, jnp.asarray(bearers), (count, num))
+    below = jnp.asarray(skeleton.descent)[joints][..., dof_layout(skeleton).joints]
+    steps = deviations * jax.random.normal(how, (count, num, skeleton.num_dofs), poses.rotations.dtype)
+    return _neighbours(skeleton, poses, jnp.where(below, steps, 0.0))
+
+
+def _neighbours(skeleton: Skeleton, poses: Pose, steps: Float[Array, "C P D"]) -> Pose:
+    steps = jnp.concatenate([jnp.zeros_like(steps[:1]), steps])
+    tiled = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(steps)), poses)
+    flat = steps.reshape(-1, skeleton.num_dofs)
+    return jax.vmap(lambda pose, step: retract(skeleton, pose, step))(tiled, flat)
+
+
+def initialise(
+    tracker: Tracker,
+    cloud: Cloud,
+    *,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    turns: int = 12,
+    keep: int = 4,
+    neighbours: int = 7,
+    rounds: int = 2,
+    key: PRNGKeyArray | None = None,
+) -> tuple[Pose, Float[Array, ""]]:
+    """The pose of a body in a cloud, with no start: orientation about `up` and place unknown.
+
+    Starts in all directions are annealed; the best `keep` and `neighbours` random neighbours
+    of each are annealed again, then in `rounds` the best with single limbs moved; the best of
+    all is the result, with its mean log-likelihood.
+    A coarse body and some 1,000 points are enough; refine the result by tracking.
+    """
+    keys = jax.random.split(jax.random.key(0) if key is None else key, 2 + rounds)
+    skeleton = tracker.body.skeleton
+    rest = rest_pose(skeleton)
+    vertical = jnp.asarray(up, rest.rotations.dtype)
+    coarse, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE, FINE))
+    starts = turned_starts(tracker, cloud, rest, turns, vertical)
+    starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
+    poses, scores = anneal_all(tracker, cloud, starts, coarse)
+    limbs = tangent_deviations(skeleton, 0.02, 0.4)
+    poses = perturbed_starts(skeleton, _first(poses, keep), neighbours, limbs, keys[1])
+    poses, scores = anneal_all(tracker, cloud, poses, fine)
+    for round in range(rounds):
+        poses = subtree_starts(
+            skeleton, _first(poses, keep // 2), 2 * neighbours + 1, 2.0 * limbs, keys[2 + round]
+        )
+        poses, scores = anneal_all(tracker, cloud, poses, fine)
+    return jax.tree.map(lambda leaf: leaf[0], poses), scores[0]
+
+
+def _first(poses: Pose, count: int) -> Pose:
+    return jax.tree.map(lambda leaf: leaf[:count], poses)
