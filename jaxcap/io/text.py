@@ -73,3 +73,41 @@ def parse_int(word: str, where: str, what: str) -> int:
         return int(word)
     except ValueError:
         raise InputError(f"{where}: '{word}' for {what} is not a whole number.") from None
+
+
+class Words:
+    """The words of a file one by one, each with its line, for grammars without lines."""
+
+    def __init__(self, path: str | Path):
+        self.path, self._at = path, 0
+        self._words = [
+            (number, word) for number, line in numbered_lines(read_text(path)) for word in line.split()
+        ]
+
+    @property
+    def left(self) -> int:
+        """How many words have not been taken."""
+        return len(self._words) - self._at
+
+    @property
+    def where(self) -> str:
+        """`path:line` of the word that was taken last."""
+        return f"{self.path}:{self._words[max(self._at - 1, 0)][0] if self._words else 1}"
+
+    def take(self, what: str) -> str:
+        """The next word; the end of the file is an error that says `what` belongs there."""
+        if not self.left:
+            raise InputError(f"{self.where}: the file ends where {what} belongs; it is cut short.")
+        self._at += 1
+        return self._words[self._at - 1][1]
+
+    def floats(self, count: int, what: str) -> list[float]:
+        """The next `count` words as finite numbers."""
+        return [parse_floats([self.take(f"a number of {what}")], self.where, what)[0] for _ in range(count)]
+
+    def header(self, keyword: str) -> int:
+        """The keyword that a file begins with, and the number behind it."""
+        word = self.take(keyword)
+        if word.upper() != keyword:
+            raise InputError(f"{self.where}: '{word[:40]}' stands where {keyword} belongs.")
+        return parse_int(self.take("a number"), self.where, f"the number behind {keyword}")

@@ -5,9 +5,11 @@ leaf bone in ASF) is read with a `fixed` joint at that end, named `<bone>.end`. 
 turn these joints back into what they came from, so that nothing multiplies.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..body.skeleton import Skeleton
 from ..geometry import rotation
 
 #: how the name of a joint at the end of a chain ends
@@ -40,3 +42,9 @@ def twist_orientations(centres: np.ndarray, parents: list[int]) -> np.ndarray:
             directions[joint] = directions[parent]
     x = jnp.tile(jnp.array([1.0, 0.0, 0.0]), (len(parents), 1))
     return np.asarray(rotation.shortest_arc(x, jnp.asarray(directions)))
+
+
+def with_twist_axes(skeleton: Skeleton) -> Skeleton:
+    """The same skeleton with the orientations of `twist_orientations`."""
+    orientations = twist_orientations(np.asarray(skeleton.centres), list(skeleton.parents))
+    return eqx.tree_at(lambda s: s.orientations, skeleton, jnp.asarray(orientations, skeleton.centres.dtype))
