@@ -1,5 +1,6 @@
 """Kineben's own formats: what goes out comes in again, and a wrong file is told by its line."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +8,7 @@ from hypothesis import strategies as st
 
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
+from jaxcap.geometry import rotation
 from jaxcap.io.cst import read_cst, write_cst
 from jaxcap.io.skl import read_skl, write_skl
 from jaxcap.io.vj import read_vj, write_vj
@@ -41,6 +43,10 @@ def test_a_skeleton_is_what_the_file_says(skl):
     assert skeleton.parents == (-1, 0, 1, 2)
     np.testing.assert_allclose(skeleton.centres, [[0, 1, 0], [0, 1, 0], [0.1, 0.5, -0.01], [0.1, 0.1, 0]])
     np.testing.assert_array_equal(skeleton.axes[2, 0], [0, 0, -1])
+    # a bone's own x axis points to its child, and a leaf goes on as its parent does
+    along = np.asarray(rotation.rotate(skeleton.orientations, jnp.tile(jnp.array([1.0, 0, 0]), (4, 1))))
+    bone = np.array([0, -0.4, 0.01]) / np.linalg.norm([0, -0.4, 0.01])
+    np.testing.assert_allclose(along[2:], [bone, bone], atol=1e-12)
 
 
 @given(seed=st.integers(0, 10**6), unit=st.sampled_from(["m", "mm", "in"]))

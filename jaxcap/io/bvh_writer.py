@@ -43,6 +43,8 @@ def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | 
             for translations, rotations, scale in zip(*poses, strict=True):
                 writer.write_arrays(translations, rotations, float(scale), count=False)
         os.replace(beside, path)
+    except InputError as error:
+        raise InputError(str(error).replace(str(beside), str(path))) from None
     finally:
         beside.unlink(missing_ok=True)
 
@@ -111,18 +113,18 @@ class BvhWriter:
                 f"{path}: cannot go on with this file, which was not begun with this skeleton, rate and unit; "
                 "start a new one."
             )
-        end = size
+        end, last = size, b""
         for line in self._file:
             if not line.endswith(b"\n") or len(line.split()) != self._width or self.frames == frames:
                 break
             end += len(line)
             self.frames += 1
-            self._last = line
+            last = line
         if frames is not None and self.frames < frames:
             self._file.close()
             raise InputError(f"{path}: there are {self.frames} whole frames in this file, not {frames}.")
         if self.frames:
-            self._previous = self._angles_of(self._last)
+            self._previous = self._angles_of(last)
         self._file.seek(end)
         self._file.truncate()
         self._rewrite_count()

@@ -37,13 +37,15 @@ class Scans(Sequence):
         if isinstance(frame, slice):
             numbers = range(len(self))[frame]
             return Scans([self.names[i] for i in numbers], lambda i: self._load(numbers[i]))
-        frame = range(len(self))[frame]
+        return self._scan(range(len(self))[frame])
+
+    def _scan(self, frame: int) -> Scan:
         points, normals = self._load(frame)
         check_points(points, self.names[frame])
         return Scan(self.names[frame], points, normals)
 
     def __iter__(self) -> Iterator[Scan]:
-        return (self[frame] for frame in range(len(self)))
+        return (self._scan(frame) for frame in range(len(self)))
 
 
 def read_clouds(
@@ -170,20 +172,21 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
         )
     if offsets is None and points.ndim == 2:
         offsets = np.array([0, len(points)])
-    flat = offsets is not None
-    if points.ndim != (2 if flat else 3) or points.shape[-1] != 3:
-        wanted = "(T, 3) with offsets" if flat else "(F, N, 3)"
+    if points.ndim != (3 if offsets is None else 2) or points.shape[-1] != 3:
+        wanted = "(F, N, 3)" if offsets is None else "(T, 3) with offsets"
         raise InputError(f"{path}: the points have the shape {points.shape}; it must be {wanted}.")
     if normals is not None and normals.shape != points.shape:
         raise InputError(f"{path}: the normals have the shape {normals.shape}, the points {points.shape}.")
-    if flat and not (offsets[0] == 0 and offsets[-1] == len(points) and (np.diff(offsets) >= 0).all()):
+    if offsets is not None and not (
+        offsets[0] == 0 and offsets[-1] == len(points) and (np.diff(offsets) >= 0).all()
+    ):
         raise InputError(f"{path}: the offsets must rise from 0 to the number of points, {len(points)}.")
-    count = len(offsets) - 1 if flat else len(points)
+    count = len(points) if offsets is None else len(offsets) - 1
     frames = _cut(list(range(count)), first, last, str(path))
 
     def load(index: int):
         frame = frames[index]
-        rows = slice(offsets[frame], offsets[frame + 1]) if flat else frame
+        rows = frame if offsets is None else slice(offsets[frame], offsets[frame + 1])
         here = np.asarray(points[rows], float) * metres
         if normals is not None:
             return here, np.asarray(normals[rows], float)

@@ -5,7 +5,7 @@ it; only STL, which has no shared vertices, is merged.
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -174,7 +174,7 @@ def _read_trimesh(path: Path):
     import trimesh
 
     try:
-        loaded = trimesh.load(path, process=False)
+        loaded: Any = trimesh.load(path, process=False)
         if isinstance(loaded, trimesh.Scene):
             loaded = loaded.to_geometry() if loaded.geometry else trimesh.Trimesh()
     except Exception as error:  # whatever a damaged file makes of a reader

@@ -4,6 +4,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -140,8 +141,8 @@ def _skeleton(arrays: dict[str, np.ndarray], path) -> Skeleton:
     if checked.names != tuple(names):
         raise InputError(f"{path}: a joint stands before its parent; this file was not written by save_body.")
     # the arrays as they are, so that a body comes back to the last bit
-    arrays = {name: jnp.asarray(values) for name, values in numbers.items()}
-    return Skeleton(names=checked.names, parents=checked.parents, kinds=checked.kinds, **arrays)
+    centres, orientations, axes = (jnp.asarray(numbers[name]) for name in shapes)
+    return Skeleton(checked.names, checked.parents, checked.kinds, centres, orientations, axes)
 
 
 def _save(path: str | Path, kind: str, arrays: Mapping) -> None:
@@ -150,7 +151,8 @@ def _save(path: str | Path, kind: str, arrays: Mapping) -> None:
         if values.dtype == object:
             raise InputError(f"{path}: '{name}' is not an array of numbers or text; it cannot be written.")
     with replacing(path) as beside, open(beside, "wb") as file:
-        np.savez_compressed(file, format=np.array(kind), version=np.array(VERSION), **plain)
+        everything: dict[str, Any] = {"format": np.array(kind), "version": np.array(VERSION), **plain}
+        np.savez_compressed(file, **everything)
 
 
 def load_arrays(path: str | Path) -> dict[str, np.ndarray]:

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..body.skeleton import Skeleton
-from ..geometry import rotation
 
 #: how the name of a joint at the end of a chain ends
 END = ".end"
@@ -40,8 +39,11 @@ def twist_orientations(centres: np.ndarray, parents: list[int]) -> np.ndarray:
             directions[joint] = along / length
         elif parent >= 0:
             directions[joint] = directions[parent]
-    x = jnp.tile(jnp.array([1.0, 0.0, 0.0]), (len(parents), 1))
-    return np.asarray(rotation.shortest_arc(x, jnp.asarray(directions)))
+    # the shortest arc from x, in NumPy: a file should not wait for a compiler
+    x, y, z = directions.T
+    arcs = np.stack([1.0 + x, 0.0 * x, -z, y], 1)
+    arcs[x < -1.0 + 1e-9] = [0.0, 0.0, 0.0, 1.0]
+    return arcs / np.linalg.norm(arcs, axis=1, keepdims=True)
 
 
 def with_twist_axes(skeleton: Skeleton) -> Skeleton:

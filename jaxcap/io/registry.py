@@ -1,0 +1,126 @@
+"""Which reader and writer belongs to which suffix: one table for each thing that is read.
+
+A new format is one line here.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+
+from ..body.body import Body
+from ..body.pose import Motion
+from ..body.skeleton import Skeleton
+from ..body.skinning import RigidSkin
+from ..errors import InputError
+from .amc import read_amc
+from .asf import read_asf
+from .bvh import read_bvh, write_bvh
+from .mesh import SUFFIXES, check_mesh, check_size, read_mesh
+from .npz import load_body, load_motion, load_skeleton, save_motion
+from .skl import read_skl, write_skl
+from .vj import read_vj
+
+#: suffix -> function of (path, unit)
+SKELETON_READERS: dict[str, Callable[[Path, Any], Skeleton]] = {
+    ".skl": read_skl,
+    ".bvh": lambda path, unit: read_bvh(path, unit)[0],
+    ".asf": lambda path, unit: read_asf(path).skeleton,
+    ".npz": lambda path, unit: load_skeleton(path),
+}
+SKELETON_WRITERS: dict[str, Callable[[Path, Skeleton, Any], None]] = {".skl": write_skl}
+MOTION_READERS: dict[str, Callable[[Path, Any], tuple[Skeleton, Motion]]] = {
+    ".bvh": read_bvh,
+    ".amc": lambda path, unit: _read_acclaim(path),
+    ".npz": lambda path, unit: (load_skeleton(path), load_motion(path)),
+}
+MOTION_WRITERS: dict[str, Callable[[Path, Skeleton, Motion, Any], None]] = {
+    ".bvh": write_bvh,
+    ".npz": lambda path, skeleton, motion, unit: save_motion(path, motion, skeleton),
+}
+#: the unit of a format's files where the caller says none; the others say it themselves
+DEFAULT_UNITS = {".bvh": "cm"}
+
+
+def read_skeleton(path: str | Path, unit: str | float | None = None) -> Skeleton:
+    """A skeleton from `.skl`, `.bvh`, `.asf`, or from a body or motion `.npz`.
+
+    `unit` is that of the file's lengths where the format does not say it: metres if not
+    given, centimetres in BVH. Raises `InputError` where the suffix is unknown or the file is
+    wrong.
+    """
+    return _of(SKELETON_READERS, path, "skeletons", "read")(Path(path), _unit(path, unit))
+
+
+def write_skeleton(path: str | Path, skeleton: Skeleton, unit: str | float | None = None) -> None:
+    """Write a skeleton as `.skl`; `unit` and errors as in `read_skeleton`."""
+    _of(SKELETON_WRITERS, path, "skeletons", "written")(Path(path), skeleton, _unit(path, unit))
+
+
+def read_motion(path: str | Path, unit: str | float | None = None) -> tuple[Skeleton, Motion]:
+    """A motion with its skeleton from `.bvh`, `.npz`, or `.amc` with the `.asf` beside it;
+    `unit` and errors as in `read_skeleton`."""
+    return _of(MOTION_READERS, path, "motions", "read")(Path(path), _unit(path, unit))
+
+
+def write_motion(
+    path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | float | None = None
+) -> None:
+    """Write a motion as `.bvh` or `.npz`; `unit` and errors as in `read_skeleton`."""
+    _of(MOTION_WRITERS, path, "motions", "written")(Path(path), skeleton, motion, _unit(path, unit))
+
+
+def read_body(
+    path: str | Path,
+    skeleton: str | Path | None = None,
+    parts: str | Path | None = None,
+    unit: str | float = "m",
+) -> Body:
+    """A body from one `.npz`, or from a mesh with a skeleton (`.skl`) and parts (`.vj`), whose
+    vertices then move rigidly with their bones (Kineben, section 4.2).
+
+    `unit` is that of mesh and skeleton. A mesh that cannot be a body's surface, or has no
+    body's size, is an `InputError`, as is any file that is wrong or missing.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".npz":
+        return load_body(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"{path}: bodies are not read from '{path.suffix}' files; use .npz or {', '.join(SUFFIXES)}."
+        )
+    if skeleton is None or parts is None:
+        raise InputError(
+            f"{path}: a mesh is a body only with a skeleton and parts; give a .skl and a .vj file, or rig it."
+        )
+    mesh = read_mesh(path, unit)
+    check_mesh(mesh, path)
+    check_size(float((mesh.vertices.max(0) - mesh.vertices.min(0)).max()), path, unit)
+    tree = read_skeleton(skeleton, unit)
+    bones = read_vj(parts, tree, len(mesh.vertices))
+    return Body(tree, RigidSkin(jnp.asarray(bones)), jnp.asarray(mesh.vertices), jnp.asarray(mesh.faces))
+
+
+def _of(table: dict[str, Any], path: str | Path, what: str, done: str) -> Any:
+    suffix = Path(path).suffix.lower()
+    if suffix not in table:
+        raise InputError(f"{path}: {what} are not {done} as '{suffix}' files; use {', '.join(table)}.")
+    return table[suffix]
+
+
+def _unit(path: str | Path, unit: str | float | None) -> str | float:
+    return DEFAULT_UNITS.get(Path(path).suffix.lower(), "m") if unit is None else unit
+
+
+def _read_acclaim(path: Path) -> tuple[Skeleton, Motion]:
+    """A motion with the skeleton in the same folder whose name it begins with: `02_05.amc`
+    goes with `02.asf`."""
+    folder = path.parent
+    fits = [asf for asf in folder.glob("*.asf") if path.stem.startswith(asf.stem)] if folder.is_dir() else []
+    if not fits:
+        raise InputError(
+            f"{path}: there is no .asf file beside it whose name it begins with, such as {path.stem}.asf."
+        )
+    asf = read_asf(max(fits, key=lambda found: len(found.stem)))
+    return asf.skeleton, read_amc(path, asf)
