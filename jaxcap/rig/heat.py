@@ -1,0 +1,115 @@
+"""Smooth skinning weights: heat that flows from the bones over the surface of a mesh."""
+
+import numpy as np
+import scipy.sparse as sparse
+from jaxtyping import Float, Int
+from scipy.sparse.linalg import splu
+
+from ..body.skeleton import Skeleton
+from .envelopes import bone_distances, default_tails
+
+#: bones that move one vertex, at most
+INFLUENCES = 4
+
+
+def heat_weights(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    skeleton: Skeleton,
+    tails: Float[np.ndarray, "J 3"] | None = None,
+    deforming: np.ndarray | None = None,
+    heat: float = 1.0,
+) -> Float[np.ndarray, "V J"]:
+    """Bone heat weights (Baran and Popovic 2007, section 4): the equilibrium `-Lw + Hw = Hp`.
+
+    `p_j` is one where bone `j` is a vertex's nearest, `H = heat / d^2` conducts heat from it over
+    the distance `d`, and `L` spreads it over the surface. A bone is seen only from vertices whose
+    normal points away from it, in place of the paper's test by rays.
+
+    **Arguments:** `tails (J, 3)` metres, `default_tails` where None; `deforming (J,)` of bool says
+    which bones move vertices, all where None; `heat`: the greater, the sharper the weights.
+
+    Returns weights of at most `INFLUENCES` bones a vertex; rows sum to one.
+    """
+    tails = default_tails(skeleton) if tails is None else tails
+    distances, feet = bone_distances(vertices, np.asarray(skeleton.centres, float), tails)
+    if deforming is not None:
+        distances = np.where(deforming, distances, np.inf)
+    laplacian, areas, normals = surface_operators(vertices, faces)
+    outward = np.einsum("vja,va->vj", vertices[:, None] - feet, normals) >= 0
+    seen = np.where(outward, distances, np.inf)
+    seen = np.where(np.isfinite(seen).any(axis=1, keepdims=True), seen, distances)
+    nearest = seen.min(axis=1)
+    sources = seen <= 1.0001 * nearest[:, None]
+    sources = sources / sources.sum(axis=1, keepdims=True)
+    shortest = 1e-3 * float(np.ptp(vertices, axis=0).max())
+    conduction = heat * areas / np.maximum(nearest, shortest) ** 2
+    return limit_influences(_equilibrium(laplacian, conduction, sources))
+
+
+def smooth_weights(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    weights: Float[np.ndarray, "V J"],
+    trust: Float[np.ndarray, "V"],
+    width: float,
+) -> Float[np.ndarray, "V J"]:
+    """Weights spread over the surface by about `width` metres, one implicit step of diffusion.
+
+    **Arguments:** `trust (V,)` from 0 to 1: a vertex without trust takes its weights from the
+    surface around it, however far it has to reach.
+
+    Returns weights of at most `INFLUENCES` bones a vertex; rows sum to one.
+    """
+    laplacian, areas, _ = surface_operators(vertices, faces)
+    # a little trust everywhere keeps pieces of the mesh with none of it solvable
+    return limit_influences(_equilibrium(width**2 * laplacian, areas * np.maximum(trust, 1e-4), weights))
+
+
+def limit_influences(
+    weights: Float[np.ndarray, "V J"], count: int = INFLUENCES, least: float = 1e-3
+) -> Float[np.ndarray, "V J"]:
+    """The `count` largest weights of every row, none under `least`; rows sum to one again."""
+    weights = np.maximum(weights, 0.0)
+    if weights.shape[1] > count:
+        bound = np.partition(weights, -count, axis=1)[:, -count, None]
+        weights = np.where(weights >= bound, weights, 0.0)
+    weights = np.where(weights >= np.minimum(least, weights.max(axis=1, keepdims=True)), weights, 0.0)
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def surface_operators(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[sparse.csc_matrix, Float[np.ndarray, "V"], Float[np.ndarray, "V 3"]]:
+    """The cotangent Laplacian (positive semidefinite), the areas (m^2) and the normals of vertices.
+
+    Obtuse and degenerate triangles would make weights negative or infinite, so cotangents are held
+    between 0.01 and 10: the maximum principle stands, and heat stays between zero and one.
+    """
+    count = len(vertices)
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = np.linalg.norm(across, axis=1)
+    laplacian = sparse.csc_matrix((count, count))
+    for i in range(3):
+        a, b = (corners[:, (i + k) % 3] - corners[:, i] for k in (1, 2))
+        cotangent = np.clip(np.sum(a * b, axis=1) / np.maximum(doubled, 1e-20), 0.01, 10.0)
+        first, second = faces[:, (i + 1) % 3], faces[:, (i + 2) % 3]
+        laplacian += sparse.csc_matrix((0.5 * cotangent, (first, second)), shape=(count, count))
+    laplacian = laplacian + laplacian.T
+    laplacian = sparse.diags(np.asarray(laplacian.sum(axis=1)).ravel()) - laplacian
+    areas, normals = np.zeros(count), np.zeros((count, 3))
+    for i in range(3):
+        np.add.at(areas, faces[:, i], doubled / 6)
+        np.add.at(normals, faces[:, i], across)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    areas = np.maximum(areas, 1e-6 * areas.mean())
+    return sparse.csc_matrix(laplacian), areas, normals / np.where(lengths > 0, lengths, 1.0)
+
+
+def _equilibrium(
+    laplacian: sparse.csc_matrix, conduction: Float[np.ndarray, "V"], sources: Float[np.ndarray, "V J"]
+) -> Float[np.ndarray, "V J"]:
+    """`w` with `(L + C) w = C s`, one sparse factorisation for all bones."""
+    system = splu(sparse.csc_matrix(laplacian + sparse.diags(conduction)))
+    return system.solve(conduction[:, None] * sources)

@@ -1,0 +1,196 @@
+"""Registration of the template to a surface: closest points both ways, and Gauss-Newton."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from ..body.body import Posed
+from ..body.pose import Pose, rest_pose
+from ..geometry import rotation
+from .template import (
+    Build,
+    Template,
+    average_build,
+    linearise_template,
+    move,
+    pose_template,
+    prior_spreads,
+)
+
+#: metres between points that are as far apart as opposite normals are, over two
+NORMAL_SCALE = 0.1
+#: points sampled on the surface
+SAMPLES = 4000
+#: starts around the vertical
+HEADINGS = 8
+#: weight of distances along the surface against those across it
+SLIDE = 0.1
+#: metres; what a surface fits to at best
+NOISE = 0.015
+#: how many independent distances a surface is worth against the prior
+EVIDENCE = 300.0
+#: scale (metres) of the robust weight in each step, for every start, and then for the best ones
+COARSE = tuple(np.geomspace(0.25, 0.1, 8))
+FINE = tuple(np.geomspace(0.12, 0.03, 22)) + (0.03,) * 8
+#: starts that are refined
+FINALISTS = 2
+#: metres; closest points are cut off here in the residual
+CUT = 0.1
+
+
+class Surface(NamedTuple):
+    """Points spread evenly over a surface, and its unit normals there."""
+
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+
+
+class Registration(NamedTuple):
+    """A build and a pose of the template, and how far it is from the surface: the mean over both
+    surfaces of the distance, metres, to the closest point with a like normal."""
+
+    build: Build
+    pose: Pose
+    residual: float
+
+
+def sample_surface(vertices: Float[np.ndarray, "V 3"], faces: np.ndarray, count: int = SAMPLES) -> Surface:
+    """Points at random over a surface, the same in every call."""
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(across, axis=1)
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(len(faces), count, p=areas / areas.sum())
+    shares = rng.dirichlet(np.ones(3), count)
+    points = np.einsum("nc,nca->na", shares, corners[chosen])
+    return Surface(points, across[chosen] / areas[chosen, None])
+
+
+def register(template: Template, surface: Surface) -> Registration:
+    """Fit build and pose of a template to a person who stands upright, y up, in an A-pose or nearly so.
+
+    Which way the person looks is not known: `HEADINGS` starts around the vertical are fitted
+    coarsely, and of those the best `FINALISTS` finely. Distances are weighted as by Geman and
+    McClure with a scale that falls; build and pose are held by normal priors around the average
+    build at rest.
+    """
+    search = _tree(surface.points, surface.normals)
+    starts = [
+        _descend(template, surface, search, *_start(template, surface, 2 * np.pi * i / HEADINGS), COARSE)
+        for i in range(HEADINGS)
+    ]
+    starts.sort(key=lambda start: start.residual)
+    ends = [
+        _descend(template, surface, search, start.build, start.pose, FINE) for start in starts[:FINALISTS]
+    ]
+    return min(ends, key=lambda end: end.residual)
+
+
+def _start(template: Template, surface: Surface, heading: float) -> tuple[Build, Pose]:
+    """As tall as the surface, amid it, turned about the vertical."""
+    low, high = surface.points.min(0), surface.points.max(0)
+    rest = np.asarray(template.body.vertices)
+    size = (high[1] - low[1]) / np.ptp(rest[:, 1])
+    build = average_build(template)
+    build = Build(jnp.asarray(np.log(size), build.size.dtype), build.builds, build.lengths, build.girths)
+    pose = rest_pose(template.body.skeleton)
+    turn = rotation.about_axis(jnp.array([0.0, 1.0, 0.0], rest.dtype), jnp.asarray(heading, rest.dtype))
+    root = np.asarray(template.body.skeleton.centres[0])
+    # the root lies amid the body, its height over the soles grows with the size
+    place = np.median(surface.points, axis=0)
+    place[1] = low[1] + size * (root[1] - rest[:, 1].min())
+    shift = jnp.asarray(place - size * root, rest.dtype)
+    return build, Pose(
+        pose.translations.at[0].set(shift), pose.rotations.at[0].set(turn), pose.scale
+    )
+
+
+def _descend(
+    template: Template,
+    surface: Surface,
+    search: cKDTree,
+    build: Build,
+    pose: Pose,
+    scales: tuple[float, ...],
+) -> Registration:
+    spreads = prior_spreads(template)
+    areas = _vertex_areas(template)
+    # the size is measured by the start, which knows the height, so that the prior holds it there
+    size = float(build.size)
+    for scale in scales:
+        posed, jacobian = linearise_template(template, build, pose)
+        matrices, pulls = _attraction(posed, areas, surface, search, scale)
+        columns = np.asarray(jacobian, float).reshape(len(areas), 3, -1)
+        weighted = np.einsum("vab,vbx->vax", matrices, columns)
+        normal = np.tensordot(columns, weighted, ((0, 1), (0, 1)))
+        gradient = np.tensordot(columns, pulls, ((0, 1), (0, 1)))
+        offset = _offset(template, build, pose, size)
+        normal += np.diag(1 / spreads**2)
+        gradient -= offset / spreads**2
+        step = np.linalg.solve(normal, gradient)
+        step *= min(1.0, 0.5 / np.abs(step).max())
+        build, pose = move(template, build, pose, jnp.asarray(step, posed.vertices.dtype))
+    posed = pose_template(template, build, pose)
+    return Registration(build, pose, _residual(posed, areas, surface, search))
+
+
+def _attraction(
+    posed: Posed, areas: np.ndarray, surface: Surface, search: cKDTree, scale: float
+) -> tuple[Float[np.ndarray, "V 3 3"], Float[np.ndarray, "V 3"]]:
+    """The quadratic energy of every vertex about where it is, `d' A d - 2 b' d`: its own closest
+    point on the surface, and the points of the surface to which it is the closest vertex."""
+    vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
+    _, closest = search.query(_features(vertices, normals))
+    _, owner = _tree(vertices, normals).query(_features(surface.points, surface.normals))
+    source = np.concatenate([np.arange(len(vertices)), owner])
+    target = np.concatenate([closest, np.arange(len(surface.points))])
+    share = np.concatenate([areas / areas.sum(), np.full(len(owner), 1 / len(owner))])
+    gap = surface.points[target] - vertices[source]
+    n = surface.normals[target]
+    agreement = np.maximum(np.sum(n * normals[source], axis=1), 0.0)
+    robust = (scale**2 / (scale**2 + np.sum(gap * gap, axis=1))) ** 2
+    weight = 0.5 * EVIDENCE / (NOISE**2 + scale**2 / 4) * share * agreement * robust
+    local = weight[:, None, None] * (n[:, :, None] * n[:, None, :] + SLIDE * np.eye(3))
+    matrices, pulls = np.zeros((len(vertices), 3, 3)), np.zeros((len(vertices), 3))
+    np.add.at(matrices, source, local)
+    np.add.at(pulls, source, np.einsum("nab,nb->na", local, gap))
+    return matrices, pulls
+
+
+def _residual(posed: Posed, areas: np.ndarray, surface: Surface, search: cKDTree) -> float:
+    vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
+    there, _ = search.query(_features(vertices, normals))
+    back, _ = _tree(vertices, normals).query(_features(surface.points, surface.normals))
+    return float(0.5 * np.average(np.minimum(there, CUT), weights=areas) + 0.5 * np.minimum(back, CUT).mean())
+
+
+def _offset(template: Template, build: Build, pose: Pose, size: float) -> Float[np.ndarray, "X"]:
+    """How far a build and a pose are from the prior's middle; the root, which is free, is not."""
+    from ..body.pose import difference
+
+    skeleton = template.body.skeleton
+    d = np.asarray(difference(skeleton, rest_pose(skeleton), pose), float).copy()
+    d[:6] = 0.0
+    builds = [np.asarray(part, float) for part in (build.builds, build.lengths, build.girths)]
+    return np.concatenate([d, [float(build.size) - size], *builds])
+
+
+def _vertex_areas(template: Template) -> Float[np.ndarray, "V"]:
+    vertices, faces = np.asarray(template.body.vertices, float), np.asarray(template.body.faces)
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.zeros(len(vertices))
+    np.add.at(areas, faces.ravel(), np.repeat(np.linalg.norm(across, axis=1) / 6, 3))
+    return areas
+
+
+def _features(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "N 6"]:
+    """Where points are close and their normals alike, these are close."""
+    return np.concatenate([points, NORMAL_SCALE * normals], axis=1)
+
+
+def _tree(points: np.ndarray, normals: np.ndarray) -> cKDTree:
+    return cKDTree(_features(points, normals))

@@ -1,0 +1,161 @@
+"""A human of unknown build and pose, as one function of a flat vector: what a registration fits."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body, Posed, pose_body
+from ..body.human import human
+from ..body.kinematics import Transforms
+from ..body.pose import Pose, retract
+from ..body.skeleton import dof_layout
+
+#: people whose differences from the average one span the builds, as options of `human`
+BUILDS = (
+    ({"sex": 1.0}, {"sex": 0.0}),
+    ({"weight": 1.0}, {"weight": 0.0}),
+    ({"muscle": 1.0}, {"muscle": 0.0}),
+    ({"height": 1.85}, {"height": 1.60}),
+)
+TRUNK = ("Hips", "LowerBack", "Spine", "Spine1")
+AVERAGE = {"sex": 0.5}
+#: standard deviations (radians) of joints from rest, by what is in their names, first match
+STIFFNESS = (
+    ("Shoulder", 0.15), ("ForeArm", 0.4), ("Arm", 0.5), ("Hand", 0.25), ("UpLeg", 0.3), ("Leg", 0.25),
+    ("Foot", 0.2), ("Toe", 0.1), ("Neck", 0.12), ("Head", 0.12), ("Back", 0.1), ("Spine", 0.1),
+)  # fmt: skip
+LENGTH_SPREAD, GIRTH_SPREAD, SIZE_SPREAD, BUILD_SPREAD = 0.06, 0.12, 0.1, 0.7
+ROOT_SPREAD = 3.0
+
+
+class Template(eqx.Module):
+    """The average human, its builds, and which bones stretch together."""
+
+    body: Body
+    #: changes of vertices and joint centres with each build, metres
+    build_vertices: Float[Array, "K V 3"]
+    build_centres: Float[Array, "K J 3"]
+    #: which bones are stretched alike: left and right, and the whole trunk
+    groups: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def num_groups(self) -> int:
+        return max(self.groups) + 1
+
+
+class Build(eqx.Module):
+    """A person's build, zero for the average one."""
+
+    size: Float[Array, ""]
+    builds: Float[Array, "K"]
+    #: logarithms of the stretch along and across the bones of a group
+    lengths: Float[Array, "G"]
+    girths: Float[Array, "G"]
+
+
+@functools.lru_cache(maxsize=2)
+def load_template(resolution: str) -> Template:
+    """The template at one resolution of `human`."""
+    average = human(resolution=resolution, joints="tracking", **AVERAGE)
+    pairs = [
+        [human(resolution=resolution, **{**AVERAGE, **options}) for options in pair] for pair in BUILDS
+    ]
+    names = [name.removeprefix("Left").removeprefix("Right") for name in average.skeleton.names]
+    names = ["trunk" if name in TRUNK else name.lstrip("LR") if "HipJoint" in name else name for name in names]
+    names = ["Neck" if name.startswith("Neck") else name for name in names]
+    names = ["Hand" if "Thumb" in name or "Finger" in name else name for name in names]
+    return Template(
+        average,
+        jnp.stack([0.5 * (a.vertices - b.vertices) for a, b in pairs]),
+        jnp.stack([0.5 * (a.skeleton.centres - b.skeleton.centres) for a, b in pairs]),
+        tuple(sorted(set(names)).index(name) for name in names),
+    )
+
+
+def average_build(template: Template) -> Build:
+    """The build of the template as it is."""
+    zeros = jnp.zeros(template.num_groups, template.body.vertices.dtype)
+    return Build(zeros[0], zeros[: len(BUILDS)], zeros, zeros)
+
+
+def build_body(template: Template, build: Build) -> Body:
+    """The template's body with another build, at rest.
+
+    First the builds are blended, then every bone is stretched about its joint, `girth` across and
+    `length` along it, and carries the joints that hang on it; its vertices follow by their weights.
+    """
+    skeleton = template.body.skeleton
+    size = jnp.exp(build.size)
+    centres = size * (skeleton.centres + jnp.einsum("k,kja->ja", build.builds, template.build_centres))
+    vertices = size * (template.body.vertices + jnp.einsum("k,kva->va", build.builds, template.build_vertices))
+    along = _bone_directions(template)
+    groups = np.array(template.groups)
+    length, girth = jnp.exp(build.lengths)[groups], jnp.exp(build.girths)[groups]
+    across = jnp.eye(3, dtype=along.dtype) - along[:, :, None] * along[:, None, :]
+    stretch = girth[:, None, None] * across + length[:, None, None] * (jnp.eye(3, dtype=along.dtype) - across)
+    parents = np.array(skeleton.parents)
+    above = np.maximum(parents, 0)
+    offsets = jnp.einsum("jab,jb->ja", stretch[above], centres - centres[above])
+    offsets = jnp.where(parents[:, None] < 0, centres, offsets)
+    moved = jnp.asarray(skeleton.descent.T, offsets.dtype) @ offsets
+    bones = Transforms(stretch, moved - jnp.einsum("jab,jb->ja", stretch, centres))
+    skin = template.body.skin
+    shaped = skin.deform(vertices, skeleton, None, bones)  # type: ignore[arg-type]  # linear skins need no pose
+    skeleton = eqx.tree_at(lambda s: s.centres, skeleton, moved)
+    return Body(skeleton, skin, shaped, template.body.faces)
+
+
+def move(template: Template, build: Build, pose: Pose, step: Float[Array, "X"]) -> tuple[Build, Pose]:
+    """Another build and pose along a flat vector: tangent of the pose, size, builds, lengths, girths."""
+    dofs, groups = template.body.skeleton.num_dofs, template.num_groups
+    cuts = np.cumsum([dofs, 1, len(BUILDS), groups])
+    d, size, builds, lengths, girths = jnp.split(step, cuts)
+    build = Build(build.size + size[0], build.builds + builds, build.lengths + lengths, build.girths + girths)
+    return build, retract(template.body.skeleton, pose, d)
+
+
+def pose_template(template: Template, build: Build, pose: Pose) -> Posed:
+    """The template of some build in some pose."""
+    return pose_body(build_body(template, build), pose)
+
+
+@eqx.filter_jit
+def linearise_template(
+    template: Template, build: Build, pose: Pose
+) -> tuple[Posed, Float[Array, "V 3 X"]]:
+    """The posed template, and the derivative of its vertices by `move`'s vector."""
+
+    def vertices(step):
+        posed = pose_template(template, *move(template, build, pose, step))
+        return posed.vertices, posed
+
+    size = template.body.skeleton.num_dofs + 1 + len(BUILDS) + 2 * template.num_groups
+    jacobian, posed = jax.jacfwd(vertices, has_aux=True)(jnp.zeros(size, template.body.vertices.dtype))
+    return posed, jacobian
+
+
+def prior_spreads(template: Template) -> Float[np.ndarray, "X"]:
+    """Standard deviations of `move`'s numbers from the average build at rest."""
+    skeleton = template.body.skeleton
+    layout = dof_layout(skeleton)
+    joints = np.array([_stiffness(name) for name in skeleton.names])
+    pose = np.where(np.array(skeleton.parents)[layout.joints] < 0, ROOT_SPREAD, joints[layout.joints])
+    groups = np.ones(template.num_groups)
+    return np.concatenate(
+        [pose, [SIZE_SPREAD], np.full(len(BUILDS), BUILD_SPREAD), LENGTH_SPREAD * groups, GIRTH_SPREAD * groups]
+    )
+
+
+def _stiffness(name: str) -> float:
+    return next((spread for part, spread in STIFFNESS if part in name), 0.1)
+
+
+def _bone_directions(template: Template) -> Float[Array, "J 3"]:
+    """The x axes of the joints' own frames, which lie along the bones."""
+    w, x, y, z = template.body.skeleton.orientations.T
+    return jnp.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], 1)
+
