@@ -1,16 +1,96 @@
 """What sensors saw."""
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+from .errors import InputError
+from .geometry.normals import estimate_normals
 
 
 class Cloud(eqx.Module):
     """Points with unit normals and weights, metres; weight zero means padding.
 
     One frame is `(N, ...)`. A sequence is a list of clouds, or one cloud with a leading
-    axis of frames, `(F, N, ...)`.
+    axis of frames, `(F, N, ...)`. A normal of zero is one that is not known.
     """
 
     points: Float[Array, "*frames N 3"]
     normals: Float[Array, "*frames N 3"]
     weights: Float[Array, "*frames N"]
+
+
+def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -> Cloud:
+    """A checked `Cloud`, padded so that clouds of about the same size compile once.
+
+    **Arguments:** `points (N, 3)` metres; `normals (N, 3)` of any length, estimated from the
+    points where not given; `weights (N,)`, one where not given; `name` for messages.
+
+    **Raises:** `InputError` with one sentence for an empty cloud, a coordinate that is not
+    finite, a negative weight, or arrays of different lengths.
+    """
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1:] != (3,):
+        raise InputError(f"{name} has an array of shape {points.shape}; points come as (N, 3).")
+    if len(points) == 0:
+        raise InputError(f"{name} is empty: it has no points.")
+    bad = np.flatnonzero(~np.isfinite(points).all(1))
+    if bad.size:
+        raise InputError(
+            f"{name} has {bad.size} points that are not finite, the first of them point {bad[0]}; remove them."
+        )
+    normals = estimate_normals(points) if normals is None else np.asarray(normals, float)
+    weights = np.ones(len(points)) if weights is None else np.asarray(weights, float)
+    if normals.shape != points.shape or weights.shape != points.shape[:1]:
+        raise InputError(
+            f"{name} has {len(points)} points, but normals of shape {normals.shape} and weights of "
+            f"shape {weights.shape}; give one of each for every point."
+        )
+    if not (weights >= 0).all():
+        raise InputError(f"{name} has a weight below zero or not finite; weights are at least zero.")
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(np.isfinite(lengths) & (lengths > 0), normals / np.where(lengths > 0, lengths, 1), 0.0)
+    extra = padded_size(len(points)) - len(points)
+    # padding lies on the first point, so that boxes around the points stay as they are
+    return Cloud(
+        jnp.asarray(np.concatenate([points, np.repeat(points[:1], extra, 0)])),
+        jnp.asarray(np.pad(normals, ((0, extra), (0, 0)))),
+        jnp.asarray(np.pad(weights, (0, extra))),
+    )
+
+
+def padded_size(count: int) -> int:
+    """The next size on the ladder 64, 80, 96, 112, 128, 160, ...: four rungs to a doubling."""
+    rung = 16
+    while True:
+        for quarters in (4, 5, 6, 7):
+            if count <= rung * quarters:
+                return rung * quarters
+        rung *= 2
+
+
+def stack_clouds(clouds: list[Cloud]) -> Cloud:
+    """Clouds of one or of several sizes as one with a leading axis of frames."""
+    size = max(cloud.points.shape[0] for cloud in clouds)
+
+    def padded(leaf):
+        return jnp.pad(leaf, ((0, size - leaf.shape[0]),) + ((0, 0),) * (leaf.ndim - 1), mode="edge")
+
+    return Cloud(
+        jnp.stack([padded(cloud.points) for cloud in clouds]),
+        jnp.stack([padded(cloud.normals) for cloud in clouds]),
+        jnp.stack([jnp.pad(cloud.weights, (0, size - cloud.weights.shape[0])) for cloud in clouds]),
+    )
+
+
+def thin_cloud(cloud: Cloud, count: int, seed: int = 0) -> Cloud:
+    """A random `count` of the points of one frame, drawn by weight; padded as `make_cloud` does."""
+    weights = np.asarray(cloud.weights, float)
+    size = padded_size(count)
+    chosen = np.random.default_rng(seed).choice(
+        len(weights), min(count, int((weights > 0).sum())), replace=False, p=weights / weights.sum()
+    )
+    index = np.pad(chosen, (0, size - len(chosen)), mode="edge")
+    kept = jnp.asarray(np.arange(size) < len(chosen), cloud.weights.dtype)
+    return Cloud(cloud.points[index], cloud.normals[index], kept)

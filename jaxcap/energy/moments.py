@@ -36,15 +36,12 @@ def rigid_moments(
     weights: Float[Array, "C"],
     num_bones: int,
 ) -> RigidMoments:
-    """The statistics of pairs `rest (C, 3)` on `bones (C,)` and `points (C, 3)`, metres.
-    """
+    """The statistics of pairs `rest (C, 3)` on `bones (C,)` and `points (C, 3)`, metres."""
     total = jax.ops.segment_sum(weights, bones, num_bones)
     safe = jnp.where(total > 0, total, 1.0)[:, None]
     origins = jax.ops.segment_sum(weights[:, None] * rest, bones, num_bones) / safe
     places = jax.ops.segment_sum(weights[:, None] * points, bones, num_bones) / safe
-    stacked = jnp.concatenate(
-        [rest - origins[bones], jnp.ones_like(rest[:, :1]), points - places[bones]], 1
-    )
+    stacked = jnp.concatenate([rest - origins[bones], jnp.ones_like(rest[:, :1]), points - places[bones]], 1)
     products = weights[:, None, None] * stacked[:, :, None] * stacked[:, None, :]
     moments = jax.ops.segment_sum(products, bones, num_bones)
     return RigidMoments(_semidefinite_factor(moments), origins, places)

@@ -63,9 +63,7 @@ def anneal_all(
     return jax.tree.map(lambda leaf: leaf[order], poses), scores[order]
 
 
-def turned_starts(
-    tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]
-) -> Pose:
+def turned_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]) -> Pose:
     """A pose turned about the vertical `up` in `count` equal steps and moved so that the middles
     of surface and cloud meet; `(count, ...)`. The middle is a median, which outliers do not move."""
     posed = pose_body(tracker.body, pose)

@@ -62,7 +62,9 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         info = information(args, y)
         zero = jnp.zeros(info.jac.in_size(), info.residual.dtype)
         search_state = self.search.init(zero, info)
-        first = self.descent.step(jnp.ones((), zero.dtype), self.descent.query(zero, info, self.descent.init(zero, info)))
+        first = self.descent.step(
+            jnp.ones((), zero.dtype), self.descent.query(zero, info, self.descent.init(zero, info))
+        )
         return SolverState(
             step=first[0],
             info=info,
@@ -78,7 +80,12 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         candidate = args.retract(y, args.scales() * state.step)
         info_there = information(args, candidate)
         step_size, accept, _, search_state = self.search.step(
-            jnp.array(False), jnp.zeros_like(state.step), state.step, state.info, info_there, state.search_state
+            jnp.array(False),
+            jnp.zeros_like(state.step),
+            state.step,
+            state.info,
+            info_there,
+            state.search_state,
         )
         before, after = state.info.as_min(), info_there.as_min()
         small = self.norm(state.step) < self.atol
@@ -107,9 +114,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"history": state.history}
 
 
-def information(
-    problem: AbstractProblem, y
-) -> optx.FunctionInfo.ResidualJac:  # pyright: ignore[reportInvalidTypeForm]
+def information(problem: AbstractProblem, y) -> optx.FunctionInfo.ResidualJac:  # pyright: ignore[reportInvalidTypeForm]
     """Residual and Jacobian, by scaled tangents, as optimistix's searches and descents take them."""
     residual, jacobian = problem.linearise(y)
     return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian * problem.scales()))

@@ -3,14 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..observe import Cloud
 from .nearest import nearest_vertices
 from .parts import Parts
 
-#: Density of a part that has no compatible vertex, as a share of the uniform density on the
-#: scene's box: the epsilon of Kineben, eq. 20. It is also the least share of outliers.
+#: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without
+#: which a point with no compatible vertex would have no posterior.
 EPSILON = 1e-9
 
 
@@ -50,10 +51,13 @@ def posterior(
     """Posterior of every part and of the outlier class at every point (Kineben, eqs. 20, 21).
 
     The mixture is `p(y) = (1 - w) sum_k prior_k p_k(y) + w / V` with `w` the share `outlier`
-    and `V` the `box_volume`. `p_k` is the isotropic normal density with deviation `sigma`
-    about the part's nearest vertex with a compatible normal. Where there is none it is
-    `EPSILON / V`; what that explains is counted in the outlier class, as it has no vertex to
-    pull. A posterior is constant in its M-step, so no derivative flows through it; the slope
+    (at least `EPSILON`) and `V` the `box_volume`. `p_k` is the isotropic normal density with
+    deviation `sigma` about the part's nearest vertex with a compatible normal, and zero where
+    there is none; the uniform density of eq. 20 for that case is the outlier class's, as it has
+    no vertex to pull. A part whose density falls below the outlier class's by more than the
+    precision of a number counts as zero, so that far parts need not be searched.
+
+    A posterior is constant in its M-step, so no derivative flows through it; the slope
     of `log_density` is that of the M-step's bound (Fisher's identity).
 
     **Arguments:** posed `vertices (V, 3)` in metres and unit `normals (V, 3)`; `cloud`, whose
@@ -66,17 +70,20 @@ def posterior(
     """
     vertices, normals, cloud, sigma = jax.lax.stop_gradient((vertices, normals, cloud, jnp.asarray(sigma)))
     dtype = cloud.points.dtype
-    squared, nearest = nearest_vertices(parts, vertices, normals, cloud, normal_threshold=normal_threshold)
     if priors is None:
         present = jnp.array([count > 0 for count in parts.blocks_of_part])
         priors = present / jnp.sum(present)
     share = jnp.maximum(jnp.asarray(outlier, dtype), EPSILON)
     log_shares = jnp.log(priors.astype(dtype)) + jnp.log1p(-share)
     log_normaliser = -1.5 * jnp.log(2 * jnp.pi * sigma**2).astype(dtype)
+    log_outlier = jnp.log(share) - jnp.log(jnp.asarray(box_volume, dtype))
+    # at this distance exp(-d^2 / (2 sigma^2)) has sunk below rounding, against the outlier class
+    negligible = np.log(1e-3 * np.finfo(dtype).eps)
+    reach = sigma * jnp.sqrt(2 * (jnp.maximum(log_normaliser - log_outlier, 0.0) - negligible))
+    squared, nearest = nearest_vertices(
+        parts, vertices, normals, cloud, normal_threshold=normal_threshold, reach=reach
+    )
     log_parts = log_shares[:, None] + log_normaliser - squared / (2 * sigma**2).astype(dtype)
-    log_box = jnp.log(jnp.asarray(box_volume, dtype))
-    missing = jnp.sum(jnp.where(jnp.isfinite(squared), 0.0, priors[:, None].astype(dtype)), 0)
-    log_outlier = jnp.log(share + (1 - share) * EPSILON * missing) - log_box
     highest = jnp.maximum(jnp.max(log_parts, 0), log_outlier)
     unscaled = jnp.exp(log_parts - highest)
     total = jnp.sum(unscaled, 0) + jnp.exp(log_outlier - highest)

@@ -54,9 +54,7 @@ def _evaluate(pose: Pose, problem: PoseProblem) -> Float[Array, "R"]:
 
 @eqx.filter_custom_jvp
 def _minimum(problem, start, solver, max_steps):
-    solution = optx.least_squares(
-        _evaluate, solver, start, args=problem, max_steps=max_steps, throw=False
-    )
+    solution = optx.least_squares(_evaluate, solver, start, args=problem, max_steps=max_steps, throw=False)
     return solution.value, (solution.stats["history"], solution.stats["num_steps"], solution.result)
 
 
@@ -70,9 +68,7 @@ def _implicit(primals, tangents):
     hessian = jax.jacfwd(lambda d: _gradient(problem, pose, d))(zero)
     _, change = eqx.filter_jvp(lambda p: _gradient(p, pose, zero), (problem,), (tangents[0],))
     step = -jnp.linalg.solve(hessian, change)
-    _, pose_tangent = eqx.filter_jvp(
-        lambda p, d: _moved(p, pose, d), (problem, zero), (tangents[0], step)
-    )
+    _, pose_tangent = eqx.filter_jvp(lambda p, d: _moved(p, pose, d), (problem, zero), (tangents[0], step))
     return (pose, stats), (pose_tangent, jax.tree.map(lambda _: None, stats))
 
 

@@ -10,7 +10,16 @@ from ..body.pose import Pose, difference, rest_pose, retract
 from ..energy.prior import PosePrior, tangent_deviations
 from ..energy.term import AbstractEnergy, Sum
 from ..observe import Cloud
-from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, frame_statistics, make_mixture, uniform_priors
+from .em import (
+    Estimate,
+    FrameStatistics,
+    Mixture,
+    box_volume,
+    em_step,
+    frame_statistics,
+    make_mixture,
+    uniform_priors,
+)
 from .parts import Parts, make_parts
 
 

@@ -1,0 +1,208 @@
+"""Track whole sequences: the first frame, lost frames, streams and batches."""
+
+import warnings
+from collections.abc import Iterable, Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from ..body.body import Body
+from ..body.pose import Motion, Pose, rest_pose, stack_poses
+from ..body.reduce import reduce_body
+from ..energy.prior import tangent_deviations
+from ..observe import Cloud, thin_cloud
+from .em import FrameStatistics
+from .initialise import FINE, anneal_all, initialise, perturbed_starts, subtree_starts
+from .track import Tracker, TrackState, make_tracker, start_state, track_frame
+
+#: size of the body and of the cloud with which starts are searched
+COARSE_VERTICES, COARSE_POINTS = 1500, 1000
+#: falls of a frame's mean log-likelihood below the usual: one that is worth a search, and one
+#: that means the frame is lost
+DOUBT, LOSS = 0.3, 1.0
+#: share of points beyond the expected outliers that a first frame may leave unexplained
+FIRST_SHARE = 0.25
+#: frames until the next search, where one has found nothing better
+PATIENCE = 3
+
+_track_frame = eqx.filter_jit(track_frame)
+
+
+class TrackedFrame(eqx.Module):
+    """One frame of a tracked sequence."""
+
+    pose: Pose
+    statistics: FrameStatistics
+    #: the frame is not explained by the body, and its pose is not to be trusted
+    lost: bool
+    #: what the next frame starts from; all that is needed to go on after a stop
+    state: TrackState
+    #: usual log-likelihood by the good frames so far, and how many frames to wait before
+    #: the next search
+    usual: tuple[float, float]
+
+
+def coarse_tracker(tracker: Tracker) -> Tracker:
+    """The same tracker with fewer vertices, for searches."""
+    body = reduce_body(tracker.body, COARSE_VERTICES)
+    return make_tracker(body, tracker.mixture, tracker.terms)
+
+
+def track_frames(
+    tracker: Tracker,
+    clouds: Iterable[Cloud],
+    start: Pose | TrackedFrame | None = None,
+    *,
+    search: bool = False,
+    sigma: float = 0.1,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+) -> Iterator[TrackedFrame]:
+    """Track a stream of clouds; yields a frame as soon as it is done.
+
+    **Arguments:** `start` is the pose to begin at, rest where not given, or the last
+    `TrackedFrame` of a run that was stopped; with `search` the first pose is found by
+    `initialise`; `sigma` metres is the deviation that the first frame starts with
+    (Kineben's sigma0); `up` is the vertical of the scene.
+
+    A frame that its forerunner does not lead to is searched for by many perturbed starts
+    side by side; where none explains the cloud it is marked `lost`, and tracking goes on.
+    """
+    coarse = None
+    frame = start if isinstance(start, TrackedFrame) else None
+    for number, cloud in enumerate(clouds):
+        if frame is None:
+            pose = rest_pose(tracker.body.skeleton) if start is None else start
+            if search:
+                coarse = coarse_tracker(tracker)
+                pose, _ = initialise(coarse, thin_cloud(cloud, COARSE_POINTS), up=up)
+                sigma = 0.03
+            frame = _first_frame(tracker, cloud, pose, sigma)
+        else:
+            state, statistics = _track_frame(tracker, frame.state, cloud)
+            frame = _judge(frame.usual, state, statistics)
+        if _doubtful(frame):
+            coarse = coarse_tracker(tracker) if coarse is None else coarse
+            frame = _recover(tracker, coarse, frame, cloud, jax.random.key(number))
+        yield frame
+
+
+def track(
+    body: Body,
+    clouds: Iterable[Cloud],
+    start: Pose | None = None,
+    *,
+    rate: float = 30.0,
+    tracker: Tracker | None = None,
+    search: bool = False,
+) -> Motion:
+    """The motion of a body through a sequence of clouds (Kineben, section 3.3).
+
+    **Arguments:** `clouds` from `make_cloud`, one a frame; `start` a pose near that of the first
+    frame, or `search=True`; `rate` frames a second; `tracker` for other settings than the
+    usual. Lost frames are named in a warning; `track_frames` tells more about each frame.
+    """
+    tracker = make_tracker(body) if tracker is None else tracker
+    frames = list(track_frames(tracker, clouds, start, search=search))
+    lost = [number for number, frame in enumerate(frames) if frame.lost]
+    if lost:
+        warnings.warn(
+            f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost[:20]))}.", stacklevel=2
+        )
+    return stack_poses([frame.pose for frame in frames], rate)
+
+
+def scan_track(
+    tracker: Tracker, state: TrackState, clouds: Cloud
+) -> tuple[TrackState, tuple[Pose, FrameStatistics]]:
+    """Track clouds stacked over frames `(F, N, ...)` in one `lax.scan`: pure, for use under
+    `jit` and for batches. Nothing is searched for; judge the statistics."""
+
+    def step(state, cloud):
+        state, statistics = track_frame(tracker, state, cloud)
+        return state, (state.estimate.pose, statistics)
+
+    return jax.lax.scan(step, state, clouds)
+
+
+@eqx.filter_jit
+def fit_batch(
+    tracker: Tracker, starts: Pose, clouds: Cloud, *, sigma: float = 0.1, batch_size: int | None = None
+) -> tuple[Pose, FrameStatistics]:
+    """Fit many independent clouds `(B, N, ...)` or sequences `(B, F, N, ...)` at once.
+
+    **Arguments:** `starts` poses stacked over B; `sigma` metres to start with;
+    `batch_size` how many go side by side in a vectorised loop, one after the other where not
+    given, which is the fastest on a CPU.
+
+    Returns poses and statistics, stacked as the clouds are.
+    """
+
+    def sequence(pair):
+        start, cloud = pair
+        alone = cloud.points.ndim == 2
+        stacked = jax.tree.map(lambda leaf: leaf[None], cloud) if alone else cloud
+        _, out = scan_track(tracker, start_state(tracker, start, sigma), stacked)
+        return jax.tree.map(lambda leaf: leaf[0], out) if alone else out
+
+    return jax.lax.map(sequence, (starts, clouds), batch_size=batch_size)
+
+
+def _first_frame(tracker: Tracker, cloud: Cloud, pose: Pose, sigma: float) -> TrackedFrame:
+    """Anneal from `sigma` down, then settle; nothing is known yet of what is usual."""
+    sigmas = jnp.geomspace(sigma, min(sigma, 0.02), 12).astype(pose.rotations.dtype)
+    poses, _ = anneal_all(tracker, cloud, jax.tree.map(lambda leaf: leaf[None], pose), sigmas)
+    state = start_state(tracker, jax.tree.map(lambda leaf: leaf[0], poses), 0.02)
+    state, _ = _track_frame(tracker, state, cloud)
+    state = _at_rest(state)
+    state, statistics = _track_frame(tracker, state, cloud)
+    usual = float(statistics.log_likelihood), 0.0
+    unexplained = float(statistics.outlier_share) - float(tracker.mixture.outlier)
+    frame = _judge(usual, _at_rest(state), statistics)
+    return TrackedFrame(frame.pose, statistics, frame.lost or unexplained > FIRST_SHARE, frame.state, usual)
+
+
+def _judge(usual: tuple[float, float], state: TrackState, statistics: FrameStatistics) -> TrackedFrame:
+    """Whether a frame is explained about as well as those before it."""
+    likelihood, (level, wait) = float(statistics.log_likelihood), usual
+    lost = not likelihood > level - LOSS
+    if likelihood > level - DOUBT:
+        level = 0.9 * level + 0.1 * likelihood
+    return TrackedFrame(state.estimate.pose, statistics, lost, state, (level, max(wait - 1.0, 0.0)))
+
+
+def _doubtful(frame: TrackedFrame) -> bool:
+    level, wait = frame.usual
+    return wait <= 0 and not float(frame.statistics.log_likelihood) > level - DOUBT
+
+
+def _recover(
+    tracker: Tracker, coarse: Tracker, frame: TrackedFrame, cloud: Cloud, key: PRNGKeyArray
+) -> TrackedFrame:
+    """Many perturbed starts side by side (Kineben, section 6, "global refinement")."""
+    skeleton = tracker.body.skeleton
+    wide = tangent_deviations(skeleton, 0.05, 0.5)
+    here = jax.tree.map(lambda leaf: leaf[None], frame.pose)
+    keys = jax.random.split(key)
+    few = thin_cloud(cloud, COARSE_POINTS)
+    starts = perturbed_starts(skeleton, here, 15, wide, keys[0])
+    limbs = subtree_starts(skeleton, here, 15, 2.0 * wide, keys[1])
+    starts = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), starts, limbs)
+    sigmas = jnp.asarray(np.repeat(FINE, 2), frame.pose.rotations.dtype)
+    poses, _ = anneal_all(coarse, few, starts, sigmas)
+    state = start_state(tracker, jax.tree.map(lambda leaf: leaf[0], poses), 0.02)
+    state, _ = _track_frame(tracker, state, cloud)
+    state, statistics = _track_frame(tracker, _at_rest(state), cloud)
+    found = _judge(frame.usual, _at_rest(state), statistics)
+    gain = float(statistics.log_likelihood) - float(frame.statistics.log_likelihood)
+    if gain > 0 or not np.isfinite(float(frame.statistics.sigma)):
+        return found
+    waiting = frame.usual[0], float(PATIENCE)
+    return TrackedFrame(frame.pose, frame.statistics, frame.lost, frame.state, waiting)
+
+
+def _at_rest(state: TrackState) -> TrackState:
+    """The same state with nothing known of how the body moves."""
+    return TrackState(state.estimate, jnp.zeros_like(state.change))

@@ -1,0 +1,45 @@
+"""Normals of clouds that come without."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial import cKDTree
+
+
+def estimate_normals(points: Float[np.ndarray, "N 3"], neighbours: int = 12) -> Float[np.ndarray, "N 3"]:
+    """Unit normals by local planes, oriented outwards.
+
+    A normal is the direction of least spread of a point's neighbours (PCA). Signs are
+    carried along a minimum spanning tree of the neighbourhood graph, from plane to most
+    parallel plane (Hoppe et al. 1992), and each connected piece is turned so that its normals
+    look away from its middle on the whole. Where fewer than three points lie together the
+    normal is zero, which is "not known".
+    """
+    points = np.asarray(points, float)
+    count = min(neighbours + 1, len(points))
+    if count < 4:
+        return np.zeros_like(points)
+    near = cKDTree(points).query(points, count)[1]
+    patches = points[near] - points[near].mean(1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nka,nkb->nab", patches, patches))
+    normals = vectors[:, :, 0]
+    # a line of points, or a heap of equal ones, has no plane
+    flat = values[:, 1] > 1e-9 * np.maximum(values[:, 2], 1e-30)
+    rows = np.repeat(np.arange(len(points)), count - 1)
+    columns = near[:, 1:].reshape(-1)
+    unlike = 1.0 + 1e-6 - np.abs(np.sum(normals[rows] * normals[columns], 1))
+    graph = coo_matrix((unlike, (rows, columns)), shape=(len(points),) * 2).tocsr()
+    tree = minimum_spanning_tree(graph.maximum(graph.T))
+    tree = tree + tree.T
+    pieces, label = connected_components(tree, directed=False)
+    for piece in range(pieces):
+        members = np.flatnonzero(label == piece)
+        order, parents = breadth_first_order(tree, members[0], directed=False)
+        for point in order[1:]:
+            if normals[point] @ normals[parents[point]] < 0:
+                normals[point] *= -1
+        outwards = points[members] - points[members].mean(0)
+        if np.sum(outwards * normals[members]) < 0:
+            normals[members] *= -1
+    return np.where(flat[:, None], normals, 0.0)
