@@ -85,9 +85,18 @@ def test_the_hips_follow_at_the_size_of_the_legs(rng):
 
 
 def test_a_skeleton_given_its_own_motion_keeps_it(rng):
-    source = person(down, bent)
+    kinds = [
+        "free",
+        *["ball", "revolute", "universal"] * 2,
+        "ball",
+        *["fixed", "universal", "revolute", "ball"] * 2,
+    ]
+    source = person(down, bent, kinds=kinds)
     motion = random_motion(source, rng)
     moved = retarget(motion, source, source)
+    np.testing.assert_allclose(
+        rotation.distance(moved.poses.rotations, motion.poses.rotations), 0.0, atol=1e-7
+    )
     np.testing.assert_allclose(positions(source, moved.poses), positions(source, motion.poses), atol=1e-9)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.kinematics import forward_kinematics, joint_positions
-from ..body.pose import Motion, Pose, universal_angles
+from ..body.pose import Motion, Pose, rest_pose, universal_angles
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
 from .joint_names import GIRDLES, LEGS, match_names, plain_name, sided
@@ -99,26 +99,27 @@ def _local_rotations(target: Skeleton, wanted: Float[Array, "J 4"], matched: Arr
         joints = np.array(level)
         above = jnp.where(parents[joints, None] < 0, identity, whole[np.maximum(parents[joints], 0)])
         turn = rotation.normalise(rotation.multiply(rotation.conjugate(above), wanted[joints]))
-        local = local.at[joints].set(jnp.where(matched[joints, None], turn, identity))
-        local = _allowed(target, local)
-        whole = whole.at[joints].set(rotation.multiply(above, local[joints]))
+        turn = _allowed(target, joints, jnp.where(matched[joints, None], turn, identity))
+        local = local.at[joints].set(turn)
+        whole = whole.at[joints].set(rotation.multiply(above, turn))
     return local
 
 
-def _allowed(skeleton: Skeleton, rotations: Float[Array, "J 4"]) -> Float[Array, "J 4"]:
-    """The part of each rotation that its joint's kind can do."""
-    kinds = np.array(skeleton.kinds)[:, None]
-    first, second = skeleton.axes[:, 0], skeleton.axes[:, 1]
-    twist = rotation.swing_twist(rotations, first)[1]
-    pose = Pose(jnp.zeros_like(skeleton.centres), rotations, jnp.ones((), rotations.dtype))
-    angles = universal_angles(skeleton, pose)
-    pair = rotation.multiply(
-        rotation.about_axis(first, angles[:, 0]), rotation.about_axis(second, angles[:, 1])
-    )
-    allowed = jnp.where(kinds == "revolute", twist, jnp.where(kinds == "universal", pair, rotations))
-    return jnp.where(
-        np.isin(kinds, ["ball", "free", "revolute", "universal"]), allowed, rotation.identity(rotations.dtype)
-    )
+def _allowed(skeleton: Skeleton, joints: np.ndarray, turn: Float[Array, "N 4"]) -> Float[Array, "N 4"]:
+    """The part of the rotations of some `joints` that their kinds can do."""
+    kinds = np.array(skeleton.kinds)[joints, None]
+    first, second = skeleton.axes[joints, 0], skeleton.axes[joints, 1]
+    if "revolute" in kinds:
+        turn = jnp.where(kinds == "revolute", rotation.swing_twist(turn, first)[1], turn)
+    if "universal" in kinds:
+        none = rest_pose(skeleton)
+        angles = universal_angles(
+            skeleton, Pose(none.translations, none.rotations.at[joints].set(turn), none.scale)
+        )
+        turns = [rotation.about_axis(axis, angles[joints, i]) for i, axis in enumerate((first, second))]
+        turn = jnp.where(kinds == "universal", rotation.multiply(*turns), turn)
+    turns_at_all = np.isin(kinds, ["ball", "free", "revolute", "universal"])
+    return jnp.where(turns_at_all, turn, rotation.identity(turn.dtype))
 
 
 def _plan(source: Skeleton, target: Skeleton, matches: dict[int, int]) -> _Plan:
