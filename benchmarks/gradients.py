@@ -1,0 +1,244 @@
+"""Derivatives of posed points three ways: closed form, autodiff, central differences.
+
+    python -m benchmarks.gradients
+
+In float64, over every kind of joint (a small forked chain, skinned and rigid) and over the
+embedded human (skinned, rigid, two people), at rest, at random poses and next to half
+turns. Closed form and autodiff agree to 1e-10, and with central differences to 1e-6, each
+number's column taken relative to its own length. Run it from the root of the checkout.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.report import Timer, finish, progress
+from jaxcap.body.body import Body, Posed, pose_body
+from jaxcap.body.human import human
+from jaxcap.body.jacobian import (
+    ball_operator,
+    cone_gradient,
+    point_jacobian,
+    projected_jacobian,
+    revolute_operator,
+    translate_operator,
+)
+from jaxcap.body.kinematics import world_axes
+from jaxcap.body.limits import Cone, make_joint_ranges
+from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.body.skinning import RigidSkin
+from jaxcap.energy.limits import JointLimits
+from jaxcap.geometry import rotation
+from tests.helpers import chain_body, half_turned_pose, random_pose
+
+RANDOM_POSES = 4
+STEP = 1e-5
+
+
+def moved(body: Body, pose: Pose, d):
+    """The posed vertices after a tangent `d`, `(V, 3)` metres."""
+    return pose_body(body, retract(body.skeleton, pose, d)).vertices
+
+
+@eqx.filter_jit
+def autodiff(body: Body, pose: Pose):
+    return jax.jacfwd(lambda d: moved(body, pose, d))(jnp.zeros(body.skeleton.num_dofs))
+
+
+@eqx.filter_jit
+def differences(body: Body, pose: Pose):
+    """Central differences, fourth order: the error left is rounding alone."""
+    at = lambda d: moved(body, pose, d)  # noqa: E731
+    slope = lambda e: (8 * (at(e) - at(-e)) - (at(2 * e) - at(-2 * e))) / (12 * STEP)  # noqa: E731
+    return jnp.moveaxis(jax.lax.map(slope, STEP * jnp.eye(body.skeleton.num_dofs)), 0, -1)
+
+
+@eqx.filter_jit
+def closed_form(body: Body, pose: Pose):
+    return point_jacobian(body, pose_body(body, pose), jnp.arange(len(body.vertices)))
+
+
+@eqx.filter_jit
+def projected(body: Body, pose: Pose, directions):
+    return projected_jacobian(body, pose_body(body, pose), jnp.arange(len(body.vertices)), directions)
+
+
+posed_of = eqx.filter_jit(pose_body)
+
+
+def paper_operators(body: Body, posed: Posed) -> np.ndarray:
+    """The Jacobian of a rigidly skinned body by Kineben's 4 x 4 operators, `(V, 3, D)`.
+
+    Universal joints are two revolute ones.
+    """
+    skeleton, layout = body.skeleton, dof_layout(body.skeleton)
+    points = np.concatenate([posed.vertices, np.ones((len(posed.vertices), 1))], 1)
+    shifts, turns = world_axes(skeleton, posed.pose, posed.transforms)
+    whole = posed.transforms.rotations / posed.pose.scale
+    columns = np.zeros((len(points), 3, skeleton.num_dofs))
+    for joint, kind in enumerate(skeleton.kinds):
+        rides = skeleton.descent[joint][np.asarray(body.skin.parts())][:, None]
+        for number in range(3):
+            shift, turn = layout.translations[joint, number], layout.rotations[joint, number]
+            if shift < skeleton.num_dofs:
+                operator = translate_operator(shifts[joint, number])
+                columns[:, :, shift] = rides * (points @ np.asarray(operator).T)[:, :3]
+            if turn < skeleton.num_dofs:
+                spherical = kind in ("ball", "free")
+                centre = posed.joints[joint]
+                operator = (
+                    ball_operator(whole[joint], centre, number)
+                    if spherical
+                    else revolute_operator(turns[joint, number], centre)
+                )
+                columns[:, :, turn] = rides * (points @ np.asarray(operator).T)[:, :3]
+    return columns
+
+
+def apart(one, other) -> float:
+    """The largest distance of two columns, relative to the longer; a column that is nothing
+    (under a thousandth of the longest) is taken relative to that thousandth."""
+    one, other = (np.asarray(x).reshape(-1, x.shape[-1]) for x in (one, other))
+    lengths = np.maximum(np.linalg.norm(one, axis=0), np.linalg.norm(other, axis=0))
+    return float(np.max(np.linalg.norm(one - other, axis=0) / np.maximum(lengths, 1e-3 * lengths.max())))
+
+
+def rigid(body: Body) -> Body:
+    """The same body with every vertex fixed to the bone that it belongs to."""
+    return eqx.tree_at(lambda b: b.skin, body, RigidSkin(body.skin.parts()))
+
+
+def as_float64(tree):
+    return jax.tree.map(lambda x: x.astype(jnp.float64) if eqx.is_inexact_array(x) else x, tree)
+
+
+def poses_of(body: Body, rng: np.random.Generator) -> list[Pose]:
+    skeleton = body.skeleton
+    poses = [
+        rest_pose(skeleton),
+        random_pose(skeleton, rng, 1e-6),
+        random_pose(skeleton, rng, 0.5, scale=1.1),
+    ]
+    poses += [random_pose(skeleton, rng, 1.0) for _ in range(RANDOM_POSES)]
+    return poses + [half_turned_pose(skeleton, rng, short_of) for short_of in (1e-2, 1e-4)]
+
+
+def cone_errors(rng: np.random.Generator, trials: int = 50) -> tuple[float, float]:
+    """Kineben's gradient of a cone (eq. 16) against autodiff and central differences, largest
+    distance; and so that its sign is seen, it must be far from its negative."""
+    closed, numeric = 0.0, 0.0
+
+    @jax.jit
+    def cosine(d, axis, q):
+        return axis @ rotation.rotate(rotation.multiply(q, rotation.exp(d)), axis)
+
+    slope = jax.jit(jax.grad(cosine))
+    for trial in range(trials):
+        axis = rng.normal(size=3)
+        axis = jnp.asarray(axis / np.linalg.norm(axis))
+        w = rng.normal(size=3)
+        angle = 0.0 if trial == 0 else np.pi - 1e-6 if trial == 1 else rng.uniform(0.1, 3.0)
+        q = rotation.exp(jnp.asarray(angle * w / np.linalg.norm(w)))
+        gradient = cone_gradient(axis, rotation.to_matrix(q))
+        steps = [(cosine(e, axis, q) - cosine(-e, axis, q)) / (2 * STEP) for e in STEP * jnp.eye(3)]
+        closed = max(closed, float(np.abs(gradient - slope(jnp.zeros(3), axis, q)).max()))
+        numeric = max(numeric, float(np.abs(gradient - np.array(steps)).max()))
+    return closed, numeric
+
+
+def limit_errors(body: Body, rng: np.random.Generator, trials: int = 12) -> tuple[float, float]:
+    """Joint limits (eqs. 14 and 42) on the chain: autodiff against their closed form (slope
+    one beyond a range, eq. 16 beyond a cone, else nothing) and against central differences."""
+    skeleton = body.skeleton
+    ranges = {"elbow": (-0.3, 0.2), "spine": ((-0.1, 0.4), (-0.2, 0.3)), "jaw": (-0.5, -0.1)}
+    cones = {"chest": Cone((1, 0, 0), 0.3, (0, 1, 0), 0.2), "hand": Cone((0, 1, 1), 0.5, (1, 0, 0), 2.0)}
+    limits = make_joint_ranges(skeleton, ranges, cones)
+    energy, layout = JointLimits(skeleton, limits), dof_layout(skeleton)
+
+    @eqx.filter_jit
+    def residual(pose, d):
+        return energy.residual(pose_body(body, retract(skeleton, pose, d)))
+
+    slope = eqx.filter_jit(lambda pose: jax.jacfwd(lambda d: residual(pose, d))(jnp.zeros(skeleton.num_dofs)))
+    closed, numeric = 0.0, 0.0
+    for _ in range(trials):
+        pose = random_pose(skeleton, rng, 0.7)
+        value, expected = residual(pose, jnp.zeros(skeleton.num_dofs)), []
+        slots = layout.rotations[np.asarray(limits.joints), np.asarray(limits.numbers)]
+        expected += [np.eye(skeleton.num_dofs)[slot] for slot in slots]
+        for axes in (limits.heading, limits.bank):
+            for joint, axis in zip(np.asarray(limits.ball_joints), axes, strict=True):
+                row = np.zeros(skeleton.num_dofs)
+                row[layout.rotations[joint]] = cone_gradient(axis, rotation.to_matrix(pose.rotations[joint]))
+                expected.append(row)
+        expected = np.where(np.asarray(value)[:, None] != 0, np.array(expected), 0.0)
+        steps = STEP * jnp.eye(skeleton.num_dofs)
+        central = np.stack([(residual(pose, e) - residual(pose, -e)) / (2 * STEP) for e in steps], 1)
+        closed = max(closed, float(np.abs(slope(pose) - expected).max()))
+        numeric = max(numeric, float(np.abs(slope(pose) - central).max()))
+    return closed, numeric
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    rng = np.random.default_rng(0)
+    people = {"man": {"sex": "male"}, "child": {"sex": "female", "age": 10}}
+    skinned = {"chain": chain_body()}
+    skinned |= {name: as_float64(human(**who, resolution="low")) for name, who in people.items()}
+    bodies = skinned | {f"{name}, rigid": rigid(body) for name, body in skinned.items() if name != "child"}
+    seconds: dict[str, dict[str, dict[str, float]]] = {}
+    figures = dict.fromkeys(
+        (
+            "autodiff_closed_form",
+            "projected",
+            "paper_operators",
+            "closed_form_differences",
+            "autodiff_differences",
+        ),
+        0.0,
+    )
+
+    def worst(name: str, error: float) -> None:
+        figures[name] = max(figures[name], error) if np.isfinite(error) else float("inf")
+
+    count = 0
+    for name, body in bodies.items():
+        directions = jnp.asarray(rng.normal(size=body.vertices.shape))
+        # every body has its own shapes, and compiles anew
+        timers = {way: Timer() for way in ("autodiff", "closed_form", "differences")}
+        for pose in poses_of(body, rng):
+            exact = timers["autodiff"](autodiff, body, pose)
+            analytic = timers["closed_form"](closed_form, body, pose)
+            numeric = timers["differences"](differences, body, pose)
+            worst("autodiff_closed_form", apart(analytic, exact))
+            worst("closed_form_differences", apart(analytic, numeric))
+            worst("autodiff_differences", apart(exact, numeric))
+            rows = jnp.einsum("va,vad->vd", directions, exact)
+            worst("projected", apart(projected(body, pose, directions), rows))
+            if isinstance(body.skin, RigidSkin):
+                worst("paper_operators", apart(paper_operators(body, posed_of(body, pose)), exact))
+            count += 1
+        seconds[name] = {way: timer.seconds for way, timer in timers.items()}
+        progress(
+            f"{name}: {body.skeleton.num_dofs} numbers, {len(body.vertices)} vertices; worst so far {figures}"
+        )
+    figures["cone_closed_form"], figures["cone_differences"] = cone_errors(rng)
+    figures["limits_closed_form"], figures["limits_differences"] = limit_errors(skinned["chain"], rng)
+    exact_ones = (
+        "autodiff_closed_form",
+        "projected",
+        "paper_operators",
+        "cone_closed_form",
+        "limits_closed_form",
+    )
+    limits = {name: ("<=", 1e-10 if name in exact_ones else 1e-6) for name in figures}
+    sizes = {"poses": count, "vertices": {name: len(body.vertices) for name, body in bodies.items()}}
+    sizes["numbers"] = {name: body.skeleton.num_dofs for name, body in bodies.items()}
+    sizes["kinds"] = sorted({kind for body in bodies.values() for kind in body.skeleton.kinds})
+    finish("gradients", figures, limits, sizes, seconds)
+
+
+if __name__ == "__main__":
+    main()
