@@ -50,38 +50,42 @@ def make_scene(
     return parts, jnp.asarray(vertices), jnp.asarray(normals), cloud
 
 
-def brute_force_arguments(parts: Parts, vertices, normals):
-    """Vertices and normals padded to the largest part, `(K, M, 3)`, with their indices `(K, M)`."""
+def part_members(parts: Parts) -> tuple[tuple[int, ...], ...]:
+    """The vertices of each part, as a static argument of `brute_force_posterior`."""
     slots = np.asarray(parts.slots)
     ends = np.cumsum(parts.blocks_of_part)
-    members = [np.unique(slots[e - c : e]) for c, e in zip(parts.blocks_of_part, ends, strict=True)]
-    largest = max(map(len, members))
-    index = np.stack([np.pad(m, (0, largest - len(m)), constant_values=-1) for m in members])
-    return vertices, normals, jnp.asarray(index)
+    counts = zip(parts.blocks_of_part, ends, strict=True)
+    return tuple(tuple(np.unique(slots[end - count : end]).tolist()) for count, end in counts)
 
 
-@functools.partial(jax.jit, static_argnames="chunk")
+@functools.partial(jax.jit, static_argnames=("members", "chunk"))
 def brute_force_posterior(
-    vertices, normals, index, cloud, sigma, *, normal_threshold, outlier, box_volume, chunk: int = 250
+    vertices, normals, cloud, sigma, *, members, normal_threshold, outlier, box_volume, chunk: int = 250
 ):
-    """Dense posterior `(N, K + 1)` and vertices `(N, K)` by one matmul and one masked argmin a part."""
-    here = index >= 0
-    part_vertices, part_normals = vertices[index], normals[index]
-    uniform = jnp.any(here, 1) / jnp.sum(jnp.any(here, 1))
+    """Dense posterior `(N, K + 1)` and vertices `(N, K)`: two products and one masked argmin a part."""
+    present = [part for part in members if part]
+    layout = [(vertices[jnp.array(part)], normals[jnp.array(part)], jnp.array(part)) for part in present]
 
-    def one(point, normal):
-        squared = jnp.sum((part_vertices - point) ** 2, -1)
-        compatible = here & (part_normals @ normal > normal_threshold)
-        squared = jnp.where(compatible, squared, jnp.inf)
-        nearest = jnp.argmin(squared, 1)
-        found = jnp.take_along_axis(squared, nearest[:, None], 1)[:, 0]
-        log_parts = (
-            jnp.log((1 - outlier) * uniform) - 1.5 * jnp.log(2 * jnp.pi * sigma**2) - found / (2 * sigma**2)
-        )
-        logs = jnp.append(log_parts, jnp.log(outlier / box_volume))
-        return jax.nn.softmax(logs), jnp.take_along_axis(index, nearest[:, None], 1)[:, 0]
+    def some(pair):
+        points, directions = pair
+        distances, nearest = [], []
+        for part_vertices, part_normals, index in layout:
+            squared = (
+                jnp.sum(points**2, 1)[:, None] - 2 * points @ part_vertices.T + jnp.sum(part_vertices**2, 1)
+            )
+            squared = jnp.where(directions @ part_normals.T > normal_threshold, squared, jnp.inf)
+            best = jnp.argmin(squared, 1)
+            distances.append(jnp.take_along_axis(squared, best[:, None], 1)[:, 0])
+            nearest.append(index[best])
+        squared = jnp.stack(distances, 1)
+        shift = jnp.log((1 - outlier) / len(present)) - 1.5 * jnp.log(2 * jnp.pi * sigma**2)
+        logs = shift - squared / (2 * sigma**2)
+        none = jnp.full((len(points), 1), jnp.log(outlier / box_volume))
+        return jax.nn.softmax(jnp.concatenate([logs, none], 1), 1), jnp.stack(nearest, 1)
 
-    return jax.lax.map(lambda pair: one(*pair), (cloud.points, cloud.normals), batch_size=chunk)
+    pieces = (cloud.points.reshape(-1, chunk, 3), cloud.normals.reshape(-1, chunk, 3))
+    weights, nearest = jax.lax.map(some, pieces)
+    return weights.reshape(-1, weights.shape[-1]), nearest.reshape(-1, nearest.shape[-1])
 
 
 def median_time(function, *arguments, repeats: int = 30, **settings) -> float:
