@@ -38,6 +38,4 @@ def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
         hint = f"it looks like {likely}: say so with the unit"
     else:
         hint = "check the units of both"
-    raise InputError(
-        f"{name} is {extent:.4g} m long, and the body {height:.4g} m; {hint}."
-    )
+    raise InputError(f"{name} is {extent:.4g} m long, and the body {height:.4g} m; {hint}.")

@@ -6,7 +6,8 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
 from ..body.pose import Pose, retract
-from ..energy.points import PointToPlane, PointToPoint
+from ..energy.moments import rigid_moments
+from ..energy.points import PointToPlane
 from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..observe import Cloud
 from .gauss_newton import damped_step
@@ -82,14 +83,19 @@ def data_energy(
 ) -> AbstractEnergy:
     """The expected negative log-likelihood, twice (Kineben, eq. 29): `sum p d^2 / sigma^2`.
 
-    The distance across the surface counts whole, the one along it by `tangential`:
-    a point's nearest vertex is only about its own place on the surface.
+    The distance across the surface counts whole, the one along it by `tangential`: a point's
+    nearest vertex is only about its own place on the surface. The second is summed into the
+    moments of each part, whose points move with the part's bone; the first is not, for there
+    the blend of bones in the skin shows.
     """
     weights = (cloud.weights[:, None] * found.weights / sigma**2).reshape(-1)
-    vertices = found.vertices.reshape(-1)
+    vertices, bones = found.vertices.reshape(-1), found.parts.reshape(-1)
     points = jnp.repeat(cloud.points, found.weights.shape[1], axis=0)
+    r, t = posed.transforms.rotations[bones], posed.transforms.translations[bones]
+    # a similarity's inverse: its rotation block is a rotation times the scale
+    rest = jnp.einsum("cba,cb->ca", r, posed.vertices[vertices] - t) / posed.pose.scale**2
     across = PointToPlane(vertices, points, posed.normals[vertices], (1.0 - tangential) * weights)
-    return Sum((across, PointToPoint(vertices, points, tangential * weights)))
+    return Sum((across, rigid_moments(bones, rest, points, tangential * weights, len(posed.joints))))
 
 
 def expectation(body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume, estimate: Estimate):
@@ -118,9 +124,9 @@ def em_step(
     cloud: Cloud,
     volume: Float[Array, ""],
     estimate: Estimate,
-) -> Estimate:
+) -> tuple[Estimate, FrameStatistics]:
     """E-step, one Gauss-Newton step on the pose, then the deviation and, where asked, the
-    parts' shares (Kineben, section 3.3.2)."""
+    parts' shares (Kineben, section 3.3.2). The statistics are those of the E-step."""
     posed, found = expectation(body, parts, mixture, cloud, volume, estimate)
     data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential)
     energy = Sum(terms_of(data) + terms_of(prior))
@@ -133,14 +139,18 @@ def em_step(
     priors = estimate.priors
     if mixture.estimate_priors:
         priors = update_priors(found, cloud.weights, parts.num_parts)
-    return Estimate(pose, sigma, priors)
+    return Estimate(pose, sigma, priors), _statistics(found, cloud, estimate.sigma)
 
 
 def frame_statistics(
     body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume: Float[Array, ""], estimate: Estimate
 ) -> FrameStatistics:
-    """How well an estimate explains its cloud, by a last E-step."""
+    """How well an estimate explains its cloud."""
     _, found = expectation(body, parts, mixture, cloud, volume, estimate)
+    return _statistics(found, cloud, estimate.sigma)
+
+
+def _statistics(found: Posterior, cloud: Cloud, sigma: Float[Array, ""]) -> FrameStatistics:
     total = jnp.sum(cloud.weights)
     share = cloud.weights[:, None] * found.weights
     distances = jnp.sqrt(jnp.where(share > 0, found.squared_distances, 0.0))
@@ -148,7 +158,7 @@ def frame_statistics(
         log_likelihood=jnp.sum(cloud.weights * found.log_density) / total,
         outlier_share=jnp.sum(cloud.weights * found.outlier) / total,
         mean_distance=jnp.sum(share * distances) / jnp.sum(share),
-        sigma=estimate.sigma,
+        sigma=sigma,
     )
 
 

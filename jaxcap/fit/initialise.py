@@ -38,7 +38,8 @@ def anneal(
 
     def step(estimate, sigma):
         wide = Estimate(estimate.pose, sigma, estimate.priors)
-        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide), None
+        moved, _ = em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
+        return moved, None
 
     first = Estimate(start, jnp.asarray(sigmas[0]), uniform_priors(tracker.parts))
     last, _ = jax.lax.scan(step, first, sigmas)

@@ -59,6 +59,7 @@ def track_frames(
     search: bool = False,
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    first: int = 0,
 ) -> Iterator[TrackedFrame]:
     """Track a stream of clouds; yields a frame as soon as it is done.
 
@@ -72,7 +73,7 @@ def track_frames(
     """
     coarse = None
     frame = start if isinstance(start, TrackedFrame) else None
-    for number, cloud in enumerate(clouds):
+    for number, cloud in enumerate(clouds, first):
         if frame is None:
             pose = rest_pose(tracker.body.skeleton) if start is None else start
             if search:

@@ -16,7 +16,6 @@ from .em import (
     Mixture,
     box_volume,
     em_step,
-    frame_statistics,
     make_mixture,
     uniform_priors,
 )
@@ -103,10 +102,10 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     volume = box_volume(cloud)
     sigma = jnp.maximum(tracker.sigma_growth * before.sigma, tracker.sigma_start)
 
-    def step(_, estimate):
+    def step(estimate, _):
         return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate)
 
     start = Estimate(predicted, sigma, before.priors)
-    estimate = jax.lax.fori_loop(0, tracker.iterations, step, start)
-    statistics = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
+    estimate, statistics = jax.lax.scan(step, start, length=tracker.iterations)
+    statistics = jax.tree.map(lambda leaf: leaf[-1], statistics)
     return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics
