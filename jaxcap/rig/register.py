@@ -1,23 +1,23 @@
 """Registration of the template to a surface: closest points both ways, and Gauss-Newton."""
 
+import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from ..body.body import Posed
 from ..body.pose import Pose, rest_pose
 from ..geometry import rotation
+from .heat import face_vectors
 from .template import (
     Build,
     Template,
     average_build,
-    linearise_template,
-    move,
+    newton_step,
     pose_template,
-    prior_spreads,
 )
 
 #: metres between points that are as far apart as opposite normals are, over two
@@ -42,10 +42,12 @@ CUT = 0.1
 
 
 class Surface(NamedTuple):
-    """Points spread evenly over a surface, and its unit normals there."""
+    """Points spread evenly over a surface, its unit normals there, and where in its triangles they lie."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
+    corners: Int[np.ndarray, "N 3"]
+    shares: Float[np.ndarray, "N 3"]
 
 
 class Registration(NamedTuple):
@@ -57,16 +59,28 @@ class Registration(NamedTuple):
     residual: float
 
 
-def sample_surface(vertices: Float[np.ndarray, "V 3"], faces: np.ndarray, count: int = SAMPLES) -> Surface:
+def sample_surface(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int = SAMPLES) -> Surface:
     """Points at random over a surface, the same in every call."""
-    corners = vertices[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = face_vectors(vertices, faces)
     areas = np.linalg.norm(across, axis=1)
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(faces), count, p=areas / areas.sum())
     shares = rng.dirichlet(np.ones(3), count)
-    points = np.einsum("nc,nca->na", shares, corners[chosen])
-    return Surface(points, across[chosen] / areas[chosen, None])
+    corners = faces[chosen]
+    points = np.einsum("nc,nca->na", shares, vertices[corners])
+    return Surface(points, across[chosen] / areas[chosen, None], corners, shares)
+
+
+def search_tree(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> cKDTree:
+    """For `closest`."""
+    return cKDTree(_features(points, normals))
+
+
+def closest(
+    tree: cKDTree, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], count: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (metres, unlike normals counting as distance) and indices of the closest points."""
+    return tree.query(_features(points, normals), count)
 
 
 def register(template: Template, surface: Surface) -> Registration:
@@ -77,7 +91,7 @@ def register(template: Template, surface: Surface) -> Registration:
     McClure with a scale that falls; build and pose are held by normal priors around the average
     build at rest.
     """
-    search = _tree(surface.points, surface.normals)
+    search = search_tree(surface.points, surface.normals)
     starts = [
         _descend(template, surface, search, *_start(template, surface, 2 * np.pi * i / HEADINGS), COARSE)
         for i in range(HEADINGS)
@@ -116,23 +130,14 @@ def _descend(
     pose: Pose,
     scales: tuple[float, ...],
 ) -> Registration:
-    spreads = prior_spreads(template)
     areas = _vertex_areas(template)
-    # the size is measured by the start, which knows the height, so that the prior holds it there
-    size = float(build.size)
+    # the start knows the height, so the prior holds the size there
+    size = build.size
     for scale in scales:
-        posed, jacobian = linearise_template(template, build, pose)
+        posed = pose_template(template, build, pose)
         matrices, pulls = _attraction(posed, areas, surface, search, scale)
-        columns = np.asarray(jacobian, float).reshape(len(areas), 3, -1)
-        weighted = np.einsum("vab,vbx->vax", matrices, columns)
-        normal = np.tensordot(columns, weighted, ((0, 1), (0, 1)))
-        gradient = np.tensordot(columns, pulls, ((0, 1), (0, 1)))
-        offset = _offset(template, build, pose, size)
-        normal += np.diag(1 / spreads**2)
-        gradient -= offset / spreads**2
-        step = np.linalg.solve(normal, gradient)
-        step *= min(1.0, 0.5 / np.abs(step).max())
-        build, pose = move(template, build, pose, jnp.asarray(step, posed.vertices.dtype))
+        to_jax = functools.partial(jnp.asarray, dtype=posed.vertices.dtype)
+        build, pose = newton_step(template, build, pose, to_jax(matrices), to_jax(pulls), size)
     posed = pose_template(template, build, pose)
     return Registration(build, pose, _residual(posed, areas, surface, search))
 
@@ -143,10 +148,10 @@ def _attraction(
     """The quadratic energy of every vertex about where it is, `d' A d - 2 b' d`: its own closest
     point on the surface, and the points of the surface to which it is the closest vertex."""
     vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
-    _, closest = search.query(_features(vertices, normals))
-    _, owner = _tree(vertices, normals).query(_features(surface.points, surface.normals))
+    _, nearest = closest(search, vertices, normals)
+    _, owner = closest(search_tree(vertices, normals), surface.points, surface.normals)
     source = np.concatenate([np.arange(len(vertices)), owner])
-    target = np.concatenate([closest, np.arange(len(surface.points))])
+    target = np.concatenate([nearest, np.arange(len(surface.points))])
     share = np.concatenate([areas / areas.sum(), np.full(len(owner), 1 / len(owner))])
     gap = surface.points[target] - vertices[source]
     n = surface.normals[target]
@@ -162,28 +167,15 @@ def _attraction(
 
 def _residual(posed: Posed, areas: np.ndarray, surface: Surface, search: cKDTree) -> float:
     vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
-    there, _ = search.query(_features(vertices, normals))
-    back, _ = _tree(vertices, normals).query(_features(surface.points, surface.normals))
+    there, _ = closest(search, vertices, normals)
+    back, _ = closest(search_tree(vertices, normals), surface.points, surface.normals)
     return float(0.5 * np.average(np.minimum(there, CUT), weights=areas) + 0.5 * np.minimum(back, CUT).mean())
-
-
-def _offset(template: Template, build: Build, pose: Pose, size: float) -> Float[np.ndarray, "X"]:
-    """How far a build and a pose are from the prior's middle; the root, which is free, is not."""
-    from ..body.pose import difference
-
-    skeleton = template.body.skeleton
-    d = np.asarray(difference(skeleton, rest_pose(skeleton), pose), float).copy()
-    d[:6] = 0.0
-    builds = [np.asarray(part, float) for part in (build.builds, build.lengths, build.girths)]
-    return np.concatenate([d, [float(build.size) - size], *builds])
 
 
 def _vertex_areas(template: Template) -> Float[np.ndarray, "V"]:
     vertices, faces = np.asarray(template.body.vertices, float), np.asarray(template.body.faces)
-    corners = vertices[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.zeros(len(vertices))
-    np.add.at(areas, faces.ravel(), np.repeat(np.linalg.norm(across, axis=1) / 6, 3))
+    np.add.at(areas, faces.ravel(), np.repeat(np.linalg.norm(face_vectors(vertices, faces), axis=1) / 6, 3))
     return areas
 
 
@@ -191,6 +183,3 @@ def _features(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "N 6
     """Where points are close and their normals alike, these are close."""
     return np.concatenate([points, NORMAL_SCALE * normals], axis=1)
 
-
-def _tree(points: np.ndarray, normals: np.ndarray) -> cKDTree:
-    return cKDTree(_features(points, normals))

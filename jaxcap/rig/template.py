@@ -6,12 +6,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
 from ..body.human import human
 from ..body.kinematics import Transforms
-from ..body.pose import Pose, retract
+from ..body.pose import Pose, difference, rest_pose, retract
 from ..body.skeleton import dof_layout
 
 #: people whose differences from the average one span the builds, as options of `human`
@@ -30,6 +31,8 @@ STIFFNESS = (
 )  # fmt: skip
 LENGTH_SPREAD, GIRTH_SPREAD, SIZE_SPREAD, BUILD_SPREAD = 0.06, 0.12, 0.1, 0.7
 ROOT_SPREAD = 3.0
+#: radians (and metres): the largest number in one step
+LARGEST_STEP = 0.5
 
 
 class Template(eqx.Module):
@@ -118,24 +121,44 @@ def move(template: Template, build: Build, pose: Pose, step: Float[Array, "X"]) 
     return build, retract(template.body.skeleton, pose, d)
 
 
+@eqx.filter_jit
 def pose_template(template: Template, build: Build, pose: Pose) -> Posed:
     """The template of some build in some pose."""
     return pose_body(build_body(template, build), pose)
 
 
 @eqx.filter_jit
-def linearise_template(
-    template: Template, build: Build, pose: Pose
-) -> tuple[Posed, Float[Array, "V 3 X"]]:
-    """The posed template, and the derivative of its vertices by `move`'s vector."""
+def newton_step(
+    template: Template,
+    build: Build,
+    pose: Pose,
+    matrices: Float[Array, "V 3 3"],
+    pulls: Float[Array, "V 3"],
+    size: Float[Array, ""],
+) -> tuple[Build, Pose]:
+    """One Gauss-Newton step of `sum_v x_v' A_v x_v - 2 b_v' x_v` plus the prior, where `x_v` is how
+    far vertex `v` goes from where it is; `size` is the middle of the prior on the size."""
+    count = template.body.skeleton.num_dofs + 1 + len(BUILDS) + 2 * template.num_groups
 
     def vertices(step):
-        posed = pose_template(template, *move(template, build, pose, step))
-        return posed.vertices, posed
+        return pose_template(template, *move(template, build, pose, step)).vertices
 
-    size = template.body.skeleton.num_dofs + 1 + len(BUILDS) + 2 * template.num_groups
-    jacobian, posed = jax.jacfwd(vertices, has_aux=True)(jnp.zeros(size, template.body.vertices.dtype))
-    return posed, jacobian
+    jacobian = jax.jacfwd(vertices)(jnp.zeros(count, matrices.dtype)).reshape(-1, count)
+    pulled = jnp.einsum("vab,vbx->vax", matrices, jacobian.reshape(*pulls.shape, count)).reshape(-1, count)
+    precision = 1 / jnp.asarray(prior_spreads(template), matrices.dtype) ** 2
+    normal = jacobian.T @ pulled + jnp.diag(precision)
+    gradient = jacobian.T @ pulls.reshape(-1) - precision * _offset(template, build, pose, size)
+    step = cho_solve((jnp.linalg.cholesky(normal), True), gradient)
+    # no joint turns by more than this at once, where linearisation would no longer hold
+    return move(template, build, pose, step * jnp.minimum(1.0, LARGEST_STEP / jnp.max(jnp.abs(step))))
+
+
+def _offset(template: Template, build: Build, pose: Pose, size: Float[Array, ""]) -> Float[Array, "X"]:
+    """How far a build and a pose are from the prior's middle; the root, which is free, is not."""
+    skeleton = template.body.skeleton
+    d = difference(skeleton, rest_pose(skeleton), pose)
+    d = jnp.where(dof_layout(skeleton).joints == 0, 0.0, d)
+    return jnp.concatenate([d, (build.size - size)[None], build.builds, build.lengths, build.girths])
 
 
 def prior_spreads(template: Template) -> Float[np.ndarray, "X"]:
