@@ -1,0 +1,87 @@
+"""From a bare mesh to a body: one entry for every way of rigging."""
+
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int, Integer
+
+from ..body.body import Body
+from ..body.skeleton import Skeleton
+from ..body.skinning import AbstractSkin, LinearSkin, RigidSkin
+from ..errors import InputError
+from .envelopes import default_radii, default_tails, envelope_parts
+from .heat import heat_weights
+from .place import place_human
+
+METHODS = ("automatic", "envelopes", "heat")
+
+
+def rig_mesh(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Integer[np.ndarray, "F 3"],
+    skeleton: Skeleton | None = None,
+    method: Literal["automatic", "envelopes", "heat"] = "automatic",
+    *,
+    tails: Float[np.ndarray, "J 3"] | None = None,
+    radii: Float[np.ndarray, "J"] | None = None,
+    up: Literal["x", "y", "z"] = "y",
+) -> Body:
+    """Bind a mesh to a skeleton; the mesh as it stands becomes the rest pose of the body.
+
+    **Arguments:** `vertices` metres, `faces` counter-clockwise from outside. `skeleton` stands in
+    the mesh already; where it is None, the human skeleton is placed in the mesh (`place_human`).
+    `method` says how the surface follows:
+
+    - "automatic": with the weights of the human body that was placed; or, in a given skeleton, as
+      "heat".
+    - "envelopes": every vertex rigidly with one bone (`envelope_parts`), by `tails` and `radii`,
+      metres, or by `default_tails` and `default_radii`.
+    - "heat": with smooth weights from the bones' heat (`heat_weights`); `tails` as above, and a
+      bone whose radius is given as zero moves no vertex.
+
+    `up` is the axis of a placed human that points up.
+
+    **Raises:** `InputError` with one sentence where the mesh is no mesh, where a vertex lies in no
+    envelope, or where no human is found in it.
+    """
+    if method not in METHODS:
+        raise InputError(f"The method of rigging '{method}' is unknown; give one of {', '.join(METHODS)}.")
+    vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int32)
+    _check_mesh(vertices, faces)
+    if skeleton is None:
+        placed = place_human(vertices, faces, up)
+        if method == "automatic":
+            return placed
+        skeleton = placed.skeleton
+    tails = default_tails(skeleton) if tails is None else tails
+    skin: AbstractSkin
+    if method == "envelopes":
+        radii = default_radii(vertices, skeleton, tails) if radii is None else radii
+        skin = RigidSkin(jnp.asarray(envelope_parts(vertices, skeleton, tails, radii)))
+    else:
+        deforming = None if radii is None else radii > 0
+        weights = heat_weights(vertices, faces, skeleton, tails, deforming)
+        skin = LinearSkin(jnp.asarray(weights, skeleton.centres.dtype))
+    return Body(skeleton, skin, jnp.asarray(vertices, skeleton.centres.dtype), jnp.asarray(faces))
+
+
+def _check_mesh(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> None:
+    if len(vertices) == 0 or len(faces) == 0:
+        raise InputError(
+            f"The mesh has {len(vertices)} vertices and {len(faces)} triangles; give one with a surface."
+        )
+    wrong = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(wrong):
+        raise InputError(
+            f"Vertex {wrong[0]} is at {vertices[wrong[0]].tolist()}; give every vertex three finite numbers."
+        )
+    wrong = np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))
+    if len(wrong):
+        raise InputError(
+            f"Triangle {wrong[0]} is made of vertices {faces[wrong[0]].tolist()}, but there are only vertices "
+            f"0 to {len(vertices) - 1}; mend the triangle or leave it out."
+        )
+    corners = vertices[faces]
+    if not np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():
+        raise InputError("No triangle of the mesh has an area; give one with a surface.")
