@@ -1,0 +1,52 @@
+"""The command line: one file a verb. `main` is the program `jaxcap`."""
+
+import importlib.metadata
+import sys
+from collections.abc import Sequence
+
+from .errors import told
+
+DESCRIPTION = """Fit articulated bodies to point clouds.
+
+`jaxcap VERB --help` explains a verb, `jaxcap --version` tells the version. Results are in metres, y up."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one verb. A wrong input ends in one line on stderr and `SystemExit(2)`."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    with told():
+        if arguments == ["--version"]:
+            sys.stdout.write(f"jaxcap {_version()}\n")
+            return
+        import tyro
+
+        from .convert import Convert
+        from .demo import Demo
+        from .evaluate import Evaluate
+        from .info import Info
+        from .rig import Rig
+        from .track import Track
+
+        verbs = {
+            "demo": Demo,
+            "rig": Rig,
+            "track": Track,
+            "evaluate": Evaluate,
+            "info": Info,
+            "convert": Convert,
+        }
+        command = tyro.extras.subcommand_cli_from_dict(
+            verbs,
+            prog="jaxcap",
+            description=DESCRIPTION,
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+        command.run()
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("jaxcap")
+    except importlib.metadata.PackageNotFoundError:
+        return "of a source tree, not installed"

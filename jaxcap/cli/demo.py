@@ -1,0 +1,125 @@
+"""`jaxcap demo`: perform, scan, track, and show how near it came."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import equinox as eqx
+import numpy as np
+
+from ..body.body import pose_body
+from ..body.human import human
+from ..body.kinematics import forward_kinematics, joint_positions
+from ..demo.performance import walk_and_wave
+from ..demo.picture import View, draw
+from ..demo.scanner import Scanner, scan
+from ..errors import InputError
+from ..fit.sequence import track_frames
+from ..fit.track import make_tracker
+from ..io.atomic import replacing
+from ..metrics import distance_summary, joint_errors, scan_to_surface
+from ..observe import make_cloud
+from .options import OptionalCount, arg
+from .results import FILES, check_folder, write_results
+from .say import progress, say, table, warn
+from .timed import timed
+
+_pose_body = eqx.filter_jit(pose_body)
+#: points of a picture's cloud
+SHOWN = 5000
+
+
+@dataclass
+class Demo:
+    """Pose the embedded human, scan it with virtual noisy cameras, track the scans.
+
+    Leaves motion.bvh, motion.npz, statistics and demo.png."""
+
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("jaxcap-demo")
+    """Folder for the results; those of an earlier demo are replaced."""
+    seconds: float = 2.0
+    """Length of the performance."""
+    points: int = 5000
+    """Points in a cloud."""
+    noise: float = 0.004
+    """Deviation of the points, metres."""
+    vertices: OptionalCount = None
+    """Vertices of the body that is fitted; 5,000 where not given."""
+
+    def run(self) -> None:
+        if self.seconds < 0.1 or self.points < 200 or not self.noise >= 0:
+            raise InputError("A demo needs at least 0.1 seconds, 200 points, and noise that is not negative.")
+        check_folder(self.out, "journal", False, self.clear())
+        true_body = human(joints="tracking", resolution="full")
+        body = human(joints="tracking", resolution=self.vertices or "medium")
+        truth = walk_and_wave(true_body.skeleton, self.seconds)
+        scanner = Scanner(points=self.points, noise=self.noise)
+        rng, clouds, joints = np.random.default_rng(0), [], []
+        say(
+            f"scanning {truth.num_frames} frames with {scanner.cameras} virtual cameras, "
+            f"{1000 * self.noise:g} mm noise, {100 * scanner.outliers:g} % outliers"
+        )
+        for frame in range(truth.num_frames):
+            posed = _pose_body(true_body, truth[frame])
+            points, normals = scan(scanner, np.asarray(posed.vertices), np.asarray(true_body.faces), rng)
+            clouds.append(make_cloud(points, normals, name=f"frame {frame}"))
+            joints.append(np.asarray(posed.joints))
+        say(
+            f"tracking {self.points} points a frame on {len(body.vertices)} vertices; the first frame compiles"
+        )
+        frames, seconds = [], []
+        for frame, took in progress(timed(track_frames(make_tracker(body), clouds)), len(clouds)):
+            frames.append(frame)
+            seconds.append(took)
+        write_results(self.out, body.skeleton, frames, seconds, truth.rate)
+        places = np.array([np.asarray(_joints(body.skeleton, frame.pose)) for frame in frames])
+        errors = joint_errors(places, np.array(joints))
+        self.picture(body, frames, clouds, errors)
+        summary = distance_summary(errors.reshape(-1))
+        table(
+            ["joint centres, mm", "mean", "median", "99 %", "worst"],
+            [
+                [
+                    "against the truth",
+                    *(
+                        f"{1000 * v:.1f}"
+                        for v in (summary.mean, summary.median, np.quantile(errors, 0.99), errors.max())
+                    ),
+                ]
+            ],
+        )
+        steady = seconds[len(seconds) // 2 :]
+        say(
+            f"{len(frames)} frames: {seconds[0]:.1f} s for the first, then {1 / np.median(steady):.0f} frames a second"
+        )
+        lost = [number for number, frame in enumerate(frames) if frame.lost]
+        if lost:
+            warn(f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
+        say(f"{', '.join(FILES)} and demo.png are in {self.out}")
+
+    def clear(self) -> bool:
+        """Whether the folder holds an earlier demo, which may be replaced; other results may not."""
+        return (self.out / "demo.png").is_file()
+
+    def picture(self, body, frames, clouds, errors) -> None:
+        views = []
+        for number in np.linspace(0.25, 0.95, 3) * (len(frames) - 1):
+            number = round(number)
+            points = np.asarray(clouds[number].points)[np.asarray(clouds[number].weights) > 0][:SHOWN]
+            vertices = np.asarray(_pose_body(body, frames[number].pose).vertices)
+            views.append(
+                View(
+                    f"frame {number}: joints within {1000 * errors[number].mean():.1f} mm on average",
+                    vertices,
+                    points,
+                    scan_to_surface(points, vertices, np.asarray(body.faces)),
+                )
+            )
+        with replacing(self.out / "demo.png") as beside:
+            title = f"jaxcap: {self.points:,} noisy points a frame, mean joint error {1000 * errors.mean():.1f} mm"
+            draw(beside, views, np.asarray(body.faces), title)
+
+
+@eqx.filter_jit
+def _joints(skeleton, pose):
+    return joint_positions(skeleton, forward_kinematics(skeleton, pose))

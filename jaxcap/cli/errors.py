@@ -1,0 +1,27 @@
+"""The one place where what went wrong becomes one line and an exit code."""
+
+import contextlib
+import sys
+from collections.abc import Iterator
+
+from ..errors import InputError
+
+#: what a user can mend, and Ctrl-C as shells count it
+WRONG, STOPPED = 2, 130
+
+
+@contextlib.contextmanager
+def told() -> Iterator[None]:
+    """Errors a user can mend end in one line on stderr and exit code 2, Ctrl-C in 130."""
+    try:
+        yield
+    except BrokenPipeError:
+        # the reader of our output has enough; Python would complain once more at the end
+        sys.stdout = None
+        raise SystemExit(0) from None
+    except (InputError, OSError) as error:
+        sys.stderr.write(f"jaxcap: {' '.join(str(error).split())}\n")
+        raise SystemExit(WRONG) from None
+    except KeyboardInterrupt as stop:
+        sys.stderr.write(f"\njaxcap: {' '.join(str(stop).split()) or 'stopped'}\n")
+        raise SystemExit(STOPPED) from None

@@ -1,0 +1,183 @@
+"""`jaxcap evaluate`: how far the scans are from the body, and the joints from the truth."""
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from jaxtyping import Float
+
+from ..body.body import Body, pose_body
+from ..body.kinematics import forward_kinematics, joint_positions
+from ..body.pose import Motion, Pose, project
+from ..body.skeleton import Skeleton
+from ..errors import InputError
+from ..io.clouds import read_clouds
+from ..io.npz import load_arrays, load_motion
+from ..io.registry import read_motion
+from ..io.table import write_json
+from ..metrics import Summary, distance_summary, joint_errors, scan_to_surface
+from .options import BodySpec, CloudsSpec, OptionalCount, OptionalFile, Unit, Up, arg
+from .say import progress, say, table
+from .sources import load_body, up_rotation
+
+#: a motion whose joints stand so far from those of the body is of another body, metres
+SAME_BODY = 0.01
+
+_pose_body = eqx.filter_jit(pose_body)
+
+
+@eqx.filter_jit
+def _joints(skeleton: Skeleton, poses: Pose) -> Float[jax.Array, "F J 3"]:
+    return jax.lax.map(lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose)), poses)
+
+
+@dataclass
+class Evaluate:
+    """Distances from scan to surface, and errors at the joints where the truth is known."""
+
+    body: BodySpec
+    """As for `track`."""
+    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
+    """The body's motion, .npz or .bvh."""
+    clouds: CloudsSpec
+    """As for `track`."""
+    truth: OptionalFile = None
+    """The true motion (.npz, .bvh, .amc), or an .npz with `joints (F, J, 3)` and `names (J,)`."""
+    out: Annotated[OptionalFile, arg(aliases=("-o",))] = None
+    """Save the report as JSON."""
+    skl: OptionalFile = None
+    """Skeleton of a mesh; beside it where not given."""
+    vj: OptionalFile = None
+    """Joint of each vertex of a mesh; beside it where not given."""
+    first: OptionalCount = None
+    """First cloud: the number in a pattern's names, else counted from 0."""
+    last: OptionalCount = None
+    """Last cloud, included."""
+    unit: Unit = "m"
+    """Unit of mesh and clouds: m, dm, cm, mm, in or ft."""
+    up: Up = "y"
+    """Axis that points up in mesh and clouds."""
+    vertices: OptionalCount = None
+    """Reduce the body to about so many vertices."""
+    points: OptionalCount = None
+    """Use so many random points of each cloud."""
+
+    def run(self) -> None:
+        if self.points is not None and self.points < 1:
+            raise InputError(f"--points is {self.points}; it must be at least 1.")
+        body, _ = load_body(self.body, self.skl, self.vj, vertices=self.vertices, unit=self.unit, up=self.up)
+        scans = read_clouds(self.clouds, self.first, self.last, self.unit)
+        motion = read_motion_of(body, self.motion)
+        if motion.num_frames != len(scans):
+            raise InputError(
+                f"{self.motion}: the motion has {motion.num_frames} frames and there are {len(scans)} clouds; "
+                "choose clouds by --first and --last."
+            )
+        turn, rng = up_rotation(self.up), np.random.default_rng(0)
+        truth = None if self.truth is None else read_truth(self.truth, body.skeleton, motion.num_frames)
+        distances = []
+        for frame, scan in enumerate(progress(scans, len(scans), label="measuring")):
+            points = scan.points
+            if self.points is not None and self.points < len(points):
+                points = points[rng.choice(len(points), self.points, replace=False)]
+            vertices = np.asarray(_pose_body(body, motion[frame]).vertices)
+            distances.append(scan_to_surface(points @ turn.T, vertices, np.asarray(body.faces)))
+        surface = distance_summary(np.concatenate(distances))
+        report: dict = {
+            "unit": "m",
+            "frames": len(scans),
+            "scan_to_surface": surface._asdict(),
+            "per_frame": [distance_summary(d)._asdict() for d in distances],
+        }
+        rows = [_line("scan to surface", surface)]
+        if truth is not None:
+            names, there = truth
+            places = [body.skeleton.names.index(name) for name in names]
+            errors = joint_errors(np.asarray(_joints(body.skeleton, motion.poses))[:, places], there)
+            joints = distance_summary(errors.reshape(-1))
+            rows.append(_line("joint centres", joints))
+            report["joint_centres"] = {
+                **joints._asdict(),
+                "percentile_99": float(np.quantile(errors, 0.99)),
+                "by_joint": dict(zip(names, errors.mean(0).tolist(), strict=True)),
+            }
+        table(["millimetres", "mean", "sd", "median", "MAD", "IQR", "count"], rows)
+        if self.out is not None:
+            write_json(self.out, report)
+            say(f"saved in {self.out}")
+
+
+def read_motion_of(body: Body, path: Path) -> Motion:
+    """A motion of a body; one from BVH is matched to its joints by name.
+
+    **Raises:** `InputError` where the file is wrong or of another body.
+    """
+    if path.suffix.lower() == ".npz":
+        return load_motion(path, body.skeleton)
+    skeleton, motion = read_motion(path)
+    target = body.skeleton
+    missing = [
+        name
+        for name in target.names
+        if name not in skeleton.names and target.names.index(name) in target.parents
+    ]
+    if missing or target.names[0] not in skeleton.names:
+        raise InputError(
+            f"{path}: there is no joint '{(missing or target.names)[0]}' in this motion; retarget it."
+        )
+    count = motion.num_frames
+    rotations = np.tile([1.0, 0, 0, 0], (count, target.num_joints, 1))
+    translations = np.zeros((count, target.num_joints, 3))
+    for joint, name in enumerate(target.names):
+        if name in skeleton.names:
+            source = skeleton.names.index(name)
+            rotations[:, joint] = motion.poses.rotations[:, source]
+            translations[:, joint] = motion.poses.translations[:, source]
+    there = np.asarray(_joints(skeleton, motion.poses))
+    root = there[:, skeleton.names.index(target.names[0])]
+    translations[:, 0] = root - np.asarray(target.centres)[0]
+    dtype = target.centres.dtype
+    poses = Pose(jnp.asarray(translations, dtype), jnp.asarray(rotations, dtype), jnp.ones(count, dtype))
+    poses = jax.vmap(functools.partial(project, target))(poses)
+    shared = [name for name in target.names if name in skeleton.names]
+    here = np.asarray(_joints(target, poses))[:, [target.names.index(name) for name in shared]]
+    apart = joint_errors(here, there[:, [skeleton.names.index(name) for name in shared]]).max()
+    if apart > SAME_BODY:
+        raise InputError(
+            f"{path}: this motion is of another skeleton, whose joints stand up to {1000 * apart:.0f} mm from "
+            "those of the body; retarget it."
+        )
+    return Motion(poses, motion.rate)
+
+
+def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], Float[np.ndarray, "F K 3"]]:
+    """The joints of a skeleton whose true places a file knows, and these. Raises `InputError`."""
+    arrays = load_arrays(path) if path.suffix.lower() == ".npz" else {}
+    if "joints" in arrays:
+        joints = arrays["joints"]
+        names = [str(name) for name in arrays["names"]] if "names" in arrays else list(skeleton.names)
+        if joints.ndim != 3 or joints.shape[1:] != (len(names), 3):
+            raise InputError(
+                f"{path}: the array 'joints' has the shape {joints.shape}; it must be (F, {len(names)}, 3)."
+            )
+    else:
+        own, motion = read_motion(path)
+        names, joints = list(own.names), np.asarray(_joints(own, motion.poses))
+    if len(joints) != frames:
+        raise InputError(f"{path}: the truth has {len(joints)} frames and the motion {frames}.")
+    shared = [name for name in names if name in skeleton.names]
+    if not shared:
+        raise InputError(
+            f"{path}: no joint of the truth is one of the body, which has {', '.join(skeleton.names)}."
+        )
+    return shared, np.asarray(joints, float)[:, [names.index(name) for name in shared]]
+
+
+def _line(name: str, summary: Summary) -> list[str]:
+    return [name, *(f"{1000 * value:.2f}" for value in summary[:5]), str(summary.count)]

@@ -1,0 +1,117 @@
+"""`jaxcap info`: what is in a file."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ..body.body import Body
+from ..body.pose import Motion
+from ..body.skeleton import Skeleton
+from ..errors import InputError
+from ..io.clouds import read_clouds
+from ..io.mesh import SUFFIXES, check_mesh, read_mesh
+from ..io.npz import load_arrays, load_body
+from ..io.registry import MOTION_READERS, SKELETON_READERS, read_motion, read_skeleton
+from .options import OptionalUnit, arg
+from .say import say
+from .sources import load_body as load_any_body
+
+
+@dataclass
+class Info:
+    """Say what is in a file: a mesh, a body, a skeleton, a motion, or clouds."""
+
+    file: tyro.conf.Positional[Annotated[str, arg(metavar="FILE")]]
+    """A file, a printf pattern or a folder of clouds, or `human`."""
+    unit: OptionalUnit = None
+    """Unit of the file's lengths, where it does not say it: m, dm, cm, mm, in or ft."""
+
+    def run(self) -> None:
+        path = Path(self.file)
+        suffix = path.suffix.lower()
+        if self.file.split(":")[0] == "human" and not path.exists():
+            _body(load_any_body(self.file)[0])
+        elif path.is_dir() or not path.is_file():
+            _clouds(self.file, self.unit or "m")
+        elif suffix in SUFFIXES:
+            _mesh(path, self.unit or "m")
+        elif suffix == ".npz":
+            self._arrays(path)
+        elif suffix in MOTION_READERS:
+            skeleton, motion = read_motion(path, self.unit)
+            _motion(motion)
+            _skeleton(skeleton)
+        elif suffix in SKELETON_READERS:
+            _skeleton(read_skeleton(path, self.unit))
+        else:
+            known = sorted({*SUFFIXES, *MOTION_READERS, *SKELETON_READERS})
+            raise InputError(f"{path}: '{suffix}' files are not known; give one of {', '.join(known)}.")
+
+    def _arrays(self, path: Path) -> None:
+        arrays = load_arrays(path)
+        kind = str(arrays["format"]) if "format" in arrays else ""
+        if kind == "jaxcap body":
+            _body(load_body(path))
+        elif kind == "jaxcap motion":
+            skeleton, motion = read_motion(path)
+            _motion(motion)
+            _skeleton(skeleton)
+        elif {"points", "vertices"} & set(arrays):
+            _clouds(str(path), self.unit or "m")
+        else:
+            for name, values in arrays.items():
+                say(f"{name}: {values.dtype} {values.shape}")
+
+
+def _body(body: Body) -> None:
+    size = np.ptp(np.asarray(body.vertices), axis=0)
+    say(
+        f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {_metres(size)}, {type(body.skin).__name__}"
+    )
+    _skeleton(body.skeleton)
+
+
+def _skeleton(skeleton: Skeleton) -> None:
+    kinds = [f"{skeleton.kinds.count(kind)} {kind}" for kind in dict.fromkeys(skeleton.kinds)]
+    say(f"skeleton: {skeleton.num_joints} joints ({', '.join(kinds)}), {skeleton.num_dofs} parameters")
+    for name, parent, kind, depth in zip(
+        skeleton.names, skeleton.parents, skeleton.kinds, skeleton.depths, strict=True
+    ):
+        above = "" if parent < 0 else f" on {skeleton.names[parent]}"
+        say(f"{'  ' * (int(depth) + 1)}{name} ({kind}{above})")
+
+
+def _motion(motion: Motion) -> None:
+    count = motion.num_frames
+    say(f"motion: {count} frames at {motion.rate:g} a second, {count / motion.rate:.2f} s")
+
+
+def _mesh(path: Path, unit: str) -> None:
+    mesh = read_mesh(path, unit)
+    what = "mesh" if len(mesh.faces) else "cloud"
+    normals = ", with normals" if mesh.normals is not None else ""
+    say(
+        f"{what}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {_metres(np.ptp(mesh.vertices, axis=0))}{normals}"
+    )
+    if len(mesh.faces):
+        try:
+            check_mesh(mesh, path)
+        except InputError as error:
+            say(f"not a surface for a body: {error}")
+
+
+def _clouds(source: str, unit: str) -> None:
+    scans = read_clouds(source, unit=unit)
+    first = scans[0]
+    normals = "with" if first.normals is not None else "without"
+    say(
+        f"clouds: {len(scans)} frames; the first has {len(first.points)} points {normals} normals, "
+        f"{_metres(np.ptp(first.points, axis=0))}"
+    )
+
+
+def _metres(size: np.ndarray) -> str:
+    return " x ".join(f"{length:.3g}" for length in size) + " m"

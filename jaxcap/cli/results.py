@@ -1,0 +1,132 @@
+"""The folder of a tracking run: what is in it, what it was begun with, what a frame is there."""
+
+import hashlib
+import os
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..body.pose import rest_pose, stack_poses
+from ..body.skeleton import Skeleton
+from ..errors import InputError
+from ..fit.em import FrameStatistics
+from ..fit.sequence import TrackedFrame
+from ..fit.track import Tracker, start_state
+from ..io.bvh import write_bvh
+from ..io.clouds import Scans
+from ..io.npz import save_motion
+from ..io.table import write_csv, write_json
+
+FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
+
+
+def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> Path:
+    """The path of the journal in a folder, which is made where it is not there.
+
+    **Raises:** `InputError` where it cannot be written to, or holds results that are neither to
+    be gone on with nor to be replaced.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(13, "Permission denied")
+    except OSError as error:
+        raise InputError(
+            f"{folder}: this folder cannot be written to ({error.strerror}); give another one."
+        ) from None
+    there = [name for name in (*FILES, journal) if (folder / name).exists()]
+    if there and not (resume or overwrite):
+        what = "an unfinished run" if there == [journal] else "the results of a run"
+        raise InputError(
+            f"{folder}: there is {what} in this folder; give --resume to go on with it or --overwrite to replace it."
+        )
+    if resume and there and journal not in there:
+        raise InputError(
+            f"{folder}: there is no journal in this folder to go on from; give --overwrite to begin anew."
+        )
+    if overwrite:
+        for name in there:
+            (folder / name).unlink()
+    return folder / journal
+
+
+def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
+    """What tells that inputs are the same: hashes of the body and of the first cloud, the names and
+    sizes of all."""
+    body = hashlib.sha256()
+    for leaf in jax.tree.leaves(tracker):
+        body.update(np.asarray(leaf).tobytes())
+    first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
+    files = hashlib.sha256()
+    for name in scans.names:
+        size = os.path.getsize(name) if os.path.isfile(name) else 0
+        files.update(f"{Path(name).name} {size}\n".encode())
+    return {
+        "frames": len(scans),
+        "body arrays": body.hexdigest(),
+        "first cloud": first.hexdigest(),
+        "cloud files": files.hexdigest(),
+        "precision": str(tracker.body.vertices.dtype),
+    }
+
+
+def pack(frame: TrackedFrame, seconds: float) -> Float[np.ndarray, "R"]:
+    """A frame as one row of numbers, exact in both precisions."""
+    return np.concatenate(
+        [[seconds], *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(frame))]
+    )
+
+
+def unpack(tracker: Tracker, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame, float]:
+    """The frame of a row that `pack` made, to the last bit."""
+    leaves, tree = jax.tree.flatten(_template(tracker))
+    numbers, at = [], 1
+    for leaf in leaves:
+        size = np.size(leaf)
+        values = row[at : at + size].reshape(np.shape(leaf))
+        numbers.append(jnp.asarray(values, leaf.dtype) if eqx.is_array(leaf) else type(leaf)(values))
+        at += size
+    return jax.tree.unflatten(tree, numbers), float(row[0])
+
+
+def record_width(tracker: Tracker) -> int:
+    """How many numbers a row has."""
+    return len(pack(_template(tracker), 0.0))
+
+
+def write_results(
+    folder: Path, skeleton: Skeleton, frames: list[TrackedFrame], seconds: list[float], rate: float
+) -> None:
+    """Motion and statistics of the frames of a run."""
+    motion = stack_poses([frame.pose for frame in frames], rate)
+    write_bvh(folder / "motion.bvh", skeleton, motion)
+    save_motion(folder / "motion.npz", motion, skeleton)
+    rows = [_row(number, *pair) for number, pair in enumerate(zip(frames, seconds, strict=True))]
+    write_csv(folder / "statistics.csv", rows)
+    write_json(folder / "statistics.json", {"rate": rate, "frames": rows})
+
+
+def _row(number: int, frame: TrackedFrame, seconds: float) -> dict[str, object]:
+    statistics = frame.statistics
+    return {
+        "frame": number,
+        # of a mean point, per metre^3: what expectation maximisation makes small
+        "energy": -float(statistics.log_likelihood),
+        "sigma": float(statistics.sigma),
+        "outlier_share": float(statistics.outlier_share),
+        "mean_distance": float(statistics.mean_distance),
+        "state": "lost" if frame.lost else "converged",
+        "seconds": seconds,
+    }
+
+
+def _template(tracker: Tracker) -> TrackedFrame:
+    """A frame with the shapes and types of all frames."""
+    pose = rest_pose(tracker.body.skeleton)
+    number = jnp.zeros((), pose.rotations.dtype)
+    state = start_state(tracker, pose)
+    return TrackedFrame(pose, FrameStatistics(number, number, number, number), False, state, (0.0, 0.0))

@@ -1,0 +1,58 @@
+"""`jaxcap rig`: make a body of a mesh."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from ..errors import InputError
+from ..io.mesh import check_mesh, check_size, read_mesh
+from ..io.npz import save_body
+from ..io.registry import read_skeleton
+from ..rig.rig import rig_mesh
+from .options import Flag, OptionalFile, Unit, Up, arg
+from .say import say
+from .sources import up_rotation, upright_skeleton
+
+
+@dataclass
+class Rig:
+    """Put a skeleton into a mesh and bind its vertices to the bones; writes a body .npz.
+
+    Without a skeleton, the human one is placed in a person that stands in about an A-pose or T-pose."""
+
+    mesh: tyro.conf.Positional[Annotated[Path, arg(metavar="MESH")]]
+    """A closed surface: .off, .obj, .ply, .stl or .glb."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
+    """The body to write."""
+    skeleton: OptionalFile = None
+    """A skeleton (.skl, .bvh, .asf, .npz) that stands in the mesh already."""
+    method: Literal["automatic", "envelopes", "heat"] = "automatic"
+    """How vertices follow bones: the human's own weights, one bone each (rigid), or spread like heat."""
+    unit: Unit = "m"
+    """Unit of mesh and skeleton: m, dm, cm, mm, in or ft."""
+    up: Up = "y"
+    """Axis that points up in mesh and skeleton. The body has y up."""
+    overwrite: Flag = False
+    """Replace the body where it is there."""
+
+    def run(self) -> None:
+        if self.out.exists() and not self.overwrite:
+            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+        if self.out.suffix.lower() != ".npz":
+            raise InputError(f"{self.out}: a body is written as .npz; give a name that ends so.")
+        mesh = read_mesh(self.mesh, self.unit)
+        check_mesh(mesh, self.mesh)
+        vertices = mesh.vertices @ up_rotation(self.up).T
+        check_size(float(np.ptp(vertices, axis=0).max()), self.mesh, self.unit)
+        skeleton = None
+        if self.skeleton is not None:
+            skeleton = upright_skeleton(read_skeleton(self.skeleton, self.unit), self.up)
+        try:
+            body = rig_mesh(vertices, mesh.faces, skeleton, self.method)
+        except ValueError as error:
+            raise InputError(f"{self.mesh}: {error}") from None
+        save_body(self.out, body)
+        say(f"{self.out}: {len(body.vertices)} vertices on {body.skeleton.num_joints} joints")

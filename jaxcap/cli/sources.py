@@ -1,0 +1,151 @@
+"""Bodies and clouds by what a user writes on the command line."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..body.body import Body
+from ..body.human import RESOLUTIONS, human
+from ..body.limits import JointRanges
+from ..body.reduce import reduce_body
+from ..body.skeleton import Skeleton
+from ..errors import InputError
+from ..fit.check import check_cloud
+from ..geometry import rotation
+from ..io.clouds import Scans
+from ..io.cst import read_cst
+from ..io.registry import read_body
+from ..observe import Cloud, make_cloud
+
+Up = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+
+def load_body(
+    spec: str,
+    skl: Path | None = None,
+    vj: Path | None = None,
+    cst: Path | None = None,
+    *,
+    vertices: int | None = None,
+    unit: str = "m",
+    up: Up = "y",
+) -> tuple[Body, JointRanges | None]:
+    """A body, y up, and its joint limits where `cst` is given.
+
+    `spec` is `human` with options behind a colon (`human:female,height=1.7,medium`), a body
+    `.npz`, or a mesh, whose `.skl` and `.vj` lie beside it where they are not given. `unit` and
+    `up` are those of mesh and skeleton files; an `.npz` is in metres, y up.
+
+    **Raises:** `InputError`.
+    """
+    name, path = spec.split(":")[0], Path(spec)
+    if name == "human" and not path.exists():
+        body = _human(spec, vertices)
+    elif path.suffix.lower() == ".npz":
+        body = read_body(path)
+    else:
+        if not path.is_file():
+            raise InputError(f"{path}: there is no such file; give 'human', a body .npz, or a mesh.")
+        skl = _beside(path, skl, ".skl")
+        body = read_body(path, skl, _beside(path, vj, ".vj"), unit)
+    limits = None if cst is None else read_cst(cst, body.skeleton).ranges
+    if name != "human" and path.suffix.lower() != ".npz" and up != "y":
+        body, limits = _upright(body, limits, up)
+    if vertices is not None:
+        try:
+            body = reduce_body(body, vertices)
+        except ValueError as error:
+            raise InputError(f"{spec}: {error}") from None
+    return body, limits
+
+
+def load_cloud(scans: Scans, frame: int, body: Body, up: Up = "y") -> Cloud:
+    """One frame of a sequence, y up, checked against the body that is to be fitted to it."""
+    scan = scans[frame]
+    turn = up_rotation(up)
+    normals = None if scan.normals is None else scan.normals @ turn.T
+    cloud = make_cloud(scan.points @ turn.T, normals, name=scan.name)
+    check_cloud(body, cloud, scan.name)
+    return cloud
+
+
+def load_clouds(scans: Scans, body: Body, up: Up = "y", start: int = 0) -> Iterator[Cloud]:
+    """The frames of a sequence from `start` on, each read when it is asked for."""
+    return (load_cloud(scans, frame, body, up) for frame in range(start, len(scans)))
+
+
+def up_rotation(up: Up) -> np.ndarray:
+    """(3, 3) the rotation by the shortest way from the vertical `up` to y."""
+    axis = np.zeros(3)
+    axis["xyz".index(up[-1])] = -1.0 if up[0] == "-" else 1.0
+    if axis[1] == -1.0:
+        return np.diag([1.0, -1.0, -1.0])
+    across = np.cross(axis, [0.0, 1.0, 0.0])
+    cross = np.array([[0, -across[2], across[1]], [across[2], 0, -across[0]], [-across[1], across[0], 0]])
+    return np.eye(3) + cross + cross @ cross / (1.0 + axis[1])
+
+
+def upright_skeleton(skeleton: Skeleton, up: Up) -> Skeleton:
+    """A skeleton whose vertical was `up`, turned so that it is y."""
+    turn = jnp.asarray(up_rotation(up), skeleton.centres.dtype)
+    return eqx.tree_at(
+        lambda s: (s.centres, s.axes, s.orientations),
+        skeleton,
+        (
+            skeleton.centres @ turn.T,
+            skeleton.axes @ turn.T,
+            rotation.multiply(rotation.from_matrix(turn), skeleton.orientations),
+        ),
+    )
+
+
+def _human(spec: str, vertices: int | None) -> Body:
+    options: dict = {"joints": "tracking", "resolution": "medium" if vertices is None else "full"}
+    for word in filter(None, spec[6:].split(",")):
+        key, _, value = word.partition("=")
+        if word in ("female", "male"):
+            options["sex"] = word
+        elif word in RESOLUTIONS:
+            options["resolution"] = word
+        elif key in ("age", "weight", "muscle", "height"):
+            try:
+                options[key] = float(value)
+            except ValueError:
+                raise InputError(f"{spec}: '{value}' for the {key} is not a number.") from None
+        else:
+            raise InputError(
+                f"{spec}: '{word}' is not an option of the human; give female, male, "
+                f"{', '.join(RESOLUTIONS)}, or age, weight, muscle, height with =NUMBER."
+            )
+    try:
+        return human(**options)
+    except ValueError as error:
+        raise InputError(f"{spec}: {error}") from None
+
+
+def _beside(mesh: Path, given: Path | None, suffix: str) -> Path:
+    path = mesh.with_suffix(suffix) if given is None else given
+    if not path.is_file():
+        raise InputError(
+            f"{mesh}: a mesh is a body only with its skeleton (.skl) and parts (.vj), and {path} is not there; "
+            f"name it by --{suffix[1:]}, or rig the mesh."
+        )
+    return path
+
+
+def _upright(body: Body, limits: JointRanges | None, up: Up) -> tuple[Body, JointRanges | None]:
+    turn = jnp.asarray(up_rotation(up), body.vertices.dtype)
+    body = eqx.tree_at(
+        lambda b: (b.vertices, b.skeleton),
+        body,
+        (body.vertices @ turn.T, upright_skeleton(body.skeleton, up)),
+    )
+    if limits is not None:
+        limits = eqx.tree_at(
+            lambda r: (r.heading, r.bank), limits, (limits.heading @ turn.T, limits.bank @ turn.T)
+        )
+    return body, limits

@@ -1,0 +1,179 @@
+"""`jaxcap track`: fit a body to a sequence of clouds."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from ..body.body import Body
+from ..body.limits import JointRanges
+from ..energy.limits import JointLimits
+from ..errors import InputError
+from ..fit.em import make_mixture
+from ..fit.sequence import TrackedFrame, track_frames
+from ..fit.track import Tracker, make_tracker
+from ..io.clouds import Scans, read_clouds
+from ..io.journal import Journal, begin_journal, resume_journal
+from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
+from .results import check_folder, fingerprint, pack, record_width, unpack, write_results
+from .say import progress, say, warn
+from .sources import load_body, load_cloud, load_clouds
+from .timed import timed
+
+JOURNAL = "journal"
+
+
+@dataclass
+class Track:
+    """Fit a body to a sequence of clouds; writes motion.bvh, motion.npz and statistics.
+
+    A run that was killed goes on with --resume, and ends with the same result."""
+
+    body: BodySpec
+    """`human` (with options: `human:female,height=1.7`), a body .npz, or a mesh with .skl and .vj."""
+    clouds: CloudsSpec
+    """A printf pattern (`scan_%03d.off`), a quoted glob, a folder, or an .npz."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """Folder for the results."""
+    skl: OptionalFile = None
+    """Skeleton of a mesh; beside it where not given."""
+    vj: OptionalFile = None
+    """Joint of each vertex of a mesh; beside it where not given."""
+    cst: OptionalFile = None
+    """Joint limits to keep."""
+    limit_weight: float = 100.0
+    """How strongly limits hold, per squared radian."""
+    first: OptionalCount = None
+    """First frame: the number in a pattern's names, else counted from 0."""
+    last: OptionalCount = None
+    """Last frame, included."""
+    unit: Unit = "m"
+    """Unit of mesh and clouds: m, dm, cm, mm, in or ft."""
+    up: Up = "y"
+    """Axis that points up in mesh and clouds. Results have y up."""
+    rate: float = 30.0
+    """Frames a second."""
+    normal_angle: float = 60.0
+    """Largest angle between a point's normal and its vertex's, degrees."""
+    sigma0: float = 0.1
+    """Deviation of the first frame's points from the body to start with, metres."""
+    outlier: float = 0.1
+    """Share of points that are not of the body."""
+    damping: float = 1.0
+    """Constant on the diagonal of the normal equations."""
+    iterations: int = 4
+    """Steps of expectation maximisation on a frame."""
+    vertices: OptionalCount = None
+    """Reduce the body to about so many vertices, for speed."""
+    estimate_priors: Flag = False
+    """Estimate the share of points of each part too."""
+    initialise: Flag = False
+    """Find the pose of the first frame from nothing; without it, it has to be near rest."""
+    resume: Flag = False
+    """Go on with a run that was stopped."""
+    overwrite: Flag = False
+    """Replace the results of an earlier run."""
+
+    def run(self) -> None:
+        self.check()
+        body, limits = load_body(
+            self.body, self.skl, self.vj, self.cst, vertices=self.vertices, unit=self.unit, up=self.up
+        )
+        scans = read_clouds(self.clouds, self.first, self.last, self.unit)
+        # the first cloud shows most of what may be wrong, before anything is written
+        load_cloud(scans, 0, body, self.up)
+        tracker = self.tracker(body, limits)
+        header = {**self.settings(), **fingerprint(tracker, scans)}
+        path = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
+        going_on = self.resume and path.is_file()
+        journal = (
+            resume_journal(path, header) if going_on else begin_journal(path, header, record_width(tracker))
+        )
+        with journal:
+            frames, seconds = self.follow(tracker, scans, journal)
+        write_results(self.out, body.skeleton, frames, seconds, self.rate)
+        lost = [number for number, frame in enumerate(frames) if frame.lost]
+        say(
+            f"{len(frames)} frames in {sum(seconds):.1f} s: motion.bvh, motion.npz, statistics.csv and "
+            f"statistics.json are in {self.out}"
+        )
+        if lost:
+            warn(f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
+        if len(frames) < len(scans):
+            raise KeyboardInterrupt(
+                f"stopped after {len(frames)} of {len(scans)} frames, which are written; --resume goes on"
+            )
+
+    def check(self) -> None:
+        """That options are in their ranges. Raises `InputError`."""
+        wrong = {
+            "--normal-angle": (
+                self.normal_angle,
+                0 < self.normal_angle <= 180,
+                "above 0 and at most 180 degrees",
+            ),
+            "--sigma0": (self.sigma0, 0 < self.sigma0 < np.inf, "above 0 metres"),
+            "--outlier": (self.outlier, 0 < self.outlier < 1, "between 0 and 1"),
+            "--damping": (self.damping, 0 <= self.damping < np.inf, "at least 0"),
+            "--limit-weight": (self.limit_weight, 0 <= self.limit_weight < np.inf, "at least 0"),
+            "--iterations": (self.iterations, self.iterations >= 1, "at least 1"),
+            "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 frames a second"),
+        }
+        for name, (value, fine, what) in wrong.items():
+            if not fine:
+                raise InputError(f"{name} is {value:g}; it must be {what}.")
+        if self.resume and self.overwrite:
+            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+
+    def settings(self) -> dict[str, object]:
+        """The options on which the result depends, by the names that the user knows."""
+        apart = ("out", "resume", "overwrite", "first", "last", "rate")
+        return {
+            name: str(value) if isinstance(value, Path) else value
+            for name, value in asdict(self).items()
+            if name not in apart
+        }
+
+    def tracker(self, body: Body, limits: JointRanges | None) -> Tracker:
+        mixture = make_mixture(
+            normal_threshold=float(np.cos(np.radians(self.normal_angle))),
+            outlier=self.outlier,
+            damping=self.damping,
+            estimate_priors=self.estimate_priors,
+        )
+        terms = () if limits is None else (self.limit_weight * JointLimits(body.skeleton, limits),)
+        return make_tracker(body, mixture, terms, iterations=self.iterations)
+
+    def follow(
+        self, tracker: Tracker, scans: Scans, journal: Journal
+    ) -> tuple[list[TrackedFrame], list[float]]:
+        """All frames, the ones of the journal first; fewer after Ctrl-C."""
+        rows = [unpack(tracker, row) for row in journal.records[: len(scans)]]
+        frames, seconds = [row[0] for row in rows], [row[1] for row in rows]
+        begin = len(frames)
+        try:
+            for frame, took in progress(self.steps(tracker, scans, frames), len(scans), begin):
+                journal.append(pack(frame, took))
+                frames.append(frame)
+                seconds.append(took)
+        except KeyboardInterrupt:
+            if not frames:
+                raise
+        return frames, seconds
+
+    def steps(
+        self, tracker: Tracker, scans: Scans, before: list[TrackedFrame]
+    ) -> Iterator[tuple[TrackedFrame, float]]:
+        """The frames behind `before`, each with the seconds it took."""
+        return timed(
+            track_frames(
+                tracker,
+                load_clouds(scans, tracker.body, self.up, len(before)),
+                before[-1] if before else None,
+                search=self.initialise,
+                sigma=self.sigma0,
+                first=len(before),
+            )
+        )

@@ -1,0 +1,83 @@
+"""How good a result is: distances from scan to surface, and errors at the joints.
+
+Plain NumPy in float64, apart from the fitting it judges.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+
+class Summary(NamedTuple):
+    """Location and spread of distances, in their unit (Adaptation, section 4.2.1)."""
+
+    mean: float
+    #: standard deviation of the population
+    sd: float
+    median: float
+    #: median absolute deviation from the median, not scaled to a normal distribution
+    mad: float
+    #: distance between the quartiles
+    iqr: float
+    count: int
+
+
+def distance_summary(distances: Float[np.ndarray, "N"]) -> Summary:
+    """The `Summary` of distances; what is not finite is left out.
+
+    **Raises:** `ValueError` where no finite distance is left.
+    """
+    finite = np.asarray(distances, float)[np.isfinite(distances)]
+    if finite.size == 0:
+        raise ValueError("There is no finite distance to summarise.")
+    low, median, high = np.quantile(finite, [0.25, 0.5, 0.75])
+    return Summary(
+        mean=float(finite.mean()),
+        sd=float(finite.std()),
+        median=float(median),
+        mad=float(np.median(np.abs(finite - median))),
+        iqr=float(high - low),
+        count=int(finite.size),
+    )
+
+
+def scan_to_surface(
+    points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Float[np.ndarray, "N"]:
+    """The exact distance of each point to the nearest point of a triangle mesh, metres.
+
+    The triangles with the nearest middles of their boxes are tried first; a triangle whose middle
+    is farther than the best distance and the largest triangle's radius together cannot be nearer,
+    so the number of triangles tried doubles only for the points where that is not yet so.
+    """
+    from trimesh.triangles import closest_point
+
+    points = np.asarray(points, float)
+    triangles = np.asarray(vertices, float)[np.asarray(faces)]
+    middles = 0.5 * (triangles.min(1) + triangles.max(1))
+    reach = np.linalg.norm(triangles - middles[:, None], axis=2).max()
+    tree = cKDTree(middles)
+    best = np.full(len(points), np.inf)
+    left, tried = np.arange(len(points)), 0
+    count = min(16, len(triangles))
+    while left.size:
+        apart, near = tree.query(points[left], count)
+        apart, near = apart.reshape(len(left), -1), near.reshape(len(left), -1)
+        asked = np.repeat(points[left], count - tried, axis=0)
+        nearest = closest_point(triangles[near[:, tried:].reshape(-1)], asked)
+        distances = np.linalg.norm(nearest - asked, axis=1).reshape(len(left), -1)
+        best[left] = np.minimum(best[left], distances.min(1))
+        if count == len(triangles):
+            break
+        left = left[apart[:, -1] < best[left] + reach]
+        tried, count = count, min(2 * count, len(triangles))
+    return best
+
+
+def joint_errors(
+    joints: Float[np.ndarray, "F J 3"], truth: Float[np.ndarray, "F J 3"]
+) -> Float[np.ndarray, "F J"]:
+    """The distance between each joint centre and its true place, metres."""
+    return np.linalg.norm(np.asarray(joints, float) - np.asarray(truth, float), axis=-1)
