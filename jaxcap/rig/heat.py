@@ -92,7 +92,7 @@ def surface_operators(
     """The cotangent Laplacian (positive semidefinite), the areas (m^2) and the normals of vertices.
 
     Obtuse and degenerate triangles would make weights negative or infinite, so cotangents are held
-    between 0.01 and 10: the maximum principle stands, and heat stays between zero and one.
+    between 0.001 and 10: the maximum principle stands, and heat stays between zero and one.
     """
     count = len(vertices)
     corners = vertices[faces]
@@ -101,7 +101,7 @@ def surface_operators(
     laplacian = sparse.csc_matrix((count, count))
     for i in range(3):
         a, b = (corners[:, (i + k) % 3] - corners[:, i] for k in (1, 2))
-        cotangent = np.clip(np.sum(a * b, axis=1) / np.maximum(doubled, 1e-20), 0.01, 10.0)
+        cotangent = np.clip(np.sum(a * b, axis=1) / np.maximum(doubled, 1e-20), 1e-3, 10.0)
         first, second = faces[:, (i + 1) % 3], faces[:, (i + 2) % 3]
         laplacian += sparse.csc_matrix((0.5 * cotangent, (first, second)), shape=(count, count))
     laplacian = laplacian + laplacian.T

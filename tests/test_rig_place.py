@@ -1,0 +1,91 @@
+"""The human skeleton found again in people whose joints are known, and in a real capture."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+from jaxcap.body.body import pose_body
+from jaxcap.body.human import human
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.errors import InputError
+from jaxcap.geometry import rotation
+from jaxcap.rig.place import UPRIGHT, place_human
+from jaxcap.rig.rig import rig_mesh
+
+ARMS = ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
+#: joints deep inside the trunk, which the surface shows least
+TRUNK = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+TWIGS = ("Finger", "Thumb", "Toe")
+
+
+def someone(rng, **options):
+    """A person somewhere, turned about the vertical, arms moved by up to 15 degrees, the vertices
+    shuffled. Returns `(vertices, faces, joints, names)`."""
+    body = human(**options)
+    rest = rest_pose(body.skeleton)
+    axes = rng.normal(size=(len(ARMS), 3))
+    axes *= np.radians(rng.uniform(5, 15, (len(ARMS), 1))) / np.linalg.norm(axes, axis=1, keepdims=True)
+    arms = np.array([body.skeleton.index(name) for name in ARMS])
+    turns = rest.rotations.at[arms].set(rotation.exp(jnp.asarray(axes)))
+    turns = turns.at[0].set(rotation.exp(jnp.array([0.0, rng.uniform(0, 2 * np.pi), 0.0])))
+    shift = rest.translations.at[0].set(jnp.array([1.3, 0.9, -0.4]))
+    posed = pose_body(body, Pose(shift, turns, rest.scale))
+    order = rng.permutation(len(body.vertices))
+    faces = np.argsort(order)[np.asarray(body.faces)]
+    return np.asarray(posed.vertices)[order], faces, np.asarray(posed.joints), body.skeleton.names
+
+
+@pytest.mark.parametrize(
+    ("options", "up"),
+    [
+        ({"sex": "female", "weight": 0.1}, "y"),
+        ({"sex": "male", "weight": 0.95, "height": 1.86}, "z"),
+    ],
+    ids=["thin woman", "tall heavy man"],
+)
+def test_joints_are_found_in_people_of_another_build(rng, options, up):
+    vertices, faces, joints, names = someone(rng, **options)
+    turn = np.array(UPRIGHT[up])  # y = turn x, so the frame where `up` points up is back by its transpose
+    body = place_human(vertices @ turn, faces, up)
+    errors = np.linalg.norm(np.asarray(body.skeleton.centres) - joints @ turn, axis=1)
+    trunk = np.isin(names, TRUNK)
+    limbs = ~trunk & ~np.array([any(twig in name for twig in TWIGS) for name in names])
+    assert errors[limbs].mean() < 0.010
+    assert errors[trunk].mean() < 0.015
+    assert errors.max() < 0.040
+    # left and right follow from which way the feet point: a swap would put joints far off
+    np.testing.assert_allclose(np.asarray(body.vertices), vertices @ turn)
+    weights = np.asarray(body.skin.influence(len(names)))
+    np.testing.assert_allclose(weights.sum(1), 1, atol=1e-6)
+    assert (weights > 0).sum(1).max() <= 4
+    # at rest the body is the mesh as given
+    rest = pose_body(body, rest_pose(body.skeleton))
+    np.testing.assert_allclose(rest.vertices, vertices @ turn, atol=1e-9)
+
+
+def test_a_mesh_that_is_no_person_is_told_with_its_distance():
+    box = trimesh.creation.box((1.0, 1.7, 1.0)).subdivide_to_size(0.08)
+    with pytest.raises(InputError, match=r"is \d+ mm away from it on average"):
+        place_human(np.array(box.vertices), np.array(box.faces))
+
+
+def test_a_mesh_in_millimetres_is_told():
+    body = human(resolution="low")
+    with pytest.raises(InputError, match=r"1\d\d\d m tall along y.*millimetres"):
+        place_human(1000 * np.asarray(body.vertices, float), np.asarray(body.faces))
+
+
+@pytest.mark.shared
+def test_the_skeleton_stands_inside_a_real_performer(shared):
+    with np.load(shared / "data" / "meshes" / "crane.npz", allow_pickle=False) as file:
+        vertices, faces = file["vertices"][0].astype(float), file["faces"]
+    body = rig_mesh(vertices, faces)
+    joints = dict(zip(body.skeleton.names, np.asarray(body.skeleton.centres), strict=True))
+    inner = [name for name in joints if not any(twig in name for twig in TWIGS)]
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    outside = trimesh.proximity.signed_distance(mesh, [joints[name] for name in inner]) < 0
+    assert not outside.any(), [name for name, out in zip(inner, outside, strict=True) if out]
+    # he looks along -x, so that his left is along +z
+    assert joints["LeftToeBase"][0] < joints["LeftFoot"][0] - 0.05
+    assert joints["LeftArm"][2] > joints["RightArm"][2] + 0.25
