@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 
 class Summary(NamedTuple):
@@ -58,7 +58,7 @@ def scan_to_surface(
     triangles = np.asarray(vertices, float)[np.asarray(faces)]
     middles = 0.5 * (triangles.min(1) + triangles.max(1))
     reach = np.linalg.norm(triangles - middles[:, None], axis=2).max()
-    tree = cKDTree(middles)
+    tree = KDTree(middles)
     best = np.full(len(points), np.inf)
     left, tried = np.arange(len(points)), 0
     count = min(16, len(triangles))

@@ -42,7 +42,7 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
     if there and not (resume or overwrite):
         what = "an unfinished run" if there == [journal] else "the results of a run"
         raise InputError(
-            f"{folder}: there is {what} in this folder; give --resume to go on with it or --overwrite to replace it."
+            f"{folder}: this folder holds {what}; give --resume to go on with it or --overwrite to replace it."
         )
     if resume and there and journal not in there:
         raise InputError(

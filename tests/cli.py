@@ -1,0 +1,61 @@
+"""Running the command line in this process, and small inputs for it."""
+
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from jaxcap.body.body import pose_body
+from jaxcap.body.human import human
+from jaxcap.cli import main
+from jaxcap.demo.performance import walk_and_wave
+from jaxcap.demo.scanner import Scanner, scan
+from jaxcap.io.npz import save_body, save_motion
+
+FRAMES, POINTS = 5, 600
+_pose_body = eqx.filter_jit(pose_body)
+
+
+def fails(capsys, *arguments, code: int = 2) -> str:
+    """The one line on stderr with which a command ends; it must be one, and no traceback."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stop:
+        main([str(word) for word in arguments])
+    assert stop.value.code == code
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("jaxcap: ")
+    assert "Traceback" not in lines[0]
+    return lines[0]
+
+
+def runs(capsys, *arguments) -> str:
+    """What a command that goes well writes on stdout."""
+    capsys.readouterr()
+    main([str(word) for word in arguments])
+    return capsys.readouterr().out
+
+
+def write_inputs(folder: Path) -> Path:
+    """`body.npz`, a small human, `clouds.npz` of its first steps, and their `truth.npz`."""
+    body, rng = human(joints="tracking", resolution="low"), np.random.default_rng(3)
+    motion = walk_and_wave(body.skeleton, seconds=FRAMES / 30)
+    scanner, frames = Scanner(points=POINTS, outliers=0.0), []
+    for frame in range(FRAMES):
+        vertices = np.asarray(_pose_body(body, motion[frame]).vertices)
+        frames.append(scan(scanner, vertices, np.asarray(body.faces), rng))
+    points, normals = zip(*frames, strict=True)
+    save_body(folder / "body.npz", body)
+    np.savez(folder / "clouds.npz", points=np.stack(points), normals=np.stack(normals))
+    save_motion(folder / "truth.npz", motion, body.skeleton)
+    return folder
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """All files under a folder with their content."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+PYTHON = sys.executable

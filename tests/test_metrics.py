@@ -1,0 +1,70 @@
+"""Summaries, distances to surfaces, errors at joints: against analysis, SciPy and trimesh."""
+
+import numpy as np
+import pytest
+import scipy.stats
+import trimesh
+
+from jaxcap.body.human import human
+from jaxcap.metrics import distance_summary, joint_errors, scan_to_surface
+
+
+def test_summary_by_hand():
+    summary = distance_summary(np.array([1.0, 2.0, 3.0, 4.0, 10.0]))
+    assert summary == (4.0, pytest.approx(np.sqrt(10.0)), 3.0, 1.0, 2.0, 5)
+
+
+def test_summary_against_scipy(rng):
+    distances = rng.exponential(size=1001)
+    summary = distance_summary(distances)
+    assert summary.mad == pytest.approx(scipy.stats.median_abs_deviation(distances))
+    assert summary.iqr == pytest.approx(scipy.stats.iqr(distances))
+    assert summary.sd == pytest.approx(scipy.stats.tstd(distances) * np.sqrt(1000 / 1001))
+
+
+def test_summary_leaves_out_what_is_not_finite():
+    assert distance_summary(np.array([np.nan, 1.0, np.inf])).count == 1
+    with pytest.raises(ValueError, match="no finite distance"):
+        distance_summary(np.array([np.nan]))
+
+
+def test_distance_to_a_box(rng):
+    """Outside: the distance to the clipped point; inside: the distance to the nearest side."""
+    box = trimesh.creation.box((2.0, 2.0, 2.0))
+    points = rng.uniform(-3, 3, (500, 3))
+    outside = np.linalg.norm(points - np.clip(points, -1, 1), axis=1)
+    inside = 1 - np.abs(points).max(1)
+    expected = np.where(inside > 0, inside, outside)
+    np.testing.assert_allclose(scan_to_surface(points, box.vertices, box.faces), expected, atol=1e-12)
+
+
+def test_distance_with_triangles_of_all_sizes(rng):
+    """One triangle that is far larger than the rest, needles, and points near, far and on it."""
+    vertices = np.concatenate([rng.normal(size=(60, 3)), [[-90, -3, -80], [90, -3, -80], [0, -3, 95]]])
+    vertices[:10] *= [20.0, 0.01, 0.01]
+    faces = np.concatenate([rng.permutation(60).reshape(20, 3), [[60, 61, 62]]])
+    points = np.concatenate([rng.normal(size=(80, 3)), 100 * rng.normal(size=(20, 3)), vertices])
+    everyone = np.repeat(vertices[faces][None], len(points), 0).reshape(-1, 3, 3)
+    asked = np.repeat(points, len(faces), 0)
+    nearest = trimesh.triangles.closest_point(everyone, asked)
+    slow = np.linalg.norm(nearest - asked, axis=1).reshape(len(points), -1).min(1)
+    np.testing.assert_allclose(scan_to_surface(points, vertices, faces), slow, atol=1e-12)
+
+
+def test_distance_to_a_person_is_exact(rng):
+    body = human(resolution="medium")
+    vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
+    near = vertices[rng.integers(len(vertices), size=2700)] + 0.01 * rng.normal(size=(2700, 3))
+    points = np.concatenate([near, rng.uniform(-2, 2, (300, 3))])
+    surface = trimesh.Trimesh(vertices, faces, process=False)
+    chosen = rng.choice(len(points), 150, replace=False)
+    distances = scan_to_surface(points, vertices, faces)
+    _, expected, _ = trimesh.proximity.closest_point(surface, points[chosen])
+    np.testing.assert_allclose(distances[chosen], expected, atol=1e-9)
+
+
+def test_joint_errors():
+    truth = np.zeros((2, 3, 3))
+    joints = truth.copy()
+    joints[1, 2] = [3.0, 0.0, 4.0]
+    np.testing.assert_array_equal(joint_errors(joints, truth), [[0, 0, 0], [0, 0, 5]])
