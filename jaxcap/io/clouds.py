@@ -4,7 +4,7 @@ import glob
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 from jaxtyping import Float
@@ -33,6 +33,10 @@ class Scans(Sequence):
     def __len__(self) -> int:
         return len(self.names)
 
+    @overload
+    def __getitem__(self, frame: int) -> Scan: ...
+    @overload
+    def __getitem__(self, frame: slice) -> "Scans": ...
     def __getitem__(self, frame):
         if isinstance(frame, slice):
             numbers = range(len(self))[frame]
