@@ -1,5 +1,6 @@
 """The human skeleton found again in people whose joints are known, and in a real capture."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
 from jaxcap.rig.place import UPRIGHT, place_human
 from jaxcap.rig.rig import rig_mesh
+from jaxcap.rig.template import average_build, build_body, load_template
 
 ARMS = ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
 #: joints deep inside the trunk, which the surface shows least
@@ -34,6 +36,33 @@ def someone(rng, **options):
     order = rng.permutation(len(body.vertices))
     faces = np.argsort(order)[np.asarray(body.faces)]
     return np.asarray(posed.vertices)[order], faces, np.asarray(posed.joints), body.skeleton.names
+
+
+def test_a_build_stretches_bones_by_its_lengths_and_nothing_else():
+    template = load_template()
+    build = average_build(template)
+    rest = build_body(template, build)
+    np.testing.assert_allclose(rest.vertices, template.body.vertices, atol=1e-9)
+    names = template.body.skeleton.names
+    leg = names.index("LeftLeg")
+    longer = eqx.tree_at(lambda b: b.lengths, build, build.lengths.at[template.groups[leg]].set(np.log(1.2)))
+    longer = eqx.tree_at(lambda b: b.size, longer, jnp.log(2.0))
+    stretched = build_body(template, longer)
+
+    def bones(body):
+        parents = np.array(body.skeleton.parents[1:])
+        return np.linalg.norm(body.skeleton.centres[1:] - body.skeleton.centres[parents], axis=1)
+
+    expected = 2.0 * bones(rest)
+    shins = np.isin(names[1:], ["LeftFoot", "RightFoot"])
+    np.testing.assert_allclose(bones(stretched), np.where(shins, 1.2, 1.0) * expected, atol=1e-6)
+    weights = np.asarray(rest.skin.influence(len(names)))
+    head = weights[:, names.index("Head")] > 0.999
+    np.testing.assert_allclose(
+        stretched.vertices[head] - stretched.vertices[head][0],
+        2.0 * (rest.vertices[head] - rest.vertices[head][0]),
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize(

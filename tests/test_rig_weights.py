@@ -60,17 +60,21 @@ def test_a_vertex_goes_to_the_envelope_that_covers_it_deepest():
     even = envelope_parts(vertices, chain(), TAILS, np.array([0.2, 0.2, 0.2]))
     np.testing.assert_array_equal(even, [0, 1, 1])
     # the third is nearer to b, but deeper in a's wide envelope; b without envelope gets none
-    np.testing.assert_array_equal(envelope_parts(vertices, chain(), TAILS, np.array([1.0, 0.2, 0.2]))[[0, 2]], 0)
-    np.testing.assert_array_equal(envelope_parts(vertices, chain(), TAILS, np.array([1.0, 0.0, 1.5])), [0, 2, 0])
+    wide = envelope_parts(vertices, chain(), TAILS, np.array([1.0, 0.2, 0.2]))
+    np.testing.assert_array_equal(wide[[0, 2]], 0)
+    without = envelope_parts(vertices, chain(), TAILS, np.array([1.0, 0.0, 1.5]))
+    np.testing.assert_array_equal(without, [0, 2, 0])
 
 
 def test_a_vertex_in_no_envelope_is_named_and_the_radius_told_would_do():
     vertices = np.array([[0.25, 0.1, 0.0], [0.75, 0.3, 0.0]])
     radii = np.array([0.2, 0.2, 0.2])
-    with pytest.raises(InputError, match=r"Vertex 1 at \(0\.7500, 0\.3000, 0\.0000\) m .*'b'.* 0\.3000 m") as error:
+    message = r"Vertex 1 at \(0\.7500, 0\.3000, 0\.0000\) m .*'b'.* 0\.3000 m"
+    with pytest.raises(InputError, match=message) as error:
         envelope_parts(vertices, chain(), TAILS, radii)
     told = float(re.findall(r"be (\d\.\d+) m", str(error.value))[0])
-    np.testing.assert_array_equal(envelope_parts(vertices, chain(), TAILS, np.array([0.2, told + 1e-9, 0.2])), [0, 1])
+    widened = envelope_parts(vertices, chain(), TAILS, np.array([0.2, told + 1e-9, 0.2]))
+    np.testing.assert_array_equal(widened, [0, 1])
 
 
 def test_default_envelopes_cover_every_vertex():

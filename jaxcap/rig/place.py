@@ -17,7 +17,9 @@ from .template import Template, load_template, pose_template
 
 #: metres; heights of a person that stands
 SHORTEST, TALLEST = 0.3, 3.0
-#: metres; a template farther than this from the mesh, on average, was not found in it
+#: metres; the mesh is brought to this height, for which all lengths of a registration are meant
+STATURE = 1.75
+#: metres at that height; a template farther than this from the mesh, on average, was not found in it
 POOR_FIT = 0.06
 #: metres; a vertex this far from the template is trusted by half with its weights
 TRUST = 0.05
@@ -52,33 +54,33 @@ def place_human(
     **Raises:** `InputError` where the mesh is not of a person's height, or where the registration
     ends too far from it; both name what was found.
     """
-    check_person(vertices, faces, up)
+    unit = check_person(vertices, faces, up) / STATURE
     turn = np.array(UPRIGHT[up])
-    upright = vertices @ turn.T
-    template = load_template("low")
+    upright = vertices @ turn.T / unit
+    template = load_template()
     found = register(template, sample_surface(upright, faces))
     if found.residual > POOR_FIT:
         raise InputError(
-            f"The human that fits the mesh best is {1e3 * found.residual:.0f} mm away from it on average, "
-            f"more than {1e3 * POOR_FIT:.0f} mm; give the mesh of one person who stands upright along "
-            f"{up}, with the arms off the body and the triangles facing outwards."
+            f"The human that fits the mesh best is {1e3 * unit * found.residual:.0f} mm away from it on "
+            f"average, more than {1e3 * unit * POOR_FIT:.0f} mm; give the mesh of one person who stands upright "
+            f"along {up}, with the arms off the body and the triangles facing outwards."
         )
     posed = pose_template(template, found.build, found.pose)
     return Body(
-        _carry_skeleton(template, posed, turn),
+        _carry_skeleton(template, posed, unit, turn),
         LinearSkin(jnp.asarray(_carry_weights(template, posed, upright, faces), posed.vertices.dtype)),
         jnp.asarray(vertices, posed.vertices.dtype),
         jnp.asarray(faces, jnp.int32),
     )
 
 
-def check_person(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], up: str = "y") -> None:
-    """Whether a mesh can be a person's. Raises `InputError` with one sentence where it cannot."""
+def check_person(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], up: str = "y") -> float:
+    """The height of a mesh, metres. Raises `InputError` with one sentence where no person has it."""
     if up not in UPRIGHT:
         raise InputError(f"The axis that points up is '{up}'; give 'x', 'y' or 'z'.")
     height = float(np.ptp(vertices[np.unique(faces), "xyz".index(up)]))
     if SHORTEST <= height <= TALLEST:
-        return
+        return height
     units = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
     likely = [unit for unit, metres in units.items() if 1.0 <= height * metres <= 2.2]
     advice = f"it is likely in {likely[0]}, so scale it to metres" if likely else "scale it to metres"
@@ -88,8 +90,8 @@ def check_person(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
     )
 
 
-def _carry_skeleton(template: Template, posed: Posed, turn: np.ndarray) -> Skeleton:
-    """The joints as they are posed, in the frame of the mesh."""
+def _carry_skeleton(template: Template, posed: Posed, unit: float, turn: np.ndarray) -> Skeleton:
+    """The joints as they are posed, in the frame and the size of the mesh."""
     skeleton = template.body.skeleton
     back = turn.T @ np.asarray(posed.transforms.rotations, float)
     frames = back @ np.asarray(rotation.to_matrix(skeleton.orientations), float)
@@ -97,7 +99,7 @@ def _carry_skeleton(template: Template, posed: Posed, turn: np.ndarray) -> Skele
         skeleton.names,
         skeleton.parents,
         skeleton.kinds,
-        centres=np.asarray(posed.joints, float) @ turn,
+        centres=unit * np.asarray(posed.joints, float) @ turn,
         orientations=rotation.from_matrix(jnp.asarray(frames)),
         axes=np.einsum("jab,jkb->jka", back, np.asarray(skeleton.axes, float)),
     )

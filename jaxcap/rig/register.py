@@ -6,21 +6,15 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
 from ..body.body import Posed
 from ..body.pose import Pose, rest_pose
 from ..geometry import rotation
 from .heat import face_vectors
-from .template import (
-    Build,
-    Template,
-    average_build,
-    newton_step,
-    pose_template,
-)
+from .template import Build, Template, average_build, newton_step, pose_template
 
-#: metres between points that are as far apart as opposite normals are, over two
+#: metres that count as much as one unit between normals, of which two are opposite
 NORMAL_SCALE = 0.1
 #: points sampled on the surface
 SAMPLES = 4000
@@ -32,9 +26,10 @@ SLIDE = 0.1
 NOISE = 0.015
 #: how many independent distances a surface is worth against the prior
 EVIDENCE = 300.0
-#: scale (metres) of the robust weight in each step, for every start, and then for the best ones
-COARSE = tuple(np.geomspace(0.25, 0.1, 8))
-FINE = tuple(np.geomspace(0.12, 0.03, 22)) + (0.03,) * 8
+#: scale (metres) of the robust weight in each step: for every start, for the finalists, for the best
+COARSE = tuple(np.geomspace(0.25, 0.1, 6))
+FINE = tuple(np.geomspace(0.12, 0.06, 8))
+POLISH = tuple(np.geomspace(0.08, 0.03, 10)) + (0.03,) * 6
 #: starts that are refined
 FINALISTS = 2
 #: metres; closest points are cut off here in the residual
@@ -51,15 +46,19 @@ class Surface(NamedTuple):
 
 
 class Registration(NamedTuple):
-    """A build and a pose of the template, and how far it is from the surface: the mean over both
-    surfaces of the distance, metres, to the closest point with a like normal."""
+    """A build and a pose of the template, and how well they fit."""
 
     build: Build
     pose: Pose
+    #: the logarithm of the size by the height of the surface, about which the prior holds the build's
+    size: float
+    #: the mean over both surfaces of the distance, metres, to the closest point with a like normal
     residual: float
 
 
-def sample_surface(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int = SAMPLES) -> Surface:
+def sample_surface(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int = SAMPLES
+) -> Surface:
     """Points at random over a surface, the same in every call."""
     across = face_vectors(vertices, faces)
     areas = np.linalg.norm(across, axis=1)
@@ -72,7 +71,7 @@ def sample_surface(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F
 
 
 def search_tree(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> cKDTree:
-    """For `closest`."""
+    """What `closest` searches."""
     return cKDTree(_features(points, normals))
 
 
@@ -84,7 +83,8 @@ def closest(
 
 
 def register(template: Template, surface: Surface) -> Registration:
-    """Fit build and pose of a template to a person who stands upright, y up, in an A-pose or nearly so.
+    """Fit build and pose of the template to a person who stands upright, y up, in an A-pose or nearly
+    so, and of about the size of an adult, for which the lengths above are meant.
 
     Which way the person looks is not known: `HEADINGS` starts around the vertical are fitted
     coarsely, and of those the best `FINALISTS` finely. Distances are weighted as by Geman and
@@ -92,18 +92,14 @@ def register(template: Template, surface: Surface) -> Registration:
     build at rest.
     """
     search = search_tree(surface.points, surface.normals)
-    starts = [
-        _descend(template, surface, search, *_start(template, surface, 2 * np.pi * i / HEADINGS), COARSE)
-        for i in range(HEADINGS)
-    ]
-    starts.sort(key=lambda start: start.residual)
-    ends = [
-        _descend(template, surface, search, start.build, start.pose, FINE) for start in starts[:FINALISTS]
-    ]
-    return min(ends, key=lambda end: end.residual)
+    starts = [_start(template, surface, 2 * np.pi * i / HEADINGS) for i in range(HEADINGS)]
+    coarse = [_descend(template, surface, search, start, COARSE) for start in starts]
+    coarse.sort(key=lambda found: found.residual)
+    fine = [_descend(template, surface, search, found, FINE) for found in coarse[:FINALISTS]]
+    return _descend(template, surface, search, min(fine, key=lambda found: found.residual), POLISH)
 
 
-def _start(template: Template, surface: Surface, heading: float) -> tuple[Build, Pose]:
+def _start(template: Template, surface: Surface, heading: float) -> Registration:
     """As tall as the surface, amid it, turned about the vertical."""
     low, high = surface.points.min(0), surface.points.max(0)
     rest = np.asarray(template.body.vertices)
@@ -117,29 +113,27 @@ def _start(template: Template, surface: Surface, heading: float) -> tuple[Build,
     place = np.median(surface.points, axis=0)
     place[1] = low[1] + size * (root[1] - rest[:, 1].min())
     shift = jnp.asarray(place - size * root, rest.dtype)
-    return build, Pose(
-        pose.translations.at[0].set(shift), pose.rotations.at[0].set(turn), pose.scale
-    )
+    pose = Pose(pose.translations.at[0].set(shift), pose.rotations.at[0].set(turn), pose.scale)
+    return Registration(build, pose, np.log(size), np.inf)
 
 
 def _descend(
     template: Template,
     surface: Surface,
     search: cKDTree,
-    build: Build,
-    pose: Pose,
+    start: Registration,
     scales: tuple[float, ...],
 ) -> Registration:
+    """One Gauss-Newton step with new closest points for each of the scales."""
     areas = _vertex_areas(template)
-    # the start knows the height, so the prior holds the size there
-    size = build.size
+    build, pose, size, _ = start
     for scale in scales:
         posed = pose_template(template, build, pose)
         matrices, pulls = _attraction(posed, areas, surface, search, scale)
         to_jax = functools.partial(jnp.asarray, dtype=posed.vertices.dtype)
-        build, pose = newton_step(template, build, pose, to_jax(matrices), to_jax(pulls), size)
+        build, pose = newton_step(template, build, pose, to_jax(matrices), to_jax(pulls), to_jax(size))
     posed = pose_template(template, build, pose)
-    return Registration(build, pose, _residual(posed, areas, surface, search))
+    return Registration(build, pose, size, _residual(posed, areas, surface, search))
 
 
 def _attraction(

@@ -79,8 +79,8 @@ def _check_mesh(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"
     wrong = np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))
     if len(wrong):
         raise InputError(
-            f"Triangle {wrong[0]} is made of vertices {faces[wrong[0]].tolist()}, but there are only vertices "
-            f"0 to {len(vertices) - 1}; mend the triangle or leave it out."
+            f"Triangle {wrong[0]} is made of vertices {faces[wrong[0]].tolist()}, but there are only "
+            f"vertices 0 to {len(vertices) - 1}; mend the triangle or leave it out."
         )
     corners = vertices[faces]
     if not np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():

@@ -1,6 +1,7 @@
 """A human of unknown build and pose, as one function of a flat vector: what a registration fits."""
 
 import functools
+import re
 
 import equinox as eqx
 import jax
@@ -29,7 +30,9 @@ STIFFNESS = (
     ("Shoulder", 0.15), ("ForeArm", 0.4), ("Arm", 0.5), ("Hand", 0.25), ("UpLeg", 0.3), ("Leg", 0.25),
     ("Foot", 0.2), ("Toe", 0.1), ("Neck", 0.12), ("Head", 0.12), ("Back", 0.1), ("Spine", 0.1),
 )  # fmt: skip
+#: standard deviations of logarithms, and of builds, of which one unit is an extreme person
 LENGTH_SPREAD, GIRTH_SPREAD, SIZE_SPREAD, BUILD_SPREAD = 0.06, 0.12, 0.1, 0.7
+#: metres and radians; damps the root, which the prior leaves free
 ROOT_SPREAD = 3.0
 #: radians (and metres): the largest number in one step
 LARGEST_STEP = 0.5
@@ -60,23 +63,31 @@ class Build(eqx.Module):
     girths: Float[Array, "G"]
 
 
-@functools.lru_cache(maxsize=2)
-def load_template(resolution: str) -> Template:
-    """The template at one resolution of `human`."""
-    average = human(resolution=resolution, joints="tracking", **AVERAGE)
-    pairs = [
-        [human(resolution=resolution, **{**AVERAGE, **options}) for options in pair] for pair in BUILDS
-    ]
-    names = [name.removeprefix("Left").removeprefix("Right") for name in average.skeleton.names]
-    names = ["trunk" if name in TRUNK else name.lstrip("LR") if "HipJoint" in name else name for name in names]
-    names = ["Neck" if name.startswith("Neck") else name for name in names]
-    names = ["Hand" if "Thumb" in name or "Finger" in name else name for name in names]
+@functools.lru_cache(maxsize=1)
+def load_template() -> Template:
+    """The template, of 1,500 vertices: a registration samples surfaces at some centimetres."""
+    average = _person(AVERAGE)
+    pairs = [(_person(AVERAGE | more), _person(AVERAGE | less)) for more, less in BUILDS]
+    groups = [_group(name) for name in average.skeleton.names]
     return Template(
         average,
         jnp.stack([0.5 * (a.vertices - b.vertices) for a, b in pairs]),
         jnp.stack([0.5 * (a.skeleton.centres - b.skeleton.centres) for a, b in pairs]),
-        tuple(sorted(set(names)).index(name) for name in names),
+        tuple(sorted(set(groups)).index(group) for group in groups),
     )
+
+
+def _person(options: dict[str, float]) -> Body:
+    return human(resolution="low", joints="tracking", **options)  # pyright: ignore[reportArgumentType]
+
+
+def _group(name: str) -> str:
+    """What a bone is stretched with: its other side, the whole trunk, neck or hand."""
+    if name in TRUNK:
+        return "Trunk"
+    if "Thumb" in name or "Finger" in name:
+        return "Hand"
+    return "Neck" if name.startswith("Neck") else re.sub(r"^(Left|Right|[LR](?=Hip))", "", name)
 
 
 def average_build(template: Template) -> Build:
@@ -94,7 +105,8 @@ def build_body(template: Template, build: Build) -> Body:
     skeleton = template.body.skeleton
     size = jnp.exp(build.size)
     centres = size * (skeleton.centres + jnp.einsum("k,kja->ja", build.builds, template.build_centres))
-    vertices = size * (template.body.vertices + jnp.einsum("k,kva->va", build.builds, template.build_vertices))
+    blended = jnp.einsum("k,kva->va", build.builds, template.build_vertices)
+    vertices = size * (template.body.vertices + blended)
     along = _bone_directions(template)
     groups = np.array(template.groups)
     length, girth = jnp.exp(build.lengths)[groups], jnp.exp(build.girths)[groups]
@@ -107,7 +119,7 @@ def build_body(template: Template, build: Build) -> Body:
     moved = jnp.asarray(skeleton.descent.T, offsets.dtype) @ offsets
     bones = Transforms(stretch, moved - jnp.einsum("jab,jb->ja", stretch, centres))
     skin = template.body.skin
-    shaped = skin.deform(vertices, skeleton, None, bones)  # type: ignore[arg-type]  # linear skins need no pose
+    shaped = skin.deform(vertices, skeleton, rest_pose(skeleton), bones)
     skeleton = eqx.tree_at(lambda s: s.centres, skeleton, moved)
     return Body(skeleton, skin, shaped, template.body.faces)
 
@@ -167,9 +179,9 @@ def prior_spreads(template: Template) -> Float[np.ndarray, "X"]:
     layout = dof_layout(skeleton)
     joints = np.array([_stiffness(name) for name in skeleton.names])
     pose = np.where(np.array(skeleton.parents)[layout.joints] < 0, ROOT_SPREAD, joints[layout.joints])
-    groups = np.ones(template.num_groups)
+    builds, groups = np.ones(len(BUILDS)), np.ones(template.num_groups)
     return np.concatenate(
-        [pose, [SIZE_SPREAD], np.full(len(BUILDS), BUILD_SPREAD), LENGTH_SPREAD * groups, GIRTH_SPREAD * groups]
+        [pose, [SIZE_SPREAD], BUILD_SPREAD * builds, LENGTH_SPREAD * groups, GIRTH_SPREAD * groups]
     )
 
 
