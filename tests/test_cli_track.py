@@ -95,6 +95,7 @@ def test_statistics_of_every_frame(finished):
     assert len(rows) == len(report["frames"]) == FRAMES
     for number, (row, same) in enumerate(zip(rows, report["frames"], strict=True)):
         assert int(row["frame"]) == number
+        assert row["cloud"] == f"clouds.npz[{number}]"
         assert row["state"] == "converged"
         for name in ("energy", "sigma", "outlier_share", "mean_distance", "seconds"):
             assert float(row[name]) == same[name]
@@ -203,6 +204,23 @@ def test_lost_frames_are_told(inputs, tmp_path, capsys, monkeypatch):
     assert f"2 of {FRAMES} frames are lost: 1, 3" in capsys.readouterr().err
     rows = json.loads((tmp_path / "out" / "statistics.json").read_text())["frames"]
     assert [row["state"] for row in rows] == ["converged", "lost", "converged", "lost", "converged"]
+
+
+def test_wrong_cloud_on_the_way_keeps_the_frames_before(inputs, finished, tmp_path, capsys):
+    with np.load(inputs / "clouds.npz") as file:
+        arrays = {name: file[name] for name in file.files}
+    sound = arrays["points"][3, 5, 0]
+    arrays["points"][3, 5, 0] = np.nan
+    clouds, out = tmp_path / "clouds.npz", tmp_path / "out"
+    np.savez(clouds, **arrays)
+    line = fails(capsys, "track", inputs / "body.npz", clouds, "-o", out)
+    assert "clouds.npz[3]" in line
+    assert "3 frames before it are kept" in line
+    assert {path.name for path in out.iterdir()} == {"journal"}
+    arrays["points"][3, 5, 0] = sound
+    np.savez(clouds, **arrays)
+    runs(capsys, "track", inputs / "body.npz", clouds, "-o", out, "--resume")
+    assert same_motion(out, finished)
 
 
 @pytest.mark.slow

@@ -71,7 +71,9 @@ class Demo:
         for frame, took in progress(timed(track_frames(make_tracker(body), clouds)), len(clouds)):
             frames.append(frame)
             seconds.append(took)
-        write_results(self.out, body.skeleton, frames, seconds, truth.rate)
+        write_results(
+            self.out, body.skeleton, frames, seconds, truth.rate, [f"scan {i}" for i in range(len(frames))]
+        )
         places = np.array([np.asarray(_joints(body.skeleton, frame.pose)) for frame in frames])
         errors = joint_errors(places, np.array(joints))
         self.picture(body, frames, clouds, errors)

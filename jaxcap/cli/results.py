@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -55,21 +56,18 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
 
 
 def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
-    """What tells that inputs are the same: hashes of the body and of the first cloud, the names and
-    sizes of all."""
+    """What tells that inputs are the same: hashes of the body, of the first cloud, and of the names
+    of all. A cloud further on may be mended before a run goes on."""
     body = hashlib.sha256()
     for leaf in jax.tree.leaves(tracker):
         body.update(np.asarray(leaf).tobytes())
     first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
-    files = hashlib.sha256()
-    for name in scans.names:
-        size = os.path.getsize(name) if os.path.isfile(name) else 0
-        files.update(f"{Path(name).name} {size}\n".encode())
+    names = hashlib.sha256("\n".join(Path(name).name for name in scans.names).encode())
     return {
         "frames": len(scans),
         "body arrays": body.hexdigest(),
         "first cloud": first.hexdigest(),
-        "cloud files": files.hexdigest(),
+        "clouds": names.hexdigest(),
         "precision": str(tracker.body.vertices.dtype),
     }
 
@@ -99,28 +97,35 @@ def record_width(tracker: Tracker) -> int:
 
 
 def write_results(
-    folder: Path, skeleton: Skeleton, frames: list[TrackedFrame], seconds: list[float], rate: float
+    folder: Path,
+    skeleton: Skeleton,
+    frames: list[TrackedFrame],
+    seconds: list[float],
+    rate: float,
+    names: Sequence[str],
 ) -> None:
-    """Motion and statistics of the frames of a run."""
+    """Motion and statistics of the frames of a run; `names` are those of the clouds."""
     motion = stack_poses([frame.pose for frame in frames], rate)
     write_bvh(folder / "motion.bvh", skeleton, motion)
     save_motion(folder / "motion.npz", motion, skeleton)
-    rows = [_row(number, *pair) for number, pair in enumerate(zip(frames, seconds, strict=True))]
+    rows = [
+        {"frame": number, "cloud": Path(name).name, **_numbers(frame), "seconds": took}
+        # the names go on where a run was stopped
+        for number, (name, frame, took) in enumerate(zip(names, frames, seconds, strict=False))
+    ]
     write_csv(folder / "statistics.csv", rows)
     write_json(folder / "statistics.json", {"rate": rate, "frames": rows})
 
 
-def _row(number: int, frame: TrackedFrame, seconds: float) -> dict[str, object]:
+def _numbers(frame: TrackedFrame) -> dict[str, object]:
     statistics = frame.statistics
     return {
-        "frame": number,
         # of a mean point, per metre^3: what expectation maximisation makes small
         "energy": -float(statistics.log_likelihood),
         "sigma": float(statistics.sigma),
         "outlier_share": float(statistics.outlier_share),
         "mean_distance": float(statistics.mean_distance),
         "state": "lost" if frame.lost else "converged",
-        "seconds": seconds,
     }
 
 

@@ -92,13 +92,14 @@ def up_rotation(up: Up) -> np.ndarray:
 def upright_skeleton(skeleton: Skeleton, up: Up) -> Skeleton:
     """A skeleton whose vertical was `up`, turned so that it is y."""
     turn = jnp.asarray(up_rotation(up), skeleton.centres.dtype)
+    q = jnp.broadcast_to(rotation.from_matrix(turn), skeleton.orientations.shape)
     return eqx.tree_at(
         lambda s: (s.centres, s.axes, s.orientations),
         skeleton,
         (
             skeleton.centres @ turn.T,
             skeleton.axes @ turn.T,
-            rotation.multiply(rotation.from_matrix(turn), skeleton.orientations),
+            rotation.multiply(q, skeleton.orientations),
         ),
     )
 

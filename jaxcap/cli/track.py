@@ -93,7 +93,7 @@ class Track:
         )
         with journal:
             frames, seconds = self.follow(tracker, scans, journal)
-        write_results(self.out, body.skeleton, frames, seconds, self.rate)
+        write_results(self.out, body.skeleton, frames, seconds, self.rate, scans.names)
         lost = [number for number, frame in enumerate(frames) if frame.lost]
         say(
             f"{len(frames)} frames in {sum(seconds):.1f} s: motion.bvh, motion.npz, statistics.csv and "
@@ -161,6 +161,9 @@ class Track:
         except KeyboardInterrupt:
             if not frames:
                 raise
+        except InputError as error:
+            kept = f" The {len(frames)} frames before it are kept; mend it and give --resume to go on."
+            raise InputError(f"{error}{kept}") from None
         return frames, seconds
 
     def steps(
