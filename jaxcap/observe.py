@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from .errors import InputError
 from .geometry.normals import estimate_normals
+from .geometry.order import spatial_order
 
 
 class Cloud(eqx.Module):
@@ -22,7 +23,8 @@ class Cloud(eqx.Module):
 
 
 def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -> Cloud:
-    """A checked `Cloud`, padded so that clouds of about the same size compile once.
+    """A checked `Cloud`, padded so that clouds of about the same size compile once, and put into
+    an order in which neighbours in space are neighbours in memory, which searches are faster for.
 
     **Arguments:** `points (N, 3)` metres; `normals (N, 3)` of any length, estimated from the
     points where not given; `weights (N,)`, one where not given; `name` for messages.
@@ -51,6 +53,8 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
         raise InputError(f"{name} has a weight below zero or not finite; weights are at least zero.")
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(np.isfinite(lengths) & (lengths > 0), normals / np.where(lengths > 0, lengths, 1), 0.0)
+    order = spatial_order(points, weights)
+    points, normals, weights = points[order], normals[order], weights[order]
     extra = padded_size(len(points)) - len(points)
     # padding lies on the first point, so that boxes around the points stay as they are
     return Cloud(
@@ -91,6 +95,6 @@ def thin_cloud(cloud: Cloud, count: int, seed: int = 0) -> Cloud:
     chosen = np.random.default_rng(seed).choice(
         len(weights), min(count, int((weights > 0).sum())), replace=False, p=weights / weights.sum()
     )
-    index = np.pad(chosen, (0, size - len(chosen)), mode="edge")
+    index = np.pad(np.sort(chosen), (0, size - len(chosen)), mode="edge")
     kept = jnp.asarray(np.arange(size) < len(chosen), cloud.weights.dtype)
     return Cloud(cloud.points[index], cloud.normals[index], kept)

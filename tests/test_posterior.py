@@ -8,7 +8,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from jaxcap.fit import nearest as nearest_module
-from jaxcap.fit.nearest import nearest_vertices, spatial_order
+from jaxcap.fit.nearest import nearest_vertices
+from jaxcap.geometry.order import spatial_order
 from jaxcap.fit.parts import make_parts
 from jaxcap.fit.posterior import log_likelihood, posterior, update_priors, update_sigma
 from jaxcap.geometry import rotation

@@ -1,4 +1,4 @@
-"""A preference for poses near a given one."""
+"""A preference for poses near a given one, or near rest."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 from ..body.body import Posed
 from ..body.pose import Pose, difference
 from ..body.skeleton import Skeleton, dof_layout
+from ..geometry import rotation
 from .term import AbstractEnergy
 
 
@@ -22,6 +23,20 @@ class PosePrior(AbstractEnergy):
 
     def residual(self, posed: Posed):
         return difference(self.skeleton, self.reference, posed.pose) / self.deviations
+
+
+class RestPrior(AbstractEnergy):
+    """`sum (w / s)^2` over the rotation vectors `w` of joints from rest, each in its joint's own
+    frame (twist, flexion, sideways), with standard deviations `s (J, 3)` in radians (infinite:
+    free). An elbow that bends sideways costs more than one that flexes."""
+
+    skeleton: Skeleton
+    deviations: Float[Array, "J 3"]
+
+    def residual(self, posed: Posed):
+        inverse = rotation.conjugate(self.skeleton.orientations)
+        own = rotation.rotate(inverse, rotation.log(posed.pose.rotations))
+        return (own / self.deviations).reshape(-1)
 
 
 def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:

@@ -8,19 +8,22 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from ..body.body import pose_body
 from ..body.pose import Pose, rest_pose, retract
+from ..body.reduce import reduce_body
 from ..body.skeleton import Skeleton, dof_layout
-from ..energy.prior import PosePrior, tangent_deviations
+from ..energy.prior import RestPrior, tangent_deviations
 from ..energy.term import Sum
 from ..geometry import rotation
-from ..observe import Cloud
+from ..observe import Cloud, thin_cloud
 from .em import Estimate, box_volume, em_step, frame_statistics, uniform_priors
-from .track import Tracker
+from .track import Tracker, make_tracker
 
 #: sigma falls from the size of a trunk to that of a wrist, metres
 COARSE = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
 FINE = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 #: deviation at which starts are compared, metres
 JUDGE = 0.02
+#: size of the body and of the cloud with which starts are searched, and of the cloud for refining
+COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
 
 
 def anneal(
@@ -32,8 +35,7 @@ def anneal(
     Returns the estimate and its mean log-likelihood at a deviation common to all starts.
     """
     skeleton = tracker.body.skeleton
-    rest = PosePrior(skeleton, rest_pose(skeleton), tracker.rest_deviations)
-    prior = Sum((rest, *tracker.terms))
+    prior = Sum((RestPrior(skeleton, tracker.rest_deviations), *tracker.terms))
     volume = box_volume(cloud)
 
     def step(estimate, sigma):
@@ -105,8 +107,11 @@ def subtree_starts(
     bearers = np.flatnonzero((skeleton.descent.sum(1) > 1) & (np.array(skeleton.parents) >= 0))
     joints = jax.random.choice(which, jnp.asarray(bearers), (count, num))
     below = jnp.asarray(skeleton.descent)[joints][..., dof_layout(skeleton).joints]
-    steps = deviations * jax.random.normal(how, (count, num, skeleton.num_dofs), poses.rotations.dtype)
-    return _neighbours(skeleton, poses, jnp.where(below, steps, 0.0))
+    near, far = jax.random.split(how)
+    steps = deviations * jax.random.normal(near, (count, num, skeleton.num_dofs), poses.rotations.dtype)
+    # some steps small, some large enough to turn a hand over
+    size = 2.0 ** jax.random.uniform(far, (count, num, 1), poses.rotations.dtype, 0.0, 3.0)
+    return _neighbours(skeleton, poses, jnp.where(below, size * steps, 0.0))
 
 
 def _neighbours(skeleton: Skeleton, poses: Pose, steps: Float[Array, "C P D"]) -> Pose:
@@ -114,6 +119,12 @@ def _neighbours(skeleton: Skeleton, poses: Pose, steps: Float[Array, "C P D"]) -
     tiled = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(steps)), poses)
     flat = steps.reshape(-1, skeleton.num_dofs)
     return jax.vmap(lambda pose, step: retract(skeleton, pose, step))(tiled, flat)
+
+
+def coarse_tracker(tracker: Tracker) -> Tracker:
+    """The same tracker with fewer vertices, for searches."""
+    body = reduce_body(tracker.body, COARSE_VERTICES)
+    return make_tracker(body, tracker.mixture, tracker.terms)
 
 
 def initialise(
@@ -125,31 +136,47 @@ def initialise(
     keep: int = 4,
     neighbours: int = 7,
     rounds: int = 2,
+    coarse: Tracker | None = None,
     key: PRNGKeyArray | None = None,
 ) -> tuple[Pose, Float[Array, ""]]:
     """The pose of a body in a cloud, with no start: orientation about `up` and place unknown.
 
-    Starts in all directions are annealed; the best `keep` and `neighbours` random neighbours
-    of each are annealed again, then in `rounds` the best with single limbs moved; the best of
-    all is the result, with its mean log-likelihood.
-    A coarse body and some 1,000 points are enough; refine the result by tracking.
+    Starts in all directions are annealed with a coarse body and few points; the best `keep`
+    and `neighbours` random neighbours of each are annealed again, then in `rounds` the best
+    with single limbs moved, and last so with the whole body and more points, which show hands
+    and feet. Returns the best of all and its mean log-likelihood.
     """
-    keys = jax.random.split(jax.random.key(0) if key is None else key, 2 + rounds)
+    keys = jax.random.split(jax.random.key(0) if key is None else key, 3 + rounds)
+    coarse = coarse_tracker(tracker) if coarse is None else coarse
+    few = thin_cloud(cloud, COARSE_POINTS)
     skeleton = tracker.body.skeleton
     rest = rest_pose(skeleton)
     vertical = jnp.asarray(up, rest.rotations.dtype)
-    coarse, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE, FINE))
-    starts = turned_starts(tracker, cloud, rest, turns, vertical)
+    wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE, FINE))
+    starts = turned_starts(coarse, few, rest, turns, vertical)
     starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
-    poses, scores = anneal_all(tracker, cloud, starts, coarse)
+    poses, _ = anneal_all(coarse, few, starts, wide)
     limbs = tangent_deviations(skeleton, 0.02, 0.4)
     poses = perturbed_starts(skeleton, _first(poses, keep), neighbours, limbs, keys[1])
-    poses, scores = anneal_all(tracker, cloud, poses, fine)
-    for round in range(rounds):
+    poses, _ = anneal_all(coarse, few, poses, fine)
+    for number in range(rounds):
         poses = subtree_starts(
-            skeleton, _first(poses, keep // 2), 2 * neighbours + 1, 2.0 * limbs, keys[2 + round]
+            skeleton, _first(poses, keep // 2), 2 * neighbours + 1, limbs, keys[2 + number]
         )
-        poses, scores = anneal_all(tracker, cloud, poses, fine)
+        poses, _ = anneal_all(coarse, few, poses, fine)
+    return refine(tracker, cloud, _first(poses, 1), 2 * neighbours + 1, keys[-1])
+
+
+def refine(
+    tracker: Tracker, cloud: Cloud, poses: Pose, count: int, key: PRNGKeyArray
+) -> tuple[Pose, Float[Array, ""]]:
+    """The best of stacked poses and `count` neighbours of each with single limbs moved, by the
+    whole body and `FINE_POINTS` points: what a coarse search cannot tell apart, such as a
+    hand and the same hand turned over."""
+    skeleton = tracker.body.skeleton
+    near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
+    sigmas = jnp.asarray(FINE[2:], poses.rotations.dtype)
+    poses, scores = anneal_all(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)
     return jax.tree.map(lambda leaf: leaf[0], poses), scores[0]
 
 

@@ -8,7 +8,6 @@ vectorise there.
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -52,22 +51,6 @@ def nearest_vertices(
     )
     squared, vertex = _apart(lambda a, b: _by_part(parts, a, b, reach), squared, slot)
     return squared[:, :count], vertex[:, :count]
-
-
-def spatial_order(points: Float[Array | np.ndarray, "N 3"], weights=None) -> np.ndarray:
-    """An order `(N,)` of points in which neighbours are near in space (Morton's curve).
-
-    Points whose `weights (N,)` are zero come last. In NumPy, once for each cloud.
-    """
-    points = np.asarray(points, float)
-    real = np.ones(len(points), bool) if weights is None else np.asarray(weights) > 0
-    if not real.any():
-        return np.arange(len(points))
-    low, high = points[real].min(0), points[real].max(0)
-    scaled = np.clip((points - low) / max((high - low).max(), 1e-12), 0.0, 1.0)
-    cells = np.where(real[:, None], scaled * 1023, 0.0).astype(np.int64)
-    key = sum(((cells[:, axis] >> bit) & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3))
-    return np.lexsort((key, ~real))
 
 
 def _tiles_and_blocks(

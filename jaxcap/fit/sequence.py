@@ -11,15 +11,21 @@ from jaxtyping import PRNGKeyArray
 
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
-from ..body.reduce import reduce_body
 from ..energy.prior import tangent_deviations
 from ..observe import Cloud, thin_cloud
 from .em import FrameStatistics
-from .initialise import FINE, anneal_all, initialise, perturbed_starts, subtree_starts
+from .initialise import (
+    COARSE_POINTS,
+    FINE,
+    anneal_all,
+    coarse_tracker,
+    initialise,
+    perturbed_starts,
+    refine,
+    subtree_starts,
+)
 from .track import Tracker, TrackState, make_tracker, start_state, track_frame
 
-#: size of the body and of the cloud with which starts are searched
-COARSE_VERTICES, COARSE_POINTS = 1500, 1000
 #: falls of a frame's mean log-likelihood below the usual: one that is worth a search, and one
 #: that means the frame is lost
 DOUBT, LOSS = 0.3, 1.0
@@ -43,12 +49,6 @@ class TrackedFrame(eqx.Module):
     #: usual log-likelihood by the good frames so far, and how many frames to wait before
     #: the next search
     usual: tuple[float, float]
-
-
-def coarse_tracker(tracker: Tracker) -> Tracker:
-    """The same tracker with fewer vertices, for searches."""
-    body = reduce_body(tracker.body, COARSE_VERTICES)
-    return make_tracker(body, tracker.mixture, tracker.terms)
 
 
 def track_frames(
@@ -78,7 +78,7 @@ def track_frames(
             pose = rest_pose(tracker.body.skeleton) if start is None else start
             if search:
                 coarse = coarse_tracker(tracker)
-                pose, _ = initialise(coarse, thin_cloud(cloud, COARSE_POINTS), up=up)
+                pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
                 sigma = 0.03
             frame = _first_frame(tracker, cloud, pose, sigma)
         else:
@@ -186,15 +186,15 @@ def _recover(
     skeleton = tracker.body.skeleton
     wide = tangent_deviations(skeleton, 0.05, 0.5)
     here = jax.tree.map(lambda leaf: leaf[None], frame.pose)
-    keys = jax.random.split(key)
+    keys = jax.random.split(key, 3)
     few = thin_cloud(cloud, COARSE_POINTS)
     starts = perturbed_starts(skeleton, here, 15, wide, keys[0])
-    limbs = subtree_starts(skeleton, here, 15, 2.0 * wide, keys[1])
+    limbs = subtree_starts(skeleton, here, 15, wide, keys[1])
     starts = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), starts, limbs)
     sigmas = jnp.asarray(np.repeat(FINE, 2), frame.pose.rotations.dtype)
     poses, _ = anneal_all(coarse, few, starts, sigmas)
-    state = start_state(tracker, jax.tree.map(lambda leaf: leaf[0], poses), 0.02)
-    state, _ = _track_frame(tracker, state, cloud)
+    pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])
+    state, _ = _track_frame(tracker, start_state(tracker, pose, 0.02), cloud)
     state, statistics = _track_frame(tracker, _at_rest(state), cloud)
     found = _judge(frame.usual, _at_rest(state), statistics)
     gain = float(statistics.log_likelihood) - float(frame.statistics.log_likelihood)

@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..body.anatomy import rest_deviations
 from ..body.body import Body
-from ..body.pose import Pose, difference, rest_pose, retract
-from ..energy.prior import PosePrior, tangent_deviations
+from ..body.pose import Pose, difference, retract
+from ..energy.prior import PosePrior, RestPrior, tangent_deviations
 from ..energy.term import AbstractEnergy, Sum
 from ..observe import Cloud
 from .em import (
@@ -30,8 +31,8 @@ class Tracker(eqx.Module):
     mixture: Mixture
     #: deviations of a pose from the one that its forerunners predict, metres and radians
     motion_deviations: Float[Array, "D"]
-    #: deviations of a pose from rest, which hold what a cloud does not show
-    rest_deviations: Float[Array, "D"]
+    #: deviations of joints from rest in their own frames, which hold what a cloud does not show
+    rest_deviations: Float[Array, "J 3"]
     #: share of the last change that a frame is predicted to go on with
     momentum: Float[Array, ""]
     #: factor on the last frame's sigma at the start of a frame, and its least value in metres
@@ -61,13 +62,13 @@ def make_tracker(
     momentum: float = 0.8,
     sigma_growth: float = 1.5,
     sigma_start: float = 0.015,
-    iterations: int = 4,
+    iterations: int = 3,
 ) -> Tracker:
     """A `Tracker` for a body.
 
     **Arguments:** `motion_deviation` in metres for the root and radians for joints, how far
     a frame strays from its prediction; `rest_deviation` in radians, how far joints stray from
-    rest; `terms` are further energies, in units of a log-likelihood.
+    rest whose anatomy is not known (`body.anatomy`); `terms` are further energies, in units of a log-likelihood.
     """
     bones = body.skin.parts()
     return Tracker(
@@ -75,7 +76,7 @@ def make_tracker(
         parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
         mixture=make_mixture() if mixture is None else mixture,
         motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
-        rest_deviations=tangent_deviations(body.skeleton, jnp.inf, rest_deviation),
+        rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation)),
         momentum=jnp.asarray(momentum),
         sigma_growth=jnp.asarray(sigma_growth),
         sigma_start=jnp.asarray(sigma_start),
@@ -97,7 +98,7 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     """
     skeleton, before = tracker.body.skeleton, state.estimate
     predicted = retract(skeleton, before.pose, tracker.momentum * state.change)
-    rest = PosePrior(skeleton, rest_pose(skeleton), tracker.rest_deviations)
+    rest = RestPrior(skeleton, tracker.rest_deviations)
     prior = Sum((PosePrior(skeleton, predicted, tracker.motion_deviations), rest, *tracker.terms))
     volume = box_volume(cloud)
     sigma = jnp.maximum(tracker.sigma_growth * before.sigma, tracker.sigma_start)
