@@ -66,7 +66,8 @@ def track_frames(
     **Arguments:** `start` is the pose to begin at, rest where not given, or the last
     `TrackedFrame` of a run that was stopped; with `search` the first pose is found by
     `initialise`; `sigma` metres is the deviation that the first frame starts with
-    (Kineben's sigma0); `up` is the vertical of the scene.
+    (Kineben's sigma0); `up` is the vertical of the scene; `first` is the number of the first
+    cloud, so that a run that goes on searches as it would have.
 
     A frame that its forerunner does not lead to is searched for by many perturbed starts
     side by side; where none explains the cloud it is marked `lost`, and tracking goes on.
