@@ -152,6 +152,21 @@ def test_torn_record_is_done_again(inputs, finished, tmp_path, capsys, monkeypat
     assert same_motion(out, finished)
 
 
+def test_run_goes_on_with_more_frames(inputs, finished, tmp_path, capsys):
+    """A finished run of the first frames, when more have come."""
+    out = tmp_path / "out"
+    runs(capsys, *command(inputs, out, "--last", 1))
+    assert load_motion(out / "motion.npz").num_frames == 2
+    runs(capsys, *command(inputs, out, "--resume"))
+    assert same_motion(out, finished)
+
+
+def test_stop_before_the_first_frame_leaves_nothing(inputs, tmp_path, capsys, monkeypatch):
+    stop_after(monkeypatch, 0)
+    fails(capsys, *command(inputs, tmp_path / "out"), code=130)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
 def test_resume_with_other_settings_is_refused(inputs, finished, capsys):
     line = fails(capsys, *command(inputs, finished, "--resume", "--sigma0", "0.2"))
     assert "sigma0" in line

@@ -56,6 +56,17 @@ def test_unknown_verb_and_missing_option_end_in_2(capsys):
         assert "Traceback" not in capsys.readouterr().err
 
 
+def test_faults_of_ours_show_where(monkeypatch, capsys):
+    """A sentence is for errors that jaxcap raised; an error from inside a library is not hidden."""
+    from jaxcap.cli import info
+
+    monkeypatch.setattr(info.Info, "run", lambda self: np.zeros(3).reshape(2, 2))
+    with pytest.raises(ValueError, match="reshape"):
+        main(["info", "human"])
+    monkeypatch.setattr(info.Info, "run", lambda self: human(age=3))
+    assert "age" in fails(capsys, "info", "human")
+
+
 def test_help_loads_no_heavy_library():
     """What makes a program slow to start is imported by the verbs that need it."""
     heavy = ("trimesh", "matplotlib", "rich.progress")

@@ -49,7 +49,7 @@ class Demo:
     def run(self) -> None:
         if self.seconds < 0.1 or self.points < 200 or not self.noise >= 0:
             raise InputError("A demo needs at least 0.1 seconds, 200 points, and noise that is not negative.")
-        check_folder(self.out, "journal", False, self.clear())
+        self.make_folder()
         true_body = human(joints="tracking", resolution="full")
         body = human(joints="tracking", resolution=self.vertices or "medium")
         truth = walk_and_wave(true_body.skeleton, self.seconds)
@@ -99,9 +99,12 @@ class Demo:
             warn(f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
         say(f"{', '.join(FILES)} and demo.png are in {self.out}")
 
-    def clear(self) -> bool:
-        """Whether the folder holds an earlier demo, which may be replaced; other results may not."""
-        return (self.out / "demo.png").is_file()
+    def make_folder(self) -> None:
+        """An earlier demo may be replaced, other results may not. Raises `InputError`."""
+        earlier = (self.out / "demo.png").is_file()
+        if not earlier and any((self.out / name).exists() for name in FILES):
+            raise InputError(f"{self.out}: this folder holds the results of a run; give another one by -o.")
+        check_folder(self.out, "journal", False, earlier)
 
     def picture(self, body, frames, clouds, errors) -> None:
         views = []

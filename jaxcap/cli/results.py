@@ -56,18 +56,15 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
 
 
 def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
-    """What tells that inputs are the same: hashes of the body, of the first cloud, and of the names
-    of all. A cloud further on may be mended before a run goes on."""
+    """What tells that inputs are the same: hashes of the body with its limits and of the first
+    cloud. Clouds further on may be mended or added before a run goes on."""
     body = hashlib.sha256()
     for leaf in jax.tree.leaves(tracker):
         body.update(np.asarray(leaf).tobytes())
     first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
-    names = hashlib.sha256("\n".join(Path(name).name for name in scans.names).encode())
     return {
-        "frames": len(scans),
         "body arrays": body.hexdigest(),
         "first cloud": first.hexdigest(),
-        "clouds": names.hexdigest(),
         "precision": str(tracker.body.vertices.dtype),
     }
 

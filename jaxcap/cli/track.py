@@ -1,7 +1,7 @@
 """`jaxcap track`: fit a body to a sequence of clouds."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -128,13 +128,10 @@ class Track:
             raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
 
     def settings(self) -> dict[str, object]:
-        """The options on which the result depends, by the names that the user knows."""
-        apart = ("out", "resume", "overwrite", "first", "last", "rate")
-        return {
-            name: str(value) if isinstance(value, Path) else value
-            for name, value in asdict(self).items()
-            if name not in apart
-        }
+        """The numbers on which the result depends, by the names that the user knows."""
+        numbers = ("normal_angle", "sigma0", "outlier", "damping", "iterations", "limit_weight")
+        choices = ("vertices", "unit", "up", "estimate_priors", "initialise")
+        return {name: getattr(self, name) for name in (*numbers, *choices)}
 
     def tracker(self, body: Body, limits: JointRanges | None) -> Tracker:
         mixture = make_mixture(
@@ -160,6 +157,7 @@ class Track:
                 seconds.append(took)
         except KeyboardInterrupt:
             if not frames:
+                journal.path.unlink()
                 raise
         except InputError as error:
             kept = f" The {len(frames)} frames before it are kept; mend it and give --resume to go on."
