@@ -46,27 +46,42 @@ def distance_summary(distances: Float[np.ndarray, "N"]) -> Summary:
 def scan_to_surface(
     points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "N"]:
-    """The exact distance of each point to the nearest point of a triangle mesh, metres.
+    """The exact distance of each point to the nearest point of triangles with an area, metres.
 
-    The triangles with the nearest middles of their boxes are tried first; a triangle whose middle
-    is farther than the best distance and the largest triangle's radius together cannot be nearer,
-    so the number of triangles tried doubles only for the points where that is not yet so.
+    Triangles are sorted by size, since a triangle whose middle is farther than the best distance and
+    its own radius together cannot be nearer: among triangles of one size few are left to try.
     """
-    from trimesh.triangles import closest_point
-
     points = np.asarray(points, float)
     triangles = np.asarray(vertices, float)[np.asarray(faces)]
     middles = 0.5 * (triangles.min(1) + triangles.max(1))
-    reach = np.linalg.norm(triangles - middles[:, None], axis=2).max()
-    tree = KDTree(middles)
-    best = np.full(len(points), np.inf)
-    left, tried = np.arange(len(points)), 0
-    count = min(16, len(triangles))
+    radii = np.linalg.norm(triangles - middles[:, None], axis=2).max(1)
+    # sizes that differ by less than a factor of two go together; points have the least
+    sizes = np.floor(np.log2(np.maximum(radii, 1e-6 * radii.max() + 1e-300))).astype(int)
+    best = KDTree(triangles.reshape(-1, 3)).query(points)[0]
+    for size in np.unique(sizes):
+        alike = sizes == size
+        best = _nearer(points, triangles[alike], middles[alike], radii[alike].max(), best)
+    return best
+
+
+def _nearer(
+    points: Float[np.ndarray, "N 3"],
+    triangles: Float[np.ndarray, "T 3 3"],
+    middles: Float[np.ndarray, "T 3"],
+    reach: float,
+    best: Float[np.ndarray, "N"],
+) -> Float[np.ndarray, "N"]:
+    """The best distances after triangles of about one size, by the nearest middles first; the
+    number tried doubles for the points that a farther one could still be nearer to."""
+    from trimesh.triangles import closest_point
+
+    tree, best = KDTree(middles), best.copy()
+    left = np.flatnonzero(tree.query(points)[0] < best + reach)
+    tried, count = 0, min(4, len(triangles))
     while left.size:
-        apart, near = tree.query(points[left], count)
-        apart, near = apart.reshape(len(left), -1), near.reshape(len(left), -1)
+        apart, near = tree.query(points[left], range(tried + 1, count + 1))
         asked = np.repeat(points[left], count - tried, axis=0)
-        nearest = closest_point(triangles[near[:, tried:].reshape(-1)], asked)
+        nearest = closest_point(triangles[near.reshape(-1)], asked)
         distances = np.linalg.norm(nearest - asked, axis=1).reshape(len(left), -1)
         best[left] = np.minimum(best[left], distances.min(1))
         if count == len(triangles):
