@@ -26,11 +26,12 @@ from .initialise import (
 )
 from .track import Tracker, TrackState, make_tracker, start_state, track_frame
 
-#: falls of a frame's mean log-likelihood below the usual: one that is worth a search, and one
-#: that means the frame is lost
-DOUBT, LOSS = 0.3, 1.0
-#: share of points beyond the expected outliers that a first frame may leave unexplained
-FIRST_SHARE = 0.25
+#: a fall of a frame's mean log-likelihood below the usual that is worth a search, unless points
+#: lie within `CLOSE` metres of the surface and about as many as usual are explained
+DOUBT, CLOSE, MISSING = 0.3, 0.01, 0.015
+#: shares of points beyond the usual outliers, or on the first frame beyond the expected ones,
+#: that no part explains where a frame is lost; and the deviation in metres
+LOST_SHARE, FIRST_SHARE, LOST_SIGMA = 0.04, 0.25, 0.03
 #: frames until the next search, where one has found nothing better
 PATIENCE = 3
 
@@ -46,9 +47,9 @@ class TrackedFrame(eqx.Module):
     lost: bool
     #: what the next frame starts from; all that is needed to go on after a stop
     state: TrackState
-    #: usual log-likelihood by the good frames so far, and how many frames to wait before
-    #: the next search
-    usual: tuple[float, float]
+    #: usual log-likelihood and outlier share, by the good frames so far, and how many frames to
+    #: wait before the next search
+    usual: tuple[float, float, float]
 
 
 def track_frames(
@@ -160,24 +161,32 @@ def _first_frame(tracker: Tracker, cloud: Cloud, pose: Pose, sigma: float) -> Tr
     state, _ = _track_frame(tracker, state, cloud)
     state = _at_rest(state)
     state, statistics = _track_frame(tracker, state, cloud)
-    usual = float(statistics.log_likelihood), 0.0
-    unexplained = float(statistics.outlier_share) - float(tracker.mixture.outlier)
-    frame = _judge(usual, _at_rest(state), statistics)
-    return TrackedFrame(frame.pose, statistics, frame.lost or unexplained > FIRST_SHARE, frame.state, usual)
+    share = float(statistics.outlier_share)
+    expected = float(tracker.mixture.outlier) + FIRST_SHARE - LOST_SHARE
+    lost = _judge((-np.inf, expected, 0.0), state, statistics).lost
+    usual = float(statistics.log_likelihood), share, 0.0
+    return TrackedFrame(state.estimate.pose, statistics, lost, _at_rest(state), usual)
 
 
-def _judge(usual: tuple[float, float], state: TrackState, statistics: FrameStatistics) -> TrackedFrame:
+def _judge(usual: tuple[float, float, float], state: TrackState, statistics: FrameStatistics) -> TrackedFrame:
     """Whether a frame is explained about as well as those before it."""
-    likelihood, (level, wait) = float(statistics.log_likelihood), usual
-    lost = not likelihood > level - LOSS
-    if likelihood > level - DOUBT:
-        level = 0.9 * level + 0.1 * likelihood
-    return TrackedFrame(state.estimate.pose, statistics, lost, state, (level, max(wait - 1.0, 0.0)))
+    likelihood, share = float(statistics.log_likelihood), float(statistics.outlier_share)
+    level, level_share, wait = usual
+    explained = share < level_share + LOST_SHARE and float(statistics.sigma) < LOST_SIGMA
+    lost = not (explained and np.isfinite(likelihood))
+    if likelihood > level - DOUBT and not lost:
+        level, level_share = 0.9 * level + 0.1 * likelihood, 0.9 * level_share + 0.1 * share
+    usual = (level, level_share, max(wait - 1.0, 0.0))
+    return TrackedFrame(state.estimate.pose, statistics, lost, state, usual)
 
 
 def _doubtful(frame: TrackedFrame) -> bool:
-    level, wait = frame.usual
-    return wait <= 0 and not float(frame.statistics.log_likelihood) > level - DOUBT
+    level, level_share, wait = frame.usual
+    statistics = frame.statistics
+    fallen = not float(statistics.log_likelihood) > level - DOUBT
+    far = not float(statistics.sigma) < CLOSE
+    missing = not float(statistics.outlier_share) < level_share + MISSING
+    return frame.lost or (wait <= 0 and fallen and (far or missing))
 
 
 def _recover(
@@ -201,7 +210,11 @@ def _recover(
     gain = float(statistics.log_likelihood) - float(frame.statistics.log_likelihood)
     if gain > 0 or not np.isfinite(float(frame.statistics.sigma)):
         return found
-    waiting = frame.usual[0], float(PATIENCE)
+    # what no search betters is the new usual, unless the frame is lost
+    level, level_share, _ = frame.usual
+    if not frame.lost:
+        level = float(frame.statistics.log_likelihood)
+    waiting = level, level_share, float(PATIENCE)
     return TrackedFrame(frame.pose, frame.statistics, frame.lost, frame.state, waiting)
 
 
