@@ -1,0 +1,140 @@
+"""CMU motions on the embedded human, and the clouds that a scanner would have made of them."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+import jaxcap as jc
+from benchmarks.report import progress
+from jaxcap.demo.scanner import sample_surface
+from jaxcap.io.amc import read_amc
+from jaxcap.io.asf import read_asf
+
+#: frames a second of the database, and those that are tracked
+CAPTURED, RATE = 120.0, 30.0
+#: metres around the box of a body in which outliers lie
+MARGIN = 0.1
+
+#: the whole surface; what faces a camera far off along +z; of that, what nothing hides from it
+Visible = Literal["whole", "front", "camera"]
+
+_pose_body = eqx.filter_jit(jc.pose_body)
+
+
+class Noise(NamedTuple):
+    """What is wrong with a cloud."""
+
+    points: int = 5000
+    #: standard deviation along each axis, metres
+    deviation: float = 0.005
+    #: root mean square of the tilt of normals, degrees
+    tilt: float = 10.0
+    #: share of points anywhere in the box around the body
+    outliers: float = 0.1
+
+
+NOISE = Noise()
+
+
+class Scanned(NamedTuple):
+    """One frame: its cloud and the truth."""
+
+    cloud: jc.Cloud
+    joints: Float[np.ndarray, "J 3"]
+
+
+def shared_folder() -> Path:
+    """The captures: JAXCAP_SHARED, or `shared` beside the checkout. Leaves with a sentence where
+    there are none."""
+    beside = Path(__file__).resolve().parents[2] / "shared"
+    shared = Path(os.environ.get("JAXCAP_SHARED") or beside)
+    if not (shared / "data" / "motion").is_dir():
+        progress(f"{shared} holds no folder data/motion; name the folder of captures in JAXCAP_SHARED.")
+        sys.exit(2)
+    return shared
+
+
+def takes_of(shared: Path, subject: str) -> list[str]:
+    """The takes of one subject, such as `02_05` of `02`."""
+    return sorted(path.stem for path in (shared / "data" / "motion").glob(f"{subject}_*.amc"))
+
+
+def cmu_motion(shared: Path, take: str) -> tuple[jc.Motion, jc.Skeleton]:
+    """A take as it was captured, with its own skeleton."""
+    folder = shared / "data" / "motion"
+    asf = read_asf(folder / f"{take.split('_')[0]}.asf")
+    return read_amc(folder / f"{take}.amc", asf, CAPTURED), asf.skeleton
+
+
+def human_motion(shared: Path, take: str, body: jc.Body, frames: int | None = None) -> jc.Motion:
+    """A take at 30 frames a second on a body of other proportions, its first `frames` or all."""
+    motion, skeleton = cmu_motion(shared, take)
+    motion = motion.slice(slice(None, None, round(CAPTURED / RATE)))
+    return jc.retarget(motion.slice(slice(frames)), skeleton, body.skeleton)
+
+
+def scan_frame(
+    body: jc.Body,
+    pose: jc.Pose,
+    rng: np.random.Generator,
+    noise: Noise = NOISE,
+    visible: Visible = "whole",
+    turn: Float[np.ndarray, "3 3"] | None = None,
+) -> Scanned:
+    """A cloud of a posed body's surface, spread by area; `turn` rotates the scene."""
+    posed = _pose_body(body, pose)
+    vertices, joints = np.asarray(posed.vertices, float), np.asarray(posed.joints, float)
+    if turn is not None:
+        vertices, joints = vertices @ turn.T, joints @ turn.T
+    points, normals = _surface(vertices, np.asarray(body.faces), noise.points, visible, rng)
+    points = points + noise.deviation * rng.normal(size=points.shape)
+    normals = normals + np.radians(noise.tilt) / np.sqrt(2) * rng.normal(size=normals.shape)
+    wild = rng.choice(len(points), round(noise.outliers * len(points)), replace=False)
+    box = vertices.min(0) - MARGIN, vertices.max(0) + MARGIN
+    points[wild] = rng.uniform(*box, (len(wild), 3))
+    normals[wild] = rng.normal(size=(len(wild), 3))
+    return Scanned(jc.make_cloud(points, normals), joints)
+
+
+def scan_motion(
+    body: jc.Body,
+    motion: jc.Motion,
+    noise: Noise = NOISE,
+    visible: Visible = "whole",
+    seed: int = 0,
+) -> list[Scanned]:
+    """A cloud of every frame, each from a seed of its own."""
+    generators = [np.random.default_rng([seed, frame]) for frame in range(motion.num_frames)]
+    return [scan_frame(body, motion[k], rng, noise, visible) for k, rng in enumerate(generators)]
+
+
+def about_vertical(angle: float) -> Float[np.ndarray, "3 3"]:
+    """The rotation about y, radians."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _surface(vertices, faces, count: int, visible: Visible, rng: np.random.Generator):
+    """`count` points that are visible, with the normals of their triangles."""
+    if visible == "whole":
+        return sample_surface(vertices, faces, count, rng)
+    points, normals = sample_surface(vertices, faces, 10 * count, rng)
+    kept = normals[:, 2] > 0
+    if visible == "camera":
+        kept &= _unhidden(points)
+    chosen = rng.choice(np.flatnonzero(kept), count, replace=False)
+    return points[chosen], normals[chosen]
+
+
+def _unhidden(points: Float[np.ndarray, "N 3"], pixel: float = 0.01) -> Bool[np.ndarray, "N"]:
+    """Whether no point of the same pixel, seen along z, lies in front by more than two pixels."""
+    columns, rows = np.floor((points[:, :2] - points[:, :2].min(0)) / pixel).astype(int).T
+    pixels = rows * (columns.max() + 1) + columns
+    nearest = np.full(pixels.max() + 1, -np.inf)
+    np.maximum.at(nearest, pixels, points[:, 2])
+    return points[:, 2] > nearest[pixels] - 2 * pixel

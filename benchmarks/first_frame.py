@@ -1,0 +1,96 @@
+"""The pose of a person in one cloud, from nothing: 100 random frames, turned at random.
+
+    python -m benchmarks.first_frame
+    python -m benchmarks.first_frame --frames 5
+
+Frames are drawn from all takes of CMU's subject 02 and turned about the vertical by a random
+angle; the scans are those of `track_cmu`. A frame is solved when the mean error of its 31 joint
+centres is below 30 mm. Run it from the root of the checkout.
+"""
+
+import argparse
+import time
+
+import equinox as eqx
+import jax
+import numpy as np
+
+import jaxcap as jc
+from benchmarks._scenes import (
+    NOISE,
+    about_vertical,
+    cmu_motion,
+    scan_frame,
+    shared_folder,
+    takes_of,
+)
+from benchmarks.report import finish, progress
+from jaxcap.metrics import joint_errors
+
+SUBJECT = "02"
+#: mean joint error below which a frame is solved, millimetres
+SOLVED = 30.0
+
+_posed = eqx.filter_jit(jc.pose_body)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.first_frame", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=5)
+    options = parser.parse_args()
+    shared, noise = shared_folder(), NOISE
+    performer = jc.human(joints="full")
+    tracker = jc.make_tracker(jc.human(resolution="medium", joints="tracking"))
+    names = tracker.body.skeleton.names
+    takes = {take: cmu_motion(shared, take) for take in takes_of(shared, SUBJECT)}
+    every = [(take, frame) for take, (motion, _) in takes.items() for frame in range(motion.num_frames)]
+    rng = np.random.default_rng(options.seed)
+
+    means, taken, failures = [], [], []
+    for number, index in enumerate(rng.choice(len(every), options.frames, replace=False)):
+        take, frame = every[index]
+        motion, skeleton = takes[take]
+        pose = jc.retarget(motion.slice(slice(frame, frame + 1)), skeleton, performer.skeleton)[0]
+        angle = rng.uniform(0, 2 * np.pi)
+        scanned = scan_frame(performer, pose, rng, noise, turn=about_vertical(angle))
+        start = time.perf_counter()
+        found, score = jax.block_until_ready(jc.initialise(tracker, scanned.cloud))
+        taken.append(time.perf_counter() - start)
+        joints = np.asarray(_posed(tracker.body, found).joints)
+        errors = 1000 * joint_errors(joints[None], scanned.joints[None])[0]
+        means.append(errors.mean())
+        solved = errors.mean() < SOLVED
+        if not solved:
+            failures.append({"take": take, "frame": frame, "mean_mm": errors.mean()})
+        progress(
+            f"{number:3d} {take} frame {frame:4d}, turned {np.degrees(angle):3.0f} degrees: mean "
+            f"{errors.mean():6.1f} mm, worst {errors.max():6.1f} mm at {names[errors.argmax()]}, "
+            f"log-likelihood {float(score):.2f}, {taken[-1]:.1f} s{'' if solved else '  NOT SOLVED'}"
+        )
+
+    means = np.array(means)
+    good = means < SOLVED
+    figures = {
+        "solved": int(good.sum()),
+        "solved_share": good.mean(),
+        "solved_mean_mm": means[good].mean() if good.any() else float("nan"),
+        "median_mm": np.median(means),
+        "seconds_per_frame": np.median(taken[1:] or taken),
+        "failures": failures,
+    }
+    sizes = {
+        "frames": options.frames,
+        "points": noise.points,
+        "vertices": len(tracker.body.vertices),
+        "numbers": tracker.body.skeleton.num_dofs,
+        "noise": noise._asdict(),
+    }
+    seconds = {"compile": taken[0], "run": sum(taken[1:]), "median_run": float(np.median(taken[1:] or taken))}
+    finish("first_frame", figures, {"solved_share": (">=", 0.95)}, sizes, seconds)
+
+
+if __name__ == "__main__":
+    main()
