@@ -250,10 +250,16 @@ def picture(path: Path, rows: list[dict[str, float]], points: int, vertices: int
         chosen = sorted((row for row in rows if row[fixed] == held), key=lambda row: row[size])
         for key, label in (("frame_ms", "one frame"), ("e_step_ms", "one E-step")):
             axis.loglog([row[size] for row in chosen], [row[key] for row in chosen], "o-", label=label)
+        measured = [row[size] for row in chosen]
+        axis.set_xticks(measured, [f"{value:,}" for value in measured])
+        axis.minorticks_off()
         axis.set_xlabel(f"{size}, with {held:,} {fixed}")
-        axis.grid(True, which="both", alpha=0.25)
+        axis.grid(True, alpha=0.25)
         axis.axhline(1000 / WISHED, color="grey", linewidth=0.8, linestyle="--")
     axis.legend(frameon=False)
+    figure.axes[0].set_yticks(
+        [1, 2, 5, 10, 20, 50, 100, 200], ["1", "2", "5", "10", "20", "50", "100", "200"]
+    )
     figure.axes[0].set_ylabel("milliseconds (dashed: 60 frames a second)")
     figure.tight_layout()
     canvas.print_png(path)
