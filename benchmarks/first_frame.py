@@ -50,12 +50,14 @@ def main() -> None:
     rng = np.random.default_rng(options.seed)
 
     means, taken, failures = [], [], []
-    for number, index in enumerate(rng.choice(len(every), options.frames, replace=False)):
+    # so drawn, a shorter run sees the first frames of a longer one
+    for number, index in enumerate(rng.permutation(len(every))[: options.frames]):
         take, frame = every[index]
         motion, skeleton = takes[take]
         pose = jc.retarget(motion.slice(slice(frame, frame + 1)), skeleton, performer.skeleton)[0]
-        angle = rng.uniform(0, 2 * np.pi)
-        scanned = scan_frame(performer, pose, rng, noise, turn=about_vertical(angle))
+        own = np.random.default_rng([options.seed, number])
+        angle = own.uniform(0, 2 * np.pi)
+        scanned = scan_frame(performer, pose, own, noise, turn=about_vertical(angle))
         start = time.perf_counter()
         found, score = jax.block_until_ready(jc.initialise(tracker, scanned.cloud))
         taken.append(time.perf_counter() - start)

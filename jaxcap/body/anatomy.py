@@ -18,6 +18,9 @@ DEVIATIONS: dict[str, tuple[float, float, float]] = {
     "Arm": (0.8, 1.0, 1.0),
     "ForeArm": (0.4, 1.2, 0.1),
     "Hand": (0.5, 0.6, 0.4),
+    "FingerBase": (0.1, 0.4, 0.2),
+    "HandFinger1": (0.05, 0.4, 0.05),
+    "Thumb": (0.2, 0.3, 0.2),
     "UpLeg": (0.4, 1.0, 0.5),
     "Leg": (0.15, 1.2, 0.08),
     "Foot": (0.2, 0.5, 0.25),
@@ -34,6 +37,7 @@ def rest_deviations(skeleton: Skeleton, default: float = 1.0) -> Float[np.ndarra
     deviations = np.full((skeleton.num_joints, 3), default)
     for joint, name in enumerate(skeleton.names):
         plain = name.removeprefix("Left").removeprefix("Right")
+        plain = "Thumb" if plain.endswith("Thumb") else plain
         if plain in DEVIATIONS:
             deviations[joint] = DEVIATIONS[plain]
         if skeleton.parents[joint] < 0:

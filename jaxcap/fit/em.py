@@ -30,8 +30,9 @@ class Mixture(eqx.Module):
     tangential: Float[Array, ""]
     #: constant on the diagonal of the normal equations, per metre and radian squared
     damping: Float[Array, ""]
-    #: most likely parts that a point may pull at
-    candidates: int = eqx.field(static=True, default=2)
+    #: most likely parts that a point may pull at; on a skinned surface the next part over moves
+    #: almost alike, so that one is enough
+    candidates: int = eqx.field(static=True, default=1)
     #: whether the parts' prior shares are estimated too, or uniform
     estimate_priors: bool = eqx.field(static=True, default=False)
 
@@ -42,7 +43,7 @@ def make_mixture(
     smallest_sigma: float = 0.002,
     tangential: float = 0.05,
     damping: float = 1.0,
-    candidates: int = 2,
+    candidates: int = 1,
     estimate_priors: bool = False,
 ) -> Mixture:
     """A `Mixture` of plain numbers."""

@@ -59,7 +59,7 @@ def make_tracker(
     *,
     motion_deviation: tuple[float, float] = (0.05, 0.3),
     rest_deviation: float = 1.0,
-    momentum: float = 0.8,
+    momentum: float = 1.0,
     sigma_growth: float = 1.5,
     sigma_start: float = 0.015,
     iterations: int = 3,
