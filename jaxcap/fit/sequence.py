@@ -13,6 +13,7 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
 from ..energy.prior import tangent_deviations
 from ..observe import Cloud, thin_cloud
+from .check import check_cloud
 from .em import FrameStatistics
 from .initialise import (
     COARSE_POINTS,
@@ -106,15 +107,24 @@ def track(
     **Arguments:** `clouds` from `make_cloud`, one a frame; `start` a pose near that of the first
     frame, or `search=True`; `rate` frames a second; `tracker` for other settings than the
     usual. Lost frames are named in a warning; `track_frames` tells more about each frame.
+
+    **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in
+    another unit.
     """
     tracker = make_tracker(body) if tracker is None else tracker
-    frames = list(track_frames(tracker, clouds, start, search=search))
+    checked = (_checked(body, number, cloud) for number, cloud in enumerate(clouds))
+    frames = list(track_frames(tracker, checked, start, search=search))
     lost = [number for number, frame in enumerate(frames) if frame.lost]
     if lost:
         warnings.warn(
             f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost[:20]))}.", stacklevel=2
         )
     return stack_poses([frame.pose for frame in frames], rate)
+
+
+def _checked(body: Body, number: int, cloud: Cloud) -> Cloud:
+    check_cloud(body, cloud, f"cloud {number}")
+    return cloud
 
 
 def scan_track(

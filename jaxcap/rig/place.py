@@ -24,7 +24,7 @@ POOR_FIT = 0.06
 #: metres; a vertex this far from the template is trusted by half with its weights
 TRUST = 0.05
 #: metres; weights are smoothed over about this far
-SMOOTHING = 0.04
+SMOOTHING = 0.02
 #: points of the template's surface that hand their weights on, and how many a vertex asks
 DONORS, ASKED = 12000, 4
 #: rotations that bring an axis that points up to y
