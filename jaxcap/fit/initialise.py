@@ -14,7 +14,7 @@ from ..energy.prior import RestPrior, tangent_deviations
 from ..energy.term import Sum
 from ..geometry import rotation
 from ..observe import Cloud, thin_cloud
-from .em import Estimate, box_volume, em_step, frame_statistics, uniform_priors
+from .em import Estimate, box_volume, em_step, uniform_priors
 from .track import Tracker, make_tracker
 
 #: sigma falls from the size of a trunk to that of a wrist, metres
@@ -40,15 +40,12 @@ def anneal(
 
     def step(estimate, sigma):
         wide = Estimate(estimate.pose, sigma, estimate.priors)
-        moved, _ = em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
-        return moved, None
+        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
 
-    first = Estimate(start, jnp.asarray(sigmas[0]), uniform_priors(tracker.parts))
-    last, _ = jax.lax.scan(step, first, sigmas)
-    judged = Estimate(last.pose, jnp.asarray(JUDGE, last.sigma.dtype), last.priors)
-    statistics = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, judged)
-    score = jnp.where(jnp.isfinite(statistics.log_likelihood), statistics.log_likelihood, -jnp.inf)
-    return last, score
+    judged = jnp.append(sigmas, jnp.asarray(JUDGE, sigmas.dtype))
+    last, statistics = jax.lax.scan(step, Estimate(start, sigmas[0], uniform_priors(tracker.parts)), judged)
+    likelihood = statistics.log_likelihood[-1]
+    return last, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
 
 
 @eqx.filter_jit

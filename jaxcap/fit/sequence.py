@@ -14,7 +14,7 @@ from ..body.pose import Motion, Pose, rest_pose, stack_poses
 from ..energy.prior import tangent_deviations
 from ..observe import Cloud, thin_cloud
 from .check import check_cloud
-from .em import FrameStatistics
+from .em import Estimate, FrameStatistics
 from .initialise import (
     COARSE_POINTS,
     FINE,
@@ -32,7 +32,9 @@ from .track import Tracker, TrackState, make_tracker, start_state, track_frame
 DOUBT, CLOSE, MISSING = 0.3, 0.01, 0.015
 #: shares of points beyond the usual outliers, or on the first frame beyond the expected ones,
 #: that no part explains where a frame is lost; and the deviation in metres
-LOST_SHARE, FIRST_SHARE, LOST_SIGMA = 0.04, 0.25, 0.03
+LOST_SHARE, FIRST_SHARE, LOST_SIGMA = 0.04, 0.1, 0.03
+#: deviation at the end of a first frame, metres, and rounds to get there
+FIRST_SIGMA, FIRST_ROUNDS = 0.02, 6
 #: frames until the next search, where one has found nothing better
 PATIENCE = 3
 
@@ -164,18 +166,17 @@ def fit_batch(
 
 
 def _first_frame(tracker: Tracker, cloud: Cloud, pose: Pose, sigma: float) -> TrackedFrame:
-    """Anneal from `sigma` down, then settle; nothing is known yet of what is usual."""
-    sigmas = jnp.geomspace(sigma, min(sigma, 0.02), 12).astype(pose.rotations.dtype)
-    poses, _ = anneal_all(tracker, cloud, jax.tree.map(lambda leaf: leaf[None], pose), sigmas)
-    state = start_state(tracker, jax.tree.map(lambda leaf: leaf[0], poses), 0.02)
-    state, _ = _track_frame(tracker, state, cloud)
-    state = _at_rest(state)
-    state, statistics = _track_frame(tracker, state, cloud)
+    """The deviation falls from `sigma`, over frames that all see the same cloud: the function that
+    tracks is compiled anyway. Nothing is known yet of what is usual."""
+    state, statistics = start_state(tracker, pose, sigma), None
+    for level in np.geomspace(sigma, min(sigma, FIRST_SIGMA), FIRST_ROUNDS):
+        state, statistics = _track_frame(tracker, _settled(tracker, state, float(level)), cloud)
+    assert statistics is not None
     share = float(statistics.outlier_share)
     expected = float(tracker.mixture.outlier) + FIRST_SHARE - LOST_SHARE
     lost = _judge((-np.inf, expected, 0.0), state, statistics).lost
     usual = float(statistics.log_likelihood), share, 0.0
-    return TrackedFrame(state.estimate.pose, statistics, lost, _at_rest(state), usual)
+    return TrackedFrame(state.estimate.pose, statistics, lost, _settled(tracker, state), usual)
 
 
 def _judge(usual: tuple[float, float, float], state: TrackState, statistics: FrameStatistics) -> TrackedFrame:
@@ -215,8 +216,8 @@ def _recover(
     poses, _ = anneal_all(coarse, few, starts, sigmas)
     pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])
     state, _ = _track_frame(tracker, start_state(tracker, pose, 0.02), cloud)
-    state, statistics = _track_frame(tracker, _at_rest(state), cloud)
-    found = _judge(frame.usual, _at_rest(state), statistics)
+    state, statistics = _track_frame(tracker, _settled(tracker, state), cloud)
+    found = _judge(frame.usual, _settled(tracker, state), statistics)
     gain = float(statistics.log_likelihood) - float(frame.statistics.log_likelihood)
     if gain > 0 or not np.isfinite(float(frame.statistics.sigma)):
         return found
@@ -228,6 +229,11 @@ def _recover(
     return TrackedFrame(frame.pose, frame.statistics, frame.lost, frame.state, waiting)
 
 
-def _at_rest(state: TrackState) -> TrackState:
-    """The same state with nothing known of how the body moves."""
-    return TrackState(state.estimate, jnp.zeros_like(state.change))
+def _settled(tracker: Tracker, state: TrackState, sigma: float | None = None) -> TrackState:
+    """The same state with nothing known of how the body moves, and with a deviation that the
+    next frame is to start with."""
+    estimate = state.estimate
+    if sigma is not None:
+        level = jnp.asarray(sigma, estimate.sigma.dtype) / tracker.sigma_growth
+        estimate = Estimate(estimate.pose, level, estimate.priors)
+    return TrackState(estimate, jnp.zeros_like(state.change))
