@@ -18,7 +18,7 @@ import jaxcap as jc  # noqa: E402
 
 def main(path: str) -> None:
     stages = {"import": time.perf_counter() - began}
-    tracker = jc.make_tracker(jc.human(resolution="medium", joints="tracking"))
+    tracker = jc.make_tracker(jc.human(resolution="medium"))
     stages["tracker"] = time.perf_counter() - began
     with np.load(path, allow_pickle=False) as scene:
         cloud = jc.make_cloud(scene["points"], scene["normals"])

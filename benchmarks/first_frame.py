@@ -42,8 +42,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=5)
     options = parser.parse_args()
     shared, noise = shared_folder(), NOISE
-    performer = jc.human(joints="full")
-    tracker = jc.make_tracker(jc.human(resolution="medium", joints="tracking"))
+    performer = jc.human()
+    tracker = jc.make_tracker(jc.human(resolution="medium"))
     names = tracker.body.skeleton.names
     takes = {take: cmu_motion(shared, take) for take in takes_of(shared, SUBJECT)}
     every = [(take, frame) for take, (motion, _) in takes.items() for frame in range(motion.num_frames)]

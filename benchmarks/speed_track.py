@@ -189,7 +189,7 @@ def cost(scene: Scene, points: tuple[int, ...], resolutions: tuple[str, ...], re
     medium = scene.tracker
     cases = [(count, medium) for count in points]
     for resolution in resolutions:
-        body = jc.human(resolution=resolution, joints="tracking")
+        body = jc.human(resolution=resolution)
         if len(body.vertices) != len(medium.body.vertices):
             cases.append((NOISE.points, jc.make_tracker(body)))
     rows = []
@@ -279,7 +279,7 @@ def main() -> None:
     if options.frames < 3:
         parser.error("the steady state needs at least 3 frames")
     shared = shared_folder()
-    performer, body = jc.human(joints="full"), jc.human(resolution="medium", joints="tracking")
+    performer, body = jc.human(), jc.human(resolution="medium")
     tracker, noise = jc.make_tracker(body), NOISE
     motion, starts = (human_motion(shared, TAKE, person, options.frames) for person in (performer, body))
     scene = Scene(performer, motion, starts, tracker, scan_motion(performer, motion, noise))

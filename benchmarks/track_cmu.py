@@ -4,7 +4,7 @@
     python -m benchmarks.track_cmu --takes 02_05 --frames 30 --picture tracked.png
 
 The embedded human (13,380 vertices, all joints) performs each take at 30 frames a second and is
-scanned; the tracked body is its 5,000 vertex version with still fingers, which is given neither
+scanned; the tracked body is its 5,000 vertex version, which is given neither
 the first pose nor any correspondence. Errors are distances of joint centres, over all 31 joints
 and all frames; each take is held to the limits, and the figures are those of the worst one.
 `front` keeps only what faces a camera far off along +z, by the normals; `camera` also takes away
@@ -111,8 +111,8 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, help="write three frames of the first take as a PNG")
     options = parser.parse_args()
     shared, noise = shared_folder(), NOISE
-    performer = jc.human(joints="full")
-    tracker = jc.make_tracker(jc.human(resolution="medium", joints="tracking"))
+    performer = jc.human()
+    tracker = jc.make_tracker(jc.human(resolution="medium"))
     names = tracker.body.skeleton.names
 
     by_view: dict[str, dict[str, Tracked]] = {visible: {} for visible in options.views}

@@ -76,7 +76,7 @@ def main() -> None:
     if swapped:
         progress(f"swapped: {swapped[:20]}")
     if options.picture:
-        shown = sorted({int(round(share * (count - 1))) for share in (0.0, 0.33, 0.66, 1.0)})
+        shown = sorted({round(share * (count - 1)) for share in (0.0, 0.33, 0.66, 1.0)})
         views = []
         for f in shown:
             points = np.asarray(clouds[f].points, float)
