@@ -73,7 +73,8 @@ class GaussNewton(optx.AbstractLeastSquaresSolver):
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
-        return state.terminate, optx.RESULTS.successful
+        good, bad = optx.RESULTS.successful, optx.RESULTS.nonfinite
+        return state.terminate, optx.RESULTS.where(jnp.isfinite(state.energy), good, bad)
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         del fn, args, options, tags, result
