@@ -51,7 +51,9 @@ def test_a_normal_turns_with_its_points(rng):
     points, _ = sphere(rng, 400)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     turn *= np.linalg.det(turn)
-    np.testing.assert_allclose(estimate_normals(points @ turn.T), estimate_normals(points) @ turn.T, atol=1e-9)
+    np.testing.assert_allclose(
+        estimate_normals(points @ turn.T), estimate_normals(points) @ turn.T, atol=1e-9
+    )
 
 
 def test_what_has_no_plane_has_no_normal(rng):

@@ -38,7 +38,9 @@ def test_a_cloud_holds_its_points_and_padding_that_weighs_nothing(rng):
     assert cloud.points.shape == (80, 3)
     real = np.asarray(cloud.weights) > 0
     assert real.sum() == 70
-    assert rows(cloud.points[real], cloud.normals[real], cloud.weights[real]) == rows(points, normals, weights)
+    assert rows(cloud.points[real], cloud.normals[real], cloud.weights[real]) == rows(
+        points, normals, weights
+    )
     assert np.asarray(cloud.points).min() == points.min()
     assert np.asarray(cloud.points).max() == points.max()
 
@@ -60,7 +62,10 @@ POINTS = np.random.default_rng(0).normal(size=(70, 3))
     [
         ((np.zeros((0, 3)),), "empty"),
         ((np.zeros((5, 2)),), r"shape \(5, 2\)"),
-        ((np.where(np.arange(210).reshape(70, 3) == 100, np.nan, POINTS),), "1 points .* not finite.* point 33"),
+        (
+            (np.where(np.arange(210).reshape(70, 3) == 100, np.nan, POINTS),),
+            "1 points .* not finite.* point 33",
+        ),
         ((np.where(np.arange(210).reshape(70, 3) > 203, np.inf, POINTS),), "2 points .* point 68"),
         ((POINTS, POINTS[1:]), "70 points, but normals"),
         ((POINTS, POINTS, np.ones(3)), "70 points, but normals"),
@@ -112,7 +117,8 @@ def test_thinning_draws_points_by_weight(rng):
     found = rows(thin.points[kept], thin.normals[kept])
     assert len(found) == 100
     heavy, light = (
-        rows(cloud.points[chosen], cloud.normals[chosen]) for chosen in (cloud.weights == 4, cloud.weights == 1)
+        rows(cloud.points[chosen], cloud.normals[chosen])
+        for chosen in (cloud.weights == 4, cloud.weights == 1)
     )
     assert found <= heavy | light
     # four of five are expected to be heavy, with a deviation of less than four
