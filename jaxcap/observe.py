@@ -49,7 +49,7 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
             f"{name} has {len(points)} points, but normals of shape {normals.shape} and weights of "
             f"shape {weights.shape}; give one of each for every point."
         )
-    if not (weights >= 0).all():
+    if not ((weights >= 0) & np.isfinite(weights)).all():
         raise InputError(f"{name} has a weight below zero or not finite; weights are at least zero.")
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(np.isfinite(lengths) & (lengths > 0), normals / np.where(lengths > 0, lengths, 1), 0.0)

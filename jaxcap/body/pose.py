@@ -34,8 +34,13 @@ class Motion(eqx.Module):
     def num_frames(self) -> int:
         return self.poses.rotations.shape[0]
 
+    def __len__(self) -> int:
+        return self.num_frames
+
     def __getitem__(self, frame: int) -> Pose:
-        """The pose of one frame."""
+        """The pose of one frame, counted from the end where negative. Raises `IndexError`."""
+        if not -len(self) <= frame < len(self):
+            raise IndexError(f"There is no frame {frame} in a motion of {len(self)} frames.")
         return Pose(self.poses.translations[frame], self.poses.rotations[frame], self.poses.scale[frame])
 
     def slice(self, frames: slice) -> "Motion":

@@ -50,8 +50,8 @@ class Demo:
         if self.seconds < 0.1 or self.points < 200 or not self.noise >= 0:
             raise InputError("A demo needs at least 0.1 seconds, 200 points, and noise that is not negative.")
         self.make_folder()
-        true_body = human(joints="tracking", resolution="full")
-        body = human(joints="tracking", resolution=self.vertices or "medium")
+        true_body = human()
+        body = human(resolution=self.vertices or "medium")
         truth = walk_and_wave(true_body.skeleton, self.seconds)
         scanner = Scanner(points=self.points, noise=self.noise)
         rng, clouds, joints = np.random.default_rng(0), [], []

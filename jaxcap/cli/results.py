@@ -15,7 +15,7 @@ from ..body.pose import rest_pose, stack_poses
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..fit.em import FrameStatistics
-from ..fit.sequence import TrackedFrame
+from ..fit.recover import TrackedFrame
 from ..fit.track import Tracker, start_state
 from ..io.bvh import write_bvh
 from ..io.clouds import Scans
@@ -131,4 +131,4 @@ def _template(tracker: Tracker) -> TrackedFrame:
     pose = rest_pose(tracker.body.skeleton)
     number = jnp.zeros((), pose.rotations.dtype)
     state = start_state(tracker, pose)
-    return TrackedFrame(pose, FrameStatistics(number, number, number, number), False, state, (0.0, 0.0))
+    return TrackedFrame(pose, FrameStatistics(number, number, number, number), False, state, (0.0, 0.0, 0.0))

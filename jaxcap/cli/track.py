@@ -12,7 +12,8 @@ from ..body.limits import JointRanges
 from ..energy.limits import JointLimits
 from ..errors import InputError
 from ..fit.em import make_mixture
-from ..fit.sequence import TrackedFrame, track_frames
+from ..fit.recover import TrackedFrame
+from ..fit.sequence import track_frames
 from ..fit.track import Tracker, make_tracker
 from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal

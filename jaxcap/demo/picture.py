@@ -91,7 +91,9 @@ def _shade(axis, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
     light = np.clip(normals[front] @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
     colour = np.clip((0.45 + 0.62 * light)[:, None] * SKIN, 0.0, 1.0)
     axis.add_collection(
-        PolyCollection(list(corners[front, :, :2]), facecolors=colour, edgecolors=colour, linewidths=0.25, zorder=2)
+        PolyCollection(
+            list(corners[front, :, :2]), facecolors=colour, edgecolors=colour, linewidths=0.25, zorder=2
+        )
     )
 
 

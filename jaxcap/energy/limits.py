@@ -26,6 +26,9 @@ class JointLimits(AbstractEnergy):
         pairs = universal_angles(self.skeleton, pose)
         universal = jnp.array([kind == "universal" for kind in self.skeleton.kinds])[limits.joints]
         angles = jnp.where(universal, pairs[limits.joints, limits.numbers], first[limits.joints])
+        # angles are known up to a turn: the one nearest to the middle of the range counts
+        middle = (limits.lower + limits.upper) / 2
+        angles = middle + (angles - middle + jnp.pi) % (2 * jnp.pi) - jnp.pi
         beyond = jnp.minimum(angles - limits.lower, 0.0) + jnp.maximum(angles - limits.upper, 0.0)
         turned = pose.rotations[limits.ball_joints]
         cones = [

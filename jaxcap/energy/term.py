@@ -23,8 +23,17 @@ class AbstractEnergy(eqx.Module):
     def __add__(self, other: "AbstractEnergy") -> "Sum":
         return Sum(terms_of(self) + terms_of(other))
 
-    def __rmul__(self, weight) -> "Weighted":
-        return Weighted(self, jnp.asarray(weight))
+    def __radd__(self, other) -> "AbstractEnergy":
+        # what `sum` starts with
+        if other == 0:
+            return self
+        return NotImplemented
+
+    def __mul__(self, weight) -> "AbstractEnergy":
+        return weighted(weight, self)
+
+    def __rmul__(self, weight) -> "AbstractEnergy":
+        return weighted(weight, self)
 
 
 class Weighted(AbstractEnergy):
@@ -44,6 +53,15 @@ class Sum(AbstractEnergy):
 
     def residual(self, posed):
         return jnp.concatenate([term.residual(posed) for term in self.terms])
+
+
+def weighted(weight, energy: AbstractEnergy) -> AbstractEnergy:
+    """`weight * E`; a sum is weighted term by term, and weights of weights multiply."""
+    if isinstance(energy, Sum):
+        return Sum(tuple(weighted(weight, term) for term in energy.terms))
+    if isinstance(energy, Weighted):
+        return Weighted(energy.energy, jnp.asarray(weight * energy.weight, float))
+    return Weighted(energy, jnp.asarray(weight, float))
 
 
 def terms_of(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:

@@ -73,9 +73,9 @@ class FrameStatistics(eqx.Module):
     sigma: Float[Array, ""]
 
 
-def uniform_priors(parts: Parts) -> Float[Array, "K"]:
+def uniform_priors(parts: Parts, dtype=None) -> Float[Array, "K"]:
     """The same prior for every part that has vertices (Kineben, eq. 19)."""
-    present = jnp.array([float(count > 0) for count in parts.blocks_of_part])
+    present = jnp.array([float(count > 0) for count in parts.blocks_of_part], dtype)
     return present / jnp.sum(present)
 
 
@@ -136,10 +136,13 @@ def em_step(
     pose = retract(body.skeleton, estimate.pose, damped_step(residual, jacobian, damping))
     apart = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
     squared = jnp.sum(apart**2, -1)
+    # without a single inlier there is nothing to estimate from, and nothing moves
+    seen = jnp.sum(cloud.weights[:, None] * found.weights) > 0
     sigma = jnp.maximum(update_sigma(found, squared, cloud.weights), mixture.smallest_sigma)
+    sigma = jnp.where(seen, sigma, estimate.sigma)
     priors = estimate.priors
     if mixture.estimate_priors:
-        priors = update_priors(found, cloud.weights, parts.num_parts)
+        priors = jnp.where(seen, update_priors(found, cloud.weights, parts.num_parts), priors)
     return Estimate(pose, sigma, priors), _statistics(found, cloud, estimate.sigma)
 
 
@@ -152,13 +155,13 @@ def frame_statistics(
 
 
 def _statistics(found: Posterior, cloud: Cloud, sigma: Float[Array, ""]) -> FrameStatistics:
-    total = jnp.sum(cloud.weights)
+    total = jnp.maximum(jnp.sum(cloud.weights), jnp.finfo(cloud.weights.dtype).tiny)
     share = cloud.weights[:, None] * found.weights
     distances = jnp.sqrt(jnp.where(share > 0, found.squared_distances, 0.0))
     return FrameStatistics(
         log_likelihood=jnp.sum(cloud.weights * found.log_density) / total,
         outlier_share=jnp.sum(cloud.weights * found.outlier) / total,
-        mean_distance=jnp.sum(share * distances) / jnp.sum(share),
+        mean_distance=jnp.sum(share * distances) / jnp.maximum(jnp.sum(share), jnp.finfo(share.dtype).tiny),
         sigma=sigma,
     )
 

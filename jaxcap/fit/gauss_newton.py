@@ -60,7 +60,7 @@ class GaussNewton(optx.AbstractLeastSquaresSolver):
         start = one, energy_of(args, args.retract(y, full)), jnp.array(0)
         share, energy, _ = jax.lax.while_loop(too_high, halve, start)
         better = energy < state.energy
-        step = jnp.where(better, share, 0.0) * full
+        step = jnp.where(better, share * full, 0.0)
         energy = jnp.where(better, energy, state.energy)
         flat = state.energy - energy <= self.rtol * state.energy
         state = GaussNewtonState(
@@ -90,6 +90,15 @@ def energy_of(problem: AbstractProblem, y) -> Float[Array, ""]:
 def damped_step(
     residual: Float[Array, "R"], jacobian: Float[Array, "R D"], damping: Float[Array, "D"]
 ) -> Float[Array, "D"]:
-    """`-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5)."""
+    """`-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5).
+
+    The matrix is first brought to a unit diagonal, so that float32 loses nothing to units; what
+    rounding may take from a zero curvature is given back. No step at all where it fails.
+    """
     normal = jacobian.T @ jacobian + jnp.diag(damping)
-    return -cho_solve((jnp.linalg.cholesky(normal), True), jacobian.T @ residual)
+    diagonal = jnp.diagonal(normal)
+    scale = jnp.where(diagonal > 0, 1.0 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
+    rounding = 10 * jnp.finfo(normal.dtype).eps * jnp.eye(len(normal), dtype=normal.dtype)
+    factor = jnp.linalg.cholesky(normal * scale[:, None] * scale + rounding)
+    step = -scale * cho_solve((factor, True), scale * (jacobian.T @ residual))
+    return jnp.where(jnp.isfinite(step).all(), step, 0.0)

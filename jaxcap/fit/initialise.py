@@ -10,12 +10,14 @@ from ..body.body import pose_body
 from ..body.pose import Pose, rest_pose, retract
 from ..body.reduce import reduce_body
 from ..body.skeleton import Skeleton, dof_layout
-from ..energy.prior import RestPrior, tangent_deviations
-from ..energy.term import Sum
+from ..energy.limits import JointLimits
+from ..energy.prior import PosePrior, RestPrior, tangent_deviations
+from ..energy.term import AbstractEnergy, Sum, Weighted
 from ..geometry import rotation
 from ..observe import Cloud, thin_cloud
 from .em import Estimate, box_volume, em_step, uniform_priors
-from .track import Tracker, make_tracker
+from .parts import make_parts
+from .track import Tracker
 
 #: sigma falls from the size of a trunk to that of a wrist, metres
 COARSE = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
@@ -43,7 +45,9 @@ def anneal(
         return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
 
     judged = jnp.append(sigmas, jnp.asarray(JUDGE, sigmas.dtype))
-    last, statistics = jax.lax.scan(step, Estimate(start, sigmas[0], uniform_priors(tracker.parts)), judged)
+    last, statistics = jax.lax.scan(
+        step, Estimate(start, sigmas[0], uniform_priors(tracker.parts, sigmas.dtype)), judged
+    )
     likelihood = statistics.log_likelihood[-1]
     return last, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
 
@@ -66,19 +70,25 @@ def anneal_all(
 def turned_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]) -> Pose:
     """A pose turned about the vertical `up` in `count` equal steps and moved so that the middles
     of surface and cloud meet; `(count, ...)`. The middle is a median, which outliers do not move."""
+    skeleton = tracker.body.skeleton
     posed = pose_body(tracker.body, pose)
     middle = jnp.median(posed.vertices, 0)
     points = jnp.where((cloud.weights > 0)[:, None], cloud.points, jnp.nan)
     target = jnp.nanmedian(points, 0)
     angles = jnp.linspace(0.0, 2 * jnp.pi, count, endpoint=False).astype(middle.dtype)
-    centre = tracker.body.skeleton.centres[0]
+    # a root that only slides has its turns in the first joint below it
+    turner = next((j for j, kind in enumerate(skeleton.kinds) if kind in ("ball", "free")), None)
+    mover = next((j for j, kind in enumerate(skeleton.kinds) if kind in ("translate", "free")), None)
 
     def turn(angle):
-        q = rotation.about_axis(up, angle)
-        # the root turns about its own centre: where that leaves the middle of the surface
-        moved = rotation.rotate(q, middle - centre - pose.translations[0]) + centre
-        rotations = pose.rotations.at[0].set(rotation.multiply(q, pose.rotations[0]))
-        translations = pose.translations.at[0].set(target - moved)
+        rotations, translations, moved = pose.rotations, pose.translations, middle
+        if turner is not None:
+            q = rotation.about_axis(up, angle)
+            centre = posed.joints[turner]
+            moved = rotation.rotate(q, middle - centre) + centre
+            rotations = rotations.at[turner].set(rotation.multiply(q, rotations[turner]))
+        if mover is not None:
+            translations = translations.at[mover].add((target - moved) / pose.scale)
         return Pose(translations, rotations, pose.scale)
 
     return jax.vmap(turn)(angles)
@@ -101,7 +111,9 @@ def subtree_starts(
     it: a limb that was lost finds its place while the rest of the body stays."""
     num = poses.rotations.shape[0]
     which, how = jax.random.split(key)
-    bearers = np.flatnonzero((skeleton.descent.sum(1) > 1) & (np.array(skeleton.parents) >= 0))
+    below_root = np.array(skeleton.parents) >= 0
+    bearers = np.flatnonzero((skeleton.descent.sum(1) > 1) & below_root)
+    bearers = bearers if bearers.size else np.arange(skeleton.num_joints)
     joints = jax.random.choice(which, jnp.asarray(bearers), (count, num))
     below = jnp.asarray(skeleton.descent)[joints][..., dof_layout(skeleton).joints]
     near, far = jax.random.split(how)
@@ -119,9 +131,16 @@ def _neighbours(skeleton: Skeleton, poses: Pose, steps: Float[Array, "C P D"]) -
 
 
 def coarse_tracker(tracker: Tracker) -> Tracker:
-    """The same tracker with fewer vertices, for searches."""
+    """The same tracker with fewer vertices, for searches. Of its further terms only those over
+    joints go with it: vertices have other numbers on the coarse body."""
     body = reduce_body(tracker.body, COARSE_VERTICES)
-    return make_tracker(body, tracker.mixture, tracker.terms)
+    over_joints = tuple(t for t in tracker.terms if isinstance(_bare(t), JointLimits | PosePrior | RestPrior))
+    parts = make_parts(body.skin.parts(), body.skeleton.num_joints, body.vertices)
+    return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, over_joints))
+
+
+def _bare(term: AbstractEnergy) -> AbstractEnergy:
+    return term.energy if isinstance(term, Weighted) else term
 
 
 def initialise(

@@ -40,7 +40,7 @@ def solve(
 
     `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to
     every array of the energy and of the body; not to the start, on which a minimum does
-    not depend. Nothing is raised where the solver fails: see `Solution.result`.
+    not depend. What no term holds stays where it is, in the derivative too. Nothing is raised where the solver fails: see `Solution.result`.
     """
     problem = PoseProblem(energy, body)
     solver = LevenbergMarquardt() if solver is None else solver
@@ -67,9 +67,16 @@ def _implicit(primals, tangents):
     zero = jnp.zeros(problem.body.skeleton.num_dofs, pose.rotations.dtype)
     hessian = jax.jacfwd(lambda d: _gradient(problem, pose, d))(zero)
     _, change = eqx.filter_jvp(lambda p: _gradient(p, pose, zero), (problem,), (tangents[0],))
-    step = -jnp.linalg.solve(hessian, change)
+    step = -_pseudo_solve(hessian, change)
     _, pose_tangent = eqx.filter_jvp(lambda p, d: _moved(p, pose, d), (problem, zero), (tangents[0], step))
     return (pose, stats), (pose_tangent, jax.tree.map(lambda _: None, stats))
+
+
+def _pseudo_solve(matrix: Float[Array, "D D"], vector: Float[Array, "D"]) -> Float[Array, "D"]:
+    """The smallest solution: along directions that the energy does not hold nothing moves."""
+    values, vectors = jnp.linalg.eigh((matrix + matrix.T) / 2)
+    held = jnp.abs(values) > len(values) * jnp.finfo(values.dtype).eps * jnp.max(jnp.abs(values))
+    return vectors @ (jnp.where(held, 1.0 / jnp.where(held, values, 1.0), 0.0) * (vectors.T @ vector))
 
 
 def _moved(problem: PoseProblem, pose: Pose, d: Float[Array, "D"]) -> Pose:

@@ -76,7 +76,7 @@ def make_tracker(
         parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
         mixture=make_mixture() if mixture is None else mixture,
         motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
-        rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation)),
+        rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
         momentum=jnp.asarray(momentum),
         sigma_growth=jnp.asarray(sigma_growth),
         sigma_start=jnp.asarray(sigma_start),
@@ -85,9 +85,11 @@ def make_tracker(
     )
 
 
-def start_state(tracker: Tracker, pose: Pose, sigma: float = 0.05) -> TrackState:
+def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 0.05) -> TrackState:
     """The state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
-    estimate = Estimate(pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts))
+    estimate = Estimate(
+        pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts, pose.rotations.dtype)
+    )
     return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
 
 

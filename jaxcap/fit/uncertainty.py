@@ -32,7 +32,8 @@ def uncertainty(
 
     **Arguments:** `variance` is that of one component of the residual; where not given it
     is estimated as `|r|^2 / (R - D)`. A direction counts as unobservable where its
-    curvature is below `tolerance` (square root of the machine's precision where not given) times the largest.
+    curvature is below `tolerance` times the largest; where not given that is what rounding leaves
+    of a curvature of zero, D times the machine's precision.
     """
     problem = PoseProblem(energy, body)
     residual, jacobian = problem.linearise(pose)
@@ -42,7 +43,7 @@ def uncertainty(
         variance = residual @ residual / max(residual.shape[0] - scales.shape[0], 1)
     curvatures, directions = jnp.linalg.eigh(scaled.T @ scaled)
     if tolerance is None:
-        tolerance = float(np.sqrt(jnp.finfo(residual.dtype).eps))
+        tolerance = scales.shape[0] * float(jnp.finfo(residual.dtype).eps)
     unobservable = curvatures <= tolerance * curvatures[-1]
     inverse = jnp.where(unobservable, 0.0, 1.0 / jnp.where(unobservable, 1.0, curvatures))
     spread = scales[:, None] * directions

@@ -176,4 +176,3 @@ def _vertex_areas(template: Template) -> Float[np.ndarray, "V"]:
 def _features(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "N 6"]:
     """Where points are close and their normals alike, these are close."""
     return np.concatenate([points, NORMAL_SCALE * normals], axis=1)
-

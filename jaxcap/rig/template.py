@@ -193,4 +193,3 @@ def _bone_directions(template: Template) -> Float[Array, "J 3"]:
     """The x axes of the joints' own frames, which lie along the bones."""
     w, x, y, z = template.body.skeleton.orientations.T
     return jnp.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], 1)
-

@@ -1,0 +1,50 @@
+"""Many clouds at once, as pure functions of arrays."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..body.pose import Pose
+from ..observe import Cloud
+from .em import FrameStatistics
+from .track import Tracker, TrackState, start_state, track_frame
+
+
+def scan_track(
+    tracker: Tracker, state: TrackState, clouds: Cloud
+) -> tuple[TrackState, tuple[Pose, FrameStatistics]]:
+    """Track clouds stacked over frames `(F, N, ...)` in one `lax.scan`: pure, for use under
+    `jit` and for batches. Nothing is searched for; judge the statistics."""
+
+    def step(state, cloud):
+        state, statistics = track_frame(tracker, state, cloud)
+        return state, (state.estimate.pose, statistics)
+
+    return jax.lax.scan(step, state, clouds)
+
+
+def fit_batch(
+    tracker: Tracker, starts: Pose, clouds: Cloud, *, sigma: float = 0.1, batch_size: int | None = None
+) -> tuple[Pose, FrameStatistics]:
+    """Fit many independent clouds `(B, N, ...)` or sequences `(B, F, N, ...)` at once.
+
+    **Arguments:** `starts` poses stacked over B; `sigma` metres to start with;
+    `batch_size` how many go side by side in a vectorised loop, one after the other where not
+    given, which is the fastest on a CPU.
+
+    Returns poses and statistics, stacked as the clouds are.
+    """
+    return _fit_batch(tracker, starts, clouds, jnp.asarray(sigma), batch_size)
+
+
+@eqx.filter_jit
+def _fit_batch(tracker: Tracker, starts: Pose, clouds: Cloud, sigma: Float[Array, ""], batch_size):
+    def sequence(pair):
+        start, cloud = pair
+        alone = cloud.points.ndim == 2
+        stacked = jax.tree.map(lambda leaf: leaf[None], cloud) if alone else cloud
+        _, out = scan_track(tracker, start_state(tracker, start, sigma), stacked)
+        return jax.tree.map(lambda leaf: leaf[0], out) if alone else out
+
+    return jax.lax.map(sequence, (starts, clouds), batch_size=batch_size)
