@@ -1,0 +1,204 @@
+"""A human followed through small clouds: accuracy, loss and recovery, resuming, symmetries."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxcap.body.body import pose_body
+from jaxcap.body.human import human
+from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.demo.scanner import sample_surface
+from jaxcap.energy.term import AbstractEnergy
+from jaxcap.errors import InputError
+from jaxcap.fit import recover
+from jaxcap.fit.batch import fit_batch, scan_track
+from jaxcap.fit.sequence import track, track_frames
+from jaxcap.fit.track import make_tracker, start_state
+from jaxcap.geometry import rotation
+from jaxcap.observe import Cloud, make_cloud, stack_clouds
+
+POINTS, NOISE, FRAMES, JUNK = 600, 0.003, 6, 3
+TRACES: list[int] = []
+
+
+class Counted(AbstractEnergy):
+    """Nothing, but notes every time that it is traced."""
+
+    def residual(self, posed):
+        TRACES.append(1)
+        return 0.0 * posed.joints[0]
+
+
+BODY = human(resolution="low", joints="tracking")
+SKELETON = BODY.skeleton
+TRACKER = make_tracker(BODY, terms=(Counted(),))
+_pose_body = eqx.filter_jit(pose_body)
+
+
+def motion_of(rng) -> list[Pose]:
+    """The body turns, walks and swings its arms and legs, slowly."""
+    layout, change = dof_layout(SKELETON), np.zeros(SKELETON.num_dofs)
+    change[layout.translations[0]] = 0.015 * rng.normal(size=3)
+    for name in ("Hips", "LeftArm", "RightArm", "LeftForeArm", "RightUpLeg", "RightLeg", "Neck"):
+        change[layout.rotations[SKELETON.index(name)]] = 0.04 * rng.normal(size=3)
+    return [
+        retract(SKELETON, rest_pose(SKELETON), jnp.asarray(frame * change)) for frame in range(FRAMES + 1)
+    ]
+
+
+def scan(pose: Pose, rng) -> Cloud:
+    points, normals = sample_surface(
+        np.asarray(_pose_body(BODY, pose).vertices), np.asarray(BODY.faces), POINTS, rng
+    )
+    return make_cloud(points + NOISE * rng.normal(size=points.shape), normals)
+
+
+def junk(rng) -> Cloud:
+    points = rng.uniform([-0.8, -0.8, -0.5], [0.8, 0.9, 0.5], (POINTS, 3))
+    return make_cloud(points, rng.normal(size=points.shape))
+
+
+def joint_error(a: Pose, b: Pose) -> float:
+    """Mean distance of joint centres, metres."""
+    apart = _pose_body(BODY, a).joints - _pose_body(BODY, b).joints
+    return float(jnp.mean(jnp.linalg.norm(apart, axis=1)))
+
+
+def same(a, b) -> bool:
+    return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+
+def apart(a: Pose, b: Pose) -> float:
+    return float(jnp.abs(difference(SKELETON, a, b)).max())
+
+
+@pytest.fixture(scope="module")
+def scene():
+    rng = np.random.default_rng(11)
+    truth = motion_of(rng)
+    return truth, [scan(pose, rng) for pose in truth]
+
+
+@pytest.fixture(scope="module")
+def tracked(scene):
+    """The sequence with a frame of junk in it, and how often the energy was traced by each frame."""
+    truth, clouds = scene
+    clouds = [*clouds[:JUNK], junk(np.random.default_rng(1)), *clouds[JUNK + 1 :]]
+    frames, traces = [], []
+    for frame in track_frames(TRACKER, clouds, truth[0], sigma=0.05):
+        frames.append(frame)
+        traces.append(len(TRACES))
+    return frames, traces, clouds
+
+
+def test_a_human_is_followed_within_a_centimetre(scene, tracked):
+    frames, _, _ = tracked
+    for number, (frame, truth) in enumerate(zip(frames[:JUNK], scene[0][:JUNK], strict=True)):
+        assert not frame.lost, number
+        assert joint_error(frame.pose, truth) < 0.008, number
+        # noise of 3 mm, and the distance from any point to a vertex of triangles some 4 cm wide
+        assert float(frame.statistics.sigma) < 0.02
+        assert float(frame.statistics.outlier_share) < 0.1
+
+
+def test_junk_is_lost_and_the_body_is_found_again(scene, tracked):
+    frames, _, _ = tracked
+    assert [frame.lost for frame in frames] == [number == JUNK for number in range(FRAMES + 1)]
+    errors = [joint_error(frame.pose, truth) for frame, truth in zip(frames, scene[0], strict=True)]
+    assert max(errors[JUNK + 1 :]) < 0.012, errors
+
+
+def test_frames_are_traced_once(tracked):
+    _, traces, _ = tracked
+    assert traces[0] > 0
+    assert traces[JUNK - 1] == traces[0]
+    # the search after junk is a function of its own, the frames after it are not
+    assert traces[-1] == traces[JUNK]
+
+
+def test_a_run_goes_on_from_a_frame_bit_by_bit(tracked):
+    frames, _, clouds = tracked
+    rest = track_frames(TRACKER, clouds[JUNK:], frames[JUNK - 1], first=JUNK)
+    for again, frame in zip(rest, frames[JUNK:], strict=True):
+        assert same(again, frame)
+
+
+def test_a_scan_is_the_loop(scene):
+    truth, clouds = scene
+    state = start_state(TRACKER, truth[0])
+    stacked = stack_clouds(clouds[:3])
+    last, (poses, statistics) = eqx.filter_jit(scan_track)(TRACKER, state, stacked)
+    for number in range(3):
+        state, alone = recover.next_frame(TRACKER, state, clouds[number])
+        pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
+        assert apart(pose, state.estimate.pose) < 1e-8
+        assert float(statistics.log_likelihood[number]) == pytest.approx(
+            float(alone.log_likelihood), rel=1e-9
+        )
+    np.testing.assert_allclose(last.change, state.change, atol=1e-8)
+
+
+def test_a_batch_is_its_members(scene):
+    truth, clouds = scene
+    starts = stack_poses([truth[1], truth[4]]).poses
+    poses, statistics = fit_batch(TRACKER, starts, stack_clouds([clouds[1], clouds[4]]), sigma=0.05)
+    for number, frame in enumerate((1, 4)):
+        state = start_state(TRACKER, truth[frame], 0.05)
+        state, alone = recover.next_frame(TRACKER, state, clouds[frame])
+        pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
+        assert apart(pose, state.estimate.pose) < 1e-8
+        assert float(statistics.sigma[number]) == pytest.approx(float(alone.sigma), rel=1e-8)
+
+
+def test_the_order_of_points_does_not_matter(scene, rng):
+    truth, clouds = scene
+    state = start_state(TRACKER, truth[0])
+    order = rng.permutation(clouds[1].points.shape[0])
+    shuffled = jax.tree.map(lambda leaf: leaf[order], clouds[1])
+    one, other = (recover.next_frame(TRACKER, state, cloud)[0] for cloud in (clouds[1], shuffled))
+    assert apart(one.estimate.pose, truth[0]) > 0.01
+    assert apart(one.estimate.pose, other.estimate.pose) < 1e-6
+
+
+def test_a_rigid_motion_of_cloud_and_start_moves_the_result_alike(scene):
+    """By a third of a turn about (1, 1, 1), under which the scene's box stays a box."""
+    truth, clouds = scene
+    turn = rotation.about_axis(jnp.ones(3) / np.sqrt(3), jnp.asarray(2 * np.pi / 3))
+    shift, centre = jnp.asarray([0.3, -1.0, 2.0]), SKELETON.centres[0]
+
+    def turned(x):
+        return jax.vmap(lambda row: rotation.rotate(turn, row))(x)
+
+    def moved(pose: Pose) -> Pose:
+        place = rotation.rotate(turn, centre + pose.translations[0]) + shift - centre
+        return Pose(
+            pose.translations.at[0].set(place),
+            pose.rotations.at[0].set(rotation.multiply(turn, pose.rotations[0])),
+            pose.scale,
+        )
+
+    cloud = clouds[2]
+    there = Cloud(turned(cloud.points) + shift, turned(cloud.normals), cloud.weights)
+    np.testing.assert_allclose(
+        _pose_body(BODY, moved(truth[2])).vertices,
+        turned(_pose_body(BODY, truth[2]).vertices) + shift,
+        atol=1e-12,
+    )
+    here, _ = recover.next_frame(TRACKER, start_state(TRACKER, truth[1]), cloud)
+    far, _ = recover.next_frame(TRACKER, start_state(TRACKER, moved(truth[1])), there)
+    assert apart(far.estimate.pose, moved(here.estimate.pose)) < 1e-6
+
+
+def test_a_motion_and_a_warning_come_from_track(scene, tracked):
+    truth, _ = scene
+    clouds = tracked[2]
+    with pytest.warns(UserWarning, match=f"1 of {JUNK + 1} frames are lost: {JUNK}"):
+        motion = track(BODY, clouds[: JUNK + 1], truth[0], rate=25.0, tracker=TRACKER)
+    assert motion.rate == 25.0
+    assert motion.num_frames == JUNK + 1
+    assert joint_error(motion[1], truth[1]) < 0.008
+    with pytest.raises(InputError, match=r"cloud 0 .*millimetres"):
+        track(BODY, [eqx.tree_at(lambda c: c.points, clouds[0], 1000.0 * clouds[0].points)])
