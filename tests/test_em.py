@@ -1,0 +1,128 @@
+"""Expectation maximisation: the likelihood rises, and the M-step is the sum it stands for."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import chain_body, random_pose
+
+from jaxcap.body.body import pose_body
+from jaxcap.body.pose import rest_pose, retract
+from jaxcap.energy.prior import PosePrior
+from jaxcap.fit.em import (
+    Estimate,
+    box_volume,
+    data_energy,
+    em_step,
+    expectation,
+    frame_statistics,
+    make_mixture,
+    uniform_priors,
+)
+from jaxcap.fit.parts import make_parts
+from jaxcap.observe import Cloud
+
+BODY = chain_body("rigid")
+SKELETON = BODY.skeleton
+PARTS = make_parts(BODY.skin.parts(), SKELETON.num_joints, BODY.vertices)
+#: the paper's: distances to points, all parts, no floor under sigma; normals are not known here
+MIXTURE = make_mixture(
+    outlier=0.1,
+    smallest_sigma=1e-6,
+    tangential=1.0,
+    damping=1e-3,
+    candidates=SKELETON.num_joints,
+    estimate_priors=True,
+)
+NO_PRIOR = PosePrior(SKELETON, rest_pose(SKELETON), jnp.full(SKELETON.num_dofs, jnp.inf))
+NOISE = 0.005
+
+
+def scene(rng, count: int = 400, wild: int = 40):
+    """A pose and a cloud around it: noisy vertices, and points anywhere."""
+    truth = random_pose(SKELETON, rng, 0.3)
+    vertices = np.asarray(pose_body(BODY, truth).vertices)
+    points = vertices[rng.integers(0, len(vertices), count)] + NOISE * rng.normal(size=(count, 3))
+    points[:wild] = rng.uniform(vertices.min(0) - 0.2, vertices.max(0) + 0.2, (wild, 3))
+    return truth, Cloud(jnp.asarray(points), jnp.zeros((count, 3)), jnp.ones(count))
+
+
+@eqx.filter_jit
+def run(mixture, cloud, start, sigma):
+    """Sixty steps: the last estimate, and the statistics at each."""
+
+    def step(estimate, _):
+        return em_step(BODY, PARTS, mixture, NO_PRIOR, cloud, box_volume(cloud), estimate)
+
+    first = Estimate(start, sigma, uniform_priors(PARTS))
+    return jax.lax.scan(step, first, length=60)
+
+
+def test_the_likelihood_never_falls(rng):
+    """Every step of conditional maximisation raises the mixture's likelihood (Kineben, 3.3.2);
+    from the truth it ends at what the scene was made of."""
+    for size, damping in ((0.2, 10.0), (0.1, 1e-3), (0.05, 1e-3)):
+        truth, cloud = scene(rng)
+        mixture = eqx.tree_at(lambda m: m.damping, MIXTURE, jnp.asarray(damping))
+        start = retract(SKELETON, truth, jnp.asarray(size * rng.normal(size=SKELETON.num_dofs)))
+        last, statistics = run(mixture, cloud, start, jnp.asarray(0.1))
+        rises = np.diff(statistics.log_likelihood)
+        assert rises[0] > 0.1
+        assert rises.min() > -1e-9
+    last, statistics = run(MIXTURE, cloud, truth, jnp.asarray(0.02))
+    assert float(statistics.outlier_share[-1]) == pytest.approx(0.1, abs=0.02)
+    assert float(last.sigma) == pytest.approx(NOISE, rel=0.1)
+    joints = [pose_body(BODY, pose).joints for pose in (last.pose, truth)]
+    assert np.linalg.norm(joints[0] - joints[1], axis=1).max() < 0.005
+    shares = np.bincount(BODY.skin.parts(), minlength=SKELETON.num_joints) / len(BODY.vertices)
+    np.testing.assert_allclose(last.priors, shares, atol=0.05)
+
+
+@pytest.mark.parametrize("tangential", [0.0, 0.3, 1.0])
+def test_what_is_minimised_is_the_expected_distance(rng, tangential):
+    """`sum p ((1 - t) (n . d)^2 + t |d|^2) / sigma^2`, at any scale of the body."""
+    _, cloud = scene(rng, 120)
+    cloud = eqx.tree_at(lambda c: c.weights, cloud, jnp.asarray(rng.uniform(0, 2, 120)).at[7].set(0.0))
+    pose = random_pose(SKELETON, rng, 0.2, scale=1.2)
+    estimate = Estimate(pose, jnp.asarray(0.05), uniform_priors(PARTS))
+    posed, found = eqx.filter_jit(expectation)(BODY, PARTS, MIXTURE, cloud, box_volume(cloud), estimate)
+    energy = data_energy(found, posed, cloud, estimate.sigma, jnp.asarray(tangential))
+
+    def full_sum(there, normals):
+        apart = there[found.vertices] - np.asarray(cloud.points)[:, None]
+        across = np.sum(apart * normals[found.vertices], -1) ** 2
+        distance = (1 - tangential) * across + tangential * np.sum(apart**2, -1)
+        return np.sum(np.asarray(cloud.weights)[:, None] * np.asarray(found.weights) * distance) / 0.05**2
+
+    value = float(jnp.sum(energy.residual(posed) ** 2))
+    normals = np.asarray(posed.normals)
+    assert value == pytest.approx(full_sum(np.asarray(posed.vertices), normals), rel=1e-9)
+    # the skin is rigid, so it holds wherever the pose goes from here
+    there = pose_body(BODY, random_pose(SKELETON, rng, 0.4, scale=1.2))
+    value = float(jnp.sum(energy.residual(there) ** 2))
+    assert value == pytest.approx(full_sum(np.asarray(there.vertices), normals), rel=1e-9)
+
+
+def test_statistics_of_an_estimate(rng):
+    truth, cloud = scene(rng)
+    estimate = Estimate(truth, jnp.asarray(NOISE), uniform_priors(PARTS))
+    found = eqx.filter_jit(frame_statistics)(BODY, PARTS, MIXTURE, cloud, box_volume(cloud), estimate)
+    # the mean of |noise| in space is sigma sqrt(8 / pi)
+    assert float(found.mean_distance) == pytest.approx(NOISE * np.sqrt(8 / np.pi), rel=0.1)
+    assert float(found.outlier_share) == pytest.approx(0.1, abs=0.02)
+    assert float(found.sigma) == NOISE
+
+
+def test_the_box_is_around_what_weighs(rng):
+    points = jnp.asarray([[0.0, 0, 0], [1, 2, 3], [0.5, 1, 1], [9, 9, 9]])
+    cloud = Cloud(points, jnp.zeros((4, 3)), jnp.asarray([1.0, 1, 1, 0]))
+    assert float(box_volume(cloud)) == 6.0
+    flat = Cloud(points.at[:, 1].set(0.0), jnp.zeros((4, 3)), jnp.ones(4))
+    assert float(box_volume(flat)) > 0
+
+
+def test_parts_without_vertices_have_no_share():
+    priors = uniform_priors(PARTS)
+    present = np.isin(np.arange(SKELETON.num_joints), BODY.skin.parts())
+    np.testing.assert_allclose(priors, present / present.sum(), atol=1e-15)
