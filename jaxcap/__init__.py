@@ -44,6 +44,7 @@ from .fit.em import make_mixture as make_mixture
 from .fit.gauss_newton import GaussNewton as GaussNewton
 from .fit.initialise import initialise as initialise
 from .fit.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+from .fit.manifold import AbstractManifoldSolver as AbstractManifoldSolver
 from .fit.parts import make_parts as make_parts
 from .fit.posterior import posterior as posterior
 from .fit.recover import TrackedFrame as TrackedFrame

@@ -9,7 +9,7 @@ import optimistix as optx
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .levenberg_marquardt import HISTORY
+from .manifold import HISTORY, AbstractManifoldSolver
 from .problem import AbstractProblem
 
 
@@ -22,7 +22,7 @@ class GaussNewtonState(eqx.Module):
     history: Float[Array, "H"]
 
 
-class GaussNewton(optx.AbstractLeastSquaresSolver):
+class GaussNewton(AbstractManifoldSolver):
     """Kineben's own solver: `d* = -(J^T J + damping I)^-1 J^T r`, then `d*`, `d*/2`, `d*/4`
     and so on, until the energy falls (Kineben, eq. 5 and algorithm 1).
 

@@ -10,10 +10,8 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from .manifold import HISTORY, AbstractManifoldSolver
 from .problem import AbstractProblem
-
-#: longest history of energies that a solver keeps
-HISTORY = 256
 
 
 class SolverState(eqx.Module):
@@ -29,7 +27,7 @@ class SolverState(eqx.Module):
     history: Float[Array, "H"]
 
 
-class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+class LevenbergMarquardt(AbstractManifoldSolver):
     """Damped Gauss-Newton steps inside a classical trust region, on a manifold.
 
     optimistix's own solver adds a step to the unknown. This one takes an `AbstractProblem`

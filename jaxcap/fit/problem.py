@@ -15,7 +15,7 @@ from ..body.skeleton import dof_layout
 from ..body.skinning import LinearSkin, RigidSkin
 from ..energy.landmarks import VertexLandmarks
 from ..energy.points import PointToPlane, PointToPoint
-from ..energy.term import AbstractEnergy, Sum, Weighted, root, terms_of
+from ..energy.term import AbstractEnergy, Weighted, root, terms_of
 
 Unknown = TypeVar("Unknown")
 
@@ -73,7 +73,8 @@ class PoseProblem(AbstractProblem[Pose]):
 def linearise(
     energy: AbstractEnergy, body: Body, pose: Pose
 ) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
-    """Residual and Jacobian of an energy at a pose, by tangents of `retract`.
+    """Residual and Jacobian of an energy at a pose, by tangents of `retract`, rows in the order
+    of `energy.residual`.
 
     Terms over many vertices use the analytic Jacobian of the skin (Kineben, eqs. 8 to 13),
     which costs one sum down the tree for each joint; forward autodiff, which all other
@@ -81,19 +82,24 @@ def linearise(
     """
     posed = pose_body(body, pose)
     known = isinstance(body.skin, RigidSkin | LinearSkin)
-    analytic = [term for term in terms_of(energy) if known and _over_vertices(term)]
-    others = [term for term in terms_of(energy) if not (known and _over_vertices(term))]
-    rows = [(term.residual(posed), _vertex_jacobian(term, body, posed)) for term in analytic]
-    if others:
-        rest = Sum(tuple(others))
-        zero = jnp.zeros(body.skeleton.num_dofs, body.vertices.dtype)
+    terms = terms_of(energy)
+    others = tuple(term for term in terms if not (known and _over_vertices(term)))
+    zero = jnp.zeros(body.skeleton.num_dofs, body.vertices.dtype)
 
-        def moved(d):
-            r = rest.residual(pose_body(body, retract(body.skeleton, pose, d)))
-            return r, r
+    def moved(d):
+        there = pose_body(body, retract(body.skeleton, pose, d))
+        residuals = tuple(term.residual(there) for term in others)
+        return residuals, residuals
 
-        jacobian, r = jax.jacfwd(moved, has_aux=True)(zero)
-        rows.append((r, jacobian))
+    # all in one pass: what the terms share is differentiated once
+    jacobians, residuals = jax.jacfwd(moved, has_aux=True)(zero) if others else ((), ())
+    differentiated = iter(zip(residuals, jacobians, strict=True))
+    rows = [
+        (term.residual(posed), _vertex_jacobian(term, body, posed))
+        if known and _over_vertices(term)
+        else next(differentiated)
+        for term in terms
+    ]
     return jnp.concatenate([r for r, _ in rows]), jnp.concatenate([j for _, j in rows])
 
 

@@ -10,6 +10,7 @@ from ..body.body import Body, pose_body
 from ..body.pose import Pose, project, retract
 from ..energy.term import AbstractEnergy, energies
 from .levenberg_marquardt import LevenbergMarquardt
+from .manifold import AbstractManifoldSolver
 from .problem import PoseProblem
 
 
@@ -30,7 +31,7 @@ def solve(
     energy: AbstractEnergy,
     body: Body,
     start: Pose,
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: AbstractManifoldSolver | None = None,
     max_steps: int = 64,
 ) -> Solution:
     """The pose of a body that makes an energy least, from a start near it.
@@ -41,9 +42,16 @@ def solve(
     `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to
     every array of the energy and of the body; not to the start, on which a minimum does
     not depend. What no term holds stays where it is, in the derivative too. Nothing is raised where the solver fails: see `Solution.result`.
+
+    **Raises:** `TypeError` for a solver that does not move on manifolds.
     """
     problem = PoseProblem(energy, body)
     solver = LevenbergMarquardt() if solver is None else solver
+    if not isinstance(solver, AbstractManifoldSolver):
+        raise TypeError(
+            f"{type(solver).__name__} adds steps to the unknown, which poses do not bear; "
+            "give LevenbergMarquardt() or GaussNewton()."
+        )
     pose, (history, num_steps, result) = _minimum(problem, project(body.skeleton, start), solver, max_steps)
     return Solution(pose, energies(energy, pose_body(body, pose)), history, num_steps, result)
 
