@@ -18,7 +18,7 @@ from ..body.pose import Motion, Pose, project
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..io.clouds import read_clouds
-from ..io.npz import load_arrays, load_motion
+from ..io.npz import load_arrays, load_motion, load_skeleton
 from ..io.registry import read_motion
 from ..io.table import write_json
 from ..metrics import Summary, distance_summary, joint_errors, scan_to_surface
@@ -119,7 +119,9 @@ def read_motion_of(body: Body, path: Path) -> Motion:
     **Raises:** `InputError` where the file is wrong or of another body.
     """
     if path.suffix.lower() == ".npz":
-        return load_motion(path, body.skeleton)
+        motion = load_motion(path, body.skeleton)
+        _same_places(path, np.asarray(load_skeleton(path).centres), np.asarray(body.skeleton.centres))
+        return motion
     skeleton, motion = read_motion(path)
     target = body.skeleton
     missing = [
@@ -147,13 +149,17 @@ def read_motion_of(body: Body, path: Path) -> Motion:
     poses = jax.vmap(functools.partial(project, target))(poses)
     shared = [name for name in target.names if name in skeleton.names]
     here = np.asarray(_joints(target, poses))[:, [target.names.index(name) for name in shared]]
-    apart = joint_errors(here, there[:, [skeleton.names.index(name) for name in shared]]).max()
+    _same_places(path, here, there[:, [skeleton.names.index(name) for name in shared]])
+    return Motion(poses, motion.rate)
+
+
+def _same_places(path: Path, here: np.ndarray, there: np.ndarray) -> None:
+    apart = joint_errors(here, there).max()
     if apart > SAME_BODY:
         raise InputError(
             f"{path}: this motion is of another skeleton, whose joints stand up to {1000 * apart:.0f} mm from "
             "those of the body; retarget it."
         )
-    return Motion(poses, motion.rate)
 
 
 def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], Float[np.ndarray, "F K 3"]]:

@@ -64,7 +64,7 @@ class Track:
     """Share of points that are not of the body."""
     damping: float = 1.0
     """Constant on the diagonal of the normal equations."""
-    iterations: int = 4
+    iterations: int = 3
     """Steps of expectation maximisation on a frame."""
     vertices: OptionalCount = None
     """Reduce the body to about so many vertices, for speed."""

@@ -35,6 +35,11 @@ def fit_batch(
 
     Returns poses and statistics, stacked as the clouds are.
     """
+    if starts.rotations.ndim != 3 or starts.rotations.shape[0] != clouds.points.shape[0]:
+        raise ValueError(
+            f"{clouds.points.shape[0]} clouds or sequences were given, and poses of shape "
+            f"{starts.rotations.shape}; give one start for each, stacked (B, J, 4), such as stack_poses(...).poses."
+        )
     return _fit_batch(tracker, starts, clouds, jnp.asarray(sigma), batch_size)
 
 

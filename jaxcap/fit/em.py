@@ -47,8 +47,15 @@ def make_mixture(
     estimate_priors: bool = False,
 ) -> Mixture:
     """A `Mixture` of plain numbers."""
-    numbers = (normal_threshold, outlier, smallest_sigma, tangential, damping)
-    return Mixture(*map(jnp.asarray, numbers), candidates, estimate_priors)
+    return Mixture(
+        normal_threshold=jnp.asarray(normal_threshold),
+        outlier=jnp.asarray(outlier),
+        smallest_sigma=jnp.asarray(smallest_sigma),
+        tangential=jnp.asarray(tangential),
+        damping=jnp.asarray(damping),
+        candidates=candidates,
+        estimate_priors=estimate_priors,
+    )
 
 
 class Estimate(eqx.Module):

@@ -7,6 +7,7 @@ import jax
 
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
+from ..errors import InputError
 from ..observe import Cloud
 from .check import check_cloud
 from .initialise import coarse_tracker, initialise
@@ -16,7 +17,7 @@ from .track import Tracker, make_tracker
 
 def track_frames(
     tracker: Tracker,
-    clouds: Iterable[Cloud],
+    clouds: Iterable[Cloud] | Cloud,
     start: Pose | TrackedFrame | None = None,
     *,
     search: bool = False,
@@ -36,10 +37,10 @@ def track_frames(
     side by side; where none explains the cloud it is marked `lost`, and tracking goes on.
     """
     coarse = None
-    frame = start if isinstance(start, TrackedFrame) else None
-    for number, cloud in enumerate(clouds, first):
+    frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
+    for number, cloud in enumerate(_each(clouds), first):
         if frame is None:
-            pose = rest_pose(tracker.body.skeleton) if start is None else start
+            pose = rest_pose(tracker.body.skeleton) if pose is None else pose
             if search:
                 coarse = coarse_tracker(tracker)
                 pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
@@ -57,7 +58,7 @@ def track_frames(
 
 def track(
     body: Body,
-    clouds: Iterable[Cloud],
+    clouds: Iterable[Cloud] | Cloud,
     start: Pose | None = None,
     *,
     rate: float = 30.0,
@@ -68,7 +69,7 @@ def track(
 ) -> Motion:
     """The motion of a body through a sequence of clouds (Kineben, section 3.3).
 
-    **Arguments:** `clouds` from `make_cloud`, one a frame; `start` a pose near that of the first
+    **Arguments:** `clouds` from `make_cloud`, one a frame, or stacked over frames; `start` a pose near that of the first
     frame, or `search=True`; `rate` frames a second; `tracker` for other settings than the
     usual, made of the same body; `sigma` and `up` as in `track_frames`. Lost frames are named in a warning; `track_frames` tells more about each frame.
 
@@ -76,7 +77,7 @@ def track(
     another unit.
     """
     tracker = make_tracker(body) if tracker is None else tracker
-    checked = (_checked(body, number, cloud) for number, cloud in enumerate(clouds))
+    checked = (_checked(body, number, cloud) for number, cloud in enumerate(_each(clouds)))
     frames = list(track_frames(tracker, checked, start, search=search, sigma=sigma, up=up))
     lost = [number for number, frame in enumerate(frames) if frame.lost]
     if lost:
@@ -86,6 +87,19 @@ def track(
     return stack_poses([frame.pose for frame in frames], rate)
 
 
+def _each(clouds: Iterable[Cloud] | Cloud) -> Iterator[Cloud]:
+    """The frames, also of one cloud that is stacked over them."""
+    if isinstance(clouds, Cloud):
+        if clouds.points.ndim != 3:
+            raise InputError(
+                "A single cloud was given; a sequence is a list of clouds, or one stacked (F, N, 3)."
+            )
+        return map(Cloud, clouds.points, clouds.normals, clouds.weights)
+    return iter(clouds)
+
+
 def _checked(body: Body, number: int, cloud: Cloud) -> Cloud:
+    if not isinstance(cloud, Cloud):
+        raise InputError(f"Cloud {number} is a {type(cloud).__name__}; make clouds of arrays by make_cloud.")
     check_cloud(body, cloud, f"cloud {number}")
     return cloud

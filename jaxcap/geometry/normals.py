@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 
 def estimate_normals(points: Float[np.ndarray, "N 3"], neighbours: int = 12) -> Float[np.ndarray, "N 3"]:
@@ -20,7 +20,7 @@ def estimate_normals(points: Float[np.ndarray, "N 3"], neighbours: int = 12) -> 
     count = min(neighbours + 1, len(points))
     if count < 4:
         return np.zeros_like(points)
-    near = cKDTree(points).query(points, count)[1]
+    near = np.asarray(KDTree(points).query(points, count)[1])
     patches = points[near] - points[near].mean(1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nka,nkb->nab", patches, patches))
     normals = vectors[:, :, 0]

@@ -16,5 +16,8 @@ def spatial_order(points: Float[Array | np.ndarray, "N 3"], weights=None) -> np.
     low, high = points[real].min(0), points[real].max(0)
     scaled = np.clip((points - low) / max((high - low).max(), 1e-12), 0.0, 1.0)
     cells = np.where(real[:, None], scaled * 1023, 0.0).astype(np.int64)
-    key = sum(((cells[:, axis] >> bit) & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3))
+    key = np.zeros(len(points), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
     return np.lexsort((key, ~real))
