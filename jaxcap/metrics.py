@@ -79,7 +79,7 @@ def _nearer(
     left = np.flatnonzero(tree.query(points)[0] < best + reach)
     tried, count = 0, min(4, len(triangles))
     while left.size:
-        apart, near = tree.query(points[left], list(range(tried + 1, count + 1)))
+        apart, near = tree.query(points[left], list(range(tried + 1, count + 1)))  # pyright: ignore[reportArgumentType]
         asked = np.repeat(points[left], count - tried, axis=0)
         nearest = closest_point(triangles[near.reshape(-1)], asked)
         distances = np.linalg.norm(nearest - asked, axis=1).reshape(len(left), -1)
