@@ -228,6 +228,7 @@ def read_out(parameters):
     return polished, gradient
 
 
+@pytest.mark.slow
 def test_gradients_through_solve_against_central_differences(rng):
     """By the implicit function theorem, to data, weights and the body, where much is left over."""
     parameters = {
