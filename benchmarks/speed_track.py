@@ -61,6 +61,8 @@ def in_turns(functions: dict[str, Callable], repeats: int) -> dict[str, float]:
     again, so that whatever else the machine does falls on all of them."""
 
     def timed(function):
+        # not counted: what ran before has driven this one's data out of the caches
+        jax.block_until_ready(function())
         start = time.perf_counter()
         jax.block_until_ready(function())
         return time.perf_counter() - start
