@@ -71,7 +71,12 @@ def terms_of(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
 
 def name_of(energy: AbstractEnergy) -> str:
     """The class of an energy, through its weight: `JointLimits`."""
-    return name_of(energy.energy) if isinstance(energy, Weighted) else type(energy).__name__
+    return type(bare(energy)).__name__
+
+
+def bare(energy: AbstractEnergy) -> AbstractEnergy:
+    """An energy without its weight."""
+    return bare(energy.energy) if isinstance(energy, Weighted) else energy
 
 
 def energies(energy: AbstractEnergy, posed: Posed) -> dict[str, Float[Array, ""]]:

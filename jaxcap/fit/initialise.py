@@ -12,7 +12,7 @@ from ..body.reduce import reduce_body
 from ..body.skeleton import Skeleton, dof_layout
 from ..energy.limits import JointLimits
 from ..energy.prior import PosePrior, RestPrior, tangent_deviations
-from ..energy.term import AbstractEnergy, Sum, Weighted
+from ..energy.term import Sum, bare
 from ..geometry import rotation
 from ..observe import Cloud, thin_cloud
 from .em import Estimate, box_volume, em_step, uniform_priors
@@ -134,13 +134,9 @@ def coarse_tracker(tracker: Tracker) -> Tracker:
     """The same tracker with fewer vertices, for searches. Of its further terms only those over
     joints go with it: vertices have other numbers on the coarse body."""
     body = reduce_body(tracker.body, COARSE_VERTICES)
-    over_joints = tuple(t for t in tracker.terms if isinstance(_bare(t), JointLimits | PosePrior | RestPrior))
+    over_joints = tuple(t for t in tracker.terms if isinstance(bare(t), JointLimits | PosePrior | RestPrior))
     parts = make_parts(body.skin.parts(), body.skeleton.num_joints, body.vertices)
     return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, over_joints))
-
-
-def _bare(term: AbstractEnergy) -> AbstractEnergy:
-    return term.energy if isinstance(term, Weighted) else term
 
 
 def initialise(

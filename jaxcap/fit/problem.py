@@ -15,7 +15,7 @@ from ..body.skeleton import dof_layout
 from ..body.skinning import LinearSkin, RigidSkin
 from ..energy.landmarks import VertexLandmarks
 from ..energy.points import PointToPlane, PointToPoint
-from ..energy.term import AbstractEnergy, Weighted, root, terms_of
+from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
 
 Unknown = TypeVar("Unknown")
 
@@ -104,8 +104,7 @@ def linearise(
 
 
 def _over_vertices(term: AbstractEnergy) -> bool:
-    inner = term.energy if isinstance(term, Weighted) else term
-    return isinstance(inner, PointToPoint | PointToPlane | VertexLandmarks)
+    return isinstance(bare(term), PointToPoint | PointToPlane | VertexLandmarks)
 
 
 def _vertex_jacobian(term, body, posed) -> Float[Array, "R D"]:
