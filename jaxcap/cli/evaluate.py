@@ -120,7 +120,10 @@ def read_motion_of(body: Body, path: Path) -> Motion:
     """
     if path.suffix.lower() == ".npz":
         motion = load_motion(path, body.skeleton)
-        _same_places(path, np.asarray(load_skeleton(path).centres), np.asarray(body.skeleton.centres))
+        # a motion may have been saved without its skeleton
+        if "centres" in load_arrays(path):
+            skeletons = (body.skeleton, load_skeleton(path))
+            _same_places(path, *(np.asarray(skeleton.centres)[None] for skeleton in skeletons))
         return motion
     skeleton, motion = read_motion(path)
     target = body.skeleton
