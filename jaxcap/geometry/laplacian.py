@@ -1,0 +1,109 @@
+"""The uniform Laplacian of a mesh, and the metric in which learned surfaces conform.
+
+A field of errors `e (V, 3)` over a mesh is measured by
+
+    |e|^2 + alpha |L e|^2 = sum e . A e,    A = I + alpha L^T L
+
+with `L` the uniform Laplacian (Adaptation, eqs. 3.19 and 3.20): errors that neighbours share
+cost little, cracks between neighbours cost much.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse
+from jaxtyping import Array, Float, Int
+
+
+class Conformance(eqx.Module):
+    """The metric `A = I + alpha L^T L` over the vertices of a mesh."""
+
+    #: neighbours of each vertex, padded with the vertex itself
+    neighbours: Int[Array, "V N"]
+    #: one over the number of neighbours; zero where a vertex has none
+    shares: Float[Array, "V"]
+    #: the diagonal of A
+    diagonal: Float[Array, "V"]
+    alpha: Float[Array, ""]
+
+
+def make_conformance(faces: Int[np.ndarray, "F 3"], num_vertices: int, alpha: float) -> Conformance:
+    """The metric of a triangle mesh; `alpha >= 0` weighs shape against distance.
+
+    **Raises:** `ValueError` for a negative or infinite `alpha`.
+    """
+    if not 0 <= alpha < np.inf:
+        raise ValueError(f"alpha is {alpha}; the weight of shape against distance is finite and at least 0.")
+    adjacency = vertex_adjacency(faces, num_vertices)
+    counts = np.diff(adjacency.indptr)
+    width = max(int(counts.max(initial=0)), 1)
+    neighbours = np.tile(np.arange(num_vertices)[:, None], (1, width))
+    rows = np.repeat(np.arange(num_vertices), counts)
+    neighbours[rows, np.arange(len(rows)) - adjacency.indptr[rows]] = adjacency.indices
+    shares = np.where(counts > 0, 1.0 / np.maximum(counts, 1), 0.0)
+    laplacian = _laplacian_matrix(adjacency)
+    squares = np.asarray(laplacian.multiply(laplacian).sum(0)).ravel()
+    return Conformance(
+        jnp.asarray(neighbours),
+        jnp.asarray(shares),
+        jnp.asarray(1.0 + alpha * squares),
+        jnp.asarray(float(alpha)),
+    )
+
+
+def laplacian(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
+    """`L e`: how far each vertex's value is from the mean of its neighbours' (eq. 3.20)."""
+    width = metric.neighbours.shape[1]
+    # a padded slot holds the vertex itself, and adds nothing to the sum of differences
+    total = sum(field[metric.neighbours[:, i]] for i in range(width))
+    return metric.shares[:, None] * (width * field - total)
+
+
+def adjoint(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
+    """`L^T e`. Each vertex gathers, as the neighbours of a mesh are so on both sides."""
+    width = metric.neighbours.shape[1]
+    weighted = metric.shares[:, None] * field
+    total = sum(weighted[metric.neighbours[:, i]] for i in range(width))
+    # sum over real neighbours of (own share of the vertex - the neighbour's share), the padding cancels
+    real = jnp.sum(metric.neighbours != jnp.arange(len(metric.neighbours))[:, None], 1)[:, None]
+    return real * weighted - (total - (width - real) * weighted)
+
+
+def apply(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
+    """`A e`, which is half the gradient of `energy`."""
+    return field + metric.alpha * adjoint(metric, laplacian(metric, field))
+
+
+def energy(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, ""]:
+    """`e . A e` (Adaptation, eq. 3.19), in squared metres."""
+    return jnp.sum(field**2) + metric.alpha * jnp.sum(laplacian(metric, field) ** 2)
+
+
+def matrix(metric: Conformance) -> scipy.sparse.csr_array:
+    """`A (V, V)` as a sparse matrix."""
+    neighbours = np.asarray(metric.neighbours)
+    count, width = neighbours.shape
+    rows = np.repeat(np.arange(count), width)
+    real = neighbours.ravel() != rows
+    ones = np.ones(int(real.sum()))
+    adjacency = scipy.sparse.csr_array((ones, (rows[real], neighbours.ravel()[real])), shape=(count, count))
+    operator = _laplacian_matrix(adjacency)
+    identity = scipy.sparse.eye_array(count, format="csr")
+    return (identity + float(metric.alpha) * (operator.T @ operator)).tocsr()
+
+
+def vertex_adjacency(faces: Int[np.ndarray, "F 3"], num_vertices: int) -> scipy.sparse.csr_array:
+    """`(V, V)`, one where two vertices share an edge."""
+    faces = np.asarray(faces)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    both = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
+    values = np.ones(len(both))
+    return scipy.sparse.csr_array((values, (both[:, 0], both[:, 1])), shape=(num_vertices, num_vertices))
+
+
+def _laplacian_matrix(adjacency: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
+    counts = np.asarray(adjacency.sum(1)).ravel()
+    inverse = np.where(counts > 0, 1.0 / np.maximum(counts, 1), 0.0)
+    inside = scipy.sparse.diags_array((counts > 0).astype(float))
+    return (inside - scipy.sparse.diags_array(inverse) @ adjacency).tocsr()
