@@ -28,7 +28,7 @@ from jaxcap.body.kinematics import world_axes
 from jaxcap.body.limits import Cone, make_joint_ranges
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.body.skinning import RigidSkin
+from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.limits import JointLimits
 from jaxcap.geometry import rotation
 from tests.helpers import chain_body, half_turned_pose, random_pose

@@ -19,9 +19,12 @@ from .body.pose import stack_poses as stack_poses
 from .body.reduce import reduce_body as reduce_body
 from .body.skeleton import Skeleton as Skeleton
 from .body.skeleton import make_skeleton as make_skeleton
-from .body.skinning import AbstractSkin as AbstractSkin
-from .body.skinning import LinearSkin as LinearSkin
-from .body.skinning import RigidSkin as RigidSkin
+from .body.skin import AbstractSkin as AbstractSkin
+from .body.skin import DualQuaternionSkin as DualQuaternionSkin
+from .body.skin import LinearSkin as LinearSkin
+from .body.skin import RigidSkin as RigidSkin
+from .body.skin import SwingTwistSkin as SwingTwistSkin
+from .body.skin import swing_twist_from as swing_twist_from
 from .edit.retarget import retarget as retarget
 from .energy.landmarks import BoneLandmarks as BoneLandmarks
 from .energy.landmarks import VertexLandmarks as VertexLandmarks

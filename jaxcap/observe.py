@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .errors import InputError
 from .geometry.normals import estimate_normals
@@ -20,6 +20,31 @@ class Cloud(eqx.Module):
     points: Float[Array, "*frames N 3"]
     normals: Float[Array, "*frames N 3"]
     weights: Float[Array, "*frames N"]
+
+
+class MeshSequence(eqx.Module):
+    """One surface as it moves: meshes with the same vertices in the same order, metres.
+
+    Arrays of NumPy are taken as they are and become arrays of JAX. A number picks the vertices of a
+    mesh, `(V, 3)`; a slice or an array of numbers picks a shorter sequence.
+    """
+
+    vertices: Float[Array, "F V 3"] = eqx.field(converter=jnp.asarray)
+    #: counter-clockwise as seen from outside
+    faces: Int[Array, "T 3"] = eqx.field(converter=jnp.asarray)
+    #: meshes a second
+    rate: float = eqx.field(static=True, default=30.0)
+
+    def __len__(self) -> int:
+        return self.vertices.shape[0]
+
+    def __getitem__(self, frames):
+        if isinstance(frames, (int, np.integer)):
+            if not -len(self) <= frames < len(self):
+                raise IndexError(f"There is no mesh {frames} in a sequence of {len(self)}.")
+            return self.vertices[frames]
+        step = abs(frames.step or 1) if isinstance(frames, slice) else 1
+        return MeshSequence(self.vertices[frames], self.faces, self.rate / step)
 
 
 def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -> Cloud:

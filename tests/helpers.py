@@ -10,7 +10,7 @@ import numpy as np
 from jaxcap.body.body import Body, pose_body
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
-from jaxcap.body.skinning import LinearSkin, RigidSkin
+from jaxcap.body.skin import AbstractSkin, LinearSkin, RigidSkin
 
 _retract, _pose_body = eqx.filter_jit(retract), eqx.filter_jit(pose_body)
 
@@ -52,6 +52,28 @@ def chain_body(skin: str = "linear") -> Body:
         weights = np.exp(-((apart / 0.12) ** 2))
         bound = LinearSkin(jnp.asarray(weights / weights.sum(1, keepdims=True)))
     return Body(skeleton, bound, jnp.asarray(vertices), jnp.asarray(faces))
+
+
+class OtherSkin(AbstractSkin):
+    """A skin that somebody else wrote: everything stays where it is."""
+
+    def deform(self, vertices, skeleton, pose, transforms):
+        return vertices
+
+    def parts(self):
+        return jnp.zeros(0, int)
+
+    def influence(self, num_bones):
+        return jnp.zeros((0, num_bones))
+
+    def take(self, vertices):
+        return self
+
+    def carry(self, corners, shares, skeleton):
+        return self
+
+    def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
+        return jnp.zeros((*directions.shape[:2], len(rates.joints)))
 
 
 def random_pose(skeleton: Skeleton, rng: np.random.Generator, size: float = 0.5, scale: float = 1.0) -> Pose:

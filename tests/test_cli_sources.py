@@ -8,7 +8,7 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.human import human
-from jaxcap.body.skinning import RigidSkin
+from jaxcap.body.skin import RigidSkin
 from jaxcap.cli.sources import load_body, load_cloud, up_rotation, upright_skeleton
 from jaxcap.energy.limits import JointLimits
 from jaxcap.io.clouds import read_clouds

@@ -1,13 +1,15 @@
 """Bodies and motions come back to the last bit; a wrong file is told in a sentence."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import OtherSkin
 
 from jaxcap.body.body import Body
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.body.skinning import AbstractSkin, LinearSkin, RigidSkin
+from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
 from jaxcap.errors import InputError
 from jaxcap.io.npz import load_body, load_limits, load_motion, load_skeleton, save_body, save_motion
 
@@ -30,7 +32,13 @@ def bodies(skeleton, rng):
     weights = rng.random((5, 3))
     weights /= weights.sum(1, keepdims=True)
     vertices, faces = jnp.asarray(rng.normal(size=(5, 3))), jnp.array([[0, 1, 2], [2, 3, 4]], jnp.int32)
-    skins = [LinearSkin(jnp.asarray(weights)), RigidSkin(jnp.array([0, 1, 2, 1, 0], jnp.int32))]
+    linear = LinearSkin(jnp.asarray(weights))
+    skins = [
+        linear,
+        RigidSkin(jnp.array([0, 1, 2, 1, 0], jnp.int32)),
+        DualQuaternionSkin(linear.weights),
+        swing_twist_from(linear, skeleton),
+    ]
     return [Body(skeleton, skin, vertices, faces) for skin in skins]
 
 
@@ -40,7 +48,7 @@ def same(a, b):
     np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("which", [0, 1, 2, 3])
 def test_a_body_comes_back_to_the_last_bit(bodies, tmp_path, which):
     body, path = bodies[which], tmp_path / "body.npz"
     save_body(path, body, limits={"lower": np.array([-1.0, 2.0])})
@@ -52,8 +60,8 @@ def test_a_body_comes_back_to_the_last_bit(bodies, tmp_path, which):
         same(getattr(back.skeleton, name), getattr(body.skeleton, name))
     same(back.vertices, body.vertices)
     same(back.faces, body.faces)
-    same(back.skin.parts(), body.skin.parts())
-    same(back.skin.influence(3), body.skin.influence(3))
+    for ours, theirs in zip(jax.tree.leaves(back.skin), jax.tree.leaves(body.skin), strict=True):
+        same(ours, theirs)
     same(load_limits(path)["lower"], np.array([-1.0, 2.0]))
     assert [file.name for file in tmp_path.iterdir()] == ["body.npz"]
 
@@ -114,19 +122,9 @@ def test_what_cannot_be_written_leaves_nothing(bodies, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         save_body(tmp_path / "none" / "body.npz", bodies[0])
 
-    class Strange(AbstractSkin):
-        def deform(self, vertices, skeleton, pose, transforms):
-            return vertices
-
-        def parts(self):
-            return jnp.zeros(5, int)
-
-        def influence(self, num_bones):
-            return jnp.ones((5, num_bones))
-
     body = bodies[0]
-    with pytest.raises(InputError, match="Strange"):
-        save_body(tmp_path / "a.npz", Body(body.skeleton, Strange(), body.vertices, body.faces))
+    with pytest.raises(InputError, match="OtherSkin"):
+        save_body(tmp_path / "a.npz", Body(body.skeleton, OtherSkin(), body.vertices, body.faces))
     with pytest.raises(InputError, match="'limits.a' is not an array"):
         save_body(tmp_path / "a.npz", body, {"limits": np.zeros(1), "a": np.array([{}], dtype=object)})
     assert not list(tmp_path.iterdir())

@@ -5,14 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import awkward_poses, chain_body, check_energy, random_pose
+from helpers import OtherSkin, awkward_poses, chain_body, check_energy, random_pose
 from jaxtyping import Array, Int
 
 from jaxcap.body import jacobian as jacobians
 from jaxcap.body.body import Posed, pose_body
 from jaxcap.body.pose import retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.body.skinning import AbstractSkin
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.geometry import rotation
 
@@ -144,18 +143,8 @@ def test_single_precision_keeps_its_digits(body, rng):
 
 
 def test_other_skins_are_refused_in_a_sentence():
-    class Bulging(AbstractSkin):
-        def deform(self, vertices, skeleton, pose, transforms):
-            return 1.1 * vertices
-
-        def parts(self):
-            return jnp.zeros(48, int)
-
-        def influence(self, num_bones):
-            return jnp.ones((48, num_bones)) / num_bones
-
     body = BODIES["linear"]
-    bulging = eqx.tree_at(lambda b: b.skin, body, Bulging())
+    bulging = eqx.tree_at(lambda b: b.skin, body, OtherSkin())
     posed = posed_of(body, awkward_poses(body.skeleton)[0])
-    with pytest.raises(TypeError, match="not for Bulging"):
+    with pytest.raises(TypeError, match="not for OtherSkin"):
         jacobians.point_jacobian(bulging, posed, CHOSEN)

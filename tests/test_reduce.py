@@ -8,7 +8,7 @@ import trimesh
 from jaxcap.body.body import Body
 from jaxcap.body.reduce import attach, decimate, follow, reduce_body
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.body.skinning import AbstractSkin, LinearSkin, RigidSkin
+from jaxcap.body.skin import AbstractSkin, LinearSkin, RigidSkin
 
 
 @pytest.fixture(scope="module")
@@ -88,16 +88,3 @@ def test_requests_that_cannot_be_met_end_in_a_sentence(sphere):
     assert reduce_body(body, 2562) is body
     with pytest.raises(ValueError, match="cannot be reduced to 3 vertices; ask for 4 or more"):
         reduce_body(body, 3)
-
-    class OtherSkin(AbstractSkin):
-        def deform(self, vertices, skeleton, pose, transforms):
-            return vertices
-
-        def parts(self):
-            return jnp.zeros(0, int)
-
-        def influence(self, num_bones):
-            return jnp.zeros((0, num_bones))
-
-    with pytest.raises(ValueError, match="A body with a OtherSkin cannot be reduced"):
-        reduce_body(two_bones(sphere, OtherSkin()), 100)

@@ -11,7 +11,7 @@ from jaxcap.body import body as bodies
 from jaxcap.body.kinematics import Transforms
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.body.skinning import LinearSkin, RigidSkin
+from jaxcap.body.skin import LinearSkin, RigidSkin
 
 BODIES = {skin: chain_body(skin) for skin in ("linear", "rigid")}
 pose_body = eqx.filter_jit(bodies.pose_body)

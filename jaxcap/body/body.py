@@ -8,7 +8,7 @@ from ..geometry.mesh import vertex_normals
 from .kinematics import Transforms, forward_kinematics, joint_positions
 from .pose import Pose
 from .skeleton import Skeleton
-from .skinning import AbstractSkin
+from .skin import AbstractSkin
 
 
 class Body(eqx.Module):

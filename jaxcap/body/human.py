@@ -11,9 +11,10 @@ from ..assets import asset_path
 from ..geometry import rotation
 from .body import Body
 from .morphs import AGES, Morphs, Traits, apply_morphs, reach_height
-from .reduce import Attachment, carry_weights, follow, reduce_body
+from .reduce import Attachment, follow, reduce_body
 from .skeleton import Skeleton, make_skeleton
-from .skinning import LinearSkin
+from .skin import LinearSkin
+from .skin.interpolate import interpolate_weights
 
 #: joints that only lead on to the next one and never move in CMU's motions
 CARRIERS = ("LHipJoint", "RHipJoint")
@@ -48,7 +49,8 @@ def _load() -> _Human:
                 file[f"{name}_shares"].astype(float),
                 file[f"{name}_heights"].astype(float),
             )
-            surfaces[name] = file[f"{name}_faces"].astype(np.int32), carry_weights(hold, weights), hold
+            carried = interpolate_weights(weights, hold.corners, hold.shares)
+            surfaces[name] = file[f"{name}_faces"].astype(np.int32), carried, hold
         return _Human(
             file["names"].tolist(),
             file["parents"].tolist(),

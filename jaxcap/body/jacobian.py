@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 from .body import Body, Posed
 from .kinematics import world_axes
 from .skeleton import Skeleton, dof_layout
-from .skinning import LinearSkin, RigidSkin
+from .skin import LinearSkin, RigidSkin
 
 
 def dof_twists(skeleton: Skeleton, posed: Posed) -> tuple[Float[Array, "D 3"], Float[Array, "D 3"]]:

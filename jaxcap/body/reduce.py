@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .body import Body
-from .skinning import AbstractSkin, LinearSkin, RigidSkin
 
 #: the smallest closed surface
 LEAST_VERTICES = 4
@@ -32,13 +31,12 @@ def reduce_body(body: Body, vertices: int) -> Body:
     """The same body with about so many `vertices`, for speed; the skeleton stays as it is.
 
     The surface is decimated by quadric errors (Garland and Heckbert 1997, as implemented by
-    `fast_simplification`), which keeps its volume and leaves a closed surface closed. The weights
-    of a `LinearSkin` are interpolated at the nearest points of the full surface, and the bones of a
-    `RigidSkin` are those of its nearest vertices. The same body always gives the same result; a
-    body that already is as small is returned as it is.
+    `fast_simplification`), which keeps its volume and leaves a closed surface closed. The skin is
+    carried over at the nearest points of the full surface (`AbstractSkin.carry`). The same body
+    always gives the same result; a body that already is as small is returned as it is.
 
-    **Raises:** `ValueError` with one sentence when fewer than 4 vertices are asked for, when the
-    surface cannot be reduced so far, or when the skin is of another kind.
+    **Raises:** `ValueError` with one sentence when fewer than 4 vertices are asked for, or when the
+    surface cannot be reduced so far.
     """
     if vertices < LEAST_VERTICES:
         raise ValueError(
@@ -48,9 +46,10 @@ def reduce_body(body: Body, vertices: int) -> Body:
         return body
     shape, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
     points, triangles = decimate(shape, faces, vertices)
+    hold = attach(points, shape, faces)
     return Body(
         body.skeleton,
-        carry_skin(body.skin, attach(points, shape, faces)),
+        body.skin.carry(hold.corners, hold.shares, body.skeleton),
         jnp.asarray(points, body.vertices.dtype),
         jnp.asarray(triangles, body.faces.dtype),
     )
@@ -128,27 +127,6 @@ def follow(attachment: Attachment, vertices: Float[np.ndarray, "V 3"]) -> Float[
     normal = _frames(vertices, attachment.corners)[3]
     foot = np.einsum("nc,nca->na", attachment.shares, vertices[attachment.corners])
     return foot + attachment.heights[:, None] * normal
-
-
-def carry_weights(attachment: Attachment, weights: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "N J"]:
-    """Weights of attached points, interpolated inside their triangles; rows sum to one again."""
-    inside = np.maximum(attachment.shares, 0.0)
-    inside /= inside.sum(axis=1, keepdims=True)
-    carried = np.einsum("nc,ncj->nj", inside, weights[attachment.corners])
-    return carried / carried.sum(axis=1, keepdims=True)
-
-
-def carry_skin(skin: AbstractSkin, attachment: Attachment) -> AbstractSkin:
-    """The skin of attached points, from the skin of the surface they hang on."""
-    if isinstance(skin, LinearSkin):
-        weights = carry_weights(attachment, np.asarray(skin.weights, float))
-        return LinearSkin(jnp.asarray(weights, skin.weights.dtype))
-    if isinstance(skin, RigidSkin):
-        nearest = np.take_along_axis(attachment.corners, attachment.shares.argmax(1)[:, None], 1)[:, 0]
-        return RigidSkin(skin.bones[nearest])
-    raise ValueError(
-        f"A body with a {type(skin).__name__} cannot be reduced; give it a LinearSkin or a RigidSkin."
-    )
 
 
 def _frames(vertices: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, ...]:

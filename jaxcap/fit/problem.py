@@ -12,7 +12,7 @@ from ..body.body import Body, pose_body
 from ..body.jacobian import point_jacobian, projected_jacobian
 from ..body.pose import Pose, retract
 from ..body.skeleton import dof_layout
-from ..body.skinning import LinearSkin, RigidSkin
+from ..body.skin import LinearSkin, RigidSkin
 from ..energy.landmarks import VertexLandmarks
 from ..energy.points import PointToPlane, PointToPoint
 from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of

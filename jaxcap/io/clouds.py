@@ -1,7 +1,5 @@
 """Sequences of clouds: numbered files, folders, globs, or one `.npz`; read when asked for."""
 
-import glob
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, overload
@@ -10,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import InputError
-from .mesh import SUFFIXES, check_points, read_mesh, vertex_normals
+from .mesh import check_points, read_mesh, vertex_normals
 from .npz import load_arrays
+from .paths import cut, find_files
 from .text import unit_scale
 
 
@@ -66,22 +65,10 @@ def read_clouds(
     **Raises:** `InputError` where nothing is found, a number is missing in a numbered
     sequence, or (when it is read) a cloud is wrong.
     """
-    metres, text = unit_scale(unit), str(source)
-    if re.search(r"%0?\d*d", text):
-        paths = _pattern(text, first, last)
-    elif Path(text).is_dir():
-        paths = _cut(_whole(_folder(Path(text))), first, last, text)
-    elif Path(text).suffix.lower() == ".npz":
-        return _arrays(Path(text), first, last, metres)
-    elif glob.has_magic(text) and not Path(text).is_file():
-        found = sorted((Path(path) for path in glob.glob(text)), key=_natural)
-        if not found:
-            raise InputError(f"{text}: no file fits this pattern; check the path.")
-        paths = _cut(_whole(found), first, last, text)
-    else:
-        if not Path(text).is_file():
-            raise InputError(f"{text}: there is no such file or folder; check the path.")
-        paths = _cut([Path(text)], first, last, text)
+    metres, path = unit_scale(unit), Path(source)
+    if path.suffix.lower() == ".npz" and not path.is_dir():
+        return _arrays(path, first, last, metres)
+    paths = find_files(source, first, last)
 
     def load(frame: int):
         mesh = read_mesh(paths[frame], unit)
@@ -90,80 +77,6 @@ def read_clouds(
         return mesh.vertices, mesh.normals
 
     return Scans([str(path) for path in paths], load)
-
-
-def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
-    """The files of a printf pattern, none left out."""
-    match = re.search(r"%(0?)(\d*)d", text)
-    assert match is not None
-    folder, name = Path(text).parent, Path(text).name
-    if "%" not in name:
-        raise InputError(f"{text}: the number must be in the file's name, not in the folder's.")
-    before, after = re.split(r"%0?\d*d", name, maxsplit=1)
-    fits = re.compile(re.escape(before) + r"(\d+)" + re.escape(after) + "$")
-    there = sorted(
-        int(m[1]) for path in (folder.iterdir() if folder.is_dir() else []) if (m := fits.match(path.name))
-    )
-    start = first if first is not None else (there[0] if there else 0)
-    end = last if last is not None else (there[-1] if there else start)
-    if not there or end < start:
-        raise InputError(
-            f"{text}: there are no files with numbers from {first or 0} on; check the path and the numbers."
-        )
-    paths = []
-    for number in range(start, end + 1):
-        path = folder / (before + match[0] % number + after)
-        if not path.is_file():
-            raise InputError(f"{path}: this file is missing in the sequence {text} from {start} to {end}.")
-        paths.append(path)
-    return paths
-
-
-def _folder(folder: Path) -> list[Path]:
-    paths = sorted(
-        (p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()), key=_natural
-    )
-    suffixes = sorted({path.suffix.lower() for path in paths})
-    if not paths:
-        raise InputError(
-            f"{folder}: there are no clouds in this folder; it takes {', '.join(SUFFIXES)} files."
-        )
-    if len(suffixes) > 1:
-        raise InputError(
-            f"{folder}: there are {' and '.join(suffixes)} files in this folder; say which, as in '*{suffixes[0]}'."
-        )
-    return paths
-
-
-def _whole(paths: list[Path]) -> list[Path]:
-    """The same paths, where names that differ in one number leave none out."""
-    parts = [re.match(r"(.*?)(\d+)(\D*)$", path.name) for path in paths]
-    if len(paths) < 3 or not all(parts) or len({(m[1], m[3]) for m in parts if m}) > 1:
-        return paths
-    numbers = [int(m[2]) for m in parts if m]
-    step = min(np.diff(numbers))
-    for path, here, after in zip(paths, numbers, numbers[1:], strict=False):
-        if step > 0 and after - here != step:
-            raise InputError(
-                f"{path}: number {here + step} is missing after this file; the next one is {after}."
-            )
-    return paths
-
-
-def _natural(path: Path) -> list:
-    """Sorts 2 before 10."""
-    return [
-        (int(word), "") if word.isdigit() else (-1, word) for word in re.split(r"(\d+)", str(path)) if word
-    ]
-
-
-def _cut(items: list, first: int | None, last: int | None, where: str) -> list:
-    start, end = first or 0, len(items) - 1 if last is None else last
-    if not 0 <= start <= end < len(items):
-        raise InputError(
-            f"{where}: there are frames 0 to {len(items) - 1}, but {start} to {end} were asked for."
-        )
-    return items[start : end + 1]
 
 
 def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> Scans:
@@ -186,7 +99,7 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
     ):
         raise InputError(f"{path}: the offsets must rise from 0 to the number of points, {len(points)}.")
     count = len(points) if offsets is None else len(offsets) - 1
-    frames = _cut(list(range(count)), first, last, str(path))
+    frames = cut(list(range(count)), first, last, str(path))
 
     def load(index: int):
         frame = frames[index]

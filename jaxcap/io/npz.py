@@ -12,7 +12,7 @@ import numpy as np
 from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton
-from ..body.skinning import AbstractSkin, LinearSkin, RigidSkin
+from ..body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ..errors import InputError
 from .atomic import replacing
 
@@ -22,6 +22,8 @@ VERSION = 1
 SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
     "rigid": (RigidSkin, ("bones",)),
     "linear": (LinearSkin, ("weights",)),
+    "dual quaternion": (DualQuaternionSkin, ("weights",)),
+    "swing-twist": (SwingTwistSkin, ("bases", "swing", "twist")),
 }
 
 
@@ -31,20 +33,24 @@ def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | N
     **Raises:** `InputError` where the file cannot be written or the skin has no name in
     `SKINS`.
     """
+    named = {f"limits.{name}": values for name, values in (limits or {}).items()}
+    save_arrays(path, "jaxcap body", {**body_arrays(body, path), **named})
+
+
+def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
+    """What a file says of a body; `path` is for messages, as in `body_of`."""
     kind = next((name for name, (cls, _) in SKINS.items() if type(body.skin) is cls), None)
     if kind is None:
         raise InputError(
             f"{path}: a body with a {type(body.skin).__name__} cannot be written; use {', '.join(SKINS)} skins."
         )
-    arrays = {
+    return {
         **_skeleton_arrays(body.skeleton),
         "vertices": body.vertices,
         "faces": body.faces,
         "skin": np.array(kind),
         **{f"skin.{name}": getattr(body.skin, name) for name in SKINS[kind][1]},
-        **{f"limits.{name}": values for name, values in (limits or {}).items()},
     }
-    _save(path, "jaxcap body", arrays)
 
 
 def load_body(path: str | Path) -> Body:
@@ -52,7 +58,11 @@ def load_body(path: str | Path) -> Body:
 
     **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
     """
-    arrays = _load(path, "jaxcap body")
+    return body_of(load_kind(path, "jaxcap body"), path)
+
+
+def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
+    """The body of arrays that `body_arrays` made. Raises `InputError` where they do not fit together."""
     kind = str(arrays["skin"]) if "skin" in arrays else ""
     if kind not in SKINS:
         raise InputError(
@@ -65,18 +75,23 @@ def load_body(path: str | Path) -> Body:
         raise InputError(
             f"{path}: a face names vertex {faces.max()}, but there are {len(vertices)} vertices."
         )
-    skin = cls(*(jnp.asarray(_get(arrays, f"skin.{name}", path, (len(vertices),))) for name in names))
-    influence = skin.influence(skeleton.num_joints).shape
-    if influence[1] != skeleton.num_joints or int(skin.parts().max()) >= skeleton.num_joints:
-        raise InputError(
-            f"{path}: the skin is for other bones than the {skeleton.num_joints} of the skeleton."
-        )
+    count, joints = len(vertices), skeleton.num_joints
+    fields = {name: _get(arrays, f"skin.{name}", path, (count,)) for name in names}
+    for name, values in fields.items():
+        whole = name in ("bones", "bases")
+        if whole != (values.dtype.kind in "iu") or values.shape != ((count,) if whole else (count, joints)):
+            raise InputError(f"{path}: the skin is for other bones than the {joints} of the skeleton.")
+        if whole and count and not 0 <= values.min() <= values.max() < joints:
+            raise InputError(
+                f"{path}: the skin names bone {values.max()}, but the skeleton has {joints}: 0 to {joints - 1}."
+            )
+    skin = cls(*(jnp.asarray(values) for values in fields.values()))
     return Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
 
 
 def load_limits(path: str | Path) -> dict[str, np.ndarray]:
     """The joint limits of a body file, by the names they were saved under; none is `{}`."""
-    arrays = _load(path, "jaxcap body")
+    arrays = load_kind(path, "jaxcap body")
     return {name.removeprefix("limits."): a for name, a in arrays.items() if name.startswith("limits.")}
 
 
@@ -85,10 +100,15 @@ def save_motion(path: str | Path, motion: Motion, skeleton: Skeleton | None = No
 
     **Raises:** `InputError` where the file cannot be written.
     """
+    names = {} if skeleton is None else _skeleton_arrays(skeleton)
+    save_arrays(path, "jaxcap motion", {**motion_arrays(motion), **names})
+
+
+def motion_arrays(motion: Motion) -> dict[str, Any]:
+    """What a file says of a motion."""
     poses = motion.poses
     arrays = {"translations": poses.translations, "rotations": poses.rotations, "scale": poses.scale}
-    names = {} if skeleton is None else _skeleton_arrays(skeleton)
-    _save(path, "jaxcap motion", {**arrays, "rate": np.array(motion.rate, float), **names})
+    return {**arrays, "rate": np.array(motion.rate, float)}
 
 
 def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
@@ -97,24 +117,31 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     **Raises:** `InputError` where the file is not one or is damaged, or where `skeleton` is
     given and has other joints.
     """
-    arrays = _load(path, "jaxcap motion")
-    rotations = _get(arrays, "rotations", path, (None, None, 4))
-    frames, joints = rotations.shape[:2]
-    translations = _get(arrays, "translations", path, (frames, joints, 3))
-    scale, rate = _get(arrays, "scale", path, (frames,)), _get(arrays, "rate", path, ())
+    arrays = load_kind(path, "jaxcap motion")
+    motion = motion_of(arrays, path)
     if skeleton is not None:
         names = tuple(arrays["names"].tolist()) if "names" in arrays else skeleton.names
+        joints = motion.poses.rotations.shape[1]
         if names != skeleton.names or joints != skeleton.num_joints:
             raise InputError(
                 f"{path}: this motion is of the {joints} joints {', '.join(names)}, not of the skeleton's "
                 f"{', '.join(skeleton.names)}; retarget it."
             )
+    return motion
+
+
+def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
+    """The motion of arrays that `motion_arrays` made. Raises `InputError` where they do not fit together."""
+    rotations = _get(arrays, "rotations", path, (None, None, 4))
+    frames, joints = rotations.shape[:2]
+    translations = _get(arrays, "translations", path, (frames, joints, 3))
+    scale, rate = _get(arrays, "scale", path, (frames,)), _get(arrays, "rate", path, ())
     return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), float(rate))
 
 
 def load_skeleton(path: str | Path) -> Skeleton:
     """The skeleton in a body file, or in a motion file that was written with one."""
-    return _skeleton(_load(path, "jaxcap body", "jaxcap motion"), path)
+    return _skeleton(load_kind(path, "jaxcap body", "jaxcap motion"), path)
 
 
 def _skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
@@ -128,7 +155,7 @@ def _skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
     }
 
 
-def _skeleton(arrays: dict[str, np.ndarray], path) -> Skeleton:
+def _skeleton(arrays: Mapping[str, np.ndarray], path) -> Skeleton:
     names = _get(arrays, "names", path, (None,)).tolist()
     count = len(names)
     parents, kinds = (_get(arrays, name, path, (count,)).tolist() for name in ("parents", "kinds"))
@@ -145,7 +172,9 @@ def _skeleton(arrays: dict[str, np.ndarray], path) -> Skeleton:
     return Skeleton(checked.names, checked.parents, checked.kinds, centres, orientations, axes)
 
 
-def _save(path: str | Path, kind: str, arrays: Mapping) -> None:
+def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
+    """Write arrays under the name of a format, for `load_kind`. Raises `InputError` where the file
+    cannot be written or something is not an array of numbers or text."""
     plain = {name: np.asarray(values) for name, values in arrays.items()}
     for name, values in plain.items():
         if values.dtype == object:
@@ -180,7 +209,9 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: this is not a whole .npz file ({type(error).__name__}).") from None
 
 
-def _load(path: str | Path, *kinds: str) -> dict[str, np.ndarray]:
+def load_kind(path: str | Path, *kinds: str) -> dict[str, np.ndarray]:
+    """The arrays of a file of one of some formats. Raises `InputError` where it is another, or of
+    another version."""
     arrays = load_arrays(path)
     found = str(arrays["format"]) if "format" in arrays else "unmarked file"
     if found not in kinds:
@@ -193,7 +224,7 @@ def _load(path: str | Path, *kinds: str) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _get(arrays: dict[str, np.ndarray], name: str, path, shape: tuple[int | None, ...]) -> np.ndarray:
+def _get(arrays: Mapping[str, np.ndarray], name: str, path, shape: tuple[int | None, ...]) -> np.ndarray:
     """An array of which the first axes must have `shape` (None is any length)."""
     if name not in arrays:
         raise InputError(f"{path}: the array '{name}' is missing; this file is not whole.")

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..body.skinning import RigidSkin
+from ..body.skin import RigidSkin
 from ..errors import InputError
 from .amc import read_amc
 from .asf import read_asf

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from ..body.body import Body, Posed
 from ..body.skeleton import Skeleton, make_skeleton
-from ..body.skinning import LinearSkin
+from ..body.skin import LinearSkin
 from ..errors import InputError
 from ..geometry import rotation
 from .heat import smooth_weights, surface_operators

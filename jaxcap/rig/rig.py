@@ -8,7 +8,7 @@ from jaxtyping import Float, Int, Integer
 
 from ..body.body import Body
 from ..body.skeleton import Skeleton
-from ..body.skinning import AbstractSkin, LinearSkin, RigidSkin
+from ..body.skin import AbstractSkin, LinearSkin, RigidSkin
 from ..errors import InputError
 from .envelopes import default_radii, default_tails, envelope_parts
 from .heat import heat_weights

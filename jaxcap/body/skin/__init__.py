@@ -1,0 +1,8 @@
+"""How a surface follows its bones."""
+
+from .dual_quaternion import DualQuaternionSkin as DualQuaternionSkin
+from .linear import LinearSkin as LinearSkin
+from .rigid import RigidSkin as RigidSkin
+from .skin import AbstractSkin as AbstractSkin
+from .swing_twist import SwingTwistSkin as SwingTwistSkin
+from .swing_twist import swing_twist_from as swing_twist_from

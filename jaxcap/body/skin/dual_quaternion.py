@@ -1,0 +1,50 @@
+"""Dual quaternion blending of the bones' world transforms."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...geometry import dualquat, rotation
+from ..kinematics import Transforms
+from ..pose import Pose
+from .interpolate import interpolate_weights
+from .skin import AbstractSkin
+
+
+class DualQuaternionSkin(AbstractSkin):
+    """Dual quaternion linear blending of bones (DLB; Kavan, Collins, Zara and O'Sullivan 2008):
+    `v' = d v d*` with `d = sum_j w_vj d_j` at unit length, where each bone's `d_j` has the sign
+    that is nearer to the bone of the largest weight. The pose's scale comes last.
+
+    Twists keep their volume, which linear blending loses; bends bulge.
+    `weights (V, J)` are at least zero and sum to one over the bones.
+    """
+
+    weights: Float[Array, "V J"]
+
+    def deform(self, vertices, skeleton, pose, transforms):
+        del skeleton
+        motions = bone_motions(pose, transforms)
+        return pose.scale * dualquat.apply(dualquat.align(self.weights, motions) @ motions, vertices)
+
+    def parts(self):
+        return jnp.argmax(self.weights, 1)
+
+    def influence(self, num_bones):
+        del num_bones
+        return self.weights
+
+    def take(self, vertices):
+        return DualQuaternionSkin(self.weights[vertices])
+
+    def carry(self, corners, shares, skeleton):
+        """The weights between those of the corners."""
+        del skeleton
+        return DualQuaternionSkin(
+            jnp.asarray(interpolate_weights(self.weights, corners, shares), self.weights.dtype)
+        )
+
+
+def bone_motions(pose: Pose, transforms: Transforms) -> Float[Array, "J 8"]:
+    """The bones' world transforms without the pose's scale, as unit dual quaternions."""
+    q = rotation.from_matrix(transforms.rotations / pose.scale)
+    return dualquat.from_rigid(q, transforms.translations / pose.scale)

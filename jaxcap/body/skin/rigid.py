@@ -1,0 +1,33 @@
+"""Rigid parts."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from .skin import AbstractSkin
+
+
+class RigidSkin(AbstractSkin):
+    """Every vertex is fixed to one bone (Kineben, section 3.1, "Shape Model")."""
+
+    bones: Int[Array, "V"]
+
+    def deform(self, vertices, skeleton, pose, transforms):
+        del skeleton, pose
+        r, t = transforms.rotations[self.bones], transforms.translations[self.bones]
+        return jnp.einsum("vab,vb->va", r, vertices) + t
+
+    def parts(self):
+        return self.bones
+
+    def influence(self, num_bones):
+        return (self.bones[:, None] == jnp.arange(num_bones)).astype(float)
+
+    def take(self, vertices):
+        return RigidSkin(self.bones[vertices])
+
+    def carry(self, corners, shares, skeleton):
+        """The bones of the nearest corners."""
+        del skeleton
+        nearest = np.argmax(np.asarray(shares), 1)[:, None]
+        return RigidSkin(self.bones[np.take_along_axis(np.asarray(corners), nearest, 1)[:, 0]])

@@ -1,0 +1,51 @@
+"""How a surface follows its bones: one interface, a final class for each scheme."""
+
+import abc
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int
+
+from ..kinematics import Transforms
+from ..pose import Pose
+from ..skeleton import Skeleton
+from .interpolate import AnyArray
+
+
+class AbstractSkin(eqx.Module):
+    """Binds every vertex of a body to its bones.
+
+    A skin says where the vertices go (`deform`), which bone each one belongs to (`parts`),
+    and how strongly each bone moves it (`influence`); and it gives the skin of some of the
+    vertices (`take`) and of other points on the same surface (`carry`).
+    """
+
+    @abc.abstractmethod
+    def deform(
+        self, vertices: Float[Array, "V 3"], skeleton: Skeleton, pose: Pose, transforms: Transforms
+    ) -> Float[Array, "V 3"]:
+        """Posed positions `(V, 3)` of the rest `vertices (V, 3)`, metres.
+
+        `transforms` are those of the `pose`: `forward_kinematics(skeleton, pose)`.
+        """
+
+    @abc.abstractmethod
+    def parts(self) -> Int[Array, "V"]:
+        """The bone that each vertex belongs to."""
+
+    @abc.abstractmethod
+    def influence(self, num_bones: int) -> Float[Array, "V J"]:
+        """Share of each bone in the motion of each vertex; rows sum to one."""
+
+    @abc.abstractmethod
+    def take(self, vertices: Int[Array, "C"]) -> "AbstractSkin":
+        """The skin of chosen vertices, in their order."""
+
+    @abc.abstractmethod
+    def carry(
+        self, corners: Int[AnyArray, "N 3"], shares: Float[AnyArray, "N 3"], skeleton: Skeleton
+    ) -> "AbstractSkin":
+        """The skin of points on the surface, each in a triangle of three vertices.
+
+        **Arguments:** `corners` are the vertices of the triangles, `shares` the barycentric
+        coordinates of the points; negative ones count as zero.
+        """

@@ -1,0 +1,94 @@
+"""Rigid motions as unit dual quaternions, `[real wxyz, dual wxyz]`.
+
+A dual quaternion `q0 + e qe` with `e^2 = 0` turns by `q0` and then shifts by `t`, with
+`qe = (0, t) q0 / 2` (Adaptation, appendix A.1; Kavan, Collins, Zara and O'Sullivan 2008).
+`d` and `-d` are the same motion. Every function works on one `(8,)` or on any stack
+`(..., 8)` of them.
+
+What is blended is left unnormalised: `apply` and `to_rigid` divide by the squared length of
+the real part, so that no square root stands in the way of a derivative.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from . import rotation
+
+DualQuaternion = Float[Array, "*shape 8"]
+
+
+def identity(dtype=None) -> Float[Array, "8"]:
+    """The motion that moves nothing."""
+    return jnp.zeros(8, dtype).at[0].set(1.0)
+
+
+def from_rigid(q: rotation.Quaternion, t: rotation.Vector) -> DualQuaternion:
+    """The motion `x -> R x + t`, metres, of a unit quaternion and a shift."""
+    return jnp.concatenate([q, rotation.multiply(_imaginary(t) / 2.0, q)], -1)
+
+
+def about_centre(q: rotation.Quaternion, centre: rotation.Vector) -> DualQuaternion:
+    """The turn by the unit quaternion `q` about `centre`, metres."""
+    return from_rigid(q, centre - rotation.rotate(q, centre))
+
+
+def multiply(a: DualQuaternion, b: DualQuaternion) -> DualQuaternion:
+    """The motion `b` followed by `a` (eq. A.2 with quaternions for numbers)."""
+    real = rotation.multiply(a[..., :4], b[..., :4])
+    dual = rotation.multiply(a[..., :4], b[..., 4:]) + rotation.multiply(a[..., 4:], b[..., :4])
+    return jnp.concatenate([real, dual], -1)
+
+
+def conjugate(d: DualQuaternion) -> DualQuaternion:
+    """The inverse motion of a unit dual quaternion."""
+    return jnp.concatenate([rotation.conjugate(d[..., :4]), rotation.conjugate(d[..., 4:])], -1)
+
+
+def apply(d: DualQuaternion, x: rotation.Vector) -> rotation.Vector:
+    """Move the point `x` by the motion that `d` is a multiple of, `d` of unit length or not.
+
+    With `d = (a0, v0) + e (ae, ve)` and `n = |(a0, v0)|^2`, this is
+    `x + 2 (v0 x (v0 x x + a0 x) + a0 ve - ae v0 + v0 x ve) / n` (Kavan 2008, algorithm 1).
+    A part of `qe` along `q0`, which a blend has, does not show in it.
+    """
+    a0, v0, ae, ve = d[..., :1], d[..., 1:4], d[..., 4:5], d[..., 5:]
+    turned = jnp.cross(v0, jnp.cross(v0, x) + a0 * x)
+    return x + 2.0 * (turned + a0 * ve - ae * v0 + jnp.cross(v0, ve)) / _squared(d)
+
+
+def to_rigid(d: DualQuaternion) -> tuple[rotation.Quaternion, rotation.Vector]:
+    """Unit quaternion and shift of the motion that `d` is a multiple of."""
+    a0, v0, ae, ve = d[..., :1], d[..., 1:4], d[..., 4:5], d[..., 5:]
+    squared = _squared(d)
+    return d[..., :4] / jnp.sqrt(squared), 2.0 * (a0 * ve - ae * v0 + jnp.cross(v0, ve)) / squared
+
+
+def normalise(d: DualQuaternion) -> DualQuaternion:
+    """`d` divided by its dual norm (eq. 3.17): real part of unit length, dual part
+    perpendicular to it."""
+    real, dual = d[..., :4], d[..., 4:]
+    squared = _squared(d)
+    along = jnp.sum(real * dual, -1, keepdims=True) / squared
+    return jnp.concatenate([real, dual - along * real], -1) / jnp.sqrt(squared)
+
+
+def align(weights: Float[Array, "V N"], motions: Float[Array, "N 8"]) -> Float[Array, "V N"]:
+    """Weights with the sign that brings each motion to the hemisphere of the one with the row's
+    largest weight, so that blends go the shorter way (Adaptation, "Note on Anti-Podality").
+
+    The blend `align(weights, motions) @ motions` is nowhere near zero then: its real part
+    along that motion is at least the largest weight.
+    """
+    real = motions[:, :4]
+    opposite = real @ real.T < 0
+    return jnp.where(opposite[jnp.argmax(weights, 1)], -weights, weights)
+
+
+def _imaginary(v: rotation.Vector) -> rotation.Quaternion:
+    return jnp.concatenate([jnp.zeros_like(v[..., :1]), v], -1)
+
+
+def _squared(d: DualQuaternion) -> Float[Array, "*shape 1"]:
+    """Squared length of the real part; one where it has none, as in a row without weights."""
+    squared = jnp.sum(d[..., :4] ** 2, -1, keepdims=True)
+    return jnp.where(squared < jnp.finfo(d.dtype).tiny, 1.0, squared)

@@ -1,0 +1,119 @@
+"""The files of a sequence, by what a user writes: a pattern, a folder, a glob, or one file."""
+
+import glob
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from .mesh import SUFFIXES
+
+
+def find_files(
+    source: str | Path,
+    first: int | None = None,
+    last: int | None = None,
+    *,
+    whole: bool = True,
+    also: Sequence[str] = (),
+) -> list[Path]:
+    """Mesh files in the order of the numbers in their names.
+
+    **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, or one file.
+    `first` and `last`, both included, are the numbers in a pattern, and else files counted from 0.
+    With `whole`, numbers must not leave one out. `also` are suffixes that a folder may hold beside
+    those of meshes.
+
+    **Raises:** `InputError` where nothing is found, or a number is missing.
+    """
+    text = str(source)
+    if re.search(r"%0?\d*d", text):
+        return _pattern(text, first, last)
+    if Path(text).is_dir():
+        found = _folder(Path(text), (*SUFFIXES, *also))
+    elif glob.has_magic(text) and not Path(text).is_file():
+        found = sorted((Path(path) for path in glob.glob(text)), key=_natural)
+        if not found:
+            raise InputError(f"{text}: no file fits this pattern; check the path.")
+    else:
+        if not Path(text).is_file():
+            raise InputError(f"{text}: there is no such file or folder; check the path.")
+        return cut([Path(text)], first, last, text)
+    return cut(_whole(found) if whole else found, first, last, text)
+
+
+def cut(items: list, first: int | None, last: int | None, where: str) -> list:
+    """Items `first` to `last`, both included. Raises `InputError` where they are not there."""
+    start, end = first or 0, len(items) - 1 if last is None else last
+    if not 0 <= start <= end < len(items):
+        raise InputError(
+            f"{where}: there are frames 0 to {len(items) - 1}, but {start} to {end} were asked for."
+        )
+    return items[start : end + 1]
+
+
+def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
+    """The files of a printf pattern, none left out."""
+    match = re.search(r"%(0?)(\d*)d", text)
+    assert match is not None
+    folder, name = Path(text).parent, Path(text).name
+    if "%" not in name:
+        raise InputError(f"{text}: the number must be in the file's name, not in the folder's.")
+    before, after = re.split(r"%0?\d*d", name, maxsplit=1)
+    fits = re.compile(re.escape(before) + r"(\d+)" + re.escape(after) + "$")
+    there = sorted(
+        int(m[1]) for path in (folder.iterdir() if folder.is_dir() else []) if (m := fits.match(path.name))
+    )
+    start = first if first is not None else (there[0] if there else 0)
+    end = last if last is not None else (there[-1] if there else start)
+    if not there or end < start:
+        raise InputError(
+            f"{text}: there are no files with numbers from {first or 0} on; check the path and the numbers."
+        )
+    paths = []
+    for number in range(start, end + 1):
+        path = folder / (before + match[0] % number + after)
+        if not path.is_file():
+            raise InputError(f"{path}: this file is missing in the sequence {text} from {start} to {end}.")
+        paths.append(path)
+    return paths
+
+
+def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
+    paths = sorted(
+        (p for p in folder.iterdir() if p.suffix.lower() in suffixes_read and p.is_file()), key=_natural
+    )
+    suffixes = sorted({path.suffix.lower() for path in paths})
+    if not paths:
+        raise InputError(
+            f"{folder}: there are no clouds or meshes in this folder; it takes {', '.join(suffixes_read)} files."
+        )
+    if len(suffixes) > 1:
+        raise InputError(
+            f"{folder}: there are {' and '.join(suffixes)} files in this folder; say which, as in '*{suffixes[0]}'."
+        )
+    return paths
+
+
+def _whole(paths: list[Path]) -> list[Path]:
+    """The same paths, where names that differ in one number leave none out."""
+    parts = [re.match(r"(.*?)(\d+)(\D*)$", path.name) for path in paths]
+    if len(paths) < 3 or not all(parts) or len({(m[1], m[3]) for m in parts if m}) > 1:
+        return paths
+    numbers = [int(m[2]) for m in parts if m]
+    step = min(np.diff(numbers))
+    for path, here, after in zip(paths, numbers, numbers[1:], strict=False):
+        if step > 0 and after - here != step:
+            raise InputError(
+                f"{path}: number {here + step} is missing after this file; the next one is {after}."
+            )
+    return paths
+
+
+def _natural(path: Path) -> list:
+    """Sorts 2 before 10."""
+    return [
+        (int(word), "") if word.isdigit() else (-1, word) for word in re.split(r"(\d+)", str(path)) if word
+    ]
