@@ -69,11 +69,14 @@ from .io.bvh import write_bvh as write_bvh
 from .io.clouds import read_clouds as read_clouds
 from .io.mesh import read_mesh as read_mesh
 from .io.mesh import write_mesh as write_mesh
+from .io.meshes import read_meshes as read_meshes
+from .io.meshes import save_meshes as save_meshes
 from .io.npz import load_body as load_body
 from .io.npz import load_motion as load_motion
 from .io.npz import save_body as save_body
 from .io.npz import save_motion as save_motion
 from .observe import Cloud as Cloud
+from .observe import MeshSequence as MeshSequence
 from .observe import make_cloud as make_cloud
 from .observe import stack_clouds as stack_clouds
 from .rig.rig import rig_mesh as rig_mesh

@@ -137,8 +137,10 @@ def _arrays(path: Path) -> _File:
     for name, mesh in zip(names, vertices, strict=True):
         check_points(mesh, name)
     rate = arrays.get("rate")
-    whole = rate is not None and rate.shape == () and rate.dtype.kind in "fiu" and 0 < rate < np.inf
-    return _File(names, vertices.astype(float), faces.astype(np.int64), float(rate) if whole else None)
+    if rate is not None and not (rate.shape == () and rate.dtype.kind in "fiu" and 0 < rate < np.inf):
+        raise InputError(f"{path}: the rate is {rate}; it must be one number above 0, meshes a second.")
+    rate = None if rate is None else float(rate)
+    return _File(names, vertices.astype(float), faces.astype(np.int64), rate)
 
 
 def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> None:
