@@ -1,0 +1,27 @@
+"""Bodies for programs that let only so many bones move a vertex."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..body.body import Body
+from ..body.skin import LinearSkin
+
+
+def limit_influences(body: Body, count: int = 4) -> Body:
+    """The body with the `count` strongest bones of each vertex, their weights sharing what the
+    others leave. How far that moves the surface, `pose_body` of both tells.
+
+    **Raises:** `ValueError` where `count` is not positive or the skin does not blend linearly.
+    """
+    if count < 1:
+        raise ValueError(f"A vertex was to follow {count} bones; give at least 1.")
+    if not isinstance(body.skin, LinearSkin):
+        raise ValueError(
+            f"Influences are limited in a LinearSkin, and this body has a {type(body.skin).__name__}; linearise it."
+        )
+    weights = np.array(body.skin.weights)
+    order = np.argsort(-weights, axis=1, kind="stable")
+    np.put_along_axis(weights, order[:, count:], 0.0, axis=1)
+    weights /= weights.sum(1, keepdims=True)
+    return eqx.tree_at(lambda b: b.skin, body, LinearSkin(jnp.asarray(weights)))
