@@ -32,6 +32,12 @@ def about_centre(q: rotation.Quaternion, centre: rotation.Vector) -> DualQuatern
     return from_rigid(q, centre - rotation.rotate(q, centre))
 
 
+def from_twist(twist: Float[Array, "*shape 6"]) -> DualQuaternion:
+    """The rate at rest of a motion along the field `x -> a x x + b`, with `twist = (a, b)`: a motion
+    `d` that is carried along has the rate `from_twist(twist) d`."""
+    return jnp.concatenate([_imaginary(twist[..., :3]), _imaginary(twist[..., 3:])], -1) / 2.0
+
+
 def multiply(a: DualQuaternion, b: DualQuaternion) -> DualQuaternion:
     """The motion `b` followed by `a` (eq. A.2 with quaternions for numbers)."""
     real = rotation.multiply(a[..., :4], b[..., :4])

@@ -1,11 +1,13 @@
 """Dual quaternion blending of the bones' world transforms."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...geometry import dualquat, rotation
 from ..kinematics import Transforms
 from ..pose import Pose
+from ..rates import bones_below
 from .interpolate import interpolate_weights
 from .skin import AbstractSkin
 
@@ -43,8 +45,30 @@ class DualQuaternionSkin(AbstractSkin):
             jnp.asarray(interpolate_weights(self.weights, corners, shares), self.weights.dtype)
         )
 
+    def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
+        """A bone's `d_j` turns with the field of the joints above it at the rate `(a + e b) d_j / 2`,
+        so each vertex feels, at each bone, what six unit fields do to its blend."""
+        motions = bone_motions(pose, transforms)
+        weights = dualquat.align(self.weights, motions)
+        pulled = pull_back(weights @ motions, vertices, pose.scale * directions)
+        # (J, 6, 8): the rate of each bone's dual quaternion by each unit field
+        fields = dualquat.from_twist(jnp.eye(6, dtype=motions.dtype))
+        units = dualquat.multiply(fields, motions[:, None])
+        wrench = jnp.repeat(weights, 6, 1)[:, None] * (pulled @ units.reshape(-1, 8).T)
+        twists = jnp.concatenate([rates.angular, rates.linear / pose.scale], 1)
+        below = bones_below(skeleton, rates)
+        return wrench @ (below[:, None] * twists.T).reshape(-1, below.shape[1])
+
 
 def bone_motions(pose: Pose, transforms: Transforms) -> Float[Array, "J 8"]:
     """The bones' world transforms without the pose's scale, as unit dual quaternions."""
     q = rotation.from_matrix(transforms.rotations / pose.scale)
     return dualquat.from_rigid(q, transforms.translations / pose.scale)
+
+
+def pull_back(
+    blends: Float[Array, "V 8"], vertices: Float[Array, "V 3"], directions: Float[Array, "V R 3"]
+) -> Float[Array, "V R 8"]:
+    """How the vertices, moved by their `blends`, move along directions with the blends' numbers."""
+    _, pull = jax.vjp(lambda d: dualquat.apply(d, vertices), blends)
+    return jax.vmap(lambda along: pull(along)[0], 1, 1)(directions)

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..rates import bones_below
 from .interpolate import interpolate_weights
 from .skin import AbstractSkin
 
@@ -37,3 +38,33 @@ class LinearSkin(AbstractSkin):
         """The weights between those of the corners."""
         del skeleton
         return LinearSkin(jnp.asarray(interpolate_weights(self.weights, corners, shares), self.weights.dtype))
+
+    def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
+        """A vertex rides with the bones below a joint by their weights,
+
+            dx_v / dk = sum_{i below joint(k)} w_vi (a_k x T_i v + b_k),
+
+        which takes one sum down the tree for each joint, not a pass over the surface for each
+        number. Along one direction `n . (a x p) = a . (p x n)` comes first: each bone feels
+        the moment `p x n` and the force `n`, and the sums are made of these.
+        """
+        del pose
+        below = bones_below(skeleton, rates)
+        homogeneous = jnp.concatenate([vertices, jnp.ones_like(vertices[:, :1])], 1)
+        bones = jnp.concatenate([transforms.rotations, transforms.translations[:, :, None]], 2)
+        x, y, z = (self.weights * (homogeneous @ bones[:, i].T) for i in range(3))
+        share = self.weights @ below
+        if directions.shape[1] == 1:
+            nx, ny, nz = (directions[:, 0, i : i + 1] for i in range(3))
+            wrench = jnp.concatenate([y * nz - z * ny, z * nx - x * nz, x * ny - y * nx], 1)
+            turned = wrench @ (below[None] * rates.angular.T[:, None, :]).reshape(-1, below.shape[1])
+            return (turned + share * (directions[:, 0] @ rates.linear.T))[:, None]
+        x, y, z = jnp.stack([x, y, z]) @ below
+        a, b = rates.angular.T, rates.linear.T
+        moved = (
+            a[1] * z - a[2] * y + b[0] * share,
+            a[2] * x - a[0] * z + b[1] * share,
+            a[0] * y - a[1] * x + b[2] * share,
+        )
+        # summed by hand: a product for every vertex is slow on a CPU
+        return sum(directions[:, :, i, None] * moved[i][:, None] for i in range(3))

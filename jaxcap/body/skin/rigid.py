@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+from ..rates import bones_below, field_rows
 from .skin import AbstractSkin
 
 
@@ -31,3 +32,8 @@ class RigidSkin(AbstractSkin):
         del skeleton
         nearest = np.argmax(np.asarray(shares), 1)[:, None]
         return RigidSkin(self.bones[np.take_along_axis(np.asarray(corners), nearest, 1)[:, 0]])
+
+    def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
+        """Each vertex moves with the field of every joint that its bone hangs on."""
+        points = self.deform(vertices, skeleton, pose, transforms)
+        return field_rows(points, directions, rates) * bones_below(skeleton, rates)[self.bones][:, None]

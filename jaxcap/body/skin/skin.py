@@ -7,6 +7,7 @@ from jaxtyping import Array, Float, Int
 
 from ..kinematics import Transforms
 from ..pose import Pose
+from ..rates import Rates
 from ..skeleton import Skeleton
 from .interpolate import AnyArray
 
@@ -15,8 +16,9 @@ class AbstractSkin(eqx.Module):
     """Binds every vertex of a body to its bones.
 
     A skin says where the vertices go (`deform`), which bone each one belongs to (`parts`),
-    and how strongly each bone moves it (`influence`); and it gives the skin of some of the
-    vertices (`take`) and of other points on the same surface (`carry`).
+    how strongly each bone moves it (`influence`), and how it moves with unknown numbers
+    (`jacobian`); and it gives the skin of some of the vertices (`take`) and of other points on
+    the same surface (`carry`).
     """
 
     @abc.abstractmethod
@@ -48,4 +50,20 @@ class AbstractSkin(eqx.Module):
 
         **Arguments:** `corners` are the vertices of the triangles, `shares` the barycentric
         coordinates of the points; negative ones count as zero.
+        """
+
+    @abc.abstractmethod
+    def jacobian(
+        self,
+        vertices: Float[Array, "V 3"],
+        directions: Float[Array, "V R 3"],
+        skeleton: Skeleton,
+        pose: Pose,
+        transforms: Transforms,
+        rates: Rates,
+    ) -> Float[Array, "V R N"]:
+        """How far each posed vertex moves along its `directions (V, R, 3)` with each of the N
+        numbers of `rates`: `n . dx_v / dk`, the derivative of `deform`.
+
+        `vertices (V, 3)` are those of the whole skin, at rest; `take` makes it smaller first.
         """

@@ -5,8 +5,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...geometry import dualquat
+from ..rates import bones_below, field_rows
 from ..skeleton import Skeleton
-from ..split import Split, split_joints
+from ..split import split_joints
+from .dual_quaternion import pull_back
 from .interpolate import interpolate
 from .skin import AbstractSkin
 
@@ -35,23 +37,22 @@ class SwingTwistSkin(AbstractSkin):
 
     def deform(self, vertices, skeleton, pose, transforms):
         split = split_joints(skeleton, pose)
-        blended = self._blend_twists(split)
-        twisted = dualquat.apply(blended[0] @ blended[1], vertices)
-        swings = self._blend_swings(split)
+        weights, motions = self._aligned(split.twists)
+        twisted = dualquat.apply(weights @ motions, vertices)
+        swings = self._blend_swings(split.swings)
         beside = jnp.einsum("vab,vb->va", swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
         return jnp.einsum("vab,vb->va", r, beside) + t
 
-    def _blend_twists(self, split: Split) -> tuple[Float[Array, "V K"], Float[Array, "K 8"]]:
-        """Signed weights of the neutral motion and all joints' twists, and these motions."""
+    def _aligned(self, twists: Float[Array, "J 8"]) -> tuple[Float[Array, "V K"], Float[Array, "K 8"]]:
+        """Signed weights of all joints' twists and, last, of the neutral motion; and these motions."""
         neutral = 1.0 - jnp.sum(self.twist, 1, keepdims=True)
-        motions = jnp.concatenate([dualquat.identity(split.twists.dtype)[None], split.twists])
-        return dualquat.align(jnp.concatenate([neutral, self.twist], 1), motions), motions
+        motions = jnp.concatenate([twists, dualquat.identity(twists.dtype)[None]])
+        return dualquat.align(jnp.concatenate([self.twist, neutral], 1), motions), motions
 
-    def _blend_swings(self, split: Split) -> Float[Array, "V 3 4"]:
-        still = jnp.eye(3, 4, dtype=split.swings.dtype)
-        apart = (split.swings - still).reshape(-1, 12)
-        return (self.swing @ apart).reshape(-1, 3, 4) + still
+    def _blend_swings(self, swings: Float[Array, "J 3 4"]) -> Float[Array, "V 3 4"]:
+        still = jnp.eye(3, 4, dtype=swings.dtype)
+        return (self.swing @ (swings - still).reshape(-1, 12)).reshape(-1, 3, 4) + still
 
     def parts(self):
         return jnp.argmax(self.influence(self.swing.shape[1]), 1)
@@ -71,6 +72,28 @@ class SwingTwistSkin(AbstractSkin):
             for weights in (self.swing, self.twist)
         ]
         return _on_best_base(rows[0], rows[1], skeleton, self.swing.dtype)
+
+    def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
+        """The base rides with the joints above it; beside it, each child moves the vertex by its
+        own twist's and swing's rates, weighted. No number needs a pass over the surface."""
+        split = split_joints(skeleton, pose)
+        weights, motions = self._aligned(split.twists)
+        blended = weights @ motions
+        twisted = dualquat.apply(blended, vertices)
+        swings = self._blend_swings(split.swings)
+        beside = jnp.einsum("vab,vb->va", swings[:, :, :3], twisted) + swings[:, :, 3]
+        r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
+        posed = jnp.einsum("vab,vb->va", r, beside) + t
+        rows = field_rows(posed, directions, rates) * bones_below(skeleton, rates)[self.bases][:, None]
+        # directions as the blended surface has them before its base moves, and before it swings
+        inner = jnp.einsum("vrb,vbc->vrc", directions, r)
+        innermost = jnp.einsum("vrb,vbc->vrc", inner, swings[:, :, :3])
+        joints = np.array(rates.joints)
+        pulled = pull_back(blended, vertices, innermost)
+        rows += weights[:, joints][:, None] * (pulled @ rates.twist.T)
+        homogeneous = jnp.concatenate([twisted, jnp.ones_like(twisted[:, :1])], 1)
+        levers = (inner[..., None] * homogeneous[:, None, None]).reshape(*inner.shape[:2], 12)
+        return rows + self.swing[:, joints][:, None] * (levers @ rates.swing.reshape(-1, 12).T)
 
 
 def swing_twist_from(skin: AbstractSkin, skeleton: Skeleton) -> SwingTwistSkin:
