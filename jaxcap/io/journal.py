@@ -81,14 +81,7 @@ def resume_journal(path: str | Path, header: Mapping[str, object]) -> Journal:
     path = Path(path)
     there, body, start = _read(path)
     width = int(str(there.pop("width")))
-    # as JSON has it: tuples are lists there
-    now = json.loads(json.dumps(header))
-    for name in [*now, *there]:
-        if there.get(name) != now.get(name):
-            raise InputError(
-                f"{path}: this run was begun with {name} {_short(there.get(name))}, not {_short(now.get(name))}; "
-                "resume it with the same settings, or overwrite it."
-            )
+    check_same_run(path, there, header)
     size = 8 * width + 4
     records = []
     for at in range(0, len(body) - size + 1, size):
@@ -98,6 +91,21 @@ def resume_journal(path: str | Path, header: Mapping[str, object]) -> Journal:
         records.append(np.frombuffer(data, "<f8"))
     whole = np.stack(records) if records else np.zeros((0, width))
     return Journal(path, width, whole, start + size * len(records))
+
+
+def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str, object]) -> None:
+    """That what a file was begun with is what a run is to go on with.
+
+    **Raises:** `InputError` that tells the first difference.
+    """
+    # as JSON has it: tuples are lists there
+    now = json.loads(json.dumps(header))
+    for name in [*now, *there]:
+        if there.get(name) != now.get(name):
+            raise InputError(
+                f"{path}: this run was begun with {name} {_short(there.get(name))}, not {_short(now.get(name))}; "
+                "resume it with the same settings, or overwrite it."
+            )
 
 
 def _read(path: Path) -> tuple[dict[str, object], bytes, int]:

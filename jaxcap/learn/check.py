@@ -1,0 +1,243 @@
+"""Whether meshes can teach a body anything, before minutes are spent on them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..errors import InputError
+from ..observe import MeshSequence
+
+#: a body outside of the first is likely in another unit, outside of the second certainly, metres
+USUAL, POSSIBLE = (0.3, 3.0), (0.02, 30.0)
+_UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "dm": 0.1, "ft": 0.3048}
+#: poses change the size of a body by less than this factor, units by more
+POSES = 2.0
+#: an edge that is so many times as long or short has another pair of vertices at its ends
+STRETCH = 2.5
+#: two meshes of which more than this share of edges do so have another order of vertices
+SHUFFLED = 0.25
+#: edges that are looked at; the others tell the same
+EDGES = 3000
+#: an edge as long as so many usual ones, and as many times its own usual length, is torn
+TORN = 8.0
+
+
+class _Group(NamedTuple):
+    """Meshes whose edges agree with those of the first of them."""
+
+    members: list[int]
+    logs: Float[np.ndarray, "E"]
+    size: float
+
+
+def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> list[str]:
+    """That a body can be learned from meshes; `names` are what to call them.
+
+    Returns what a user should know and may be meant so, one sentence each: pieces that nothing joins,
+    edges of more than two triangles, vertices that stand twice, triangles without area, single torn
+    vertices, an unusual size.
+
+    **Raises:** `InputError` for what cannot be meant: fewer than two meshes, numbers that are not
+    finite, faces of vertices that are not there, vertices of no triangle, meshes of another order of
+    vertices or in another unit than the others (told by the lengths of their edges), meshes all alike,
+    a surface that falls apart because vertices stand twice, an impossible size.
+    """
+    vertices, faces = np.asarray(sequence.vertices, float), np.asarray(sequence.faces)
+    called = list(names) if names is not None else [f"mesh {number}" for number in range(len(vertices))]
+    if len(called) != len(vertices):
+        raise ValueError(f"There are {len(vertices)} meshes and {len(called)} names; give each its own.")
+    if len(vertices) < 2:
+        raise InputError(
+            f"There is {'one mesh' if len(vertices) else 'no mesh'} only, which shows no motion; give at least two, "
+            "in poses that move every joint."
+        )
+    _check_arrays(vertices, faces, called)
+    edges = _edges(faces)
+    _check_order(vertices, edges, called)
+    extent = float(np.median(np.ptp(vertices, axis=1).max(1)))
+    return [
+        *_size(extent),
+        *_torn(vertices, edges, called),
+        *_surface(vertices, faces, edges, extent),
+        *_motion(vertices, extent),
+    ]
+
+
+def _check_arrays(vertices: np.ndarray, faces: np.ndarray, names: list[str]) -> None:
+    count = vertices.shape[1]
+    finite = np.isfinite(vertices).all(2)
+    if not finite.all():
+        frame = int(np.argmin(finite.all(1)))
+        raise InputError(
+            f"{names[frame]} has {(~finite[frame]).sum()} vertices that are not finite, the first of them vertex "
+            f"{int(np.argmin(finite[frame]))}; leave this mesh out."
+        )
+    if len(faces) == 0:
+        raise InputError("The meshes have no triangles; a body needs a surface, not a cloud.")
+    if faces.min() < 0 or faces.max() >= count:
+        raise InputError(
+            f"A triangle names vertex {faces.min() if faces.min() < 0 else faces.max()}, but there are only 0 to {count - 1}."
+        )
+    used = np.zeros(count, bool)
+    used[faces] = True
+    if not used.all():
+        raise InputError(
+            f"{(~used).sum()} of {count} vertices are in no triangle, the first of them vertex {int(used.argmin())}; "
+            "remove them from all meshes."
+        )
+    sizes = np.ptp(vertices, axis=1).max(1)
+    if (sizes == 0).any():
+        raise InputError(f"{names[int(sizes.argmin())]} is a single point; leave this mesh out.")
+
+
+def _edges(faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "E 2"]:
+    """Every pair of vertices that share a triangle, once."""
+    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    pairs = np.unique(pairs, axis=0)
+    return pairs[pairs[:, 0] < pairs[:, 1]]
+
+
+def _lengths(vertices: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, "F E"]:
+    return np.stack([np.linalg.norm(mesh[edges[:, 0]] - mesh[edges[:, 1]], axis=1) for mesh in vertices])
+
+
+def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> None:
+    """Meshes whose edges agree form groups; all must be in one.
+
+    The poses of a body stretch few of its edges; another order of vertices joins others everywhere.
+    """
+    few = edges[np.random.default_rng(0).permutation(len(edges))[:EDGES]]
+    lengths = _lengths(vertices, few)
+    logs = np.log(np.maximum(lengths, 1e-9 * lengths.max()))
+    sizes = np.log(np.sqrt(vertices.var(1).sum(1)))
+    groups: list[_Group] = []
+    for frame, (row, size) in enumerate(zip(logs, sizes, strict=True)):
+        apart = [_disagreement(row - group.logs, size - group.size) for group in groups]
+        best = int(np.argmin(apart)) if apart else -1
+        if apart and apart[best] <= SHUFFLED:
+            groups[best].members.append(frame)
+        else:
+            groups.append(_Group([frame], row, size))
+    main = max(groups, key=lambda group: len(group.members))
+    others = sorted(frame for group in groups if group is not main for frame in group.members)
+    if others:
+        many = f"the other {len(main.members)}" if len(main.members) > 1 else names[main.members[0]]
+        raise InputError(
+            f"{_listed(others, names)} {'has' if len(others) == 1 else 'have'} another order of vertices than {many}: "
+            f"edges differ in length by more than a factor of {STRETCH:g} all over; registered meshes keep one order."
+        )
+    factors = np.exp(np.median(logs - np.median(logs, axis=0), axis=1))
+    wrong = np.flatnonzero(np.abs(np.log(factors)) > np.log(POSES))
+    if wrong.size:
+        raise InputError(
+            f"{_listed(wrong.tolist(), names)} {'is' if wrong.size == 1 else 'are'} {factors[wrong[0]]:.4g} times as "
+            "large as the others; give all in one unit."
+        )
+
+
+def _disagreement(ratios: Float[np.ndarray, "E"], growth: float) -> float:
+    """The share of edges that differ, apart from a unit and a pose that make all longer."""
+    ratios = ratios - (growth if abs(growth) > np.log(POSES) else 0.0)
+    ratios = ratios - np.clip(np.median(ratios), -np.log(POSES), np.log(POSES))
+    return float(np.mean(np.abs(ratios) > np.log(STRETCH)))
+
+
+def _size(extent: float) -> list[str]:
+    if USUAL[0] <= extent <= USUAL[1]:
+        return []
+    likely = [unit for unit, metres in _UNITS.items() if USUAL[0] <= extent * metres <= USUAL[1]]
+    likely.sort(key=lambda unit: abs(np.log(extent * _UNITS[unit] / 1.7)))
+    hint = f"it looks like {likely[0]}: pass unit='{likely[0]}'" if likely else "check the unit"
+    told = f"The meshes are {extent:.4g} m long, where a body is usually from {USUAL[0]:g} to {USUAL[1]:g} m; {hint}."
+    if not POSSIBLE[0] <= extent <= POSSIBLE[1]:
+        raise InputError(told)
+    return [told]
+
+
+def _torn(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> list[str]:
+    """Single vertices that are elsewhere in some mesh, as after an error of the registration."""
+    lengths = _lengths(vertices, edges)
+    usual = np.median(lengths, axis=0)
+    far = (lengths > TORN * usual) & (lengths > TORN * usual.mean())
+    frames = np.flatnonzero(far.any(1)).tolist()
+    if not frames:
+        return []
+    # the end that most torn edges have in common
+    ends = np.bincount(edges[far[frames[0]]].reshape(-1))
+    return [
+        f"{_listed(frames, names)} {'is' if len(frames) == 1 else 'are'} torn: edges are more than {TORN:g} times as "
+        f"long as in the others, such as those of vertex {int(ends.argmax())}; mend or leave out."
+    ]
+
+
+def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent: float) -> list[str]:
+    count, told = vertices.shape[1], []
+    twin = _twins(vertices, 1e-6 * extent)
+    apart, together = (
+        _pieces(edges, count),
+        _pieces(twin[edges], count) - int((twin != np.arange(count)).sum()),
+    )
+    twice = int((twin != np.arange(count)).sum())
+    if apart > together:
+        raise InputError(
+            f"The surface falls into {apart} pieces instead of {together}, because {twice} vertices stand twice, such as "
+            f"vertex {int(np.argmax(twin != np.arange(count)))}; merge them alike in all meshes."
+        )
+    if twice:
+        told.append(
+            f"{twice} vertices stand where others do in all meshes, such as vertex "
+            f"{int(np.argmax(twin != np.arange(count)))}."
+        )
+    if apart > 1:
+        told.append(
+            f"The surface is of {apart} pieces that nothing joins; each is moved by the joints that fit it, and parts "
+            "of different pieces are neighbours only where they are near."
+        )
+    corners = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    shared = np.unique(corners, axis=0, return_counts=True)[1]
+    if (shared > 2).any():
+        told.append(
+            f"The surface is not a manifold: {(shared > 2).sum()} edges belong to more than two triangles, the worst to "
+            f"{shared.max()}."
+        )
+    a, b, c = (vertices[:, faces[:, corner]] for corner in range(3))
+    flat = (np.linalg.norm(np.cross(b - a, c - a), axis=2) <= 1e-12 * extent**2).all(0)
+    if flat.any():
+        told.append(
+            f"{flat.sum()} triangles have no area in any mesh, such as triangle {int(flat.argmax())}."
+        )
+    return told
+
+
+def _motion(vertices: np.ndarray, extent: float) -> list[str]:
+    """Whether anything moves but the whole: distances between a few vertices."""
+    few = vertices[:, np.linspace(0, vertices.shape[1] - 1, min(60, vertices.shape[1])).astype(int)]
+    apart = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
+    if np.ptp(apart, axis=0).max() < 1e-4 * extent:
+        raise InputError(
+            "The meshes show one pose only, moved as a whole; give meshes in poses that move every joint."
+        )
+    return []
+
+
+def _twins(vertices: np.ndarray, near: float) -> Int[np.ndarray, "V"]:
+    """For each vertex the first one that stands where it does in all meshes, or itself."""
+    cells = np.round(np.concatenate([vertices[0], vertices[-1]], axis=1) / near).astype(np.int64)
+    _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    twin = first[inverse.reshape(-1)]
+    same = (np.abs(vertices - vertices[:, twin]) <= near).all((0, 2))
+    return np.where(same, twin, np.arange(len(twin)))
+
+
+def _pieces(edges: np.ndarray, count: int) -> int:
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    return int(connected_components(graph, directed=False)[0])
+
+
+def _listed(frames: Sequence[int], names: list[str], most: int = 5) -> str:
+    told = ", ".join(names[frame] for frame in frames[:most])
+    return told if len(frames) <= most else f"{told} and {len(frames) - most} more"
