@@ -43,7 +43,8 @@ def split_motions(
 
     Where the twist is not defined (a swing by pi) it is taken to be none.
     """
-    axes = rotation.rotate(orientations, jnp.array([1.0, 0.0, 0.0], orientations.dtype))
+    ahead = jnp.broadcast_to(jnp.array([1.0, 0.0, 0.0], orientations.dtype), centres.shape)
+    axes = rotation.rotate(orientations, ahead)
     swings, twists = rotation.swing_twist(rotations, axes)
     matrices = rotation.to_matrix(swings)
     shifts = translations + centres - jnp.einsum("...ab,...b->...a", matrices, centres)
