@@ -1,0 +1,306 @@
+"""Registered meshes to learn bodies from, made ones with their truth and captured ones, and how what
+was learned is measured."""
+
+import time
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+import jaxcap as jc
+from benchmarks._crane import load_crane
+from benchmarks._scenes import CAPTURED, RATE, cmu_motion, takes_of
+from benchmarks.report import progress
+from jaxcap.body.skin import swing_twist_from
+from jaxcap.fit.registered import fit_meshes
+from jaxcap.learn.loop import learn_body
+from jaxcap.metrics import scan_to_surface
+from jaxcap.observe import MeshSequence
+
+SUBJECT = "02"
+#: degrees of a joint's largest turn: more than this and its centre is asked for; less than that and it is still
+TURNS, STILL = 20.0, 1.0
+#: a joint that leaves its one axis by less (root mean square, degrees) has a centre anywhere on that axis
+HINGE = 2.0
+
+
+class Known(NamedTuple):
+    """Meshes of a body that is known; vertex `i` is the same point in all and in the truth."""
+
+    body: jc.Body
+    training: MeshSequence
+    held_out: MeshSequence
+    #: the same meshes before noise
+    clean: Float[np.ndarray, "F V 3"]
+    clean_held_out: Float[np.ndarray, "H V 3"]
+    poses: jc.Motion
+    poses_held_out: jc.Motion
+    #: how far each joint gets from its mean rotation over the training poses, degrees
+    turns: Float[np.ndarray, "J"]
+
+    @property
+    def moving(self) -> list[int]:
+        """The joints that a learner can find: those that turn at all, without the root."""
+        return [joint for joint in range(1, len(self.turns)) if self.turns[joint] > STILL]
+
+    @property
+    def turning(self) -> list[int]:
+        """The joints whose centres are asked for."""
+        return [joint for joint in range(1, len(self.turns)) if self.turns[joint] > TURNS]
+
+
+def known(
+    shared: Path,
+    skin: Literal["swing_twist", "lbs"] = "swing_twist",
+    *,
+    training: int = 60,
+    held_out: int = 20,
+    noise: float = 0.0,
+    poses: Literal["farthest", "random"] = "farthest",
+    resolution: Literal["full", "medium", "low"] | int = "full",
+    seed: int = 0,
+) -> Known:
+    """The embedded human in poses of all takes of one subject, its vertices in a random order.
+
+    The farthest poses are picked one by one, each the one farthest in joint angles from those picked
+    before: so they are varied, and the held-out ones, picked last, are those that are least like the
+    training poses. `noise` is the standard deviation along each axis, metres.
+    """
+    rng = np.random.default_rng(seed)
+    body = jc.human(resolution=resolution)
+    if skin == "swing_twist":
+        body = eqx.tree_at(lambda b: b.skin, body, swing_twist_from(body.skin, body.skeleton))
+    body = shuffled(body, rng)
+    motion = _all_takes(shared, body.skeleton)
+    if poses == "random":
+        picked = rng.choice(len(motion), training + held_out, replace=False)
+    else:
+        picked = _farthest(np.asarray(motion.poses.rotations[:, 1:], float), training + held_out, rng)
+    parts = [_chosen(motion, np.sort(picked[some])) for some in (slice(training), slice(training, None))]
+    clean = [posed_vertices(body, part) for part in parts]
+    noisy = [part + noise * rng.normal(size=part.shape).astype(part.dtype) for part in clean]
+    meshes = [MeshSequence(vertices, body.faces) for vertices in noisy]
+    turns = largest_turns(np.asarray(parts[0].poses.rotations, float))
+    return Known(body, *meshes, *clean, *parts, turns)
+
+
+def crane_meshes(shared: Path) -> tuple[MeshSequence, MeshSequence]:
+    """Every second mesh of the crane capture, and the others."""
+    crane = load_crane(shared)
+    rest = [MeshSequence(crane.frames[first::2], crane.faces, rate=15.0) for first in (0, 1)]
+    return rest[0], rest[1]
+
+
+def bone_meshes(shared: Path) -> MeshSequence:
+    """The sample of Dem-Bones, each of its quads as two triangles; in the unit of its file."""
+    with np.load(shared / "data" / "meshes" / "dembones_bone.npz", allow_pickle=False) as file:
+        quads = file["face_indices"].reshape(-1, 4)
+        faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
+        return MeshSequence(file["vertices"], faces)
+
+
+def shuffled(body: jc.Body, rng: np.random.Generator) -> jc.Body:
+    """The same body with its vertices in a random order."""
+    order = rng.permutation(len(body.vertices))
+    faces = np.argsort(order).astype(np.int32)[np.asarray(body.faces)]
+    return jc.Body(body.skeleton, body.skin.take(order), body.vertices[order], jnp.asarray(faces))
+
+
+def largest_turns(rotations: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "J"]:
+    """The largest angle of each joint from the mean of its rotations, degrees."""
+    mean = np.linalg.eigh(np.einsum("fja,fjb->jab", rotations, rotations))[1][..., -1]
+    cosines = np.abs(np.einsum("fja,ja->fj", rotations, mean))
+    return np.degrees(2 * np.arccos(np.clip(cosines, 0, 1))).max(0)
+
+
+@eqx.filter_jit
+def _pose_all(body: jc.Body, poses: jc.Pose):
+    def of_frame(pose):
+        posed = jc.pose_body(body, pose)
+        return posed.vertices, posed.joints, posed.transforms.rotations
+
+    return jax.lax.map(of_frame, poses)
+
+
+def posed_vertices(body: jc.Body, motion: jc.Motion) -> Float[np.ndarray, "F V 3"]:
+    """The body's vertices in every pose."""
+    return np.asarray(_pose_all(body, motion.poses)[0])
+
+
+def millimetres(posed: Float[np.ndarray, "F V 3"], truth) -> Float[np.ndarray, "F V"]:
+    """How far each posed vertex is from its true place, in millimetres of metres."""
+    return 1000 * np.linalg.norm(np.asarray(posed, float) - np.asarray(truth, float), axis=-1)
+
+
+def root_mean_square(distances: Float[np.ndarray, "F V"]) -> float:
+    """Over vertices and frames: what Dem-Bones calls its RMSE."""
+    return float(np.sqrt(np.mean(np.square(distances))))
+
+
+def surface_distances(meshes: MeshSequence, posed: Float[np.ndarray, "F V 3"]) -> Float[np.ndarray, "F V"]:
+    """From each vertex of a mesh to the nearest point of the body posed for it, millimetres: the
+    distance that the thesis reports (Adaptation, section 3.3.1)."""
+    faces = np.asarray(meshes.faces)
+    pairs = zip(np.asarray(meshes.vertices), posed, strict=True)
+    return 1000 * np.stack([scan_to_surface(points, vertices, faces) for points, vertices in pairs])
+
+
+class JointErrors(NamedTuple):
+    """How far the nearest learned joint is from each true one, millimetres, means over the frames."""
+
+    names: list[str]
+    centres: Float[np.ndarray, "J"]
+    #: the same, without what lies along a hinge's axis: no mesh shows where on it the centre is
+    determined: Float[np.ndarray, "J"]
+
+    def say(self, turns: Float[np.ndarray, "J"]) -> None:
+        """One line a joint, on standard error."""
+        for name, turn, centre, part in zip(self.names, turns, self.centres, self.determined, strict=True):
+            hinge = f", {part:.2f} mm off its axis" if part != centre else ""
+            progress(f"  {name:18s} turns {turn:5.1f} degrees: {centre:6.2f} mm{hinge}")
+
+
+def joint_errors(truth: Known, learned: jc.Body, motion: jc.Motion, joints: list[int]) -> JointErrors:
+    """True joints against the nearest learned ones, both bodies posed as in the training meshes.
+
+    A true joint that keeps to one axis has no centre but the axis itself: any point of it moves the
+    same. There `determined` leaves out the distance along the axis.
+    """
+    _, places, turned = (np.asarray(leaf, float) for leaf in _pose_all(truth.body, truth.poses.poses))
+    found = np.asarray(_pose_all(learned, motion.poses)[1], float)
+    parents = np.array(truth.body.skeleton.parents)
+    centres, determined = [], []
+    for joint in joints:
+        apart = found - places[:, joint, None]
+        nearest = np.linalg.norm(apart, axis=2).mean(0).argmin()
+        apart = apart[:, nearest]
+        centres.append(1000 * np.linalg.norm(apart, axis=1).mean())
+        # the axis is the direction of the parent that the joint's rotations have in common
+        parent = turned[:, parents[joint]]
+        left, common, _ = np.linalg.svd(np.mean(np.swapaxes(parent, 1, 2) @ turned[:, joint], axis=0))
+        if np.degrees(np.sqrt(2 * max(0.0, 1 - common[0]))) < HINGE:
+            axis = parent @ left[:, 0]
+            apart = apart - np.sum(apart * axis, 1, keepdims=True) * axis
+        determined.append(1000 * np.linalg.norm(apart, axis=1).mean())
+    names = [truth.body.skeleton.names[joint] for joint in joints]
+    return JointErrors(names, np.array(centres), np.array(determined))
+
+
+class Run(NamedTuple):
+    """What learning gave, and how long it took."""
+
+    body: jc.Body
+    #: the training meshes' poses
+    motion: jc.Motion
+    #: Q after each step
+    history: list[tuple[str, float]]
+    #: `compile`, `run`, `total`
+    seconds: dict[str, float]
+    #: of each round; what comes before the first one is in the first
+    rounds: list[float]
+
+
+def learn(meshes: MeshSequence, **options) -> Run:
+    """`learn_body`, timed; says on standard error how far it is."""
+    clock, ends = Clock(), [0.0]
+
+    def say(state) -> None:
+        ends.append(clock.so_far)
+        progress(f"  round {state.round}: Q {state.history[-1][1]:.5g} m², {ends[-1]:.1f} s")
+
+    with clock:
+        learned = learn_body(meshes, on_round=say, **options)
+        jax.block_until_ready((learned.body, learned.motion))
+    progress(f"  learned in {clock.total:.1f} s, of which {clock.compile:.1f} s compiling")
+    history = [(step, float(q)) for step, q in learned.history]
+    return Run(learned.body, learned.motion, history, clock.seconds, np.diff(ends).tolist())
+
+
+def fitted_vertices(body: jc.Body, meshes: MeshSequence) -> Float[np.ndarray, "F V 3"]:
+    """A learned body in the poses that `jaxcap fit` gives it for meshes it has not seen."""
+    fit = fit_meshes(body, meshes)
+    if not bool(fit.converged.all()):
+        progress(f"  {int((~fit.converged).sum())} of {len(meshes)} meshes did not converge")
+    return posed_vertices(body, fit.motion)
+
+
+class Clock:
+    """Seconds of what runs under it, those of compiling apart.
+
+    with Clock() as clock:
+        learned = learn_body(meshes)
+    """
+
+    def __init__(self):
+        self.total = 0.0
+        self._compiled: list[tuple[float, float]] = []
+
+    def __enter__(self):
+        jax.monitoring.register_event_duration_secs_listener(self._heard)
+        self._began = time.perf_counter()
+        return self
+
+    def __exit__(self, *raised):
+        self.total = time.perf_counter() - self._began
+        jax.monitoring.unregister_event_duration_listener(self._heard)
+
+    def _heard(self, event: str, seconds: float, **about) -> None:
+        if event.startswith("/jax/core/compile/"):
+            now = time.perf_counter()
+            self._compiled.append((now - seconds, now))
+
+    @property
+    def so_far(self) -> float:
+        """Seconds since it began."""
+        return time.perf_counter() - self._began
+
+    @property
+    def compile(self) -> float:
+        """Seconds of tracing and of XLA; what is traced inside another trace counts once."""
+        total, reached = 0.0, 0.0
+        for start, end in sorted(self._compiled):
+            total += max(0.0, end - max(start, reached))
+            reached = max(reached, end)
+        return total
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """`compile`, `run` (all else) and `total`."""
+        return {"compile": self.compile, "run": self.total - self.compile, "total": self.total}
+
+
+def without_cache() -> None:
+    """Compile anew whatever JAX_COMPILATION_CACHE_DIR says, since users begin without."""
+    jax.config.update("jax_enable_compilation_cache", False)
+
+
+def _all_takes(shared: Path, skeleton: jc.Skeleton) -> jc.Motion:
+    """All takes at 30 frames a second one after the other, on the body; one call, which compiles once."""
+    motions = []
+    for take in takes_of(shared, SUBJECT):
+        motion, source = cmu_motion(shared, take)
+        motions.append(motion.slice(slice(None, None, round(CAPTURED / RATE))))
+    poses = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[motion.poses for motion in motions])
+    return jc.retarget(jc.Motion(poses, RATE), source, skeleton)
+
+
+def _chosen(motion: jc.Motion, frames: Int[np.ndarray, "F"]) -> jc.Motion:
+    return jc.Motion(jax.tree.map(lambda leaf: leaf[frames], motion.poses), motion.rate)
+
+
+def _farthest(
+    rotations: Float[np.ndarray, "F J 4"], count: int, rng: np.random.Generator
+) -> Int[np.ndarray, "C"]:
+    """Frames, each the farthest from all before it by the root of its squared joint angles."""
+    picked = [int(rng.integers(len(rotations)))]
+    nearest = np.full(len(rotations), np.inf)
+    while len(picked) < count:
+        cosines = np.abs(np.sum(rotations * rotations[picked[-1]], 2))
+        angles = 2 * np.arccos(np.clip(cosines, 0, 1))
+        nearest = np.minimum(nearest, np.linalg.norm(angles, axis=1))
+        picked.append(int(nearest.argmax()))
+    return np.array(picked)

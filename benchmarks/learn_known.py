@@ -1,0 +1,101 @@
+"""A body that is known, learned from meshes alone: `python -m benchmarks.learn_known`.
+
+    python -m benchmarks.learn_known --resolution low --training 12 --held-out 4 --rounds 2
+
+The truth is the embedded human under swing-twist skinning, posed by CMU's takes of subject 02, its
+vertices in a random order. Learning gets the meshes and the number of joints that move in them. The
+error of a vertex is its distance from its true place, means over vertices and meshes; held-out
+meshes are fitted with the learned body (`jaxcap.fit.registered.fit_meshes`). A second run learns
+from meshes with Gaussian noise along each axis, and is measured against the meshes without.
+"""
+
+import argparse
+
+from benchmarks._learning import (
+    TURNS,
+    Known,
+    Run,
+    fitted_vertices,
+    joint_errors,
+    known,
+    learn,
+    millimetres,
+    posed_vertices,
+    without_cache,
+)
+from benchmarks._scenes import shared_folder
+from benchmarks.report import finish, progress
+
+NOISE = 0.002
+
+
+def measured(scene: Known, run: Run) -> dict[str, float]:
+    """Mean errors to the clean meshes, training and held out."""
+    training = millimetres(posed_vertices(run.body, run.motion), scene.clean)
+    held_out = millimetres(fitted_vertices(run.body, scene.held_out), scene.clean_held_out)
+    progress(f"  {training.mean():.3f} mm in training, {held_out.mean():.3f} mm held out")
+    return {
+        "training_mm": training.mean(),
+        "training_worst_vertex_mm": training.mean(0).max(),
+        "held_out_mm": held_out.mean(),
+        "held_out_worst_mesh_mm": held_out.mean(1).max(),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.learn_known", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("--resolution", choices=("full", "medium", "low"), default="full")
+    parser.add_argument("--training", type=int, default=60, help="number of meshes to learn from")
+    parser.add_argument("--held-out", type=int, default=20, help="number of meshes to fit afterwards")
+    parser.add_argument(
+        "--poses", choices=("farthest", "random"), default="farthest", help="how they are picked"
+    )
+    parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
+    parser.add_argument("--noise", type=float, nargs="*", default=[0.0, NOISE], help="metres along each axis")
+    parser.add_argument("--seed", type=int, default=0, help="of the choice of poses, the order and the noise")
+    options = parser.parse_args()
+    extra = {} if options.rounds is None else {"rounds": options.rounds}
+
+    without_cache()
+    figures, seconds, sizes, limits = {}, {}, {}, {}
+    for noise in options.noise:
+        progress(f"noise of {1000 * noise:g} mm")
+        scene = known(
+            shared_folder(),
+            training=options.training,
+            held_out=options.held_out,
+            noise=noise,
+            poses=options.poses,
+            resolution=options.resolution,
+            seed=options.seed,
+        )
+        run = learn(scene.training, joints=len(scene.moving), **extra)
+        prefix = "noisy_" if noise else ""
+        figures |= {prefix + name: value for name, value in measured(scene, run).items()}
+        joints = joint_errors(scene, run.body, run.motion, scene.turning)
+        joints.say(scene.turns[scene.turning])
+        figures[prefix + "worst_joint_mm"] = joints.centres.max()
+        figures[prefix + "worst_joint_off_axis_mm"] = joints.determined.max()
+        figures[prefix + "mean_joint_mm"] = joints.centres.mean()
+        figures[prefix + "joints_mm"] = dict(zip(joints.names, joints.centres, strict=True))
+        seconds |= {prefix + name: value for name, value in run.seconds.items()}
+        limits |= {
+            prefix + "training_mm": ("<=", 1.5 if noise else 1.0),
+            prefix + "held_out_mm": ("<=", 2.5 if noise else 2.0),
+        }
+        if not noise:
+            limits["worst_joint_mm"] = ("<=", 10.0)
+        sizes = {
+            "meshes": len(scene.training),
+            "held_out": len(scene.held_out),
+            "vertices": scene.clean.shape[1],
+            "joints": len(scene.moving),
+            f"joints_over_{TURNS:g}_degrees": len(scene.turning),
+        }
+    finish("learn_known", figures, limits, sizes, seconds)
+
+
+if __name__ == "__main__":
+    main()

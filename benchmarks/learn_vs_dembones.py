@@ -1,0 +1,146 @@
+"""Against Dem-Bones on the same meshes, with as many bones: `python -m benchmarks.learn_vs_dembones`.
+
+    python -m benchmarks.learn_vs_dembones --scenes bone --bones 5 10 20
+    python -m benchmarks.learn_vs_dembones --scenes lbs --resolution low --meshes 12 --rounds 2
+
+On Dem-Bones' own sample and on crane (every second mesh), a body that holds together in a skeleton, with
+the skin and the symmetry that are the default, and one of free bones under linear blend skinning, as
+Dem-Bones' are. Then meshes that linear blend skinning makes exactly: the embedded human, 60 poses. All figures
+are root mean squares over vertices and meshes of the distance of a vertex from its place. Dem-Bones' is
+the least of one run, on the way to where it stops; the seconds are until it has done its default number
+of iterations (the sooner end). It is given the first mesh for a rest shape, and the true one for the human.
+"""
+
+import argparse
+
+from benchmarks._dembones import dem_bones
+from benchmarks._learning import (
+    bone_meshes,
+    crane_meshes,
+    fitted_vertices,
+    joint_errors,
+    known,
+    learn,
+    millimetres,
+    posed_vertices,
+    root_mean_square,
+    without_cache,
+)
+from benchmarks._scenes import shared_folder
+from benchmarks.report import finish, progress
+from jaxcap.observe import MeshSequence
+
+#: a middle one of the numbers that Dem-Bones' own sample is run with (5, 10, 20)
+SAMPLE_BONES = (10,)
+#: 18 joints and the root
+CRANE_BONES = 19
+#: how much more than free bones a skeleton may leave
+SHARE = 1.15
+
+Figures = dict[str, float]
+Limits = dict[str, tuple[str, float]]
+
+
+def compare(name: str, meshes: MeshSequence, bones: int, extra: dict) -> tuple[Figures, Limits]:
+    """A skeleton and free bones against Dem-Bones; as many bones as it has found, which may be fewer."""
+    progress(f"{name}: {len(meshes)} meshes, {meshes.vertices.shape[1]} vertices, {bones} bones")
+    rival = dem_bones(meshes, bones)
+    figures: Figures = {
+        f"{name}_dembones_mm": rival.least,
+        f"{name}_dembones_default_mm": rival.rmse,
+        f"{name}_dembones_bones": rival.bones,
+        f"{name}_dembones_seconds": rival.seconds,
+        f"{name}_dembones_seconds_until_it_stops": rival.seconds_until_it_stops,
+    }
+    for kind, mode in (("skeleton", {}), ("free", {"free_bones": True, "skin": "lbs"})):
+        run = learn(meshes, joints=rival.bones - 1, **mode, **extra)
+        rms = root_mean_square(millimetres(posed_vertices(run.body, run.motion), meshes.vertices))
+        progress(f"  {kind}: {rms:.3f} mm, {rms / rival.least:.3f} of Dem-Bones'")
+        figures |= {
+            f"{name}_{kind}_mm": rms,
+            f"{name}_{kind}_share": rms / rival.least,
+            f"{name}_{kind}_seconds": run.seconds["total"],
+        }
+    return figures, {f"{name}_skeleton_share": ("<=", SHARE), f"{name}_free_share": ("<", 1.0)}
+
+
+def exact(options, extra: dict) -> tuple[Figures, Limits]:
+    """A body under linear blend skinning, learned back."""
+    truth = known(
+        shared_folder(),
+        "lbs",
+        training=options.meshes,
+        poses=options.poses,
+        resolution=options.resolution,
+        seed=options.seed,
+    )
+    bones = len(truth.moving) + 1
+    progress(f"lbs: {len(truth.training)} meshes, {truth.clean.shape[1]} vertices, {bones} bones")
+    rival = dem_bones(truth.training, bones, truth.body.vertices)
+    run = learn(truth.training, joints=bones - 1, skin="lbs", **extra)
+    apart = millimetres(posed_vertices(run.body, run.motion), truth.clean)
+    held_out = millimetres(fitted_vertices(run.body, truth.held_out), truth.clean_held_out)
+    joints = joint_errors(truth, run.body, run.motion, truth.turning)
+    joints.say(truth.turns[truth.turning])
+    rms = root_mean_square(apart)
+    progress(f"  learned: {rms:.4f} mm, {root_mean_square(held_out):.4f} held out")
+    figures = {
+        "lbs_mm": rms,
+        "lbs_worst_vertex_mm": apart.max(),
+        "lbs_held_out_mm": root_mean_square(held_out),
+        "lbs_worst_joint_mm": joints.determined.max(),
+        "lbs_worst_joint_with_hinges_mm": joints.centres.max(),
+        "lbs_seconds": run.seconds["total"],
+        "lbs_dembones_mm": rival.least,
+        "lbs_dembones_default_mm": rival.rmse,
+        "lbs_dembones_seconds": rival.seconds,
+        "lbs_dembones_seconds_until_it_stops": rival.seconds_until_it_stops,
+        "lbs_time_share": run.seconds["total"] / rival.seconds,
+    }
+    limits: Limits = {
+        "lbs_mm": ("<=", 0.1),
+        "lbs_worst_joint_mm": ("<=", 1.0),
+        "lbs_time_share": ("<=", 1.0),
+    }
+    return figures, limits
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.learn_vs_dembones", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument(
+        "--scenes", nargs="*", choices=("bone", "crane", "lbs"), default=["bone", "crane", "lbs"]
+    )
+    parser.add_argument("--bones", type=int, nargs="*", default=SAMPLE_BONES, help="of Dem-Bones' sample")
+    parser.add_argument("--every", type=int, default=1, help="of bone and crane, every so many meshes only")
+    parser.add_argument("--meshes", type=int, default=60, help="of the embedded human")
+    parser.add_argument("--resolution", choices=("full", "medium", "low"), default="full")
+    parser.add_argument(
+        "--poses", choices=("farthest", "random"), default="farthest", help="how they are picked"
+    )
+    parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    extra = {} if options.rounds is None else {"rounds": options.rounds}
+
+    without_cache()
+    figures, limits = {}, {}
+    parts = []
+    if "bone" in options.scenes:
+        sample = bone_meshes(shared_folder())[:: options.every]
+        parts += [(f"bone_{bones}", sample, bones) for bones in options.bones]
+    if "crane" in options.scenes:
+        parts.append(("crane", crane_meshes(shared_folder())[0][:: options.every], CRANE_BONES))
+    for name, meshes, bones in parts:
+        reached, asked = compare(name, meshes, bones, extra)
+        figures, limits = figures | reached, limits | asked
+    if "lbs" in options.scenes:
+        reached, asked = exact(options, extra)
+        figures, limits = figures | reached, limits | asked
+    sizes = {name: [*meshes.vertices.shape[:2], bones] for name, meshes, bones in parts}
+    finish("learn_vs_dembones", figures, limits, sizes)
+
+
+if __name__ == "__main__":
+    main()
