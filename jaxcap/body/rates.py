@@ -100,8 +100,10 @@ def field_rows(
 ) -> Float[Array, "V R N"]:
     """`n . (a x p + b)` along directions `n`, as if all points `p` hung below all joints: with
     `n . (a x p) = a . (p x n)`, one product of wrenches and twists."""
-    moments = jnp.cross(points[:, None], directions)
-    return moments @ rates.angular.T + directions @ rates.linear.T
+    x, y, z = (points[:, None, i] for i in range(3))
+    nx, ny, nz = (directions[:, :, i] for i in range(3))
+    wrench = jnp.stack([y * nz - z * ny, z * nx - x * nz, x * ny - y * nx, nx, ny, nz], -1)
+    return wrench @ jnp.concatenate([rates.angular, rates.linear], 1).T
 
 
 def _rates(function, directions: Float[Array, "K D"]) -> Split:

@@ -57,9 +57,29 @@ def apply(d: DualQuaternion, x: rotation.Vector) -> rotation.Vector:
     `x + 2 (v0 x (v0 x x + a0 x) + a0 ve - ae v0 + v0 x ve) / n` (Kavan 2008, algorithm 1).
     A part of `qe` along `q0`, which a blend has, does not show in it.
     """
-    a0, v0, ae, ve = d[..., :1], d[..., 1:4], d[..., 4:5], d[..., 5:]
-    turned = jnp.cross(v0, jnp.cross(v0, x) + a0 * x)
-    return x + 2.0 * (turned + a0 * ve - ae * v0 + jnp.cross(v0, ve)) / _squared(d)
+    return x + 2.0 * _displacement(d, x) / _squared(d)
+
+
+def pull_back(
+    d: Float[Array, "V 8"], x: Float[Array, "V 3"], directions: Float[Array, "V R 3"]
+) -> Float[Array, "V R 8"]:
+    """How `apply(d, x)` moves along directions `m (V, R, 3)` with the eight numbers of `d`, unit or
+    not: the derivative of `m . apply(d, x)`, in closed form."""
+    # component by component, which a CPU does several times faster than by short vectors
+    dot = lambda a, b: a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # noqa: E731
+    cross = lambda a, b: tuple(a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3))  # noqa: E731
+    n = 2.0 / _squared(d)
+    shift = tuple((n * _displacement(d, x)).T[:, :, None])
+    x, m = tuple(x.T[:, :, None]), tuple(jnp.moveaxis(directions, 2, 0))
+    a0, *v0, ae, b0, b1, b2 = d.T[:, :, None]
+    ve = (b0, b1, b2)
+    along, mv, mx, vx = dot(m, shift), dot(m, v0), dot(m, x), dot(v0, x)
+    lever = tuple(c + e for c, e in zip(cross(v0, x), ve, strict=True))
+    swept = cross(tuple(a0 * x[i] + ve[i] for i in range(3)), m)
+    by_v0 = [swept[i] + (vx - ae) * m[i] + mv * x[i] - (2.0 * mx + along) * v0[i] for i in range(3)]
+    turned = cross(m, v0)
+    by_ve = [a0 * m[i] + turned[i] for i in range(3)]
+    return n[:, :, None] * jnp.stack([dot(m, lever) - along * a0, *by_v0, -mv, *by_ve], -1)
 
 
 def to_rigid(d: DualQuaternion) -> tuple[rotation.Quaternion, rotation.Vector]:
@@ -92,6 +112,12 @@ def align(weights: Float[Array, "V N"], motions: Float[Array, "N 8"]) -> Float[A
 
 def _imaginary(v: rotation.Vector) -> rotation.Quaternion:
     return jnp.concatenate([jnp.zeros_like(v[..., :1]), v], -1)
+
+
+def _displacement(d: DualQuaternion, x: rotation.Vector) -> rotation.Vector:
+    """How far `apply` moves `x`, times half the squared length of the real part."""
+    a0, v0, ae, ve = d[..., :1], d[..., 1:4], d[..., 4:5], d[..., 5:]
+    return jnp.cross(v0, jnp.cross(v0, x) + a0 * x + ve) + a0 * ve - ae * v0
 
 
 def _squared(d: DualQuaternion) -> Float[Array, "*shape 1"]:

@@ -1,6 +1,5 @@
 """Dual quaternion blending of the bones' world transforms."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -50,7 +49,7 @@ class DualQuaternionSkin(AbstractSkin):
         so each vertex feels, at each bone, what six unit fields do to its blend."""
         motions = bone_motions(pose, transforms)
         weights = dualquat.align(self.weights, motions)
-        pulled = pull_back(weights @ motions, vertices, pose.scale * directions)
+        pulled = dualquat.pull_back(weights @ motions, vertices, pose.scale * directions)
         # (J, 6, 8): the rate of each bone's dual quaternion by each unit field
         fields = dualquat.from_twist(jnp.eye(6, dtype=motions.dtype))
         units = dualquat.multiply(fields, motions[:, None])
@@ -64,11 +63,3 @@ def bone_motions(pose: Pose, transforms: Transforms) -> Float[Array, "J 8"]:
     """The bones' world transforms without the pose's scale, as unit dual quaternions."""
     q = rotation.from_matrix(transforms.rotations / pose.scale)
     return dualquat.from_rigid(q, transforms.translations / pose.scale)
-
-
-def pull_back(
-    blends: Float[Array, "V 8"], vertices: Float[Array, "V 3"], directions: Float[Array, "V R 3"]
-) -> Float[Array, "V R 8"]:
-    """How the vertices, moved by their `blends`, move along directions with the blends' numbers."""
-    _, pull = jax.vjp(lambda d: dualquat.apply(d, vertices), blends)
-    return jax.vmap(lambda along: pull(along)[0], 1, 1)(directions)

@@ -8,7 +8,6 @@ from ...geometry import dualquat
 from ..rates import bones_below, field_rows
 from ..skeleton import Skeleton
 from ..split import split_joints
-from .dual_quaternion import pull_back
 from .interpolate import interpolate
 from .skin import AbstractSkin
 
@@ -89,7 +88,7 @@ class SwingTwistSkin(AbstractSkin):
         inner = jnp.einsum("vrb,vbc->vrc", directions, r)
         innermost = jnp.einsum("vrb,vbc->vrc", inner, swings[:, :, :3])
         joints = np.array(rates.joints)
-        pulled = pull_back(blended, vertices, innermost)
+        pulled = dualquat.pull_back(blended, vertices, innermost)
         rows += weights[:, joints][:, None] * (pulled @ rates.twist.T)
         homogeneous = jnp.concatenate([twisted, jnp.ones_like(twisted[:, :1])], 1)
         levers = (inner[..., None] * homogeneous[:, None, None]).reshape(*inner.shape[:2], 12)
