@@ -1,5 +1,7 @@
 """What sensors saw."""
 
+from typing import overload
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -38,6 +40,10 @@ class MeshSequence(eqx.Module):
     def __len__(self) -> int:
         return self.vertices.shape[0]
 
+    @overload
+    def __getitem__(self, frames: int | np.integer) -> Float[Array, "V 3"]: ...
+    @overload
+    def __getitem__(self, frames: slice | np.ndarray) -> "MeshSequence": ...
     def __getitem__(self, frames):
         if isinstance(frames, (int, np.integer)):
             if not -len(self) <= frames < len(self):

@@ -69,7 +69,7 @@ def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray, names: list[str]) -> None:
     count = vertices.shape[1]
-    finite = np.isfinite(vertices).all(2)
+    finite = np.asarray(np.isfinite(vertices).all(2))
     if not finite.all():
         frame = int(np.argmin(finite.all(1)))
         raise InputError(

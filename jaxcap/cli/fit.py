@@ -1,0 +1,86 @@
+"""`jaxcap fit`: the poses of a body in registered meshes, and how well it meets them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ..errors import InputError
+from ..fit.registered import fit_meshes
+from ..io.meshes import read_named_meshes
+from ..io.npz import save_motion
+from ..io.registry import read_body
+from ..io.table import write_json
+from ..report.pictures import error_pictures
+from .options import Flag, Unit, arg
+from .say import say
+from .scoring import score_motion, tell_scores
+
+MeshesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]]
+OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+
+
+@dataclass
+class Fit:
+    """Pose a body in registered meshes, whose vertices are its own in their order; writes the motion.
+
+    Says how far the meshes are from the body: vertex to surface, and vertex to vertex."""
+
+    body: tyro.conf.Positional[Annotated[Path, arg(metavar="BODY")]]
+    """A body .npz, such as `jaxcap learn` writes."""
+    meshes: MeshesSpec
+    """Mesh files, a folder, a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("motion.npz")
+    """The motion to write."""
+    report: OptionalFolder = None
+    """Folder for report.json and heat maps of the error."""
+    unit: Unit = "m"
+    """Unit of the meshes: m, dm, cm, mm, in or ft."""
+    rate: float = 30.0
+    """Meshes a second."""
+    overwrite: Flag = False
+    """Replace the motion where it is there."""
+
+    def run(self) -> None:
+        check_out(self.out, self.overwrite)
+        if not 0 < self.rate < np.inf:
+            raise InputError(f"--rate is {self.rate:g}; it must be above 0 meshes a second.")
+        if self.body.suffix.lower() != ".npz":
+            raise InputError(f"{self.body}: a body is read from an .npz; learn or rig one first.")
+        body = read_body(self.body)
+        sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
+        try:
+            fit = fit_meshes(body, sequence)
+        except ValueError as error:
+            raise InputError(f"{self.meshes[0]}: {error}") from None
+        save_motion(self.out, fit.motion, body.skeleton)
+        scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
+        tell_scores({"all": scores}, each=True)
+        say(f"{self.out}: {fit.motion.num_frames} poses")
+        if self.report is not None:
+            make_folder(self.report)
+            write_json(self.report / "report.json", {"body": str(self.body), **scores.report()})
+            error_pictures(self.report, body, fit.motion, sequence, scores)
+            say(f"report.json and pictures are in {self.report}")
+
+
+def check_out(path: Path, overwrite: bool, what: str = "a motion") -> None:
+    """That an `.npz` can be written. Raises `InputError`."""
+    if path.suffix.lower() != ".npz":
+        raise InputError(f"{path}: {what} is written as .npz; give a name that ends so.")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: this file is there already; give --overwrite to replace it.")
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{path}: its folder is not there; make it first.")
+
+
+def make_folder(folder: Path) -> None:
+    """Raises `InputError` where it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: this folder cannot be made ({error.strerror}); give another one."
+        ) from None

@@ -1,0 +1,63 @@
+"""Scores of meshes as a table, and which meshes to score."""
+
+import hashlib
+
+import numpy as np
+from jaxtyping import Bool
+
+from ..body.body import Body
+from ..body.pose import Motion
+from ..observe import MeshSequence
+from ..report.scores import MeshScore, Scores, score_meshes
+from .say import progress, table, warn
+
+#: the most meshes that are told of line by line
+TOLD = 12
+
+
+def score_motion(
+    body: Body,
+    motion: Motion,
+    fitted: Bool[np.ndarray, "F"],
+    sequence: MeshSequence,
+    names: tuple[str, ...],
+    label: str = "scoring",
+) -> Scores:
+    """Scores with a bar; meshes that were not fitted are warned of."""
+    if not fitted.all():
+        missed = [names[frame] for frame in np.flatnonzero(~fitted)]
+        told = ", ".join(missed[:5]) + (f" and {len(missed) - 5} more" if len(missed) > 5 else "")
+        warn(f"{len(missed)} of {len(names)} meshes could not be fitted, and count in no mean: {told}")
+
+    def each(scores):
+        return progress(scores, len(sequence), label=label)
+
+    return score_meshes(body, motion, sequence, names, fitted, each)
+
+
+def tell_scores(groups: dict[str, Scores], each: bool = False) -> None:
+    """A table of totals, and of single meshes where `each`: mean and standard deviation of the distance from
+    vertex to surface, and the vertex RMSE, millimetres."""
+    rows = []
+    for label, scores in groups.items():
+        if each:
+            told = list(scores.meshes)
+            if len(told) > TOLD:
+                # nan, the mark of a mesh that was not fitted, comes last
+                told = sorted(told, key=lambda score: -np.nan_to_num(score.mean, nan=np.inf))[:TOLD]
+            rows += [_row(f"{score.name}{'' if score.fitted else ' (not fitted)'}", score) for score in told]
+            if len(told) < len(scores.meshes):
+                rows.append([f"... {len(scores.meshes) - TOLD} better ones", "", "", ""])
+        rows.append(_row(f"{label}, {len(scores.meshes)} meshes", scores))
+    table(["vertex to surface, mm", "mean", "sd", "vertex RMSE"], rows)
+
+
+def mesh_hashes(sequence: MeshSequence) -> dict[str, object]:
+    """What tells that meshes are the same."""
+    digest = hashlib.sha256(np.ascontiguousarray(sequence.vertices).tobytes())
+    digest.update(np.ascontiguousarray(sequence.faces, np.int64).tobytes())
+    return {"meshes": digest.hexdigest(), "precision": str(sequence.vertices.dtype)}
+
+
+def _row(label: str, score: MeshScore | Scores) -> list[str]:
+    return [label, *(f"{1000 * value:.2f}" for value in (score.mean, score.sd, score.rmse))]

@@ -1,0 +1,125 @@
+"""The report of a learned body: figures as JSON, pictures of errors, weights and curves."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..body.body import Body
+from ..body.pose import Motion
+from ..io.atomic import replacing
+from ..io.table import write_json
+from ..observe import MeshSequence
+from .pictures import error_pictures, new_figure
+from .render import INK
+from .scores import Scores
+from .weights import weight_pictures
+
+#: colours of the steps of a round, in their order
+STEPS = ("#2a5fd0", "#e8743b", "#2e9e4f", "#8f4fb0", "#b3202c", "#555555")
+
+
+def report_learning(
+    folder: str | Path,
+    body: Body,
+    groups: Mapping[str, tuple[Motion, MeshSequence, Scores]],
+    history: Sequence[tuple[str, float]],
+    curve: Float[np.ndarray, "N"] | None,
+    settings: Mapping[str, object],
+) -> list[Path]:
+    """Write `report.json` and pictures into a folder that is there; returns the pictures.
+
+    **Arguments:** `groups` of meshes by name, such as training and held out; `history` the objective after
+    every step; `curve` the root mean square error of 1, 2, ... rigid parts, metres, where parts were found.
+
+    **Raises:** `InputError` where a file cannot be written.
+    """
+    folder = Path(folder)
+    pictures = [
+        path
+        for label, (motion, sequence, scores) in groups.items()
+        for path in error_pictures(folder, body, motion, sequence, scores, f"error-{label.replace(' ', '-')}")
+    ]
+    pictures += weight_pictures(folder, body)
+    if len(history):
+        pictures.append(_history(folder / "history.png", history))
+    known = None if curve is None or not len(curve) else np.asarray(curve, float)
+    if known is not None:
+        pictures.append(_curve(folder / "parts.png", known, body.skeleton.num_joints))
+    write_json(
+        folder / "report.json",
+        {
+            "settings": dict(settings),
+            "vertices": int(body.vertices.shape[0]),
+            "joints": {
+                "names": list(body.skeleton.names),
+                "parents": list(body.skeleton.parents),
+                "kinds": list(body.skeleton.kinds),
+                "centres": np.asarray(body.skeleton.centres, float).tolist(),
+            },
+            "history": [{"step": step, "Q": float(value)} for step, value in history],
+            "parts_rms": None if known is None else known.tolist(),
+            "scores": {label: scores.report() for label, (_, _, scores) in groups.items()},
+            "pictures": [path.name for path in pictures],
+        },
+    )
+    return pictures
+
+
+def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
+    """The objective after every step, a colour for each kind of step."""
+    canvas, figure = new_figure(7.5, 3.8)
+    plot = figure.subplots()
+    names = list(dict.fromkeys(step for step, _ in history))
+    values = np.array([value for _, value in history])
+    plot.plot(values, color="#9aa5b1", linewidth=1.2, zorder=1)
+    for number, name in enumerate(names):
+        at = [i for i, (step, _) in enumerate(history) if step == name]
+        plot.scatter(at, values[at], s=22, color=STEPS[number % len(STEPS)], label=name, zorder=2)
+    if (values > 0).all():
+        plot.set_yscale("log")
+        plot.yaxis.set_major_formatter("{x:g}")
+        plot.yaxis.set_minor_formatter("{x:g}")
+    plot.tick_params(which="minor", labelsize=8, colors=INK)
+    plot.xaxis.get_major_locator().set_params(integer=True)
+    _finish(plot, "step", "objective Q, m²")
+    plot.legend(frameon=False, fontsize=8)
+    return _write(path, canvas, figure)
+
+
+def _curve(path: Path, curve: Float[np.ndarray, "N"], joints: int) -> Path:
+    """The error of rigid parts over their number, with the number that was taken."""
+    canvas, figure = new_figure(6.5, 3.8)
+    plot = figure.subplots()
+    parts = np.arange(1, len(curve) + 1)
+    plot.plot(parts, 1000 * curve, color=STEPS[0], linewidth=1.6)
+    if joints <= len(curve):
+        plot.scatter([joints], [1000 * curve[joints - 1]], s=45, color=STEPS[1], zorder=3)
+        plot.annotate(
+            f"{joints} parts",
+            (joints, 1000 * curve[joints - 1]),
+            (8, 8),
+            textcoords="offset points",
+            fontsize=9,
+        )
+    plot.set_ylim(bottom=0)
+    _finish(plot, "rigid parts", "root mean square error, mm")
+    return _write(path, canvas, figure)
+
+
+def _finish(plot: Any, x: str, y: str) -> None:
+    plot.set_xlabel(x, fontsize=9, color=INK)
+    plot.set_ylabel(y, fontsize=9, color=INK)
+    plot.tick_params(labelsize=8, colors=INK)
+    plot.grid(alpha=0.25)
+    for side in ("top", "right"):
+        plot.spines[side].set_visible(False)
+
+
+def _write(path: Path, canvas: Any, figure: Any) -> Path:
+    figure.tight_layout()
+    with replacing(path) as beside:
+        canvas.print_png(beside)
+    return path

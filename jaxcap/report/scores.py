@@ -1,0 +1,110 @@
+"""How well a body meets registered meshes, in the form of the thesis (Adaptation, section 3.3.1)."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body, pose_body
+from ..body.pose import Motion, Pose
+from ..metrics import scan_to_surface
+from ..observe import MeshSequence
+
+
+class MeshScore(NamedTuple):
+    """One mesh against the posed body, metres."""
+
+    name: str
+    #: from the vertices of the mesh to the surface of the body
+    mean: float
+    #: standard deviation of the population
+    sd: float
+    #: the farthest of them
+    worst: float
+    #: root mean square distance of the vertices to the body's own
+    rmse: float
+    #: whether a pose was found for it
+    fitted: bool
+
+
+class Scores(NamedTuple):
+    """All meshes, and all of their vertices together; meshes that were not fitted count in no mean."""
+
+    meshes: tuple[MeshScore, ...]
+    mean: float
+    sd: float
+    rmse: float
+
+    def report(self) -> dict:
+        """For JSON."""
+        total = {"mean": self.mean, "sd": self.sd, "vertex_rmse": self.rmse, "meshes": len(self.meshes)}
+        rows = [
+            {
+                "mesh": s.name,
+                "mean": s.mean,
+                "sd": s.sd,
+                "worst": s.worst,
+                "vertex_rmse": s.rmse,
+                "fitted": s.fitted,
+            }
+            for s in self.meshes
+        ]
+        return {"unit": "m", "vertex_to_surface": total, "per_mesh": rows}
+
+
+def score_meshes(
+    body: Body,
+    motion: Motion,
+    sequence: MeshSequence,
+    names: tuple[str, ...],
+    fitted: np.ndarray | None = None,
+    each: Callable[[Iterator[MeshScore]], Iterator[MeshScore]] = iter,
+) -> Scores:
+    """The `Scores` of a body posed as in `motion` against the meshes.
+
+    **Arguments:** `names` of the meshes; `fitted (F,)` tells those whose pose means something, all where
+    not given; `each` may pass the scores through a progress bar.
+    """
+    fitted = np.ones(len(sequence), bool) if fitted is None else np.asarray(fitted)
+    faces = np.asarray(body.faces)
+
+    def score(frame: int) -> MeshScore:
+        place, posed = (
+            np.asarray(sequence[frame], float),
+            np.asarray(posed_vertices(body, motion[frame]), float),
+        )
+        if not (np.isfinite(place).all() and np.isfinite(posed).all()):
+            return MeshScore(names[frame], np.nan, np.nan, np.nan, np.nan, False)
+        apart = scan_to_surface(place, posed, faces)
+        rmse = float(np.sqrt(np.mean(np.sum((place - posed) ** 2, 1))))
+        mean, sd, worst = float(apart.mean()), float(apart.std()), float(apart.max())
+        return MeshScore(names[frame], mean, sd, worst, rmse, bool(fitted[frame]))
+
+    return total_scores(tuple(each(score(frame) for frame in range(len(sequence)))))
+
+
+def total_scores(meshes: tuple[MeshScore, ...]) -> Scores:
+    """Means over all vertices of all meshes, which have as many each."""
+    counted = [score for score in meshes if score.fitted]
+    if not counted:
+        return Scores(meshes, np.nan, np.nan, np.nan)
+    means, spreads, rmses = (np.array([getattr(s, name) for s in counted]) for name in ("mean", "sd", "rmse"))
+    mean = means.mean()
+    # the law of total variance
+    sd = np.sqrt(np.mean(spreads**2) + np.mean((means - mean) ** 2))
+    return Scores(meshes, float(mean), float(sd), float(np.sqrt(np.mean(rmses**2))))
+
+
+@eqx.filter_jit
+def posed_vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
+    """The vertices of a body in a pose; compiled once."""
+    return pose_body(body, pose).vertices
+
+
+@eqx.filter_jit
+def posed_meshes(body: Body, motion: Motion) -> Float[Array, "F V 3"]:
+    """The vertices of a body in every pose of a motion."""
+    return jax.lax.map(lambda pose: pose_body(body, pose).vertices, motion.poses)
