@@ -1,0 +1,110 @@
+"""Rigid bones beside those of a skeleton that move as a nonlinear skin moves its surface."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..body.kinematics import forward_kinematics
+from ..body.pose import Pose
+from ..body.skeleton import Skeleton, make_skeleton
+from ..body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
+from ..geometry import rotation
+
+#: kinds of joints that have no shift of their own
+_TURNING = ("ball", "revolute", "universal", "fixed")
+
+
+class VirtualBones(eqx.Module):
+    """S bones, each carried by the skin like a vertex with weights of its own.
+
+    The rows of `skin` are such that a small frame is carried rigidly: blends of dual quaternions,
+    and at most one joint's swing. So the bones are functions of the joints' rotations, and follow
+    poses that nobody has fitted them to.
+    """
+
+    skin: AbstractSkin
+    #: the bone each one hangs on
+    parents: Int[np.ndarray, "S"] = eqx.field(converter=np.asarray)
+    #: the joint of the skeleton at whose centre each one is shown
+    joints: Int[np.ndarray, "S"] = eqx.field(converter=np.asarray)
+    #: whether it turns about that centre alone
+    turns: Float[np.ndarray, "S"] = eqx.field(converter=np.asarray)
+
+    def __len__(self) -> int:
+        return len(self.parents)
+
+
+def make_virtual_bones(skin: AbstractSkin, skeleton: Skeleton) -> VirtualBones:
+    """Virtual bones of the rows of a skin (see `VirtualBones`).
+
+    **Raises:** `TypeError` where the skin is not a nonlinear one.
+    """
+    above = np.array(skeleton.parents)
+    slides = ~np.isin(skeleton.kinds, _TURNING)
+    if isinstance(skin, SwingTwistSkin):
+        strength = np.asarray(skin.swing) + np.asarray(skin.twist)
+        parents, joints = np.asarray(skin.bases), strength.argmax(1)
+        alone = (strength > 0).sum(1) == 1
+    elif isinstance(skin, DualQuaternionSkin):
+        weights = np.asarray(skin.weights)
+        order = np.argsort(-weights, axis=1, kind="stable")[:, : min(2, weights.shape[1])]
+        first, second = order[:, 0], order[:, -1]
+        # of a bone and the one it hangs on, the blend turns about the centre between them
+        below = above[first] == second
+        parents, joints = np.where(below, second, first), np.where(below, first, second)
+        alone = ((weights > 0).sum(1) == 2) & (above[joints] == parents)
+    else:
+        raise TypeError(f"Virtual bones follow nonlinear skins, not a {type(skin).__name__}.")
+    return VirtualBones(skin, parents, joints, (alone & ~slides[joints]).astype(float))
+
+
+def bone_frames(skeleton: Skeleton, skin: AbstractSkin, pose: Pose) -> Float[Array, "S 3 4"]:
+    """`[R | t]` of a small frame on each row of a skin, from rest to pose, in the world, with the pose's scale."""
+    count = skin.parts().shape[0]
+    # where the skin takes the world's origin and a metre along each axis
+    corners = jnp.concatenate([jnp.zeros((1, 3)), jnp.eye(3)]).astype(skeleton.centres.dtype)
+    skin = skin.take(jnp.repeat(jnp.arange(count), 4))
+    transforms = forward_kinematics(skeleton, pose)
+    carried = skin.deform(jnp.tile(corners, (count, 1)), skeleton, pose, transforms).reshape(count, 4, 3)
+    axes = jnp.swapaxes(carried[:, 1:] - carried[:, :1], 1, 2)
+    return jnp.concatenate([axes, carried[:, 0, :, None]], 2)
+
+
+def extended_skeleton(skeleton: Skeleton, bones: VirtualBones) -> Skeleton:
+    """The skeleton with the virtual bones behind its own joints, each named after its joint."""
+    names, counts = list(skeleton.names), {}
+    for joint in bones.joints.tolist():
+        name = None
+        while name is None or name in names:
+            counts[joint] = counts.get(joint, 0) + 1
+            name = f"{skeleton.names[joint]}_virtual{counts[joint]}"
+        names.append(name)
+    longer = make_skeleton(
+        names,
+        [*skeleton.parents, *bones.parents.tolist()],
+        [*skeleton.kinds, *("ball" if turns else "free" for turns in bones.turns)],
+        np.concatenate([skeleton.centres, np.asarray(skeleton.centres)[bones.joints]]),
+        np.concatenate([skeleton.orientations, np.asarray(skeleton.orientations)[bones.joints]]),
+        np.concatenate([skeleton.axes, np.asarray(skeleton.axes)[bones.joints]]),
+    )
+    dtype = skeleton.centres.dtype
+    arrays = lambda s: (s.centres, s.orientations, s.axes)  # noqa: E731
+    return eqx.tree_at(arrays, longer, tuple(array.astype(dtype) for array in arrays(longer)))
+
+
+def extended_pose(skeleton: Skeleton, bones: VirtualBones, pose: Pose) -> Pose:
+    """A pose of `skeleton` as one of `extended_skeleton(skeleton, bones)`."""
+    transforms = forward_kinematics(skeleton, pose)
+    frames = bone_frames(skeleton, bones.skin, pose) / pose.scale
+    above = transforms.rotations[bones.parents] / pose.scale
+    local = jnp.einsum("sba,sbc->sac", above, frames[:, :, :3])
+    apart = frames[:, :, 3] - transforms.translations[bones.parents] / pose.scale
+    centres = skeleton.centres[bones.joints]
+    moved = jnp.einsum("sba,sb->sa", above, apart) + jnp.einsum("sab,sb->sa", local, centres) - centres
+    moved = jnp.where(bones.turns[:, None] > 0, 0.0, moved)
+    return Pose(
+        jnp.concatenate([pose.translations, moved]),
+        jnp.concatenate([pose.rotations, rotation.from_matrix(local)]),
+        pose.scale,
+    )

@@ -1,0 +1,111 @@
+"""The frames that a nonlinear skin carries rigidly, by the rows of its weights.
+
+A swing-twist skin takes a vertex to `T_base (sum_k s_k S_k + s_0) D(t) x`: its twists `t` make one
+rigid motion `D`, after which the swings `S_k` blend linearly. So with a bone `T_base S_k D(t)` for
+each joint `k` that swings the vertex, and one without a swing, linear blending is exact. A
+dual quaternion skin takes it to `D(w) x`, for which one bone does. Vertices with equal blends,
+`t` or `w`, share their bones.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.distance import cdist
+
+from ..body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
+
+#: a weight from here on is one, in single precision too
+_WHOLE = 1 - 1e-6
+
+
+class Rows(NamedTuple):
+    """Frames that the skin carries; state `J` is the one without a swing."""
+
+    #: base bones; zero where the skin has none
+    bases: Int[np.ndarray, "S"]
+    #: weights of the dual quaternions
+    blends: Float[np.ndarray, "S J"]
+    #: the joint whose swing comes after
+    states: Int[np.ndarray, "S"]
+
+
+class Needs(NamedTuple):
+    """What each vertex is a linear blend of."""
+
+    bases: Int[np.ndarray, "V"]
+    blends: Float[np.ndarray, "V J"]
+    #: the states that take part, and of these the ones for which no bone is there yet
+    states: Bool[np.ndarray, "V J+1"]
+    virtual: Bool[np.ndarray, "V J+1"]
+    #: the skeleton's own bones that its joints move
+    bones: Bool[np.ndarray, "V J"]
+
+
+def vertex_needs(skin: SwingTwistSkin | DualQuaternionSkin) -> Needs:
+    """The needs of every vertex of a skin."""
+    if isinstance(skin, DualQuaternionSkin):
+        weights = np.array(skin.weights, float)
+        states = np.zeros((len(weights), weights.shape[1] + 1), bool)
+        states[:, -1] = True
+        blended = states & (weights.max(1, keepdims=True) < _WHOLE)
+        return Needs(np.zeros(len(weights), int), weights, states, blended, weights > 0)
+    bases, swing, twist = (np.array(a) for a in (skin.bases, skin.swing, skin.twist))
+    # in single precision weights that are one in sum leave a little
+    rest = 1.0 - swing.sum(1, keepdims=True) > 1 - _WHOLE
+    bones = (swing > 0) | (twist > 0)
+    bones[np.arange(len(bases)), bases] = True
+    states = np.concatenate([swing > 0, rest], 1)
+    # a joint's swing after its whole twist is that joint's bone; nothing at all is the base
+    plain = np.concatenate([twist > _WHOLE, twist.sum(1, keepdims=True) < 1 - _WHOLE], 1)
+    return Needs(bases, twist.astype(float), states, states & ~plain, bones)
+
+
+def no_rows(joints: int) -> Rows:
+    return Rows(np.zeros(0, int), np.zeros((0, joints)), np.zeros(0, int))
+
+
+def join_rows(first: Rows, second: Rows) -> Rows:
+    return Rows(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+
+
+def take_rows(rows: Rows, chosen: np.ndarray) -> Rows:
+    return Rows(*(values[chosen] for values in rows))
+
+
+def missing_rows(needs: Needs, vertex: int, rows: Rows) -> Rows:
+    """The frames that make a vertex exact, those left out that are there or are a bone's own."""
+    states = np.flatnonzero(needs.virtual[vertex])
+    base, blend = needs.bases[vertex], needs.blends[vertex]
+    same = (rows.bases == base) & (np.abs(rows.blends - blend).max(1, initial=0.0) < 1 - _WHOLE)
+    states = states[~np.isin(states, rows.states[same])]
+    return Rows(np.full(len(states), base), np.tile(blend, (len(states), 1)), states)
+
+
+def skin_of(skin: SwingTwistSkin | DualQuaternionSkin, rows: Rows) -> AbstractSkin:
+    """A skin of the kind of `skin` with these rows."""
+    if isinstance(skin, DualQuaternionSkin):
+        return DualQuaternionSkin(jnp.asarray(rows.blends, skin.weights.dtype))
+    joints = rows.blends.shape[1]
+    swing = (rows.states[:, None] == np.arange(joints)).astype(float)
+    dtype = skin.swing.dtype
+    bases = jnp.asarray(rows.bases, skin.bases.dtype)
+    return SwingTwistSkin(bases, jnp.asarray(swing, dtype), jnp.asarray(rows.blends, dtype))
+
+
+def choose_candidates(needs: Needs, rows: Rows, count: int) -> Int[np.ndarray, "V K"]:
+    """Bones that a vertex may follow: its own, and of the virtual ones, which count on behind
+    them, up to `count` of the states it needs with the nearest blends; -1 is none."""
+    joints = needs.blends.shape[1]
+    own = needs.bones.sum(1).max(initial=1)
+    order = np.argsort(~needs.bones, axis=1, kind="stable")[:, :own]
+    bones = np.where(np.take_along_axis(needs.bones, order, 1), order, -1)
+    if not len(rows.bases):
+        return bones
+    apart = cdist(needs.blends, rows.blends, "cityblock")
+    apart[needs.bases[:, None] != rows.bases] = np.inf
+    apart[~needs.states[:, rows.states]] = np.inf
+    nearest = np.argsort(apart, axis=1, kind="stable")[:, :count]
+    there = np.isfinite(np.take_along_axis(apart, nearest, 1))
+    return np.concatenate([bones, np.where(there, joints + nearest, -1)], 1)
