@@ -15,7 +15,7 @@ from test_gltf import check_against_pose_body
 from jaxcap.body.body import Body, pose_body
 from jaxcap.body.human import human
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
-from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
+from jaxcap.body.pose import Pose, rest_pose, stack_poses
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.edit.linear_weights import fit_linear_weights
@@ -46,6 +46,12 @@ def _nonlinear(skin: str) -> Body:
         else swing_twist_from(body.skin, body.skeleton)
     )
     return eqx.tree_at(lambda b: b.skin, body, bound)
+
+
+def take_joints(skeleton, count: int):
+    """The first joints of a skeleton."""
+    fields = ("names", "parents", "kinds", "centres", "orientations", "axes")
+    return type(skeleton)(*(getattr(skeleton, field)[:count] for field in fields))
 
 
 def test_a_human_with_twisted_arms():
@@ -107,7 +113,7 @@ def test_fewer_bones_for_a_looser_tolerance(rng, tmp_path):
     body = _nonlinear("swing-twist")
     motion = stack_poses([random_pose(body.skeleton, rng, 0.4) for _ in range(12)], rate=20.0)
     counts = []
-    for tolerance in (0.02, 0.005, 0.001):
+    for tolerance in (0.02, 0.001):
         found = linearise(body, motion.poses, tolerance)
         assert found.error <= tolerance
         counts.append(found.body.skeleton.num_joints)
@@ -189,30 +195,31 @@ def test_what_blends_linearly_already_stays(rng):
 def test_sampled_poses_keep_to_their_kinds():
     skeleton = chain_body("linear").skeleton
     poses = sample_poses(skeleton, 20, seed=1)
-    rest = rest_pose(skeleton)
-    np.testing.assert_allclose(poses.rotations[0], rest.rotations, atol=1e-15)
-    for frame in (5, 19):
-        pose = Pose(poses.translations[frame], poses.rotations[frame], poses.scale[frame])
-        again = retract(skeleton, rest, difference(skeleton, rest, pose))
-        same = np.abs(np.sum(np.asarray(again.rotations) * np.asarray(pose.rotations), 1))
-        np.testing.assert_allclose(same, 1.0, atol=1e-12)
-    angles = 2 * np.arccos(np.clip(np.abs(np.asarray(poses.rotations)[..., 0]), 0, 1))
+    turned = np.asarray(poses.rotations)
+    np.testing.assert_allclose(turned[0], np.tile([1.0, 0, 0, 0], (9, 1)), atol=1e-15)
+    for joint, kind in enumerate(skeleton.kinds):
+        vectors = turned[1:, joint, 1:]
+        if kind == "revolute":
+            np.testing.assert_allclose(np.cross(vectors, skeleton.axes[joint, 0]), 0.0, atol=1e-12)
+        assert vectors.any() == (kind not in ("fixed", "translate", "free"))
+    assert not np.asarray(poses.translations).any()
+    angles = 2 * np.arccos(np.clip(np.abs(turned[..., 0]), 0, 1))
     # twice half a radian about each of three axes
     assert 0.3 < angles[:, 2].max() < np.sqrt(3) + 1e-9
-    assert not angles[:, 0].any()
 
 
 def test_what_cannot_be_linearised_is_said(rng):
     body = _nonlinear("swing-twist")
     poses = stack_poses([random_pose(body.skeleton, rng)]).poses
+    other = stack_poses([rest_pose(take_joints(body.skeleton, 4))])
     for arguments, sentence in (
         ((body, random_pose(body.skeleton, rng)), "stacked"),
-        ((body, walk_and_wave(human(resolution="low").skeleton, 0.1).poses), "31 joints"),
+        ((body, other.poses), "4 joints"),
         ((body, poses, 0.0), "positive"),
     ):
         with pytest.raises(ValueError, match=sentence):
             linearise(*arguments)
     with pytest.raises(ValueError, match="at least 1"):
         sample_poses(body.skeleton, 0)
-    with pytest.raises(ValueError, match="31 joints"):
-        linear_motion(linearise(body, poses), walk_and_wave(human(resolution="low").skeleton, 0.1))
+    with pytest.raises(ValueError, match="4 joints"):
+        linear_motion(linearise(body, poses), other)

@@ -48,6 +48,24 @@ def fit_linear_weights(
     return weights, errors
 
 
+def blend_errors(
+    vertices: Float[np.ndarray, "V 3"],
+    targets: Float[np.ndarray, "F V 3"],
+    frames: Float[np.ndarray, "F B 3 4"],
+    candidates: Int[np.ndarray, "V K"],
+    weights: Float[np.ndarray, "V K"],
+) -> Float[np.ndarray, "F V"]:
+    """Distances of blended vertices from their targets, metres; arguments as in
+    `fit_linear_weights`."""
+    errors = np.zeros(targets.shape[:2])
+    for start in range(0, len(vertices), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        blended = np.einsum("fvkab,vk->fvab", frames[:, np.maximum(candidates[part], 0)], weights[part])
+        posed = np.einsum("fvab,vb->fva", blended[..., :3], vertices[part]) + blended[..., 3]
+        errors[:, part] = np.linalg.norm(posed - targets[:, part], axis=2)
+    return errors
+
+
 def _simplex(system: np.ndarray, goal: np.ndarray, influences: int) -> np.ndarray:
     weights = np.zeros(system.shape[1])
     used = np.arange(system.shape[1])

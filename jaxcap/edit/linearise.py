@@ -7,26 +7,20 @@ skin itself, with the weights of the vertex that was furthest off. It is then ex
 in every pose, and what is left is how smoothly the surface goes from one such vertex to the next.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from ..body.body import Body, pose_body
-from ..body.kinematics import forward_kinematics
+from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
-from ..body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from .influences import limit_influences
-from .linear_weights import fit_linear_weights
-from .virtual_bones import (
-    VirtualBones,
-    bone_frames,
-    extended_pose,
-    extended_skeleton,
-    make_virtual_bones,
-)
+from ..body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from .examples import own_frames, pose_blocks, take_poses, virtual_frames
+from .linear_weights import blend_errors, fit_linear_weights
+from .virtual_bones import VirtualBones, extended_pose, extended_skeleton, make_virtual_bones
 from .weight_rows import (
     Needs,
     Rows,
@@ -39,12 +33,12 @@ from .weight_rows import (
     vertex_needs,
 )
 
-#: poses that weights are fitted to at first, and how many are added where they do not do for the rest
+#: poses that weights are fitted to at first, and how many come in where they do not do for the rest
 _POSES, _MORE = 32, 8
 #: vertices that get bones of their own between two fits, and the difference of blends between them
 _AT_ONCE, _APART = 16, 0.4
-#: virtual bones that a vertex may choose from, and how many are compiled for at once
-_CHOICE, _CHUNK = 10, 32
+#: virtual bones that a vertex may choose from
+_CHOICE = 10
 
 
 class Linearised(eqx.Module):
@@ -81,23 +75,20 @@ def linearise(
     not positive.
     """
     _check(body, poses, tolerance, influences, most)
-    if isinstance(body.skin, (LinearSkin, RigidSkin)):
-        weights = body.skin.influence(body.skeleton.num_joints).astype(body.vertices.dtype)
-        linear = eqx.tree_at(lambda b: b.skin, body, LinearSkin(weights))
-        return _measured(body, limit_influences(linear, influences), None, poses)[0]
-    if not isinstance(body.skin, (SwingTwistSkin, DualQuaternionSkin)):
+    if not isinstance(body.skin, (LinearSkin, RigidSkin, SwingTwistSkin, DualQuaternionSkin)):
         raise ValueError(f"A body with a {type(body.skin).__name__} cannot be linearised.")
     count = poses.rotations.shape[0]
     chosen = np.unique(np.linspace(0, count - 1, min(count, _POSES)).round().astype(int))
-    needs, rows = vertex_needs(body.skin), no_rows(body.skeleton.num_joints)
+    blend = _start(body, influences)
     while True:
-        rows, linear, bones = _follow(body, needs, rows, _take(poses, chosen), tolerance, influences, most)
-        found, errors = _measured(body, linear, bones, poses)
+        if not isinstance(body.skin, (LinearSkin, RigidSkin)):
+            blend = _follow(body, blend, take_poses(poses, chosen), tolerance, influences, most)
+        largest, mean = _errors(body, blend, poses)
         # the poses that these bones and weights do worst, where they do not do
-        worst = np.argsort(-errors)[:_MORE]
-        worst = worst[(errors[worst] > tolerance) & ~np.isin(worst, chosen)]
+        worst = np.argsort(-largest)[:_MORE]
+        worst = worst[(largest[worst] > tolerance) & ~np.isin(worst, chosen)]
         if not len(worst):
-            return found
+            return Linearised(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
         chosen = np.union1d(chosen, worst)
 
 
@@ -137,14 +128,29 @@ def _check(body: Body, poses: Pose, tolerance: float, influences: int, most: int
             raise ValueError(f"The {name} of a linearised body is {value}; give a positive number.")
 
 
-def _follow(
-    body: Body, needs: Needs, rows: Rows, poses: Pose, tolerance: float, influences: int, most: int
-) -> tuple[Rows, Body, VirtualBones | None]:
-    """More rows, until the poses are followed: with them the linear body and its virtual bones."""
-    joints = body.skeleton.num_joints
-    own, targets = (np.asarray(a, float) for a in _targets(body, poses))
-    frames = np.concatenate([own, _frames(body, rows, poses)], 1)
-    vertices = np.asarray(body.vertices, float)
+class _Blend(NamedTuple):
+    """The virtual bones so far, and of each vertex the bones it may follow, with their weights."""
+
+    rows: Rows
+    #: (V, K), -1 for none; virtual bones count on behind the skeleton's own
+    candidates: np.ndarray
+    weights: np.ndarray
+
+
+def _start(body: Body, influences: int) -> _Blend:
+    """No virtual bones yet, and the skin's own influences."""
+    weights = np.array(body.skin.influence(body.skeleton.num_joints), float)
+    candidates = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
+    weights = np.take_along_axis(weights, candidates, 1)
+    return _Blend(no_rows(body.skeleton.num_joints), candidates, weights / weights.sum(1, keepdims=True))
+
+
+def _follow(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int, most: int) -> _Blend:
+    """With more rows, until the poses are followed or `most` are there."""
+    needs, rows = vertex_needs(body.skin), blend.rows
+    own, targets = own_frames(body, poses)
+    frames = np.concatenate([own, virtual_frames(body, rows, poses)], 1)
+    vertices = np.array(body.vertices, float)
     candidates = choose_candidates(needs, rows, _CHOICE)
     weights, errors = fit_linear_weights(vertices, targets, frames, candidates, influences)
     while len(rows.bases) < most:
@@ -152,7 +158,7 @@ def _follow(
         if not len(new.bases):
             break
         rows = join_rows(rows, new)
-        frames = np.concatenate([frames, _frames(body, new, poses)], 1)
+        frames = np.concatenate([frames, virtual_frames(body, new, poses)], 1)
         before, candidates = candidates, choose_candidates(needs, rows, _CHOICE)
         gap = candidates.shape[1] - before.shape[1]
         before = np.pad(before, ((0, 0), (0, gap)), constant_values=-1)
@@ -163,10 +169,7 @@ def _follow(
         weights[again], errors[again] = fit_linear_weights(
             vertices[again], targets[:, again], frames, candidates[again], influences
         )
-    dense = np.zeros((len(vertices), joints + len(rows.bases)))
-    vertex, place = np.nonzero(weights)
-    dense[vertex, candidates[vertex, place]] = weights[vertex, place]
-    return (rows, *_assemble(body, rows, dense))
+    return _Blend(rows, candidates, weights)
 
 
 def _worst_rows(needs: Needs, rows: Rows, errors: np.ndarray, tolerance: float, most: int) -> Rows:
@@ -187,67 +190,29 @@ def _worst_rows(needs: Needs, rows: Rows, errors: np.ndarray, tolerance: float, 
     return new
 
 
-def _assemble(body: Body, rows: Rows, weights: np.ndarray) -> tuple[Body, VirtualBones | None]:
+def _errors(body: Body, blend: _Blend, poses: Pose) -> tuple[np.ndarray, float]:
+    """The largest distance of a vertex in each pose, and the mean over all, metres."""
+    vertices, largest, means = np.array(body.vertices, float), [], []
+    for block in pose_blocks(poses):
+        own, targets = own_frames(body, block)
+        frames = np.concatenate([own, virtual_frames(body, blend.rows, block)], 1)
+        errors = blend_errors(vertices, targets, frames, blend.candidates, blend.weights)
+        largest.append(errors.max(1))
+        means.append(errors.mean(1))
+    return np.concatenate(largest), float(np.concatenate(means).mean())
+
+
+def _assemble(body: Body, blend: _Blend) -> tuple[Body, Skeleton, VirtualBones | None]:
     """The linear body on the skeleton's own and those virtual bones that move anything."""
-    joints = body.skeleton.num_joints
+    joints, rows = body.skeleton.num_joints, blend.rows
+    weights = np.zeros((len(blend.weights), joints + len(rows.bases)))
+    vertex, place = np.nonzero(blend.weights)
+    weights[vertex, blend.candidates[vertex, place]] = blend.weights[vertex, place]
     used = np.flatnonzero(weights[:, joints:].any(0))
-    kept = jnp.asarray(np.delete(weights, joints + np.setdiff1d(np.arange(len(rows.bases)), used), 1))
-    skin = LinearSkin(kept.astype(body.vertices.dtype))
+    kept = weights[:, np.concatenate([np.arange(joints), joints + used])]
+    skin = LinearSkin(jnp.asarray(kept, body.vertices.dtype))
     if not len(used):
-        return Body(body.skeleton, skin, body.vertices, body.faces), None
+        return Body(body.skeleton, skin, body.vertices, body.faces), body.skeleton, None
     bones = make_virtual_bones(skin_of(body.skin, take_rows(rows, used)), body.skeleton)
-    return Body(extended_skeleton(body.skeleton, bones), skin, body.vertices, body.faces), bones
-
-
-def _frames(body: Body, rows: Rows, poses: Pose) -> np.ndarray:
-    """(F, S, 3, 4) frames of rows, in chunks of one size so that one program does for all."""
-    parts = [np.zeros((poses.rotations.shape[0], 0, 3, 4))]
-    for start in range(0, len(rows.bases), _CHUNK):
-        part = np.arange(start, min(start + _CHUNK, len(rows.bases)))
-        padded = np.pad(part, (0, _CHUNK - len(part)), mode="edge")
-        bones = make_virtual_bones(skin_of(body.skin, take_rows(rows, padded)), body.skeleton)
-        parts.append(np.asarray(_bone_frames(body.skeleton, bones.skin, poses), float)[:, : len(part)])
-    return np.concatenate(parts, 1)
-
-
-def _take(poses: Pose, chosen: np.ndarray) -> Pose:
-    return jax.tree.map(lambda values: values[chosen], poses)
-
-
-@eqx.filter_jit
-def _bone_frames(skeleton: Skeleton, skin: AbstractSkin, poses: Pose) -> Float[Array, "F S 3 4"]:
-    return jax.lax.map(lambda pose: bone_frames(skeleton, skin, pose), poses)
-
-
-@eqx.filter_jit
-def _targets(body: Body, poses: Pose) -> tuple[Float[Array, "F J 3 4"], Float[Array, "F V 3"]]:
-    def one(pose):
-        moved = forward_kinematics(body.skeleton, pose)
-        frames = jnp.concatenate([moved.rotations, moved.translations[:, :, None]], 2)
-        return frames, pose_body(body, pose).vertices
-
-    return jax.lax.map(one, poses)
-
-
-@eqx.filter_jit
-def _distances(
-    body: Body, linearised: Linearised, poses: Pose
-) -> tuple[Float[Array, "F"], Float[Array, "F"]]:
-    def one(pose):
-        here = pose_body(linearised.body, linear_pose(linearised, pose)).vertices
-        apart = jnp.linalg.norm(here - pose_body(body, pose).vertices, axis=1)
-        return jnp.max(apart), jnp.mean(apart)
-
-    return jax.lax.map(one, poses)
-
-
-def _measured(
-    body: Body, linear: Body, bones: VirtualBones | None, poses: Pose
-) -> tuple[Linearised, np.ndarray]:
-    """The linearised body with its errors, and the largest one of each pose."""
-    largest, mean = (
-        np.asarray(a, float)
-        for a in _distances(body, Linearised(linear, body.skeleton, bones, 0.0, 0.0), poses)
-    )
-    found = Linearised(linear, body.skeleton, bones, float(largest.max()), float(mean.mean()))
-    return found, largest
+    linear = Body(extended_skeleton(body.skeleton, bones), skin, body.vertices, body.faces)
+    return linear, body.skeleton, bones

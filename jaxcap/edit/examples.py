@@ -1,0 +1,71 @@
+"""What a body does in example poses, as NumPy arrays; compiled once for any number of poses."""
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body, pose_body
+from ..body.kinematics import forward_kinematics
+from ..body.pose import Pose
+from ..body.skeleton import Skeleton
+from ..body.skin import AbstractSkin
+from .virtual_bones import bone_frames
+from .weight_rows import Rows, skin_of, take_rows
+
+#: poses, and virtual bones, that one program does
+BLOCK = 32
+
+
+def take_poses(poses: Pose, chosen: np.ndarray) -> Pose:
+    """Some of stacked poses."""
+    return jax.tree.map(lambda values: values[chosen], poses)
+
+
+def pose_blocks(poses: Pose) -> Iterator[Pose]:
+    """Stacked poses in blocks of at most `BLOCK`, in order."""
+    for start in range(0, poses.rotations.shape[0], BLOCK):
+        yield take_poses(poses, np.arange(start, min(start + BLOCK, poses.rotations.shape[0])))
+
+
+def own_frames(body: Body, poses: Pose) -> tuple[Float[np.ndarray, "F J 3 4"], Float[np.ndarray, "F V 3"]]:
+    """`[R | t]` of the skeleton's bones, and the vertices, metres."""
+    parts = []
+    for block in pose_blocks(poses):
+        count = block.rotations.shape[0]
+        parts.append([np.array(values[:count], float) for values in _posed(body, _padded(block))])
+    frames, vertices = zip(*parts, strict=True)
+    return np.concatenate(frames), np.concatenate(vertices)
+
+
+def virtual_frames(body: Body, rows: Rows, poses: Pose) -> Float[np.ndarray, "F S 3 4"]:
+    """`[R | t]` of virtual bones with these rows."""
+    total, count = len(rows.bases), poses.rotations.shape[0]
+    frames = np.zeros((count, total, 3, 4))
+    for start in range(0, total, BLOCK):
+        skin = skin_of(body.skin, take_rows(rows, np.minimum(np.arange(start, start + BLOCK), total - 1)))
+        blocks = [_carried(body.skeleton, skin, _padded(block)) for block in pose_blocks(poses)]
+        frames[:, start : start + BLOCK] = np.concatenate(blocks)[:count, : total - start]
+    return frames
+
+
+def _padded(block: Pose) -> Pose:
+    return take_poses(block, np.minimum(np.arange(BLOCK), block.rotations.shape[0] - 1))
+
+
+@eqx.filter_jit
+def _carried(skeleton: Skeleton, skin: AbstractSkin, poses: Pose) -> Float[Array, "F S 3 4"]:
+    return jax.lax.map(lambda pose: bone_frames(skeleton, skin, pose), poses)
+
+
+@eqx.filter_jit
+def _posed(body: Body, poses: Pose) -> tuple[Float[Array, "F J 3 4"], Float[Array, "F V 3"]]:
+    def one(pose):
+        moved = forward_kinematics(body.skeleton, pose)
+        frames = jnp.concatenate([moved.rotations, moved.translations[:, :, None]], 2)
+        return frames, pose_body(body, pose).vertices
+
+    return jax.lax.map(one, poses)
