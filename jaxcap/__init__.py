@@ -25,7 +25,13 @@ from .body.skin import LinearSkin as LinearSkin
 from .body.skin import RigidSkin as RigidSkin
 from .body.skin import SwingTwistSkin as SwingTwistSkin
 from .body.skin import swing_twist_from as swing_twist_from
+from .edit.influences import limit_influences as limit_influences
+from .edit.linearise import Linearised as Linearised
+from .edit.linearise import linear_motion as linear_motion
+from .edit.linearise import linear_pose as linear_pose
+from .edit.linearise import linearise as linearise
 from .edit.retarget import retarget as retarget
+from .edit.sample import sample_poses as sample_poses
 from .energy.landmarks import BoneLandmarks as BoneLandmarks
 from .energy.landmarks import VertexLandmarks as VertexLandmarks
 from .energy.landmarks import joint_landmarks as joint_landmarks
@@ -67,6 +73,7 @@ from .io.asf import read_asf as read_asf
 from .io.bvh import read_bvh as read_bvh
 from .io.bvh import write_bvh as write_bvh
 from .io.clouds import read_clouds as read_clouds
+from .io.gltf import write_gltf as write_gltf
 from .io.mesh import read_mesh as read_mesh
 from .io.mesh import write_mesh as write_mesh
 from .io.meshes import read_meshes as read_meshes
