@@ -175,7 +175,7 @@ def test_a_joint_that_never_turns_is_told():
     free = " ".join(check_learned(body, stack_poses(poses)))
     assert pairs[0] in lines and pairs[0] not in free
     # the tool is fixed to the hand
-    parts = np.asarray(body.skin.parts())
+    parts = np.asarray(body.skin.bones)
     assert (pairs[1] in free) == bool(
         {body.skeleton.index("hand"), body.skeleton.index("tool")} <= set(parts)
     )

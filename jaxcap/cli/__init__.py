@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from .errors import told
 
-DESCRIPTION = """Fit articulated bodies to point clouds.
+DESCRIPTION = """Fit articulated bodies to point clouds and meshes.
 
 `jaxcap VERB --help` explains a verb, `jaxcap --version` tells the version. Results are in metres, y up."""
 
@@ -23,13 +23,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from .convert import Convert
         from .demo import Demo
         from .evaluate import Evaluate
+        from .fit import Fit
         from .info import Info
+        from .learn import Learn
         from .rig import Rig
         from .track import Track
 
         verbs = {
             "demo": Demo,
             "rig": Rig,
+            "learn": Learn,
+            "fit": Fit,
             "track": Track,
             "evaluate": Evaluate,
             "info": Info,

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from jaxtyping import Int
 
 from ..errors import InputError
 from ..fit.registered import fit_meshes
@@ -15,7 +16,7 @@ from ..io.registry import read_body
 from ..io.table import write_json
 from ..report.pictures import error_pictures
 from .options import Flag, Unit, arg
-from .say import say
+from .say import say, warn
 from .scoring import score_motion, tell_scores
 
 MeshesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]]
@@ -55,6 +56,10 @@ class Fit:
             fit = fit_meshes(body, sequence)
         except ValueError as error:
             raise InputError(f"{self.meshes[0]}: {error}") from None
+        if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
+            warn(
+                f"{self.meshes[0]}: the triangles are not those of {self.body}; vertices are taken in their order"
+            )
         save_motion(self.out, fit.motion, body.skeleton)
         scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
         tell_scores({"all": scores}, each=True)
@@ -64,6 +69,12 @@ class Fit:
             write_json(self.report / "report.json", {"body": str(self.body), **scores.report()})
             error_pictures(self.report, body, fit.motion, sequence, scores)
             say(f"report.json and pictures are in {self.report}")
+
+
+def same_triangles(a: Int[np.ndarray, "T 3"], b: Int[np.ndarray, "S 3"]) -> bool:
+    """Whether two lists of triangles join the same vertices, in any order."""
+    rows = [np.unique(np.sort(faces, axis=1), axis=0) for faces in (a, b)]
+    return rows[0].shape == rows[1].shape and bool((rows[0] == rows[1]).all())
 
 
 def check_out(path: Path, overwrite: bool, what: str = "a motion") -> None:

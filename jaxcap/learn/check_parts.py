@@ -34,22 +34,22 @@ def check_parts(
     count = rotations.shape[1]
     called = [f"part {part}" for part in range(count)] if names is None else list(names)
     near = ALIKE * float(np.ptp(rest, axis=0).max())
-    told, chosen = [], []
-    for part in range(count):
-        members = np.flatnonzero(labels == part)
-        if not members.size:
-            told.append(f"No vertex belongs to {called[part]}, so that nothing shows how it moves.")
-            continue
-        chosen.append(
-            (part, rest[members[np.linspace(0, len(members) - 1, min(FEW, len(members))).astype(int)]])
-        )
+    members = [np.flatnonzero(labels == part) for part in range(count)]
+    bare = [called[part] for part in range(count) if not members[part].size]
+    told = [f"No vertex belongs to {_listed(bare)}, so that little shows how it moves."] if bare else []
+    chosen = [
+        (part, rest[rows[np.linspace(0, len(rows) - 1, min(FEW, len(rows))).astype(int)]])
+        for part, rows in enumerate(members)
+        if rows.size
+    ]
     # where the vertices of one part go with each of the parts
     carried = {
         part: np.einsum("fkab,nb->fkna", rotations, few) + translations[:, :, None] for part, few in chosen
     }
     still = [part for part, _ in chosen if _spread(carried[part][:, part]) < near]
-    if len(still) < len(chosen):
-        told += [f"Nothing moves {called[part]} in any mesh; its joint is a guess." for part in still]
+    if 0 < len(still) < len(chosen):
+        guess = "" if len(still) == 1 else "; where joints between them are is a guess"
+        told.append(f"Nothing moves {_listed([called[part] for part in still])} in any mesh{guess}.")
     for number, (a, _) in enumerate(chosen):
         for b, _ in chosen[number + 1 :]:
             apart = max(_rms(carried[i][:, a] - carried[i][:, b]) for i in (a, b))
@@ -62,11 +62,12 @@ def check_parts(
 
 
 def check_learned(body: Body, motion: Motion) -> list[str]:
-    """`check_parts` of a learned body in the poses of its meshes, parts called by their joints."""
+    """`check_parts` of a learned body in the poses of its meshes: parts are called by their joints, and a vertex
+    belongs to the one that moves it most."""
     transforms = _transforms(body.skeleton, motion.poses)
     return check_parts(
         np.asarray(body.vertices, float),
-        np.asarray(body.skin.parts()),
+        np.asarray(body.skin.influence(body.skeleton.num_joints)).argmax(1),
         np.asarray(transforms.rotations, float),
         np.asarray(transforms.translations, float),
         body.skeleton.names,
@@ -76,6 +77,10 @@ def check_learned(body: Body, motion: Motion) -> list[str]:
 @eqx.filter_jit
 def _transforms(skeleton: Skeleton, poses: Pose) -> Transforms:
     return jax.lax.map(lambda pose: forward_kinematics(skeleton, pose), poses)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _rms(gaps: Float[np.ndarray, "F N 3"]) -> float:

@@ -70,6 +70,8 @@ def report_learning(
 
 def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
     """The objective after every step, a colour for each kind of step."""
+    from matplotlib.ticker import NullFormatter
+
     canvas, figure = new_figure(7.5, 3.8)
     plot = figure.subplots()
     names = list(dict.fromkeys(step for step, _ in history))
@@ -81,7 +83,8 @@ def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
     if (values > 0).all():
         plot.set_yscale("log")
         plot.yaxis.set_major_formatter("{x:g}")
-        plot.yaxis.set_minor_formatter("{x:g}")
+        few = values.max() < 30 * values.min()
+        plot.yaxis.set_minor_formatter("{x:g}" if few else NullFormatter())
     plot.tick_params(which="minor", labelsize=8, colors=INK)
     plot.xaxis.get_major_locator().set_params(integer=True)
     _finish(plot, "step", "objective Q, m²")

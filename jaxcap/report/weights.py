@@ -53,9 +53,9 @@ def _draw(path: Path, body: Body, panels: list[tuple[str, np.ndarray]], palette:
     views = [turned(axes, degrees) for degrees in VIEWS]
     boxes = [((vertices @ view.T).min(0)[:2], (vertices @ view.T).max(0)[:2]) for view in views]
     width, height = (max(high[side] - low[side] for low, high in boxes) for side in (0, 1))
-    wide = float(np.clip(4.2 * width / height, 1.4, 6.0))
+    wide = float(np.clip(4.2 * width / height, 1.9, 6.0))
     count = len(panels) + 1
-    canvas, figure = new_figure(wide * count, len(views) * 4.2 * min(1.0, wide / 4.2 * height / width) + 0.5)
+    canvas, figure = new_figure(wide * count, len(views) * min(4.2, wide * height / width) + 0.5)
     plots = figure.subplots(len(views), count, squeeze=False)
     for row, (view, box) in enumerate(zip(views, boxes, strict=True)):
         for plot, (label, paint) in zip(plots[row], panels, strict=False):
@@ -63,7 +63,7 @@ def _draw(path: Path, body: Body, panels: list[tuple[str, np.ndarray]], palette:
             frame(plot, *box, label if row == 0 else "")
         draw_surface(plots[row, -1], vertices, faces, view, opacity=0.35)
         _skeleton(plots[row, -1], body, view, palette, 0.035 * height)
-        frame(plots[row, -1], *box, "joints and their axes, twist red" if row == 0 else "")
+        frame(plots[row, -1], *box, "joints, twist axis red" if row == 0 else "")
     figure.subplots_adjust(left=0.005, right=0.995, top=0.955, bottom=0.01, wspace=0.02, hspace=0.02)
     canvas.print_png(path)
 

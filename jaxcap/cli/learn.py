@@ -1,0 +1,264 @@
+"""`jaxcap learn`: a body from registered meshes alone."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+
+from ..body.skeleton import Skeleton
+from ..errors import InputError
+from ..fit.registered import fit_meshes
+from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..io.meshes import read_named_meshes
+from ..io.npz import save_body, save_motion
+from ..io.registry import read_skeleton
+from ..learn.check import check_meshes
+from ..learn.check_parts import check_learned
+from ..learn.loop import Learned, LearnState, learn_body
+from ..observe import MeshSequence
+from ..report.learned import report_learning
+from ..report.scores import Scores
+from .fit import MeshesSpec, OptionalFolder, check_out, make_folder
+from .options import Flag, OptionalCount, OptionalFile, Unit, arg
+from .rounds import Rounds
+from .say import say, warn
+from .scoring import mesh_hashes, score_motion, tell_scores
+
+OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior_hint="")]
+
+
+@dataclass
+class Learn:
+    """Learn an animatable body from registered meshes of one actor in many poses: the same vertices in the same
+    order in each. Writes the body and its poses in the meshes.
+
+    A run that was stopped goes on with --resume, and ends with the same result."""
+
+    meshes: MeshesSpec
+    """Mesh files, a folder, a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
+    """The body to write."""
+    joints: OptionalCount = None
+    """Joints between its parts; as many as the motion shows where not given."""
+    alpha: float = 100.0
+    """How strongly the shape of the surface counts against the places of its vertices."""
+    skin: Literal["swing_twist", "lbs", "rigid"] = "swing_twist"
+    """How vertices follow the joints."""
+    symmetry: Flag = True
+    """Left and right limbs need not be equally long."""
+    pairs: OptionalText = None
+    """Left and right joints to be alike, by number, or by name with --skeleton: 3:5,4:6."""
+    skeleton: OptionalFile = None
+    """A skeleton that stands in the first mesh (.skl, .bvh, .asf, .npz), in place of one that is found."""
+    free_bones: Flag = False
+    """Bones that hang on nothing; the skin is lbs."""
+    rounds: Annotated[int, arg(metavar="N")] = 12
+    """The most rounds of weights, vertices and joints."""
+    unit: Unit = "m"
+    """Unit of meshes and skeleton: m, dm, cm, mm, in or ft."""
+    rate: float = 30.0
+    """Meshes a second."""
+    motion: OptionalFile = None
+    """The poses of the training meshes; beside the body where not given."""
+    hold_out: OptionalCount = None
+    """Leave every N-th mesh out of the learning, and score the body on these."""
+    report: OptionalFolder = None
+    """Folder for report.json and pictures."""
+    resume: Flag = False
+    """Go on with a run that was stopped."""
+    overwrite: Flag = False
+    """Replace the body where it is there."""
+
+    def run(self) -> None:
+        self.check()
+        motion_path = self.motion or self.out.with_name(f"{self.out.stem}-motion.npz")
+        kept = self.out.with_name(f"{self.out.name}.partial")
+        check_out(self.out, self.overwrite, "a body")
+        check_out(motion_path, self.overwrite)
+        sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
+        train, held = split(len(sequence), self.hold_out)
+        for told in check_meshes(sequence, names):
+            warn(told)
+        skeleton = None if self.skeleton is None else read_skeleton(self.skeleton, self.unit)
+        header = {**self.settings(), **mesh_hashes(sequence[train])}
+        resumed = self.start(kept, header)
+        if self.report is not None:
+            make_folder(self.report)
+        learned = self.learn(sequence[train], skeleton, kept, header, resumed)
+        save_body(self.out, learned.body)
+        save_motion(motion_path, learned.motion, learned.body.skeleton)
+        kept.unlink(missing_ok=True)
+        body = learned.body
+        say(
+            f"{self.out}: {len(body.vertices)} vertices on {body.skeleton.num_joints} joints; poses in {motion_path}"
+        )
+        for told in check_learned(body, learned.motion):
+            warn(told)
+        self.score(learned, sequence, names, train, held)
+
+    def check(self) -> None:
+        """That options are in their ranges and go together. Raises `InputError`."""
+        wrong = {
+            "--joints": (self.joints, self.joints is None or self.joints >= 1, "at least 1"),
+            "--alpha": (self.alpha, 0 <= self.alpha < np.inf, "at least 0"),
+            "--rounds": (self.rounds, self.rounds >= 1, "at least 1"),
+            "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 meshes a second"),
+            "--hold-out": (self.hold_out, self.hold_out is None or self.hold_out >= 2, "at least 2"),
+        }
+        for name, (value, fine, what) in wrong.items():
+            if not fine:
+                raise InputError(f"{name} is {value:g}; it must be {what}.")
+        if self.resume and self.overwrite:
+            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+        if self.pairs is not None and not self.symmetry:
+            raise InputError(
+                "--pairs says what is symmetric and --no-symmetry that nothing is; give one of them."
+            )
+        if self.skeleton is not None and self.joints is not None:
+            raise InputError("--skeleton has its own joints; leave --joints out.")
+        if self.free_bones and (self.skeleton is not None or self.pairs is not None):
+            raise InputError("--free-bones have no skeleton and no pairs; leave --skeleton and --pairs out.")
+
+    def settings(self) -> dict[str, object]:
+        """What the result depends on, by the names that the user knows."""
+        names = ("joints", "alpha", "skin", "symmetry", "pairs", "free_bones", "unit", "hold_out")
+        skeleton = None if self.skeleton is None else hashlib.sha256(self.skeleton.read_bytes()).hexdigest()
+        return {**{name: getattr(self, name) for name in names}, "skeleton": skeleton}
+
+    def start(self, kept: Path, header: dict[str, object]) -> LearnState | None:
+        """The state to go on from. Raises `InputError` where there is none to resume, or one in the way."""
+        if self.resume:
+            if not kept.is_file():
+                raise InputError(f"{kept}: there is no unfinished run to go on from; leave --resume out.")
+            return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round")))
+        if kept.exists() and not self.overwrite:
+            raise InputError(
+                f"{kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
+            )
+        return None
+
+    def learn(
+        self,
+        meshes: MeshSequence,
+        skeleton: Skeleton | None,
+        kept: Path,
+        header: dict[str, object],
+        resumed: LearnState | None,
+    ) -> Learned:
+        """The loop, with a checkpoint after every round; Ctrl-C keeps the last."""
+        done = 0 if resumed is None else resumed.round
+        symmetry = self.symmetry if self.pairs is None else read_pairs(self.pairs, skeleton)
+        with Rounds(self.rounds, done) as bar:
+
+            def on_round(state: LearnState) -> None:
+                nonlocal done
+                save_checkpoint(kept, checkpoint_of(state), header)
+                done = state.round
+                bar.tell(done, f"Q {state.history[-1][1]:.6g}")
+
+            try:
+                return learn_body(
+                    meshes,
+                    joints=self.joints,
+                    skin="lbs" if self.free_bones else self.skin,
+                    alpha=self.alpha,
+                    symmetry=symmetry,
+                    skeleton=skeleton,
+                    free_bones=self.free_bones,
+                    rounds=self.rounds,
+                    on_round=on_round,
+                    resume=resumed,
+                )
+            except KeyboardInterrupt:
+                told = (
+                    f"round {done} is kept in {kept}; --resume goes on"
+                    if kept.is_file()
+                    else "nothing is kept"
+                )
+                raise KeyboardInterrupt(f"stopped; {told}") from None
+
+    def score(
+        self,
+        learned: Learned,
+        sequence: MeshSequence,
+        names: tuple[str, ...],
+        train: np.ndarray,
+        held: np.ndarray,
+    ) -> None:
+        """Scores on training and on held-out meshes, said and reported."""
+        groups = {"training": (learned.motion, np.ones(len(train), bool), train)}
+        if held.size:
+            fit = fit_meshes(learned.body, sequence[held])
+            groups["held out"] = (fit.motion, np.asarray(fit.converged), held)
+        scores: dict[str, Scores] = {
+            label: score_motion(
+                learned.body,
+                motion,
+                fitted,
+                sequence[rows],
+                tuple(names[row] for row in rows),
+                f"scoring {label}",
+            )
+            for label, (motion, fitted, rows) in groups.items()
+        }
+        tell_scores(scores)
+        if self.report is not None:
+            shown = {
+                label: (motion, sequence[rows], scores[label]) for label, (motion, _, rows) in groups.items()
+            }
+            report_learning(self.report, learned.body, shown, learned.history, learned.curve, self.settings())
+            say(f"report.json and pictures are in {self.report}")
+
+
+def split(count: int, hold_out: int | None) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the training meshes and of those held out: every `hold_out`-th."""
+    numbers = np.arange(count)
+    held = np.zeros(count, bool) if hold_out is None else numbers % hold_out == hold_out - 1
+    return numbers[~held], numbers[held]
+
+
+def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
+    """(P, 2) joints of `left:right,...`, by number or by name of a given skeleton. Raises `InputError`."""
+    rows = []
+    for word in text.split(","):
+        sides = [side.strip() for side in word.split(":")]
+        if len(sides) != 2 or not all(sides):
+            raise InputError(f"--pairs has '{word}'; it must be left:right, such as 3:5,4:6.")
+        row = []
+        for side in sides:
+            if skeleton is not None and side in skeleton.names:
+                row.append(skeleton.names.index(side))
+            elif side.isdigit() and (skeleton is None or int(side) < skeleton.num_joints):
+                row.append(int(side))
+            else:
+                there = "" if skeleton is None else f"; the skeleton has {', '.join(skeleton.names)}"
+                raise InputError(f"--pairs has '{side}', which is no joint{there}.")
+        if row[0] == row[1]:
+            raise InputError(f"--pairs has '{word}', a joint and itself.")
+        rows.append(row)
+    return np.array(rows)
+
+
+def checkpoint_of(state: LearnState) -> Checkpoint:
+    """A state as a file can hold it."""
+    arrays = {
+        "pairs": np.asarray(state.pairs, int),
+        "damping": np.array(float(state.damping)),
+        "round": np.array(state.round),
+    }
+    return Checkpoint(state.body, state.motion, tuple(state.history), arrays)
+
+
+def state_of(kept: Checkpoint) -> LearnState:
+    """The state of a checkpoint that `checkpoint_of` made, to the last bit."""
+    arrays = kept.arrays
+    return LearnState(
+        body=kept.body,
+        motion=kept.motion,
+        pairs=arrays["pairs"].reshape(-1, 2),
+        damping=float(arrays["damping"]),
+        history=kept.history,
+        round=int(arrays["round"]),
+    )
