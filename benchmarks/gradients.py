@@ -57,12 +57,12 @@ def differences(body: Body, pose: Pose):
 
 @eqx.filter_jit
 def closed_form(body: Body, pose: Pose):
-    return point_jacobian(body, pose_body(body, pose), jnp.arange(len(body.vertices)))
+    return point_jacobian(pose_body(body, pose), jnp.arange(len(body.vertices)))
 
 
 @eqx.filter_jit
 def projected(body: Body, pose: Pose, directions):
-    return projected_jacobian(body, pose_body(body, pose), jnp.arange(len(body.vertices)), directions)
+    return projected_jacobian(pose_body(body, pose), jnp.arange(len(body.vertices)), directions)
 
 
 posed_of = eqx.filter_jit(pose_body)
@@ -155,7 +155,7 @@ def limit_errors(body: Body, rng: np.random.Generator, trials: int = 12) -> tupl
     ranges = {"elbow": (-0.3, 0.2), "spine": ((-0.1, 0.4), (-0.2, 0.3)), "jaw": (-0.5, -0.1)}
     cones = {"chest": Cone((1, 0, 0), 0.3, (0, 1, 0), 0.2), "hand": Cone((0, 1, 1), 0.5, (1, 0, 0), 2.0)}
     limits = make_joint_ranges(skeleton, ranges, cones)
-    energy, layout = JointLimits(skeleton, limits), dof_layout(skeleton)
+    energy, layout = JointLimits(limits), dof_layout(skeleton)
 
     @eqx.filter_jit
     def residual(pose, d):

@@ -33,6 +33,7 @@ from .edit.linearise import linearise as linearise
 from .edit.retarget import retarget as retarget
 from .edit.sample import sample_poses as sample_poses
 from .energy.landmarks import BoneLandmarks as BoneLandmarks
+from .energy.landmarks import JointLandmarks as JointLandmarks
 from .energy.landmarks import VertexLandmarks as VertexLandmarks
 from .energy.landmarks import joint_landmarks as joint_landmarks
 from .energy.limits import JointLimits as JointLimits
@@ -45,6 +46,7 @@ from .energy.prior import RestPrior as RestPrior
 from .energy.prior import tangent_deviations as tangent_deviations
 from .energy.term import AbstractEnergy as AbstractEnergy
 from .energy.term import energies as energies
+from .energy.vertices import AbstractVertexEnergy as AbstractVertexEnergy
 from .errors import InputError as InputError
 from .fit.batch import fit_batch as fit_batch
 from .fit.batch import scan_track as scan_track

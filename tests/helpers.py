@@ -10,7 +10,9 @@ import numpy as np
 from jaxcap.body.body import Body, pose_body
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
-from jaxcap.body.skin import AbstractSkin, LinearSkin, RigidSkin
+from jaxcap.body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+
+SKINS = ("rigid", "linear", "dual_quaternion", "swing_twist")
 
 _retract, _pose_body = eqx.filter_jit(retract), eqx.filter_jit(pose_body)
 
@@ -34,11 +36,12 @@ def chain_skeleton() -> Skeleton:
     centres += [[0.8, 0, 0.1], [0.4, 0, -0.1], [0.5, 0.02, -0.12]]
     first = rng.normal(size=(len(joints), 3))
     second = np.cross(first, rng.normal(size=(len(joints), 3)))
-    return make_skeleton(names, parents, kinds, centres, axes=np.stack([first, second], 1))
+    turned = rng.normal(size=(len(joints), 4))
+    return make_skeleton(names, parents, kinds, centres, turned, np.stack([first, second], 1))
 
 
 def chain_body(skin: str = "linear") -> Body:
-    """A forked tube of 48 vertices around `chain_skeleton`, skinned `linear` or `rigid`."""
+    """A forked tube of 48 vertices around `chain_skeleton`, with a skin of one of `SKINS`."""
     skeleton = chain_skeleton()
     rng = np.random.default_rng(8)
     vertices, faces = [], []
@@ -46,12 +49,24 @@ def chain_body(skin: str = "linear") -> Body:
         vertices, faces = _tube(vertices, faces, skeleton.centres[start], skeleton.centres[end])
     vertices = np.array(vertices) + 0.005 * rng.normal(size=(len(vertices), 3))
     apart = np.linalg.norm(vertices[:, None] - np.asarray(skeleton.centres)[None], axis=-1)
-    if skin == "rigid":
-        bound = RigidSkin(jnp.asarray(np.argmin(apart, 1)))
-    else:
-        weights = np.exp(-((apart / 0.12) ** 2))
-        bound = LinearSkin(jnp.asarray(weights / weights.sum(1, keepdims=True)))
+    weights = np.exp(-((apart / 0.12) ** 2))
+    weights = jnp.asarray(weights / weights.sum(1, keepdims=True))
+    bound = {
+        "linear": lambda: LinearSkin(weights),
+        "rigid": lambda: RigidSkin(jnp.asarray(np.argmin(apart, 1))),
+        "dual_quaternion": lambda: DualQuaternionSkin(weights),
+        "swing_twist": lambda: _forked_skin(skeleton, rng, jnp.asarray(np.argmin(apart, 1))),
+    }[skin]()
     return Body(skeleton, bound, jnp.asarray(vertices), jnp.asarray(faces))
+
+
+def _forked_skin(skeleton: Skeleton, rng: np.random.Generator, bases) -> SwingTwistSkin:
+    """Different weights for swing and twist of all children, some of them none, some all."""
+    children = np.array(skeleton.parents)[None] == np.asarray(bases)[:, None]
+    swing, twist = (children * rng.uniform(size=children.shape) for _ in range(2))
+    swing, twist = (weights / np.maximum(weights.sum(1, keepdims=True), 1.0) for weights in (swing, twist))
+    swing[::7], twist[::5] = 0.0, 0.0
+    return SwingTwistSkin(jnp.asarray(bases), jnp.asarray(swing), jnp.asarray(twist))
 
 
 class OtherSkin(AbstractSkin):

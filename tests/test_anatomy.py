@@ -51,7 +51,7 @@ def test_a_rest_prior_is_measured_in_the_joint_s_own_frame(rng):
     # the root is free, wherever it turns
     bent = bent.at[0].set(rotation.normalise(jnp.asarray(rng.normal(size=4))))
     posed = pose_body(human(resolution="low"), Pose(rest.translations, bent, rest.scale))
-    residual = np.asarray(RestPrior(skeleton, deviations).residual(posed)).reshape(-1, 3)
+    residual = np.asarray(RestPrior(deviations).residual(posed)).reshape(-1, 3)
     expected = np.zeros_like(residual)
     expected[joint, 1] = 0.3 / 1.2
     np.testing.assert_allclose(residual, expected, atol=1e-6)
@@ -61,4 +61,4 @@ def test_a_rest_prior_against_central_differences(rng):
     """At rest and half turned too, where a rotation vector has its corners."""
     body = chain_body()
     deviations = jnp.asarray(rng.uniform(0.3, 2.0, (body.skeleton.num_joints, 3))).at[0].set(jnp.inf)
-    check_energy(RestPrior(body.skeleton, deviations), body, [random_pose(body.skeleton, rng, 0.8)])
+    check_energy(RestPrior(deviations), body, [random_pose(body.skeleton, rng, 0.8)])

@@ -35,7 +35,7 @@ MIXTURE = make_mixture(
     candidates=SKELETON.num_joints,
     estimate_priors=True,
 )
-NO_PRIOR = PosePrior(SKELETON, rest_pose(SKELETON), jnp.full(SKELETON.num_dofs, jnp.inf))
+NO_PRIOR = PosePrior(rest_pose(SKELETON), jnp.full(SKELETON.num_dofs, jnp.inf))
 NOISE = 0.005
 
 

@@ -70,16 +70,16 @@ def test_distances_landmarks_and_priors_against_central_differences(rng):
         + PointToPlane(chosen, points, normals, weights)
         + 2.0 * VertexLandmarks(chosen, points, weights)
         + BoneLandmarks(bones, BODY.vertices[chosen], points, weights)
-        + 0.0 * joint_landmarks(SKELETON, SKELETON.centres + 0.1)
+        + 0.0 * joint_landmarks(SKELETON.centres + 0.1)
         + rigid_moments(bones, BODY.vertices[chosen], points, weights, SKELETON.num_joints)
-        + PosePrior(SKELETON, random_pose(SKELETON, rng, 0.5), deviations)
+        + PosePrior(random_pose(SKELETON, rng, 0.5), deviations)
     )
     check_energy(total, BODY, [random_pose(SKELETON, rng, 0.8, scale=1.2)])
 
 
 def test_joint_limits_against_central_differences_and_their_closed_form(rng):
     """Slope one beyond a range (Kineben, eq. 14), eq. 16 beyond a cone, nothing inside."""
-    energy, layout = JointLimits(SKELETON, LIMITS), dof_layout(SKELETON)
+    energy, layout = JointLimits(LIMITS), dof_layout(SKELETON)
 
     def analytic(posed):
         rows = [
@@ -106,7 +106,7 @@ def test_joint_limits_against_central_differences_and_their_closed_form(rng):
 def test_on_a_limit_there_is_no_residual_and_a_finite_slope():
     layout = dof_layout(SKELETON)
     elbow, chest = SKELETON.index("elbow"), layout.rotations[SKELETON.index("chest")]
-    energy = JointLimits(SKELETON, LIMITS)
+    energy = JointLimits(LIMITS)
     for slot, edges in ((layout.rotations[elbow, 0], (-0.3, 0.2)), (chest[2], (-0.2, 0.2))):
         for edge in edges:
             values, slopes = [], []
@@ -127,7 +127,7 @@ def test_on_a_limit_there_is_no_residual_and_a_finite_slope():
 def test_a_closed_cone_is_smooth_at_rest():
     """A cone of no angle is touched at rest, where the turned axis is at its top."""
     cones = {"chest": Cone((1, 0, 0), 0.0, (0, 1, 0), 0.0)}
-    energy = JointLimits(SKELETON, make_joint_ranges(SKELETON, None, cones))
+    energy = JointLimits(make_joint_ranges(SKELETON, None, cones))
     rest = rest_pose(SKELETON)
     np.testing.assert_allclose(residual_of(energy, BODY, rest), 0.0, atol=1e-15)
     np.testing.assert_allclose(slope_of(energy, BODY, rest), 0.0, atol=1e-15)

@@ -5,24 +5,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import OtherSkin, awkward_poses, chain_body, check_energy, random_pose
+from helpers import SKINS, awkward_poses, chain_body, check_energy, random_pose
 from jaxtyping import Array, Int
 
 from jaxcap.body import jacobian as jacobians
 from jaxcap.body.body import Posed, pose_body
+from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.body.pose import retract
+from jaxcap.body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.geometry import rotation
 
-BODIES = {skin: chain_body(skin) for skin in ("linear", "rigid")}
+BODIES = {skin: chain_body(skin) for skin in SKINS}
 #: some vertices, one of them twice, in no order
 CHOSEN = jnp.array([40, 3, 17, 3, 25, 31, 0, 12, 44])
 
 posed_of = eqx.filter_jit(pose_body)
 point_jacobian = eqx.filter_jit(jacobians.point_jacobian)
 projected_jacobian = eqx.filter_jit(jacobians.projected_jacobian)
-subtree_moments = eqx.filter_jit(jacobians.subtree_moments)
 
 
 class Places(AbstractEnergy):
@@ -40,7 +41,7 @@ def body(request):
 
 
 def test_point_jacobian_against_autodiff_and_central_differences(body, rng):
-    analytic = lambda posed: point_jacobian(body, posed, CHOSEN).reshape(3 * len(CHOSEN), -1)  # noqa: E731
+    analytic = lambda posed: point_jacobian(posed, CHOSEN).reshape(3 * len(CHOSEN), -1)  # noqa: E731
     check_energy(Places(CHOSEN), body, [random_pose(body.skeleton, rng, 1.0, scale=1.3)], analytic)
 
 
@@ -48,23 +49,43 @@ def test_projected_rows_are_the_jacobian_along_directions(body, rng):
     directions = jnp.asarray(rng.normal(size=(len(CHOSEN), 3)))
     for pose in awkward_poses(body.skeleton):
         posed = posed_of(body, pose)
-        expected = jnp.einsum("ca,cad->cd", directions, point_jacobian(body, posed, CHOSEN))
-        np.testing.assert_allclose(projected_jacobian(body, posed, CHOSEN, directions), expected, atol=1e-14)
+        expected = jnp.einsum("ca,cad->cd", directions, point_jacobian(posed, CHOSEN))
+        np.testing.assert_allclose(projected_jacobian(posed, CHOSEN, directions), expected, atol=1e-14)
 
 
-def test_moments_are_sums_over_descendants(body, rng):
-    posed = posed_of(body, random_pose(body.skeleton, rng, 1.0))
-    moments, shares = subtree_moments(body, posed, CHOSEN)
-    weights = np.asarray(body.skin.influence(body.skeleton.num_joints))
-    r, t = np.asarray(posed.transforms.rotations), np.asarray(posed.transforms.translations)
-    for row, vertex in enumerate(np.asarray(CHOSEN)):
-        for joint in range(body.skeleton.num_joints):
-            below = np.flatnonzero(body.skeleton.descent[joint])
-            points = r[below] @ np.asarray(body.vertices[vertex]) + t[below]
-            np.testing.assert_allclose(moments[row, joint], weights[vertex, below] @ points, atol=1e-14)
-            np.testing.assert_allclose(shares[row, joint], weights[vertex, below].sum(), atol=1e-14)
-    # all hangs on the root: its moment is the posed vertex
-    np.testing.assert_allclose(moments[:, 0], posed.vertices[CHOSEN], atol=1e-14)
+def moved(body, pose, directions, d, e):
+    """Vertices along directions, after a tangent `d` of the pose and one `e` of all joints."""
+    e = e.reshape(-1, 6)
+    turned = rotation.multiply(body.skeleton.orientations, rotation.exp(e[:, 3:]))
+    skeleton = eqx.tree_at(
+        lambda s: (s.centres, s.orientations), body.skeleton, (body.skeleton.centres + e[:, :3], turned)
+    )
+    pose = retract(skeleton, pose, d)
+    vertices = body.skin.deform(body.vertices, skeleton, pose, forward_kinematics(skeleton, pose))
+    return jnp.einsum("vra,va->vr", directions, vertices)
+
+
+@eqx.filter_jit
+def both_rates(body, pose, directions):
+    """The skin's own Jacobian by pose and joints, and forward differentiation."""
+    skeleton, transforms = body.skeleton, forward_kinematics(body.skeleton, pose)
+    rates = stack_rates(pose_rates(skeleton, pose, transforms), joint_rates(skeleton, pose, transforms))
+    own = body.skin.jacobian(body.vertices, directions, skeleton, pose, transforms, rates)
+    still = jnp.zeros(skeleton.num_dofs), jnp.zeros(6 * skeleton.num_joints)
+    some = take_rates(rates, np.array([30, 2]))
+    fewer = body.skin.jacobian(body.vertices, directions, skeleton, pose, transforms, some)
+    exact = jax.jacfwd(lambda de: moved(body, pose, directions, *de))(still)
+    return own, jnp.concatenate(exact, -1), fewer
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+def test_rates_of_poses_and_joints_against_autodiff(body, rng, rows):
+    directions = jnp.asarray(rng.normal(size=(len(body.vertices), rows, 3)))
+    for pose in [*awkward_poses(body.skeleton), random_pose(body.skeleton, rng, 1.0, scale=1.3)]:
+        own, exact, fewer = both_rates(body, pose, directions)
+        assert np.abs(exact).max() > 1.0
+        np.testing.assert_allclose(own, exact, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(fewer, own[:, :, np.array([30, 2])], atol=1e-15)
 
 
 def test_papers_operators_are_the_twists(rng):
@@ -74,7 +95,7 @@ def test_papers_operators_are_the_twists(rng):
     posed = posed_of(body, random_pose(skeleton, rng, 1.0))
     layout = dof_layout(skeleton)
     rotations, joints = posed.transforms.rotations, posed.joints
-    columns = point_jacobian(body, posed, CHOSEN)
+    columns = point_jacobian(posed, CHOSEN)
     points = jnp.concatenate([posed.vertices[CHOSEN], jnp.ones((len(CHOSEN), 1))], 1)
     seen = set()
     for number, joint in enumerate(layout.joints):
@@ -123,7 +144,7 @@ def test_the_jacobian_predicts_a_small_step(body, rng):
     """The error of the first order falls with the square of the step."""
     pose = random_pose(body.skeleton, rng, 0.8)
     posed = posed_of(body, pose)
-    slope = point_jacobian(body, posed, CHOSEN)
+    slope = point_jacobian(posed, CHOSEN)
     d = jnp.asarray(rng.normal(size=body.skeleton.num_dofs))
     errors = []
     for size in (1e-2, 1e-3):
@@ -137,14 +158,6 @@ def test_single_precision_keeps_its_digits(body, rng):
     pose = random_pose(body.skeleton, rng, 0.8)
     low = jax.tree.map(lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, (body, pose))
     posed = posed_of(*low)
-    jacobian = point_jacobian(low[0], posed, CHOSEN)
+    jacobian = point_jacobian(posed, CHOSEN)
     assert jacobian.dtype == jnp.float32
-    np.testing.assert_allclose(jacobian, point_jacobian(body, posed_of(body, pose), CHOSEN), atol=2e-6)
-
-
-def test_other_skins_are_refused_in_a_sentence():
-    body = BODIES["linear"]
-    bulging = eqx.tree_at(lambda b: b.skin, body, OtherSkin())
-    posed = posed_of(body, awkward_poses(body.skeleton)[0])
-    with pytest.raises(TypeError, match="not for OtherSkin"):
-        jacobians.point_jacobian(bulging, posed, CHOSEN)
+    np.testing.assert_allclose(jacobian, point_jacobian(posed_of(body, pose), CHOSEN), atol=2e-6)

@@ -5,15 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import awkward_poses, chain_body, random_pose
+from helpers import SKINS, awkward_poses, chain_body, random_pose
 
 from jaxcap.body import body as bodies
 from jaxcap.body.kinematics import Transforms
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.body.skin import LinearSkin, RigidSkin
+from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, SwingTwistSkin
 
-BODIES = {skin: chain_body(skin) for skin in ("linear", "rigid")}
+BODIES = {skin: chain_body(skin) for skin in SKINS}
 pose_body = eqx.filter_jit(bodies.pose_body)
 
 
@@ -36,7 +36,9 @@ def test_influence_is_a_share_of_one(body):
     np.testing.assert_array_equal(body.skin.parts(), shares.argmax(1))
 
 
-def test_vertices_are_the_weighted_sum_of_their_bones(body, rng):
+@pytest.mark.parametrize("skin", ["rigid", "linear"])
+def test_vertices_are_the_weighted_sum_of_their_bones(skin, rng):
+    body = BODIES[skin]
     shares = np.asarray(body.skin.influence(body.skeleton.num_joints))
     for pose in [*awkward_poses(body.skeleton), random_pose(body.skeleton, rng, 1.0, scale=1.2)]:
         posed = pose_body(body, pose)
@@ -54,7 +56,7 @@ def test_one_motion_of_all_bones_moves_the_surface_by_it(body, rng):
     posed = pose_body(body, random_pose(body.skeleton, rng, 1.0))
     r, t = posed.transforms.rotations[3], posed.transforms.translations[3]
     same = Transforms(jnp.tile(r, (count, 1, 1)), jnp.tile(t, (count, 1)))
-    moved = body.skin.deform(body.vertices, body.skeleton, posed.pose, same)
+    moved = body.skin.deform(body.vertices, body.skeleton, rest_pose(body.skeleton), same)
     np.testing.assert_allclose(moved, body.vertices @ r.T + t, atol=1e-13)
     d = jnp.zeros(body.skeleton.num_dofs).at[:6].set(jnp.asarray(rng.normal(size=6)))
     rest, turned = (
@@ -66,12 +68,23 @@ def test_one_motion_of_all_bones_moves_the_surface_by_it(body, rng):
     np.testing.assert_allclose(turned.normals, rest.normals @ r.T, atol=1e-12)
 
 
-def test_linear_skin_with_whole_weights_is_rigid(rng):
+@pytest.mark.parametrize("scheme", [LinearSkin, DualQuaternionSkin, "of the bone", "of its parent"])
+def test_whole_weights_are_rigid(scheme, rng):
+    """Each scheme with weights in {0, 1}; swing-twist says "with this bone" in two ways, which are
+    one also where the joint shifts as well as turns."""
     body = BODIES["rigid"]
-    count = body.skeleton.num_joints
-    blended = eqx.tree_at(lambda b: b.skin, body, LinearSkin(body.skin.influence(count)))
-    pose = random_pose(body.skeleton, rng, 1.0)
-    np.testing.assert_allclose(pose_body(blended, pose).vertices, pose_body(body, pose).vertices, atol=1e-14)
+    bones, parents = body.skin.bones, jnp.array(body.skeleton.parents)
+    whole = body.skin.influence(body.skeleton.num_joints)
+    if scheme == "of the bone":
+        skin = SwingTwistSkin(bones, 0 * whole, 0 * whole)
+    elif scheme == "of its parent":
+        below = jnp.where((parents[bones] >= 0)[:, None], whole, 0.0)
+        skin = SwingTwistSkin(jnp.maximum(parents[bones], 0), below, below)
+    else:
+        skin = scheme(whole)
+    for pose in [*awkward_poses(body.skeleton), random_pose(body.skeleton, rng, 1.0, scale=1.3)]:
+        moved = pose_body(bodies.Body(body.skeleton, skin, body.vertices, body.faces), pose)
+        np.testing.assert_allclose(moved.vertices, pose_body(body, pose).vertices, atol=1e-14)
 
 
 def test_the_order_of_bones_does_not_matter(body, rng):
@@ -84,14 +97,13 @@ def test_the_order_of_bones_does_not_matter(body, rng):
         [-1 if skeleton.parents[i] < 0 else int(place[skeleton.parents[i]]) for i in order],
         [skeleton.kinds[i] for i in order],
         skeleton.centres[order],
-        axes=skeleton.axes[order],
+        skeleton.orientations[order],
+        skeleton.axes[order],
     )
     back = np.array([skeleton.index(name) for name in other.names])
     assert (back != np.arange(len(back))).any()
-    if isinstance(body.skin, RigidSkin):
-        skin = RigidSkin(jnp.asarray(np.argsort(back))[body.skin.bones])
-    else:
-        skin = LinearSkin(body.skin.influence(skeleton.num_joints)[:, back])
+    bones = jnp.asarray(np.argsort(back))
+    skin = jax.tree.map(lambda x: bones[x] if x.ndim == 1 else x[:, back], body.skin)
     shuffled = bodies.Body(other, skin, body.vertices, body.faces)
     moved = pose_body(shuffled, Pose(pose.translations[back], pose.rotations[back], pose.scale))
     np.testing.assert_allclose(moved.vertices, pose_body(body, pose).vertices, atol=1e-13)

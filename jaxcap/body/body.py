@@ -24,6 +24,7 @@ class Body(eqx.Module):
 class Posed(eqx.Module):
     """A body in a pose: computed once for an evaluation and handed to every energy."""
 
+    body: Body
     pose: Pose
     transforms: Transforms
     #: world positions of the joint centres
@@ -37,6 +38,7 @@ def pose_body(body: Body, pose: Pose) -> Posed:
     transforms = forward_kinematics(body.skeleton, pose)
     vertices = body.skin.deform(body.vertices, body.skeleton, pose, transforms)
     return Posed(
+        body=body,
         pose=pose,
         transforms=transforms,
         joints=joint_positions(body.skeleton, transforms),

@@ -8,31 +8,32 @@ The paper's own operators (Kineben, eqs. 8 to 16) stand below.
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .body import Body, Posed
+from .body import Posed
 from .rates import pose_rates
 
 
-def point_jacobian(body: Body, posed: Posed, vertices: Int[Array, "C"]) -> Float[Array, "C 3 D"]:
+def point_jacobian(posed: Posed, vertices: Int[Array, "C"]) -> Float[Array, "C 3 D"]:
     """The derivative of posed vertices with respect to the tangent, metres a unit.
 
     **Arguments:** `vertices (C,)` are indices of body vertices.
     """
-    axes = jnp.eye(3, dtype=body.vertices.dtype)
-    return vertex_rows(body, posed, vertices, jnp.broadcast_to(axes, (len(vertices), 3, 3)))
+    axes = jnp.eye(3, dtype=posed.vertices.dtype)
+    return vertex_rows(posed, vertices, jnp.broadcast_to(axes, (len(vertices), 3, 3)))
 
 
 def projected_jacobian(
-    body: Body, posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C 3"]
+    posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C 3"]
 ) -> Float[Array, "C D"]:
     """Rows `n_v . dx_v/dd` along `directions n (C, 3)`, for distances to planes; the `(C, 3, D)`
     Jacobian is never formed."""
-    return vertex_rows(body, posed, vertices, directions[:, None])[:, 0]
+    return vertex_rows(posed, vertices, directions[:, None])[:, 0]
 
 
 def vertex_rows(
-    body: Body, posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C R 3"]
+    posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C R 3"]
 ) -> Float[Array, "C R D"]:
     """Rows `n_v . dx_v/dd` along R directions for each of the chosen vertices."""
+    body = posed.body
     rates = pose_rates(body.skeleton, posed.pose, posed.transforms)
     return body.skin.take(vertices).jacobian(
         body.vertices[vertices], directions, body.skeleton, posed.pose, posed.transforms, rates

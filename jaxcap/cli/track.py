@@ -141,7 +141,7 @@ class Track:
             damping=self.damping,
             estimate_priors=self.estimate_priors,
         )
-        terms = () if limits is None else (self.limit_weight * JointLimits(body.skeleton, limits),)
+        terms = () if limits is None else (self.limit_weight * JointLimits(limits),)
         return make_tracker(body, mixture, terms, iterations=self.iterations)
 
     def follow(

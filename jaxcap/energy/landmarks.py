@@ -4,11 +4,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..body.body import Posed
-from ..body.skeleton import Skeleton
 from .term import AbstractEnergy, root
+from .vertices import AbstractVertexEnergy, along_axes
 
 
-class VertexLandmarks(AbstractEnergy):
+class VertexLandmarks(AbstractVertexEnergy):
     """`sum_i w_i |x_i - y_i|^2` over chosen vertices, metres; a weight of zero is a
     landmark that was not seen."""
 
@@ -18,6 +18,9 @@ class VertexLandmarks(AbstractEnergy):
 
     def residual(self, posed):
         return (root(self.weights)[:, None] * (posed.vertices[self.vertices] - self.targets)).reshape(-1)
+
+    def slopes(self):
+        return self.vertices, along_axes(self.weights)
 
 
 class BoneLandmarks(AbstractEnergy):
@@ -35,8 +38,17 @@ class BoneLandmarks(AbstractEnergy):
         return (root(self.weights)[:, None] * (places - self.targets)).reshape(-1)
 
 
-def joint_landmarks(skeleton: Skeleton, targets: Float[Array, "J 3"], weights=None) -> BoneLandmarks:
+class JointLandmarks(AbstractEnergy):
+    """`sum_j w_j |c_j - y_j|^2` over all joint centres, metres; a weight of zero is a joint that
+    was not seen."""
+
+    targets: Float[Array, "J 3"]
+    weights: Float[Array, "J"]
+
+    def residual(self, posed: Posed):
+        return (root(self.weights)[:, None] * (posed.joints - self.targets)).reshape(-1)
+
+
+def joint_landmarks(targets: Float[Array, "J 3"], weights=None) -> JointLandmarks:
     """Joint centres that are to reach `targets (J, 3)`; all `weights (J,)` one where not given."""
-    joints = jnp.arange(skeleton.num_joints)
-    weights = jnp.ones(skeleton.num_joints, targets.dtype) if weights is None else weights
-    return BoneLandmarks(joints, skeleton.centres, targets, weights)
+    return JointLandmarks(targets, jnp.ones(len(targets), targets.dtype) if weights is None else weights)

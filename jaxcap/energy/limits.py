@@ -6,7 +6,6 @@ from jaxtyping import Array, Float
 from ..body.body import Posed
 from ..body.limits import JointRanges
 from ..body.pose import revolute_angles, universal_angles
-from ..body.skeleton import Skeleton
 from ..geometry import rotation
 from .term import AbstractEnergy
 
@@ -17,14 +16,13 @@ class JointLimits(AbstractEnergy):
     negative, with `t` the cosine of the cone's angle, for the heading and the bank axis.
     """
 
-    skeleton: Skeleton
     ranges: JointRanges
 
     def residual(self, posed: Posed):
-        limits, pose = self.ranges, posed.pose
-        first = jnp.asarray(revolute_angles(self.skeleton, pose))
-        pairs = universal_angles(self.skeleton, pose)
-        universal = jnp.array([kind == "universal" for kind in self.skeleton.kinds])[limits.joints]
+        limits, pose, skeleton = self.ranges, posed.pose, posed.body.skeleton
+        first = jnp.asarray(revolute_angles(skeleton, pose))
+        pairs = universal_angles(skeleton, pose)
+        universal = jnp.array([kind == "universal" for kind in skeleton.kinds])[limits.joints]
         angles = jnp.where(universal, pairs[limits.joints, limits.numbers], first[limits.joints])
         # angles are known up to a turn: the one nearest to the middle of the range counts
         middle = (limits.lower + limits.upper) / 2

@@ -3,10 +3,11 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .term import AbstractEnergy, root
+from .term import root
+from .vertices import AbstractVertexEnergy, along_axes
 
 
-class PointToPoint(AbstractEnergy):
+class PointToPoint(AbstractVertexEnergy):
     """`sum_i w_i |x_i - y_i|^2` over pairs of a body's vertex and an observed point
     (Kineben, eq. 2; with posteriors for weights the M-step of eq. 29).
 
@@ -21,8 +22,11 @@ class PointToPoint(AbstractEnergy):
         apart = posed.vertices[self.vertices] - self.points
         return (root(self.weights)[:, None] * apart).reshape(-1)
 
+    def slopes(self):
+        return self.vertices, along_axes(self.weights)
 
-class PointToPlane(AbstractEnergy):
+
+class PointToPlane(AbstractVertexEnergy):
     """`sum_i w_i (n_i . (x_i - y_i))^2`: distance along fixed directions `n (C, 3)`, so
     that points slide along the surface (Chen and Medioni 1991)."""
 
@@ -34,3 +38,6 @@ class PointToPlane(AbstractEnergy):
     def residual(self, posed):
         apart = posed.vertices[self.vertices] - self.points
         return root(self.weights) * jnp.sum(self.normals * apart, -1)
+
+    def slopes(self):
+        return self.vertices, (root(self.weights)[:, None] * self.normals)[:, None]

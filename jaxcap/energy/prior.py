@@ -17,12 +17,11 @@ class PosePrior(AbstractEnergy):
     Holds what the data do not show, damps a step, or ties a frame to its prediction.
     """
 
-    skeleton: Skeleton
     reference: Pose
     deviations: Float[Array, "D"]
 
     def residual(self, posed: Posed):
-        return difference(self.skeleton, self.reference, posed.pose) / self.deviations
+        return difference(posed.body.skeleton, self.reference, posed.pose) / self.deviations
 
 
 class RestPrior(AbstractEnergy):
@@ -30,11 +29,10 @@ class RestPrior(AbstractEnergy):
     frame (twist, flexion, sideways), with standard deviations `s (J, 3)` in radians (infinite:
     free). An elbow that bends sideways costs more than one that flexes."""
 
-    skeleton: Skeleton
     deviations: Float[Array, "J 3"]
 
     def residual(self, posed: Posed):
-        inverse = rotation.conjugate(self.skeleton.orientations)
+        inverse = rotation.conjugate(posed.body.skeleton.orientations)
         own = rotation.rotate(inverse, rotation.log(posed.pose.rotations))
         return (own / self.deviations).reshape(-1)
 

@@ -36,8 +36,7 @@ def anneal(
 
     Returns the estimate and its mean log-likelihood at a deviation common to all starts.
     """
-    skeleton = tracker.body.skeleton
-    prior = Sum((RestPrior(skeleton, tracker.rest_deviations), *tracker.terms))
+    prior = Sum((RestPrior(tracker.rest_deviations), *tracker.terms))
     volume = box_volume(cloud)
 
     def step(estimate, sigma):

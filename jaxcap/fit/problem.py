@@ -8,14 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..body.body import Body, pose_body
-from ..body.jacobian import point_jacobian, projected_jacobian
+from ..body.body import Body, Posed, pose_body
+from ..body.jacobian import vertex_rows
 from ..body.pose import Pose, retract
 from ..body.skeleton import dof_layout
-from ..body.skin import LinearSkin, RigidSkin
-from ..energy.landmarks import VertexLandmarks
-from ..energy.points import PointToPlane, PointToPoint
 from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
+from ..energy.vertices import AbstractVertexEnergy
 
 Unknown = TypeVar("Unknown")
 
@@ -76,14 +74,13 @@ def linearise(
     """Residual and Jacobian of an energy at a pose, by tangents of `retract`, rows in the order
     of `energy.residual`.
 
-    Terms over many vertices use the analytic Jacobian of the skin (Kineben, eqs. 8 to 13),
-    which costs one sum down the tree for each joint; forward autodiff, which all other
-    terms use, pushes each of the D tangents through the whole skin.
+    Terms over vertices use the skin's own Jacobian (Kineben, eqs. 8 to 13), which costs one
+    sum down the tree for each joint; forward autodiff, which all other terms use, pushes
+    each of the D tangents through the whole skin.
     """
     posed = pose_body(body, pose)
-    known = isinstance(body.skin, RigidSkin | LinearSkin)
     terms = terms_of(energy)
-    others = tuple(term for term in terms if not (known and _over_vertices(term)))
+    others = tuple(term for term in terms if not isinstance(bare(term), AbstractVertexEnergy))
     zero = jnp.zeros(body.skeleton.num_dofs, body.vertices.dtype)
 
     def moved(d):
@@ -95,23 +92,17 @@ def linearise(
     jacobians, residuals = jax.jacfwd(moved, has_aux=True)(zero) if others else ((), ())
     differentiated = iter(zip(residuals, jacobians, strict=True))
     rows = [
-        (term.residual(posed), _vertex_jacobian(term, body, posed))
-        if known and _over_vertices(term)
+        (term.residual(posed), _vertex_rows(term, posed))
+        if isinstance(bare(term), AbstractVertexEnergy)
         else next(differentiated)
         for term in terms
     ]
     return jnp.concatenate([r for r, _ in rows]), jnp.concatenate([j for _, j in rows])
 
 
-def _over_vertices(term: AbstractEnergy) -> bool:
-    return isinstance(bare(term), PointToPoint | PointToPlane | VertexLandmarks)
-
-
-def _vertex_jacobian(term, body, posed) -> Float[Array, "R D"]:
+def _vertex_rows(term: AbstractEnergy, posed: Posed) -> Float[Array, "R D"]:
     if isinstance(term, Weighted):
-        return root(term.weight) * _vertex_jacobian(term.energy, body, posed)
-    scale = root(term.weights)
-    if isinstance(term, PointToPlane):
-        return projected_jacobian(body, posed, term.vertices, scale[:, None] * term.normals)
-    jacobian = point_jacobian(body, posed, term.vertices)
-    return (scale[:, None, None] * jacobian).reshape(-1, jacobian.shape[-1])
+        return root(term.weight) * _vertex_rows(term.energy, posed)
+    assert isinstance(term, AbstractVertexEnergy)
+    rows = vertex_rows(posed, *term.slopes())
+    return rows.reshape(-1, rows.shape[-1])

@@ -100,8 +100,8 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     """
     skeleton, before = tracker.body.skeleton, state.estimate
     predicted = retract(skeleton, before.pose, tracker.momentum * state.change)
-    rest = RestPrior(skeleton, tracker.rest_deviations)
-    prior = Sum((PosePrior(skeleton, predicted, tracker.motion_deviations), rest, *tracker.terms))
+    rest = RestPrior(tracker.rest_deviations)
+    prior = Sum((PosePrior(predicted, tracker.motion_deviations), rest, *tracker.terms))
     volume = box_volume(cloud)
     sigma = jnp.maximum(tracker.sigma_growth * before.sigma, tracker.sigma_start)
 

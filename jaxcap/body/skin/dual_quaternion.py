@@ -52,7 +52,7 @@ class DualQuaternionSkin(AbstractSkin):
         pulled = dualquat.pull_back(weights @ motions, vertices, pose.scale * directions)
         # (J, 6, 8): the rate of each bone's dual quaternion by each unit field
         fields = dualquat.from_twist(jnp.eye(6, dtype=motions.dtype))
-        units = dualquat.multiply(fields, motions[:, None])
+        units = dualquat.multiply(*jnp.broadcast_arrays(fields, motions[:, None]))
         wrench = jnp.repeat(weights, 6, 1)[:, None] * (pulled @ units.reshape(-1, 8).T)
         twists = jnp.concatenate([rates.angular, rates.linear / pose.scale], 1)
         below = bones_below(skeleton, rates)
