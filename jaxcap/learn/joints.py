@@ -1,0 +1,134 @@
+"""Joints' centres and orientations with the poses of all meshes: Gauss-Newton on an arrow."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..body.body import Body
+from ..body.kinematics import forward_kinematics
+from ..body.pose import Pose, retract
+from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
+from ..body.skeleton import Skeleton
+from ..body.skin.swing_twist import SwingTwistSkin
+from ..fit.arrow import Arrow, damped, solve_arrow
+from ..geometry import rotation
+from ..geometry.laplacian import Conformance, apply
+from .anchors import Anchors, cut_anchors
+from .objective import deform, objective
+from .symmetry import length_differences
+
+
+class JointStep(NamedTuple):
+    """What one improvement of joints and poses leaves."""
+
+    body: Body
+    poses: Pose
+    value: float
+    damping: float
+
+
+def improve_joints(
+    body: Body,
+    poses: Pose,
+    targets: Float[Array, "F V 3"],
+    metric: Conformance,
+    pairs: Int[np.ndarray, "P 2"],
+    damping: float,
+    value: float,
+    tries: int = 5,
+) -> JointStep:
+    """One step of Gauss-Newton (Adaptation, 3.2.2) that never raises Q.
+
+    The unknowns are the numbers of all poses, and of every joint below a root its centre and,
+    where the skin knows twist axes, two numbers of its orientation (a roll about the twist axis
+    changes nothing). The bones of left and right `pairs` of joints stay equally long, which is
+    the limit of the paper's heavy `lambda Q_sym` (eqs. 3.23 to 3.26). Where a step would raise
+    Q it is damped more, up to `tries` times, and then left.
+    """
+    slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
+    variance = jnp.asarray(value / targets.size, targets.dtype)
+    arrow = normal_equations(body, poses, targets, metric, slots)
+    arrow = _anchored(arrow, body.skeleton, cut_anchors(body), variance, slots)
+    for _ in range(tries):
+        trial = _step(body, poses, arrow, jnp.asarray(damping, arrow.shared.dtype), bones, slots)
+        trial_value = float(objective(*trial, targets, metric))
+        if trial_value < value:
+            return JointStep(*trial, trial_value, max(damping / 5.0, 1e-7))
+        damping = max(10.0 * damping, 1e-5)
+    return JointStep(body, poses, value, damping)
+
+
+def shared_slots(body: Body) -> tuple[int, ...]:
+    """Which numbers of `joint_rates` are unknown: centres, and orientations but for the roll."""
+    numbers = [0, 1, 2, 4, 5] if isinstance(body.skin, SwingTwistSkin) else [0, 1, 2]
+    below = [joint for joint, parent in enumerate(body.skeleton.parents) if parent >= 0]
+    return tuple(6 * joint + number for joint in below for number in numbers)
+
+
+@eqx.filter_jit
+def normal_equations(
+    body: Body, poses: Pose, targets: Float[Array, "F V 3"], metric: Conformance, slots: tuple[int, ...]
+) -> Arrow:
+    """The block-arrow normal equations of Q by poses and joints, frame by frame."""
+    skeleton = body.skeleton
+    dofs, chosen = skeleton.num_dofs, np.array(slots, int)
+    every = jnp.broadcast_to(jnp.eye(3, dtype=body.vertices.dtype), (len(body.vertices), 3, 3))
+
+    def of_frame(frame):
+        pose, target = frame
+        transforms = forward_kinematics(skeleton, pose)
+        rates = stack_rates(
+            pose_rates(skeleton, pose, transforms),
+            take_rates(joint_rates(skeleton, pose, transforms), chosen),
+        )
+        rows = body.skin.jacobian(body.vertices, every, skeleton, pose, transforms, rates)
+        error = target - deform(body, pose)
+        whole = jnp.concatenate([rows, error[:, :, None]], 2)
+        weighed = apply(metric, whole.reshape(len(error), -1)).reshape(whole.shape)
+        gram = whole.reshape(-1, whole.shape[2]).T @ weighed.reshape(-1, whole.shape[2])
+        return gram[:dofs, :dofs], gram[:dofs, dofs:-1], gram[dofs:-1, dofs:-1], gram[:-1, -1]
+
+    frames, coupling, shared, sides = jax.lax.map(of_frame, (poses, targets))
+    return Arrow(frames, coupling, jnp.sum(shared, 0), sides[:, :dofs], jnp.sum(sides[:, dofs:], 0))
+
+
+@eqx.filter_jit
+def _anchored(
+    arrow: Arrow, skeleton: Skeleton, anchors: Anchors, variance: Float[Array, ""], slots: tuple[int, ...]
+) -> Arrow:
+    """The equations with the prior on centres, for residuals of the given variance."""
+    weights = variance * anchors.weights[:, None]
+    pull = jnp.pad(weights * (anchors.middles - skeleton.centres), ((0, 0), (0, 3))).ravel()
+    hold = jnp.pad(jnp.broadcast_to(weights, pull.reshape(-1, 6)[:, :3].shape), ((0, 0), (0, 3))).ravel()
+    chosen = np.array(slots, int)
+    return eqx.tree_at(
+        lambda a: (a.shared, a.shared_side),
+        arrow,
+        (arrow.shared + jnp.diag(hold[chosen]), arrow.shared_side + pull[chosen]),
+    )
+
+
+@eqx.filter_jit
+def _step(body, poses, arrow, damping, bones, slots) -> tuple[Body, Pose]:
+    skeleton = body.skeleton
+    slots = np.array(slots, int)
+    differences, by_centre = length_differences(skeleton, np.array(bones, int).reshape(-1, 2))
+    full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
+    rows = full.reshape(len(differences), 6 * skeleton.num_joints)[:, slots]
+    by_frame, shared = solve_arrow(damped(arrow, damping), rows, -differences)
+    moved = jnp.zeros(6 * skeleton.num_joints, shared.dtype).at[slots].set(shared).reshape(-1, 6)
+    joints = move_joints(skeleton, moved[:, :3], moved[:, 3:])
+    new_poses = jax.vmap(retract, (None, 0, 0))(skeleton, poses, by_frame)
+    return eqx.tree_at(lambda b: b.skeleton, body, joints), new_poses
+
+
+def move_joints(skeleton: Skeleton, shifts: Float[Array, "J 3"], turns: Float[Array, "J 3"]) -> Skeleton:
+    """A skeleton with its centres shifted, metres, and its orientations turned on the right, radians."""
+    orientations = rotation.normalise(rotation.multiply(skeleton.orientations, rotation.exp(turns)))
+    return eqx.tree_at(
+        lambda s: (s.centres, s.orientations), skeleton, (skeleton.centres + shifts, orientations)
+    )

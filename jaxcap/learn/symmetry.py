@@ -1,0 +1,53 @@
+"""Bones on the left are as long as on the right."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..body.skeleton import Skeleton
+
+
+def length_differences(
+    skeleton: Skeleton, pairs: Int[np.ndarray, "P 2"]
+) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
+    """By how much the bone from its parent to the left joint is longer than to the right one,
+    metres, and how that changes with the centres of the joints.
+
+    It is the residual of the paper's symmetry (Adaptation, eqs. 3.23 to 3.26): there the right
+    bone is turned into the left one's direction by `R_lr`, and what is left of their difference
+    is along that direction, as long as the bones differ. A joint that hangs on a root ends no
+    bone, as a root's own centre may be anywhere: such pairs are left out.
+    """
+    count = skeleton.num_joints
+    parents = np.array(skeleton.parents)
+    pairs = bones_of(skeleton, pairs)
+    total = jnp.zeros(len(pairs), skeleton.centres.dtype)
+    slopes = jnp.zeros((len(pairs), count, 3), skeleton.centres.dtype)
+    rows = np.arange(len(pairs))
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        ends, starts = pairs[:, side], parents[pairs[:, side]]
+        bones = skeleton.centres[ends] - skeleton.centres[starts]
+        lengths = jnp.linalg.norm(bones, axis=1)
+        directions = bones / jnp.maximum(lengths, jnp.finfo(lengths.dtype).tiny)[:, None]
+        total = total + sign * lengths
+        slopes = slopes.at[rows, ends].add(sign * directions).at[rows, starts].add(-sign * directions)
+    return total, slopes
+
+
+def bones_of(skeleton: Skeleton, pairs: Int[np.ndarray, "P 2"]) -> Int[np.ndarray, "B 2"]:
+    """The pairs that end bones: those whose parents have parents."""
+    pairs = np.asarray(pairs, int).reshape(-1, 2)
+    grand = np.array([-1 if parent < 0 else skeleton.parents[parent] for parent in skeleton.parents], int)
+    return pairs[(grand[pairs] >= 0).all(1) if len(pairs) else slice(0)]
+
+
+def symmetrise(skeleton: Skeleton, pairs: Int[np.ndarray, "P 2"], steps: int = 20) -> Skeleton:
+    """The skeleton with paired bones equally long, by the smallest shifts of its centres."""
+    if len(bones_of(skeleton, pairs)) == 0:
+        return skeleton
+    for _ in range(steps):
+        differences, slopes = length_differences(skeleton, pairs)
+        shift = -jnp.linalg.lstsq(slopes.reshape(len(differences), -1), differences)[0]
+        skeleton = eqx.tree_at(lambda s: s.centres, skeleton, skeleton.centres + shift.reshape(-1, 3))
+    return skeleton

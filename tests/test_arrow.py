@@ -1,0 +1,83 @@
+"""Block-arrow equations against dense solutions."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxcap.fit.arrow import Arrow, damped, solve_arrow
+
+
+def random_rows(rng, frames=4, dofs=5, shared=3, count=11):
+    """Rows of a least-squares problem, frame by frame: by own unknowns, by shared ones, residual."""
+    return [rng.normal(size=shape) for shape in ((frames, count, dofs), (frames, count, shared), (frames, count))]
+
+
+def arrow_of(own, common, residual) -> Arrow:
+    return Arrow(
+        jnp.einsum("fri,frj->fij", own, own),
+        jnp.einsum("fri,frs->fis", own, common),
+        jnp.einsum("frs,frt->st", common, common),
+        jnp.einsum("fri,fr->fi", own, residual),
+        jnp.einsum("frs,fr->s", common, residual),
+    )
+
+
+def dense_of(own, common):
+    frames, count, dofs = own.shape
+    wide = np.zeros((frames * count, frames * dofs + common.shape[2]))
+    for frame in range(frames):
+        rows = slice(frame * count, (frame + 1) * count)
+        wide[rows, frame * dofs : (frame + 1) * dofs] = own[frame]
+        wide[rows, frames * dofs :] = common[frame]
+    return wide
+
+
+def test_schur_is_dense_least_squares(rng):
+    own, common, residual = random_rows(rng)
+    by_frame, shared = solve_arrow(arrow_of(own, common, residual), jnp.zeros((0, 3)), jnp.zeros(0))
+    expected = np.linalg.lstsq(dense_of(own, common), residual.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(np.append(by_frame.ravel(), shared), expected, rtol=1e-9, atol=1e-11)
+
+
+def test_constraints_hold_and_the_rest_is_least(rng):
+    own, common, residual = random_rows(rng)
+    rows, violation = rng.normal(size=(2, 3)), rng.normal(size=2)
+    by_frame, shared = solve_arrow(arrow_of(own, common, residual), jnp.asarray(rows), jnp.asarray(violation))
+    np.testing.assert_allclose(rows @ shared, violation, atol=1e-10)
+    # Karush-Kuhn-Tucker, dense
+    wide = dense_of(own, common)
+    count = wide.shape[1]
+    kkt = np.zeros((count + 2, count + 2))
+    kkt[:count, :count] = wide.T @ wide
+    kkt[count:, count - 3 : count] = rows
+    kkt[count - 3 : count, count:] = rows.T
+    expected = np.linalg.solve(kkt, np.append(wide.T @ residual.ravel(), violation))[:count]
+    np.testing.assert_allclose(np.append(by_frame.ravel(), shared), expected, rtol=1e-7, atol=1e-9)
+
+
+def test_nothing_shared(rng):
+    own, common, residual = random_rows(rng, shared=0)
+    by_frame, shared = solve_arrow(arrow_of(own, common, residual), jnp.zeros((0, 0)), jnp.zeros(0))
+    assert shared.shape == (0,)
+    for frame in range(len(own)):
+        expected = np.linalg.lstsq(own[frame], residual[frame], rcond=None)[0]
+        np.testing.assert_allclose(by_frame[frame], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e3])
+def test_damping_makes_unknowns_without_data_stay(rng, damping):
+    own, common, residual = random_rows(rng)
+    own[:, :, 1], common[:, :, 2] = 0.0, 0.0
+    arrow = damped(arrow_of(own, common, residual), jnp.asarray(damping))
+    by_frame, shared = solve_arrow(arrow, jnp.zeros((0, 3)), jnp.zeros(0))
+    assert np.isfinite(by_frame).all() and np.isfinite(shared).all()
+    np.testing.assert_allclose(by_frame[:, 1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(shared[2], 0.0, atol=1e-12)
+    if damping:
+        # the step of much damping is the scaled gradient
+        diagonal = np.einsum("fri,fri->fi", own, own)
+        gradient = np.einsum("fri,fr->fi", own, residual)
+        known = [0, 2, 3, 4]
+        np.testing.assert_allclose(
+            by_frame[:, known], gradient[:, known] / diagonal[:, known] / (1 + damping), rtol=2e-2, atol=1e-5
+        )

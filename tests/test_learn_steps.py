@@ -1,0 +1,140 @@
+"""Each improvement of learning against gradients, dense solutions and known bodies."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcap as jc
+from jaxcap.fit.arrow import Arrow
+from jaxcap.geometry.laplacian import make_conformance
+from jaxcap.learn.anchors import cut_anchors
+from jaxcap.learn.joints import improve_joints, move_joints, normal_equations, shared_slots
+from jaxcap.learn.objective import deform, deform_all, objective
+from jaxcap.learn.symmetry import bones_of, length_differences, symmetrise
+from jaxcap.learn.vertices import VertexSolver
+from tests.helpers import chain_body, random_pose
+
+NONE = np.zeros((0, 2), int)
+
+
+def scene(rng, swing_twist: bool, frames: int = 4):
+    """A chain under a smooth skin, poses, and meshes of it with errors."""
+    body = chain_body()
+    skin = body.skin if not swing_twist else jc.swing_twist_from(body.skin, body.skeleton)
+    body = eqx.tree_at(lambda b: b.skin, body, skin)
+    turns = rng.normal(size=(body.skeleton.num_joints, 4)) * 0.2 + [1.0, 0, 0, 0]
+    orientations = jnp.asarray(turns / np.linalg.norm(turns, axis=1, keepdims=True))
+    body = eqx.tree_at(lambda b: b.skeleton.orientations, body, orientations)
+    poses = jc.stack_poses([random_pose(body.skeleton, rng, 0.3) for _ in range(frames)]).poses
+    targets = deform_all(body, poses) + 0.01 * rng.normal(size=(frames, len(body.vertices), 3))
+    return body, poses, targets, make_conformance(np.asarray(body.faces), len(body.vertices), 10.0)
+
+
+@pytest.mark.parametrize("swing_twist", [False, True])
+def test_normal_equations_are_the_gradient(rng, swing_twist):
+    body, poses, targets, metric = scene(rng, swing_twist)
+    slots = shared_slots(body)
+    arrow: Arrow = normal_equations(body, poses, targets, metric, slots)
+    count = body.skeleton.num_joints
+
+    def value(by_frame, shared):
+        moved = jnp.zeros(6 * count).at[np.array(slots)].set(shared).reshape(-1, 6)
+        there = eqx.tree_at(
+            lambda b: b.skeleton, body, move_joints(body.skeleton, moved[:, :3], moved[:, 3:])
+        )
+        new = jax.vmap(jc.retract, (None, 0, 0))(body.skeleton, poses, by_frame)
+        return objective(there, new, targets, metric)
+
+    zeros = jnp.zeros((len(targets), body.skeleton.num_dofs)), jnp.zeros(len(slots))
+    by_frame, shared = jax.grad(value, (0, 1))(*zeros)
+    np.testing.assert_allclose(arrow.frame_side, -by_frame / 2, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(arrow.shared_side, -shared / 2, rtol=1e-8, atol=1e-10)
+    gram = arrow.shared
+    np.testing.assert_allclose(gram, gram.T, atol=1e-9 * float(jnp.abs(gram).max()))
+
+
+@pytest.mark.parametrize("swing_twist", [False, True])
+def test_joints_and_poses_are_found_again(rng, swing_twist):
+    body, poses, _, metric = scene(rng, swing_twist, frames=8)
+    targets = deform_all(body, poses)
+    count = body.skeleton.num_joints
+    shifts = 0.01 * rng.normal(size=(count, 3))
+    shifts[0] = 0.0
+    off = eqx.tree_at(
+        lambda b: b.skeleton, body, move_joints(body.skeleton, jnp.asarray(shifts), jnp.zeros((count, 3)))
+    )
+    value, damping = float(objective(off, poses, targets, metric)), 1e-4
+    values = [value]
+    for _ in range(12):
+        off, poses, value, damping = improve_joints(off, poses, targets, metric, NONE, damping, value)
+        values.append(value)
+    assert all(b <= a for a, b in zip(values, values[1:], strict=False))
+    assert value < 1e-6 * values[0]
+
+
+def test_paired_bones_stay_equally_long(rng):
+    names = ["root", "spine", "l", "ll", "r", "rr"]
+    centres = rng.normal(size=(6, 3))
+    skeleton = jc.make_skeleton(names, [-1, 0, 1, 2, 1, 4], ["free"] + ["ball"] * 5, centres)
+    pairs = np.array([[2, 4], [3, 5]])
+    even = symmetrise(skeleton, pairs)
+    lengths = np.linalg.norm(np.diff(np.asarray(even.centres)[[[1, 2], [1, 4], [2, 3], [4, 5]]], axis=1), axis=-1)
+    np.testing.assert_allclose(lengths[0], lengths[1], rtol=1e-10)
+    np.testing.assert_allclose(lengths[2], lengths[3], rtol=1e-10)
+    # eqs. 3.23 to 3.26: the right bone turned into the left one's direction by Rodrigues' formula
+    differences, slopes = length_differences(skeleton, pairs)
+    for row, (left, right) in enumerate(pairs):
+        bones = [centres[j] - centres[skeleton.parents[j]] for j in (left, right)]
+        across = np.cross(bones[1], bones[0])
+        sine = np.linalg.norm(across) / np.prod([np.linalg.norm(b) for b in bones])
+        cosine = bones[0] @ bones[1] / np.prod([np.linalg.norm(b) for b in bones])
+        k = np.cross(np.eye(3), across / np.linalg.norm(across))
+        turn = np.eye(3) + sine * k.T.T.T + (1 - cosine) * k @ k
+        turn = turn if np.allclose(turn @ bones[1] / np.linalg.norm(bones[1]), bones[0] / np.linalg.norm(bones[0])) else turn.T
+        left_over = bones[0] - turn @ bones[1]
+        np.testing.assert_allclose(abs(differences[row]), np.linalg.norm(left_over), rtol=1e-9)
+    step = 1e-6 * rng.normal(size=(6, 3))
+    moved = eqx.tree_at(lambda s: s.centres, skeleton, skeleton.centres + step)
+    change = length_differences(moved, pairs)[0] - differences
+    np.testing.assert_allclose(change, jnp.einsum("pja,ja->p", slopes, step), atol=1e-11)
+    assert len(bones_of(skeleton, np.array([[1, 2]]))) == 0
+
+
+@pytest.mark.parametrize("swing_twist", [False, True])
+def test_rest_vertices_are_least_squares(rng, swing_twist):
+    body, poses, targets, metric = scene(rng, swing_twist)
+    found = VertexSolver(metric).solve(body, poses, targets, tolerance=1e-10)
+
+    def value(vertices):
+        return objective(eqx.tree_at(lambda b: b.vertices, body, vertices), poses, targets, metric)
+
+    slope = jax.grad(value)(found)
+    assert float(jnp.abs(slope).max()) < 1e-7 * float(jnp.abs(jax.grad(value)(body.vertices)).max())
+    # Q is quadratic in the rest vertices: the found ones are the only minimum
+    assert value(found) < value(body.vertices)
+
+
+def test_anchors_lie_amid_cuts():
+    body = chain_body()
+    anchors = cut_anchors(body)
+    labels = np.asarray(body.skin.parts())
+    joint = int(labels.max())
+    parent = body.skeleton.parents[joint]
+    rest, faces = np.asarray(body.vertices), np.asarray(body.faces)
+    ends = {
+        tuple(sorted((a, b)))
+        for face in faces
+        for a, b in ((face[0], face[1]), (face[1], face[2]), (face[2], face[0]))
+        if {labels[a], labels[b]} == {joint, parent}
+    }
+    expected = np.mean([(rest[a] + rest[b]) / 2 for a, b in ends], axis=0)
+    np.testing.assert_allclose(anchors.middles[joint], expected, atol=1e-12)
+    assert anchors.weights[0] == 0 and anchors.weights[joint] > 0
+
+
+def test_deform_is_pose_body(rng):
+    body, poses, _, _ = scene(rng, True, frames=1)
+    pose = jax.tree.map(lambda field: field[0], poses)
+    np.testing.assert_allclose(deform(body, pose), jc.pose_body(body, pose).vertices)
