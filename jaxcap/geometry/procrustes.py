@@ -88,7 +88,7 @@ def rigid_errors(moments: Moments) -> Float[Floats, "*S"]:
     agreement = values[..., 0] + values[..., 1] + mirrored * values[..., 2]
     spread = moments.target_square - moments.mass * np.sum(places * places, (-2, -1))
     own = moments.source_square - moments.mass * np.sum(middle * middle, -1)
-    return np.maximum(spread + frames * own - 2 * agreement.sum(-1), 0.0)
+    return np.asarray(np.maximum(spread + frames * own - 2 * agreement.sum(-1), 0.0))
 
 
 def rigid_fit(

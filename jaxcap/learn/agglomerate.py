@@ -55,7 +55,7 @@ def agglomerate(moments: Moments, neighbours: Int[np.ndarray, "B 2"]) -> Merging
         age[a] += 1
         age[b] = -1
         _push(heap, moments, errors, age, np.array([(a, other) for other in sorted(around[a])], int))
-    return Merging(np.array(steps, int).reshape(-1, 2), np.array(total[::-1]))
+    return Merging(np.array(steps, int).reshape(-1, 2), np.maximum(total[::-1], 0.0))
 
 
 def merged_labels(merging: Merging, count: int) -> Int[np.ndarray, "N"]:

@@ -10,8 +10,8 @@ from .surface import Surface, label_edges
 
 #: rounds in which the spread of the residual and the pull of the boundary are settled
 ROUNDS = 5
-#: the most frames that count as independent of each other
-INDEPENDENT = 20
+#: how many frames count as independent: what skin does to a part's motion, it does in like poses alike
+INDEPENDENT = 3
 #: share of a boundary's radius that is trusted at the very least, so that rigid data are solved, too
 FLOOR = 1e-3
 
@@ -69,6 +69,7 @@ def find_centres(
     rotations: Float[np.ndarray, "F K 3 3"],
     translations: Float[np.ndarray, "F K 3"],
     size: float,
+    error: float = 0.0,
 ) -> Centres:
     """The points `c` with the least sum over frames of `|T_a c - T_b c|^2`.
 
@@ -76,7 +77,7 @@ def find_centres(
     boundary pulls, as a normal prior as wide as the boundary against residuals as large as they
     turn out. Parts that bend, and do not turn about a point, have their best point far away: a
     joint is held within the sphere through its boundary. `size` of the body, metres, bounds the
-    radius of a boundary from below.
+    radius of a boundary from below; `error` of the parts, metres, that of the residuals.
     """
     frames = len(rotations)
     a, b = seams.pairs.T
@@ -95,7 +96,7 @@ def find_centres(
         points = seams.middles + away
         gap = np.einsum("fpab,pb->fpa", turn, away) - shift
         residuals = np.sqrt(np.mean(np.sum(gap * gap, -1), 0))
-        variances = np.maximum(residuals**2 / 3, (FLOOR * radii) ** 2)
+        variances = np.maximum(np.maximum(residuals, error) ** 2 / 3, (FLOOR * radii) ** 2)
     return Centres(points, residuals)
 
 

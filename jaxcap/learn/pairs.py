@@ -13,6 +13,8 @@ LENGTH, AREA = 0.25, 0.5
 #: the mean doubt of a pair of limbs up to which they are a pair, and how much less it has to be
 #: than that of any other match of either
 DOUBT, LEAD = 1.0, 1.5
+#: doubts below are not told apart
+CERTAIN = 0.1
 
 
 class _Match(NamedTuple):
@@ -70,7 +72,7 @@ def _siblings(branches: list[int], children, lengths, areas) -> list[tuple[int, 
             for pair, other in matches.items()
             if pair != (a, b) and {a, b} & set(pair) and not taken & set(pair)
         ]
-        if min(rivals, default=np.inf) < LEAD * match.mean:
+        if min(rivals, default=np.inf) < LEAD * max(match.mean, CERTAIN):
             continue
         taken |= {a, b}
         found += [(min(pair), max(pair)) for pair in match.pairs]

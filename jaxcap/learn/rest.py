@@ -23,7 +23,7 @@ def choose_rest(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"
     first = np.asarray(meshes[0], float)
     surface = make_surface(first, meshes, np.asarray(faces))
     patches = cut_patches(surface, first, PATCHES)
-    groups = membership(patches, surface.areas, patches.max() + 1)
+    groups = membership(patches, surface.areas, int(patches.max()) + 1)
     paths = np.ascontiguousarray(meshes[chosen].transpose(1, 0, 2), float)
     turns, _ = rigid_motions(group_moments(groups, first, paths - paths.mean(0)))
     weights = np.asarray(groups.sum(1)).ravel()

@@ -59,7 +59,7 @@ def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarra
     if count == 1:
         return _hang(parts, [0], [-1], means, means, np.zeros(1), areas)
     seams = find_seams(surface, parts.labels, rest, count)
-    centres = find_centres(seams, parts.rotations, parts.translations, size)
+    centres = find_centres(seams, parts.rotations, parts.translations, size, parts.error)
     joints = _least_tree(_doubts(seams, centres, parts.error), seams.pairs, count)
     order, above, joint = _from_root(seams.pairs[joints], joints, areas)
     place = [means[order[0]] if j < 0 else centres.points[j] for j in joint]
@@ -89,7 +89,7 @@ def orient(
     lengths = np.linalg.norm(away, axis=1, keepdims=True)
     known = lengths[:, 0] > 1e-6 * max(float(lengths.max()), 1e-300)
     away = np.where(known[:, None], away / np.where(lengths > 0, lengths, 1.0), [1.0, 0.0, 0.0])
-    return np.asarray(_shortest_arc(jnp.array([1.0, 0.0, 0.0]), jnp.asarray(away)))
+    return np.asarray(_shortest_arc(jnp.broadcast_to(jnp.eye(3)[0], away.shape), jnp.asarray(away)))
 
 
 def _doubts(seams: Seams, centres: Centres, error: float) -> np.ndarray:
@@ -155,5 +155,6 @@ def _hang(parts: Parts, order, above, centres, ends, residuals, areas) -> Tree:
         labels=place[parts.labels],
         rotations=parts.rotations[:, order],
         translations=parts.translations[:, order],
+        partners=place[parts.partners],
     )
     return Tree(skeleton, sorted_parts, np.asarray(residuals), np.asarray(areas))
