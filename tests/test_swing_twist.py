@@ -20,17 +20,17 @@ pose_body = eqx.filter_jit(bodies.pose_body)
 
 def slow_vertex(body, pose, transforms, v):
     """Adaptation, eqs. 3.13 to 3.18, by SciPy's rotations and screws, one joint at a time."""
-    point, base = np.asarray(body.vertices[v]), int(body.skin.bases[v])
+    point, base = body.vertices[v], int(body.skin.bases[v])
     turns = []
     for j in range(SKELETON.num_joints):
-        frame = Rotation.from_quat(np.asarray(SKELETON.orientations[j]), scalar_first=True)
-        whole = Rotation.from_quat(np.asarray(pose.rotations[j]), scalar_first=True)
+        frame = Rotation.from_quat(body.skeleton.orientations[j], scalar_first=True)
+        whole = Rotation.from_quat(pose.rotations[j], scalar_first=True)
         w, x, _, _ = (frame.inv() * whole * frame).as_quat(scalar_first=True)
         local = Rotation.from_quat([w, x, 0, 0], scalar_first=True) if w or x else Rotation.identity()
         twist = frame * local * frame.inv()
-        turns.append((twist, whole * twist.inv(), np.asarray(SKELETON.centres[j])))
+        turns.append((twist, whole * twist.inv(), body.skeleton.centres[j]))
     weights, duals = [1 - np.sum(body.skin.twist[v])], [(np.array([1.0, 0, 0, 0]), np.zeros(4))]
-    for (twist, _, centre), weight in zip(turns, np.asarray(body.skin.twist[v]), strict=True):
+    for (twist, _, centre), weight in zip(turns, body.skin.twist[v], strict=True):
         real = twist.as_quat(scalar_first=True)
         shift = centre - twist.apply(centre)
         duals.append((real, 0.5 * np.array(hamilton([0.0, *shift], real))))
@@ -44,9 +44,9 @@ def slow_vertex(body, pose, transforms, v):
     twisted = Rotation.from_quat(real, scalar_first=True).apply(point) + shift
     beside = (1 - np.sum(body.skin.swing[v])) * twisted
     for j, (_, swing, centre) in enumerate(turns):
-        moved = swing.apply(twisted - centre) + centre + np.asarray(pose.translations[j])
+        moved = swing.apply(twisted - centre) + centre + pose.translations[j]
         beside = beside + float(body.skin.swing[v, j]) * moved
-    return np.asarray(transforms.rotations[base]) @ beside + np.asarray(transforms.translations[base])
+    return transforms.rotations[base] @ beside + transforms.translations[base]
 
 
 def hamilton(a, b):
@@ -57,8 +57,9 @@ def hamilton(a, b):
 def test_a_slow_sum_of_its_own(rng):
     for pose in [*awkward_poses(SKELETON), random_pose(SKELETON, rng, 1.0, scale=1.3)]:
         posed = pose_body(BODY, pose)
-        expected = [slow_vertex(BODY, pose, posed.transforms, v) for v in range(len(BODY.vertices))]
-        np.testing.assert_allclose(posed.vertices, expected, atol=1e-12)
+        plain = jax.tree.map(np.array, (BODY, pose, posed.transforms))
+        expected = [slow_vertex(*plain, v) for v in range(0, len(BODY.vertices), 2)]
+        np.testing.assert_allclose(posed.vertices[::2], expected, atol=1e-12)
 
 
 def test_from_linear_weights_one_joint_alone_swings_alike(rng):
@@ -180,9 +181,8 @@ def test_gradients_to_weights_vertices_and_joints_against_central_differences(sk
             assert found == pytest.approx(expected, abs=2e-11 + 1e-4 * abs(expected)), place
 
 
-def test_every_base_keeps_a_whole_weight_at_a_child_apart_from_none(rng):
-    """A body of one vertex: between no weight and all of it, the map goes from the base's to the
-    child's, and is neither in between."""
+def test_a_weight_takes_a_vertex_from_its_base_to_the_child(rng):
+    """No weight is the base's map and a whole one the child's; a half is neither."""
     chest, neck = SKELETON.index("chest"), SKELETON.index("neck")
     pose = random_pose(SKELETON, rng, 1.0)
     places = []
