@@ -17,6 +17,7 @@ from jaxcap.demo.performance import walk_and_wave
 from jaxcap.edit.influences import limit_influences
 from jaxcap.errors import InputError
 from jaxcap.io.gltf import write_gltf
+from jaxcap.io.gltf_reader import read_gltf
 
 _pose_body = eqx.filter_jit(pose_body)
 NUMBERS = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -169,3 +170,51 @@ def test_what_cannot_be_written_is_said(tmp_path, rng):
         with pytest.raises(InputError, match=sentence):
             write_gltf(tmp_path / name, body, given)
     assert not list(tmp_path.iterdir())
+
+
+def test_skeleton_and_motion_come_back(tmp_path, rng):
+    """What `write_gltf` wrote, at the precision of the file; the poses by where they take the joints."""
+    body = chain_body("linear")
+    tilted = Rotation.random(body.skeleton.num_joints, random_state=3).as_quat(scalar_first=True)
+    body = eqx.tree_at(lambda b: b.skeleton.orientations, body, jnp.asarray(tilted))
+    motion = stack_poses(
+        [random_pose(body.skeleton, rng, 0.8, scale) for scale in (1.0, 1.2, 0.9)], rate=25.0
+    )
+    write_gltf(tmp_path / "chain.glb", body, motion)
+    skeleton, back = read_gltf(tmp_path / "chain.glb")
+    assert (skeleton.names, skeleton.parents, skeleton.kinds) == (
+        body.skeleton.names, body.skeleton.parents, body.skeleton.kinds,
+    )  # fmt: skip
+    np.testing.assert_allclose(skeleton.centres, body.skeleton.centres, atol=1e-6)
+    turned = Rotation.from_quat(np.array(skeleton.orientations), scalar_first=True)
+    np.testing.assert_allclose(skeleton.axes, body.skeleton.axes, atol=1e-12)
+    apart = turned.inv() * Rotation.from_quat(tilted, scalar_first=True)
+    assert apart.magnitude().max() < 1e-5
+    assert back.rate == pytest.approx(25.0, rel=1e-5)
+    other = eqx.tree_at(lambda b: b.skeleton, body, skeleton)
+    for frame in range(3):
+        here, there = _pose_body(body, motion[frame]), _pose_body(other, back[frame])
+        np.testing.assert_allclose(there.vertices, here.vertices, atol=1e-5)
+        np.testing.assert_allclose(there.pose.translations, here.pose.translations, atol=1e-5)
+        assert there.pose.scale == pytest.approx(float(here.pose.scale), rel=1e-5)
+    twice = read_gltf(tmp_path / "chain.glb", rate=50.0)[1]
+    assert len(twice) == 5
+    np.testing.assert_allclose(twice.poses.scale[2], 1.2, rtol=1e-5)
+    write_gltf(tmp_path / "still.glb", body)
+    assert read_gltf(tmp_path / "still.glb")[1] is None
+
+
+def test_damaged_files_are_said(tmp_path):
+    write_gltf(tmp_path / "body.glb", chain_body("linear"))
+    whole = (tmp_path / "body.glb").read_bytes()
+    (tmp_path / "cut.glb").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.glb").write_text("not a model")
+    trimesh.creation.icosphere(1).export(tmp_path / "ball.glb")
+    for name, sentence in (
+        ("cut", "whole"),
+        ("text", "whole"),
+        ("ball", "no skin"),
+        ("none", "no such file"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            read_gltf(tmp_path / f"{name}.glb")

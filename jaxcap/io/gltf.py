@@ -3,7 +3,7 @@
 Every joint is a node in its own frame: at rest it stands at the joint's centre, turned by the
 joint's orientation, so its x axis is the twist axis. Above the roots is one node that carries
 the scale of the poses. glTF skins by linear blending (Khronos, glTF 2.0, section 3.7.3), as
-`LinearSkin` does; other skins have to be made linear first.
+`LinearSkin` does; other skins are made linear first, by `jaxcap.linearise`.
 """
 
 from pathlib import Path
@@ -36,6 +36,7 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
 
     Every influence is kept, by fours in `JOINTS_0`, `JOINTS_1`, ...; the strongest come first.
     Some programs read the first four only: `limit_influences` makes a body that needs no more.
+    Kinds and axes of joints stand in the nodes' extras, so that `read_gltf` gives the skeleton back.
 
     **Raises:** `InputError` where the suffix is not `.glb`, the skin does not blend linearly,
     the motion has other joints or no frames, or the file cannot be written.
@@ -121,7 +122,7 @@ def _joint_nodes(skeleton: Skeleton) -> "list[pygltflib.Node]":
             translation=places[joint].tolist(),
             rotation=turns[joint].tolist(),
             children=[child for child, parent in enumerate(skeleton.parents) if parent == joint],
-            extras={"kind": skeleton.kinds[joint]},
+            extras={"kind": skeleton.kinds[joint], "axes": np.asarray(skeleton.axes[joint], float).tolist()},
         )
         for joint, name in enumerate(skeleton.names)
     ]
