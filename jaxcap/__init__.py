@@ -76,6 +76,7 @@ from .io.bvh import read_bvh as read_bvh
 from .io.bvh import write_bvh as write_bvh
 from .io.clouds import read_clouds as read_clouds
 from .io.gltf import write_gltf as write_gltf
+from .io.gltf_reader import read_gltf as read_gltf
 from .io.mesh import read_mesh as read_mesh
 from .io.mesh import write_mesh as write_mesh
 from .io.meshes import read_meshes as read_meshes
