@@ -13,6 +13,8 @@ LENGTH, AREA = 0.25, 0.5
 #: the mean doubt of a pair of limbs up to which they are a pair, and how much less it has to be
 #: than that of any other match of either
 DOUBT, LEAD = 1.0, 1.5
+#: share of the area of two branches, above which a branch that only one of them has speaks fully against them
+LONELY = 0.1
 #: doubts below are not told apart
 CERTAIN = 0.1
 
@@ -92,6 +94,14 @@ def _match(a: int, b: int, children, lengths, areas) -> _Match:
         pairs += best.pairs
         ours.remove(p)
         theirs.remove(q)
-    # a branch that the other side lacks is as doubtful as one twice as large as its partner
-    lonely = len(ours) + len(theirs)
+    # a branch that the other side lacks is as doubtful as one twice as large as its partner, unless
+    # it is a small share of the whole
+    alone = sum(_whole(j, children, areas) for j in ours + theirs)
+    share = min(1.0, alone / (LONELY * (_whole(a, children, areas) + _whole(b, children, areas))))
+    lonely = share * (len(ours) + len(theirs))
     return _Match(doubt + lonely * 2 * (np.log(2) / LENGTH) ** 2, terms + 2 * lonely, tuple(pairs))
+
+
+def _whole(joint: int, children, areas) -> float:
+    """The area of a branch."""
+    return float(areas[joint]) + sum(_whole(child, children, areas) for child in children[joint])

@@ -16,7 +16,7 @@ from .unmix import unmix
 #: patches that are merged into parts
 PATCHES = 300
 #: one more part has to lower the root mean square error by this share
-LEAST_GAIN = 0.022
+LEAST_GAIN = 0.024
 #: share of the body's diagonal below which an error is that of numbers, not of parts
 NEGLIGIBLE = 2e-4
 #: the most parts that are found unasked
