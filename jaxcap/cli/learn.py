@@ -149,6 +149,7 @@ class Learn:
     ) -> Learned:
         """The loop, with a checkpoint after every round; Ctrl-C keeps the last."""
         done = 0 if resumed is None else resumed.round
+        say(f"learning from {len(meshes)} meshes of {meshes.vertices.shape[1]} vertices; the first round compiles")
         symmetry = self.symmetry if self.pairs is None else read_pairs(self.pairs, skeleton)
         with Rounds(self.rounds, done) as bar:
 
