@@ -43,14 +43,16 @@ class Needs(NamedTuple):
     bones: Bool[np.ndarray, "V J"]
 
 
-def vertex_needs(skin: SwingTwistSkin | DualQuaternionSkin) -> Needs:
-    """The needs of every vertex of a skin."""
+def vertex_needs(skin: AbstractSkin) -> Needs:
+    """The needs of every vertex of a skin. Raises `TypeError` where it is not a nonlinear one."""
     if isinstance(skin, DualQuaternionSkin):
         weights = np.array(skin.weights, float)
         states = np.zeros((len(weights), weights.shape[1] + 1), bool)
         states[:, -1] = True
         blended = states & (weights.max(1, keepdims=True) < _WHOLE)
         return Needs(np.zeros(len(weights), int), weights, states, blended, weights > 0)
+    if not isinstance(skin, SwingTwistSkin):
+        raise TypeError(_unknown(skin))
     bases, swing, twist = (np.array(a) for a in (skin.bases, skin.swing, skin.twist))
     # in single precision weights that are one in sum leave a little
     rest = 1.0 - swing.sum(1, keepdims=True) > 1 - _WHOLE
@@ -83,10 +85,12 @@ def missing_rows(needs: Needs, vertex: int, rows: Rows) -> Rows:
     return Rows(np.full(len(states), base), np.tile(blend, (len(states), 1)), states)
 
 
-def skin_of(skin: SwingTwistSkin | DualQuaternionSkin, rows: Rows) -> AbstractSkin:
-    """A skin of the kind of `skin` with these rows."""
+def skin_of(skin: AbstractSkin, rows: Rows) -> AbstractSkin:
+    """A skin of the kind of `skin` with these rows. Raises as `vertex_needs` does."""
     if isinstance(skin, DualQuaternionSkin):
         return DualQuaternionSkin(jnp.asarray(rows.blends, skin.weights.dtype))
+    if not isinstance(skin, SwingTwistSkin):
+        raise TypeError(_unknown(skin))
     joints = rows.blends.shape[1]
     swing = (rows.states[:, None] == np.arange(joints)).astype(float)
     dtype = skin.swing.dtype
@@ -109,3 +113,7 @@ def choose_candidates(needs: Needs, rows: Rows, count: int) -> Int[np.ndarray, "
     nearest = np.argsort(apart, axis=1, kind="stable")[:, :count]
     there = np.isfinite(np.take_along_axis(apart, nearest, 1))
     return np.concatenate([bones, np.where(there, joints + nearest, -1)], 1)
+
+
+def _unknown(skin: AbstractSkin) -> str:
+    return f"Frames are known of swing-twist and dual quaternion skins, not of a {type(skin).__name__}."
