@@ -90,7 +90,7 @@ class Slides(eqx.Module):
     def _fit_swing(self, rows: SlideRows, rest, goal, far):
         """The swing weights that bring the vertices nearest to `far`, their places, and the
         squared distances to `goal` there."""
-        twisted, swung, _ = self._images(rows, rest)
+        twisted, swung = self._images(rows, rest)
         gap = self._into_base(rows.bases, far) - twisted
         swing = _nearest(swung, gap * self.scales**2, self.scales**2, self._real(rows.bases))
         place = self._into_world(rows.bases, twisted + jnp.einsum("ck,ckaf->caf", swing, swung))
@@ -121,7 +121,8 @@ class Slides(eqx.Module):
 
     def _newton(self, rows: SlideRows, rest, far) -> Float[Array, "C K"]:
         """Twist weights after a step of Gauss-Newton in swing and twist together."""
-        twisted, swung, slopes = self._images(rows, rest, slopes=True)
+        twisted, swung = self._images(rows, rest)
+        slopes = self._slopes(rows, rest)
         motions = self.swings[self.children[rows.bases]]
         # what the swings do to a shift of the twisted vertex: blended rotation
         blend = jnp.einsum("ck,ckmf->cmf", rows.swing, motions - self.swings[-1])
@@ -140,24 +141,11 @@ class Slides(eqx.Module):
         )
         return solved[:, :count]
 
-    def _images(self, rows: SlideRows, rest, slopes: bool = False):
-        """In the frame of the base at rest: the twisted vertices (C, 3, F), how far each child's
-        whole swing would take them (C, K, 3, F), and their slopes over the twist weights."""
+    def _images(self, rows: SlideRows, rest):
+        """In the frame of the base at rest: the twisted vertices (C, 3, F), and how far each
+        child's whole swing would take them (C, K, 3, F)."""
         children = self.children[rows.bases]
-        motions = self.twists[children]
-        neutral = 1.0 - jnp.sum(rows.twist, 1)
-        first, signs = _signs(rows.twist, neutral, motions[:, :, :4])
-        blend = jnp.einsum("ckf,ckdf->cdf", signs * rows.twist[:, :, None], motions)
-        blend = blend + (first * neutral[:, None])[:, None] * self.twists[-1]
-        twisted = _move(blend, rest)
-        derivatives = None
-        if slopes:
-
-            def along(k):
-                rate = signs[:, k, None] * motions[:, k] - first[:, None] * self.twists[-1]
-                return jax.jvp(lambda d: _move(d, rest), (blend,), (rate,))[1]
-
-            derivatives = jnp.stack([along(k) for k in range(children.shape[1])], 1)
+        twisted = _move(self._blend(rows)[0], rest)
         swings = (self.swings - self.swings[-1])[children]
         swung = jnp.stack(
             [
@@ -166,10 +154,28 @@ class Slides(eqx.Module):
             ],
             2,
         )
-        return twisted, swung, derivatives
+        return twisted, swung
+
+    def _slopes(self, rows: SlideRows, rest) -> Float[Array, "C K 3 F"]:
+        """How the twisted vertices move with the twist weights."""
+        blend, motions, still = self._blend(rows)
+
+        def along(k):
+            return jax.jvp(lambda d: _move(d, rest), (blend,), (motions[:, k] - still,))[1]
+
+        return jnp.stack([along(k) for k in range(motions.shape[1])], 1)
+
+    def _blend(self, rows: SlideRows):
+        """The sum of weighted twists (C, 8, F), and the twists (C, K, 8, F) and the neutral motion
+        (C, 8, F) with the signs that they have in it."""
+        motions, neutral = self.twists[self.children[rows.bases]], 1.0 - jnp.sum(rows.twist, 1)
+        first, signs = _signs(rows.twist, neutral, motions[:, :, :4])
+        motions, still = signs[:, :, None] * motions, first[:, None] * self.twists[-1]
+        blend = jnp.einsum("ck,ckdf->cdf", rows.twist, motions) + neutral[:, None, None] * still
+        return blend, motions, still
 
     def _place(self, rows: SlideRows, rest):
-        twisted, swung, _ = self._images(rows, rest)
+        twisted, swung = self._images(rows, rest)
         return self._into_world(rows.bases, twisted + jnp.einsum("ck,ckaf->caf", rows.swing, swung))
 
     def _into_world(self, bases, points):
