@@ -70,13 +70,13 @@ def pull_back(
     cross = lambda a, b: tuple(a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3))  # noqa: E731
     n = 2.0 / _squared(d)
     shift = tuple((n * _displacement(d, x)).T[:, :, None])
-    x, m = tuple(x.T[:, :, None]), tuple(jnp.moveaxis(directions, 2, 0))
+    p, m = tuple(x.T[:, :, None]), tuple(jnp.moveaxis(directions, 2, 0))
     a0, *v0, ae, b0, b1, b2 = d.T[:, :, None]
     ve = (b0, b1, b2)
-    along, mv, mx, vx = dot(m, shift), dot(m, v0), dot(m, x), dot(v0, x)
-    lever = tuple(c + e for c, e in zip(cross(v0, x), ve, strict=True))
-    swept = cross(tuple(a0 * x[i] + ve[i] for i in range(3)), m)
-    by_v0 = [swept[i] + (vx - ae) * m[i] + mv * x[i] - (2.0 * mx + along) * v0[i] for i in range(3)]
+    along, mv, mp, vp = dot(m, shift), dot(m, v0), dot(m, p), dot(v0, p)
+    lever = tuple(c + e for c, e in zip(cross(v0, p), ve, strict=True))
+    swept = cross(tuple(a0 * p[i] + ve[i] for i in range(3)), m)
+    by_v0 = [swept[i] + (vp - ae) * m[i] + mv * p[i] - (2.0 * mp + along) * v0[i] for i in range(3)]
     turned = cross(m, v0)
     by_ve = [a0 * m[i] + turned[i] for i in range(3)]
     return n[:, :, None] * jnp.stack([dot(m, lever) - along * a0, *by_v0, -mv, *by_ve], -1)
