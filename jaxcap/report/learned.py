@@ -18,7 +18,7 @@ from .scores import Scores
 from .weights import weight_pictures
 
 #: colours of the steps of a round, in their order
-STEPS = ("#2a5fd0", "#e8743b", "#2e9e4f", "#8f4fb0", "#b3202c", "#555555")
+STEPS = ("#2a5fd0", "#e8743b", "#2e9e4f", "#8f4fb0", "#b3202c", "#17a398", "#c9a227", "#555555")
 
 
 def report_learning(
@@ -76,7 +76,10 @@ def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
     plot = figure.subplots()
     names = list(dict.fromkeys(step for step, _ in history))
     values = np.array([value for _, value in history])
-    plot.plot(values, color="#9aa5b1", linewidth=1.2, zorder=1)
+    # a start on other vertices is another objective
+    begins = [i for i, name in enumerate(step for step, _ in history) if name.endswith("start")]
+    for begin, end in zip([0, *begins], [*begins, len(values)], strict=True):
+        plot.plot(np.arange(begin, end), values[begin:end], color="#9aa5b1", linewidth=1.2, zorder=1)
     for number, name in enumerate(names):
         at = [i for i, (step, _) in enumerate(history) if step == name]
         plot.scatter(at, values[at], s=22, color=STEPS[number % len(STEPS)], label=name, zorder=2)

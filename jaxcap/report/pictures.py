@@ -48,7 +48,7 @@ def error_pictures(
     faces = np.asarray(body.faces)
     heat = [1000 * scan_to_surface(there, here, faces) for there, here in zip(meshes, posed, strict=True)]
     titles = [
-        f"{Path(scores.meshes[number].name).name}\n{1000 * scores.meshes[number].mean:.1f} ± "
+        f"{_short(scores.meshes[number].name)}\n{1000 * scores.meshes[number].mean:.1f} ± "
         f"{1000 * scores.meshes[number].sd:.1f} mm"
         for number in shown
     ]
@@ -116,6 +116,11 @@ def new_figure(width: float, height: float) -> tuple[Any, Any]:
 
     figure = Figure(figsize=(width, height), dpi=150, facecolor=PAPER)
     return FigureCanvasAgg(figure), figure
+
+
+def _short(name: str) -> str:
+    """The name of a mesh without its folder, or in its file."""
+    return name[name.index("[") + 1 : -1] if name.endswith("]") and "[" in name else Path(name).name
 
 
 def nice(value: float) -> float:
