@@ -11,20 +11,25 @@ from jaxtyping import Float, Int
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..geometry.laplacian import make_conformance
+from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
+from .coarse import Coarse, coarse_alpha, coarsen
 from .joints import improve_joints
 from .objective import objective
 from .start import SkinName, Start, start_free, start_from_motion, start_from_skeleton
-from .vertices import VertexSolver
+from .vertices import VertexSolver, carry_back
 from .weights import improve_weights
 
-#: a round that lowers Q by less than this share is the last
-ENOUGH = 2e-3
+#: a round that lowers Q by less than this share is the last on its mesh
+ENOUGH = 5e-3
+#: the share of all rounds that may go to the coarse mesh
+COARSE_SHARE = 2 / 3
 #: damping of the first step of joints and poses
 FIRST_DAMPING = 1e-3
 #: steps of Gauss-Newton on joints and poses, before the first round and in each
 FIRST_STEPS, STEPS = 4, 2
+#: what steps on the coarse mesh are called by in the history
+COARSE = "coarse "
 
 
 class LearnState(NamedTuple):
@@ -63,7 +68,7 @@ def learn_body(
     symmetry: bool | Int[np.ndarray, "P 2"] = True,
     skeleton: Skeleton | None = None,
     free_bones: bool = False,
-    rounds: int = 12,
+    rounds: int = 30,
     on_round: Callable[[LearnState], None] | None = None,
     resume: LearnState | None = None,
 ) -> Learned:
@@ -74,7 +79,8 @@ def learn_body(
 
         Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2        (eq. 3.19)
 
-    until a round lowers it by less than a five hundredth, or `rounds` are over.
+    until a round lowers it by little, or `rounds` are over. A mesh of many vertices is learned on
+    some of them first (`coarsen`), and on all of them only then.
 
     **Arguments:** `joints` between parts, as many as the motion shows where None; `skin` says how
     vertices follow; `alpha` weighs shape against distance; `symmetry` keeps left and right bones
@@ -85,25 +91,39 @@ def learn_body(
 
     **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned.
     """
-    targets = meshes.vertices
-    metric = make_conformance(np.asarray(meshes.faces), targets.shape[1], alpha)
+    fine = _stage(meshes, alpha, "")
+    coarse = coarsen(meshes)
+    thinned = len(coarse.kept) < meshes.vertices.shape[1]
     curve = np.zeros(0)
     if resume is None:
         start = _start(meshes, joints, skin, symmetry, skeleton, free_bones)
         curve = start.curve
-        value = float(objective(start.body, start.poses, targets, metric))
-        state = LearnState(
-            start.body, Motion(start.poses, meshes.rate), start.pairs, FIRST_DAMPING, (("start", value),), 0
-        )
-        state = _improve_joints(state, meshes, metric, FIRST_STEPS)
+        motion = Motion(start.poses, meshes.rate)
+        state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0)
+        if thinned:
+            state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume
-    vertices = VertexSolver(metric)
-    while state.round < rounds and not _settled(state):
-        state = _round(state, meshes, metric, vertices)
-        if on_round is not None:
-            on_round(state)
+    if len(state.body.vertices) < meshes.vertices.shape[1]:
+        stage = _stage(coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE)
+        state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round)
+        state = state._replace(body=_refine(state, meshes, coarse))
+    state = _improve(state, fine, rounds, on_round)
     return Learned(state.body, state.motion, state.pairs, state.history, curve)
+
+
+class _Stage(NamedTuple):
+    """The meshes that rounds work on, their metric, and what their steps are called by."""
+
+    meshes: MeshSequence
+    metric: Conformance
+    vertices: VertexSolver
+    prefix: str
+
+
+def _stage(meshes: MeshSequence, alpha: float, prefix: str) -> _Stage:
+    metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
+    return _Stage(meshes, metric, VertexSolver(metric), prefix)
 
 
 def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> Start:
@@ -114,42 +134,82 @@ def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> Start:
     return start_from_motion(meshes, joints, skin, symmetry)
 
 
-def _settled(state: LearnState) -> bool:
-    """Whether the last round lowered Q by little."""
-    ends = [value for step, value in state.history if step == "joints"]
-    if state.round < 2:
-        return False
-    return ends[-1] > (1 - ENOUGH) * ends[-1 - STEPS]
+def _thin(body: Body, coarse: Coarse) -> Body:
+    kept = jnp.asarray(coarse.kept)
+    return Body(body.skeleton, body.skin.take(kept), body.vertices[kept], coarse.meshes.faces)
 
 
-def _round(state: LearnState, meshes: MeshSequence, metric, vertices: VertexSolver) -> LearnState:
-    poses, targets = state.motion.poses, meshes.vertices
-    better = improve_weights(state.body, poses, targets, metric).body
-    state = _keep(state, better, meshes, metric, "weights")
-    moved = eqx.tree_at(lambda b: b.vertices, state.body, vertices.solve(state.body, poses, targets))
-    state = _keep(state, moved, meshes, metric, "vertices")
-    state = _improve_joints(state, meshes, metric, STEPS)
+def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse) -> Body:
+    """The body on all vertices: each with the weights of the kept one nearest to it, and at rest
+    where its own places in the meshes call for."""
+    nearest = jnp.asarray(coarse.nearest)
+    body = state.body
+    body = Body(body.skeleton, body.skin.take(nearest), body.vertices[nearest], meshes.faces)
+    rest = carry_back(body, state.motion.poses, meshes.vertices)
+    return eqx.tree_at(lambda b: b.vertices, body, rest)
+
+
+def _improve(
+    state: LearnState, stage: _Stage, rounds: int, on_round: Callable[[LearnState], None] | None
+) -> LearnState:
+    """Rounds on one mesh until one of them lowers Q by little, or as many are over."""
+    if not _values(state, stage):
+        value = float(objective(state.body, state.motion.poses, stage.meshes.vertices, stage.metric))
+        state = state._replace(history=(*state.history, (stage.prefix + "start", value)))
+        state = _improve_joints(state, stage, FIRST_STEPS)
+    while state.round < rounds and not _settled(state, stage):
+        state = _round(state, stage)
+        if on_round is not None:
+            on_round(state)
+    return state
+
+
+def _values(state: LearnState, stage: _Stage) -> list[float]:
+    """Q after every step on this mesh."""
+    first = stage.prefix + "start"
+    names = [name for name, _ in state.history]
+    return [value for _, value in state.history[names.index(first) :]] if first in names else []
+
+
+def _settled(state: LearnState, stage: _Stage) -> bool:
+    """Whether the last round on this mesh lowered Q by little."""
+    values, length = _values(state, stage), 2 + STEPS
+    return len(values) > FIRST_STEPS + 1 + length and values[-1] > (1 - ENOUGH) * values[-1 - length]
+
+
+def _round(state: LearnState, stage: _Stage) -> LearnState:
+    poses, targets = state.motion.poses, stage.meshes.vertices
+    better = improve_weights(state.body, poses, targets, stage.metric).body
+    state = _keep(state, better, stage, "weights")
+    rest = stage.vertices.solve(state.body, poses, targets)
+    state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
+    state = _improve_joints(state, stage, STEPS)
     return state._replace(round=state.round + 1)
 
 
-def _keep(state: LearnState, body: Body, meshes, metric, step: str) -> LearnState:
+def _keep(state: LearnState, body: Body, stage: _Stage, step: str) -> LearnState:
     """The state with a better body; where rounding made it worse, as it was."""
     before = state.history[-1][1]
-    value = float(objective(body, state.motion.poses, meshes.vertices, metric))
+    value = float(objective(body, state.motion.poses, stage.meshes.vertices, stage.metric))
     kept = body if value <= before else state.body
-    return state._replace(body=kept, history=(*state.history, (step, min(value, before))))
+    return state._replace(body=kept, history=(*state.history, (stage.prefix + step, min(value, before))))
 
 
-def _improve_joints(state: LearnState, meshes: MeshSequence, metric, steps: int) -> LearnState:
+def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
     for _ in range(steps):
-        poses, value = state.motion.poses, state.history[-1][1]
         found = improve_joints(
-            state.body, poses, meshes.vertices, metric, state.pairs, state.damping, value
+            state.body,
+            state.motion.poses,
+            stage.meshes.vertices,
+            stage.metric,
+            state.pairs,
+            state.damping,
+            state.history[-1][1],
         )
         state = state._replace(
             body=found.body,
             motion=Motion(found.poses, state.motion.rate),
             damping=found.damping,
-            history=(*state.history, ("joints", found.value)),
+            history=(*state.history, (stage.prefix + "joints", found.value)),
         )
     return state

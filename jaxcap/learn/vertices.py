@@ -56,6 +56,16 @@ class VertexSolver:
 
 
 @eqx.filter_jit
+def carry_back(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Float[Array, "V 3"]:
+    """Each vertex by itself where it has to rest to come nearest to its targets, metres."""
+    slopes = _slopes(body, poses)
+    errors = targets - deform_all(body, poses)
+    normal = jnp.einsum("fvab,fvac->vbc", slopes, slopes)
+    side = jnp.einsum("fvab,fva->vb", slopes, errors)
+    return body.vertices + jnp.linalg.solve(normal, side[:, :, None])[:, :, 0]
+
+
+@eqx.filter_jit
 def _slopes(body: Body, poses: Pose) -> Float[Array, "F V 3 3"]:
     """How each posed vertex moves with its rest place; constant, as skins are affine in it."""
 
