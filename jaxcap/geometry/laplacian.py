@@ -53,17 +53,10 @@ def make_conformance(faces: Int[np.ndarray, "F 3"], num_vertices: int, alpha: fl
 
 def laplacian(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
     """`L e`: how far each vertex's value is from the mean of its neighbours' (eq. 3.20)."""
-    return laplacian_at(metric, field, np.arange(len(metric.neighbours)))
-
-
-def laplacian_at(
-    metric: Conformance, field: Float[Array, "V C"], vertices: Int[np.ndarray, "S"]
-) -> Float[Array, "S C"]:
-    """`L e` at some of the vertices."""
     width = metric.neighbours.shape[1]
     # a padded slot holds the vertex itself, and adds nothing to the sum of differences
-    total = sum(field[metric.neighbours[vertices, i]] for i in range(width))
-    return metric.shares[vertices, None] * (width * field[vertices] - total)
+    total = sum(field[metric.neighbours[:, i]] for i in range(width))
+    return metric.shares[:, None] * (width * field - total)
 
 
 def adjoint(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:

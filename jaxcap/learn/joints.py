@@ -16,14 +16,34 @@ from ..body.skeleton import Skeleton
 from ..body.skin.swing_twist import SwingTwistSkin
 from ..fit.arrow import Arrow, damped, solve_arrow
 from ..geometry import rotation
-from ..geometry.laplacian import Conformance, apply, laplacian_at
+from ..geometry.laplacian import Conformance, apply
+from ..geometry.patches import Blocks, laplacian_rows, make_blocks
 from .anchors import Anchors, cut_anchors
 from .objective import deform, objective
 from .symmetry import length_differences
 
 
 #: vertices from which curvature is estimated, at least
-SAMPLES = 1000
+SAMPLES = 4000
+
+
+class Curvature(eqx.Module):
+    """The vertices over which `J^T A J` is summed, and what each of them counts."""
+
+    vertices: Int[Array, "S"]
+    laplacian: Blocks
+    weight: Float[Array, ""]
+
+
+def make_curvature(metric: Conformance, samples: int = SAMPLES) -> Curvature:
+    """Every vertex; of more than twice `samples`, every n-th one, counted n times. Thousands of
+    vertices say the same about some dozen numbers, and steps that rest on a good estimate of
+    their curvature converge alike."""
+    count = len(metric.neighbours)
+    stride = max(1, count // samples)
+    vertices = np.arange(stride // 2, count, stride)
+    weight = jnp.asarray(count / len(vertices), metric.diagonal.dtype)
+    return Curvature(jnp.asarray(vertices), make_blocks(metric, vertices), weight)
 
 
 class JointStep(NamedTuple):
@@ -40,6 +60,7 @@ def improve_joints(
     poses: Pose,
     targets: Float[Array, "F V 3"],
     metric: Conformance,
+    curvature: Curvature,
     pairs: Int[np.ndarray, "P 2"],
     damping: float,
     value: float,
@@ -54,8 +75,9 @@ def improve_joints(
     Q it is damped more, up to `tries` times, and then left.
     """
     slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
-    variance = jnp.asarray(value / targets.size, targets.dtype)
-    arrow = normal_equations(body, poses, targets, metric, slots)
+    # errors are alike all over a part: it counts as one vertex
+    variance = jnp.asarray(value / targets.size * targets.shape[1] / body.skeleton.num_joints, targets.dtype)
+    arrow = normal_equations(body, poses, targets, metric, curvature, slots)
     arrow = _anchored(arrow, body.skeleton, cut_anchors(body), variance, slots)
     for _ in range(tries):
         trial = _step(body, poses, arrow, jnp.asarray(damping, arrow.shared.dtype), bones, slots)
@@ -79,21 +101,14 @@ def normal_equations(
     poses: Pose,
     targets: Float[Array, "F V 3"],
     metric: Conformance,
+    curvature: Curvature,
     slots: tuple[int, ...],
-    samples: int = SAMPLES,
 ) -> Arrow:
-    """The block-arrow normal equations of Q by poses and joints, frame by frame.
-
-    The right-hand sides are exact. The curvature `J^T A J` is summed over every n-th vertex and
-    its Laplacian, at least `samples` of them, and multiplied by n: thousands of vertices say
-    the same about some dozen numbers, and steps that rest on a good estimate converge alike.
-    """
+    """The block-arrow normal equations of Q by poses and joints, frame by frame; the right-hand
+    sides are exact, the matrices summed over the vertices of `curvature`."""
     skeleton, count = body.skeleton, len(body.vertices)
     dofs, chosen = skeleton.num_dofs, np.array(slots, int)
     every = jnp.broadcast_to(jnp.eye(3, dtype=body.vertices.dtype), (count, 3, 3))
-    stride = max(1, count // samples)
-    sampled = np.arange(stride // 2, count, stride)
-    weight = count / len(sampled)
 
     def of_frame(frame):
         pose, target = frame
@@ -104,10 +119,10 @@ def normal_equations(
         )
         rows = body.skin.jacobian(body.vertices, every, skeleton, pose, transforms, rates)
         side = jnp.tensordot(apply(metric, target - deform(body, pose)), rows, 2)
-        rough = laplacian_at(metric, rows.reshape(count, -1), sampled).reshape(-1, rows.shape[2])
-        plain = rows[sampled].reshape(-1, rows.shape[2])
-        curvature = weight * (plain.T @ plain + metric.alpha * rough.T @ rough)
-        return curvature[:dofs, :dofs], curvature[:dofs, dofs:], curvature[dofs:, dofs:], side
+        rough = laplacian_rows(curvature.laplacian, rows.reshape(count, -1)).reshape(-1, rows.shape[2])
+        plain = rows[curvature.vertices].reshape(-1, rows.shape[2])
+        gram = curvature.weight * (plain.T @ plain + metric.alpha * rough.T @ rough)
+        return gram[:dofs, :dofs], gram[:dofs, dofs:], gram[dofs:, dofs:], side
 
     frames, coupling, shared, sides = jax.lax.map(of_frame, (poses, targets))
     return Arrow(frames, coupling, jnp.sum(shared, 0), sides[:, :dofs], jnp.sum(sides[:, dofs:], 0))

@@ -14,7 +14,7 @@ from ..body.skeleton import Skeleton
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
 from .coarse import Coarse, coarse_alpha, coarsen
-from .joints import improve_joints
+from .joints import Curvature, improve_joints, make_curvature
 from .objective import objective
 from .start import SkinName, Start, start_free, start_from_motion, start_from_skeleton
 from .vertices import VertexSolver, carry_back
@@ -118,12 +118,13 @@ class _Stage(NamedTuple):
     meshes: MeshSequence
     metric: Conformance
     vertices: VertexSolver
+    curvature: Curvature
     prefix: str
 
 
 def _stage(meshes: MeshSequence, alpha: float, prefix: str) -> _Stage:
     metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
-    return _Stage(meshes, metric, VertexSolver(metric), prefix)
+    return _Stage(meshes, metric, VertexSolver(metric), make_curvature(metric), prefix)
 
 
 def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> Start:
@@ -202,6 +203,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             state.motion.poses,
             stage.meshes.vertices,
             stage.metric,
+            stage.curvature,
             state.pairs,
             state.damping,
             state.history[-1][1],
