@@ -28,6 +28,8 @@ COARSE_SHARE = 2 / 3
 FIRST_DAMPING = 1e-3
 #: steps of Gauss-Newton on joints and poses, before the first round and in each
 FIRST_STEPS, STEPS = 4, 2
+#: sweeps over the weights, at most, in the first round on a mesh and in others
+FIRST_SWEEPS, SWEEPS = 8, 4
 #: what steps on the coarse mesh are called by in the history
 COARSE = "coarse "
 
@@ -157,7 +159,8 @@ def _improve(
     if not _values(state, stage):
         value = float(objective(state.body, state.motion.poses, stage.meshes.vertices, stage.metric))
         state = state._replace(history=(*state.history, (stage.prefix + "start", value)))
-        state = _improve_joints(state, stage, FIRST_STEPS)
+        if state.round == 0:
+            state = _improve_joints(state, stage, FIRST_STEPS)
     while state.round < rounds and not _settled(state, stage):
         state = _round(state, stage)
         if on_round is not None:
@@ -175,12 +178,15 @@ def _values(state: LearnState, stage: _Stage) -> list[float]:
 def _settled(state: LearnState, stage: _Stage) -> bool:
     """Whether the last round on this mesh lowered Q by little."""
     values, length = _values(state, stage), 2 + STEPS
-    return len(values) > FIRST_STEPS + 1 + length and values[-1] > (1 - ENOUGH) * values[-1 - length]
+    return len(values) > 2 * length and values[-1] > (1 - ENOUGH) * values[-1 - length]
 
 
 def _round(state: LearnState, stage: _Stage) -> LearnState:
     poses, targets = state.motion.poses, stage.meshes.vertices
-    better = improve_weights(state.body, poses, targets, stage.metric).body
+    # the first weights on a mesh have far to go
+    first = not any(name == stage.prefix + "weights" for name, _ in state.history)
+    effort = FIRST_SWEEPS if first else SWEEPS
+    better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=first).body
     state = _keep(state, better, stage, "weights")
     rest = stage.vertices.solve(state.body, poses, targets)
     state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
