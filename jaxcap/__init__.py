@@ -59,6 +59,8 @@ from .fit.manifold import AbstractManifoldSolver as AbstractManifoldSolver
 from .fit.parts import make_parts as make_parts
 from .fit.posterior import posterior as posterior
 from .fit.recover import TrackedFrame as TrackedFrame
+from .fit.registered import MeshFit as MeshFit
+from .fit.registered import fit_meshes as fit_meshes
 from .fit.sequence import track as track
 from .fit.sequence import track_frames as track_frames
 from .fit.solve import Solution as Solution
@@ -85,6 +87,9 @@ from .io.npz import load_body as load_body
 from .io.npz import load_motion as load_motion
 from .io.npz import save_body as save_body
 from .io.npz import save_motion as save_motion
+from .learn.loop import Learned as Learned
+from .learn.loop import LearnState as LearnState
+from .learn.loop import learn_body as learn_body
 from .observe import Cloud as Cloud
 from .observe import MeshSequence as MeshSequence
 from .observe import make_cloud as make_cloud
