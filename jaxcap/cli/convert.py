@@ -95,6 +95,6 @@ class Convert:
         )
         if linearised.error > self.tolerance:
             warn(
-                f"{self.target}: {1000 * linearised.error:.2g} mm is more than the tolerance; a larger one, or "
-                "more --influences, needs fewer virtual bones"
+                f"{self.target}: {1000 * linearised.error:.2g} mm at the worst vertex is more than the tolerance of "
+                f"{1000 * self.tolerance:.2g} mm; more --influences come nearer"
             )

@@ -13,6 +13,8 @@ from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..io.clouds import read_clouds
 from ..io.mesh import SUFFIXES, check_mesh, read_mesh
+from ..io.meshes import KIND as MESHES
+from ..io.meshes import read_meshes
 from ..io.npz import load_arrays, load_body
 from ..io.registry import MOTION_READERS, SKELETON_READERS, read_motion, read_skeleton
 from .options import OptionalUnit, arg
@@ -59,6 +61,12 @@ class Info:
             skeleton, motion = read_motion(path)
             _motion(motion)
             _skeleton(skeleton)
+        elif kind == MESHES:
+            sequence = read_meshes(path, self.unit or "m")
+            say(
+                f"registered meshes: {len(sequence)} of {sequence.vertices.shape[1]} vertices and "
+                f"{len(sequence.faces)} triangles, the first {_metres(np.ptp(np.asarray(sequence[0]), axis=0))}"
+            )
         elif {"points", "vertices"} & set(arrays):
             _clouds(str(path), self.unit or "m")
         else:

@@ -16,7 +16,7 @@ from ..io.npz import save_body, save_motion
 from ..io.registry import read_skeleton
 from ..learn.check import check_meshes
 from ..learn.check_parts import check_learned
-from ..learn.loop import Learned, LearnState, learn_body
+from ..learn.loop import COARSE, Learned, LearnState, learn_body
 from ..observe import MeshSequence
 from ..report.learned import report_learning
 from ..report.scores import Scores
@@ -41,7 +41,7 @@ class Learn:
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
     """The body to write."""
     joints: OptionalCount = None
-    """Joints between its parts; as many as the motion shows where not given."""
+    """Joints between its parts, the root not counted; as many as the motion shows where not given."""
     alpha: float = 100.0
     """How strongly the shape of the surface counts against the places of its vertices."""
     skin: Literal["swing_twist", "lbs", "rigid"] = "swing_twist"
@@ -54,8 +54,9 @@ class Learn:
     """A skeleton that stands in the first mesh (.skl, .bvh, .asf, .npz), in place of one that is found."""
     free_bones: Flag = False
     """Bones that hang on nothing; the skin is lbs."""
-    rounds: Annotated[int, arg(metavar="N")] = 12
-    """The most rounds of weights, vertices and joints."""
+    rounds: Annotated[int, arg(metavar="N")] = 30
+    """The most rounds of weights, vertices and joints, those on some of the vertices among them; learning ends
+    before where a round brings little."""
     unit: Unit = "m"
     """Unit of meshes and skeleton: m, dm, cm, mm, in or ft."""
     rate: float = 30.0
@@ -91,9 +92,9 @@ class Learn:
         save_motion(motion_path, learned.motion, learned.body.skeleton)
         kept.unlink(missing_ok=True)
         body = learned.body
-        say(
-            f"{self.out}: {len(body.vertices)} vertices on {body.skeleton.num_joints} joints; poses in {motion_path}"
-        )
+        bones, joints = body.skeleton.num_joints, sum(parent >= 0 for parent in body.skeleton.parents)
+        between = "that hang on nothing" if self.free_bones else f"with {joints} joints between them"
+        say(f"{self.out}: {len(body.vertices)} vertices on {bones} bones {between}; poses in {motion_path}")
         for told in check_learned(body, learned.motion):
             warn(told)
         self.score(learned, sequence, names, train, held)
@@ -125,7 +126,8 @@ class Learn:
         """What the result depends on, by the names that the user knows."""
         names = ("joints", "alpha", "skin", "symmetry", "pairs", "free_bones", "unit", "hold_out")
         skeleton = None if self.skeleton is None else hashlib.sha256(self.skeleton.read_bytes()).hexdigest()
-        return {**{name: getattr(self, name) for name in names}, "skeleton": skeleton}
+        skin = "lbs" if self.free_bones else self.skin
+        return {**{name: getattr(self, name) for name in names}, "skin": skin, "skeleton": skeleton}
 
     def start(self, kept: Path, header: dict[str, object]) -> LearnState | None:
         """The state to go on from. Raises `InputError` where there is none to resume, or one in the way."""
@@ -149,7 +151,10 @@ class Learn:
     ) -> Learned:
         """The loop, with a checkpoint after every round; Ctrl-C keeps the last."""
         done = 0 if resumed is None else resumed.round
-        say(f"learning from {len(meshes)} meshes of {meshes.vertices.shape[1]} vertices; the first round compiles")
+        begins = (
+            f"round {done} is done" if done else "parts and joints come first, and the first round compiles"
+        )
+        say(f"learning from {len(meshes)} meshes of {meshes.vertices.shape[1]} vertices; {begins}")
         symmetry = self.symmetry if self.pairs is None else read_pairs(self.pairs, skeleton)
         with Rounds(self.rounds, done) as bar:
 
@@ -157,7 +162,9 @@ class Learn:
                 nonlocal done
                 save_checkpoint(kept, checkpoint_of(state), header)
                 done = state.round
-                bar.tell(done, f"Q {state.history[-1][1]:.6g}")
+                step, value = state.history[-1]
+                some = f" on {len(state.body.vertices)} vertices" if step.startswith(COARSE) else ""
+                bar.tell(done, f"Q {value:.5g} m²{some}")
 
             try:
                 return learn_body(
@@ -173,11 +180,8 @@ class Learn:
                     resume=resumed,
                 )
             except KeyboardInterrupt:
-                told = (
-                    f"round {done} is kept in {kept}; --resume goes on"
-                    if kept.is_file()
-                    else "nothing is kept"
-                )
+                # a file that is there before the first round is of a run that this one replaces
+                told = f"round {done} is kept in {kept}; --resume goes on" if done else "no round was done"
                 raise KeyboardInterrupt(f"stopped; {told}") from None
 
     def score(

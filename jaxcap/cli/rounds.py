@@ -8,7 +8,9 @@ from .say import warn
 
 
 class Rounds:
-    """On a terminal a bar of rounds with the objective, else a line a round; all on stderr."""
+    """On a terminal a bar of rounds with the objective, else a line a round; all on stderr.
+
+    `total` rounds are the most; a run that ends well before them leaves the bar full."""
 
     def __init__(self, total: int, done: int = 0, label: str = "learning"):
         self.total, self.done, self.label, self.start = total, done, label, time.monotonic()
@@ -43,5 +45,7 @@ class Rounds:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._bar is not None:
+        if self._bar is not None and self._task is not None:
+            if kind is None:
+                self._bar.update(self._task, total=self.done)
             self._bar.stop()

@@ -151,7 +151,11 @@ def _size(extent: float) -> list[str]:
         return []
     likely = [unit for unit, metres in _UNITS.items() if USUAL[0] <= extent * metres <= USUAL[1]]
     likely.sort(key=lambda unit: abs(np.log(extent * _UNITS[unit] / 1.7)))
-    hint = f"it looks like {likely[0]}: pass unit='{likely[0]}'" if likely else "check the unit"
+    hint = (
+        f"it looks like {likely[0]}: pass unit='{likely[0]}' or --unit {likely[0]}"
+        if likely
+        else "check the unit"
+    )
     told = f"The meshes are {extent:.4g} m long, where a body is usually from {USUAL[0]:g} to {USUAL[1]:g} m; {hint}."
     if not POSSIBLE[0] <= extent <= POSSIBLE[1]:
         raise InputError(told)
