@@ -47,11 +47,11 @@ def main() -> None:
 
     learned = jc.learn_body(train, joints=options.joints, rounds=options.rounds, on_round=tell)
     groups = {}
-    for label, motion, some in (
-        ("training", learned.motion, train),
-        ("held out", jc.fit_meshes(learned.body, rest).motion, rest),
+    for label, motion, some, numbers in (
+        ("training", learned.motion, train, np.flatnonzero(~held)),
+        ("held out", jc.fit_meshes(learned.body, rest).motion, rest, np.flatnonzero(held)),
     ):
-        names = tuple(f"mesh {number}" for number in range(len(some)))
+        names = tuple(f"mesh {number}" for number in numbers)
         scores = score_meshes(learned.body, motion, some, names)
         sys.stderr.write(f"{label}: {1000 * scores.mean:.2f} mm, vertices {1000 * scores.rmse:.2f} mm\n")
         groups[label] = (motion, some, scores)
@@ -71,7 +71,7 @@ def shrink(source: Path, target: Path, width: int) -> None:
     with Image.open(source) as picture:
         size = (width, round(picture.height * width / picture.width))
         small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    small.quantize(128, dither=Image.Dither.NONE).save(target, optimize=True)
+    small.quantize(256).save(target, optimize=True)
 
 
 if __name__ == "__main__":

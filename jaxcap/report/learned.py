@@ -11,6 +11,7 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..io.atomic import replacing
 from ..io.table import write_json
+from ..learn.loop import COARSE
 from ..observe import MeshSequence
 from .pictures import error_pictures, new_figure
 from .render import INK
@@ -69,20 +70,26 @@ def report_learning(
 
 
 def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
-    """The objective after every step, a colour for each kind of step."""
+    """The objective after every step, a colour for each kind of step; hollow on some of the vertices."""
     from matplotlib.ticker import NullFormatter
 
     canvas, figure = new_figure(7.5, 3.8)
     plot = figure.subplots()
-    names = list(dict.fromkeys(step for step, _ in history))
+    kinds = [step.removeprefix(COARSE) for step, _ in history]
+    hollow = np.array([step.startswith(COARSE) for step, _ in history])
     values = np.array([value for _, value in history])
     # a start on other vertices is another objective
     begins = [i for i, name in enumerate(step for step, _ in history) if name.endswith("start")]
     for begin, end in zip([0, *begins], [*begins, len(values)], strict=True):
         plot.plot(np.arange(begin, end), values[begin:end], color="#9aa5b1", linewidth=1.2, zorder=1)
-    for number, name in enumerate(names):
-        at = [i for i, (step, _) in enumerate(history) if step == name]
-        plot.scatter(at, values[at], s=22, color=STEPS[number % len(STEPS)], label=name, zorder=2)
+    for number, name in enumerate(dict.fromkeys(kinds)):
+        colour, own = STEPS[number % len(STEPS)], np.array([kind == name for kind in kinds])
+        plot.scatter([], [], s=22, color=colour, label=name)
+        for some, face in ((hollow, "white"), (~hollow, colour)):
+            at = np.flatnonzero(own & some)
+            plot.scatter(at, values[at], s=22, facecolors=face, edgecolors=colour, zorder=2)
+    if hollow.any():
+        plot.scatter([], [], s=22, facecolors="white", edgecolors=INK, label="on some of the vertices")
     if (values > 0).all():
         plot.set_yscale("log")
         plot.yaxis.set_major_formatter("{x:g}")
