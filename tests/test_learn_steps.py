@@ -120,12 +120,16 @@ def test_rest_vertices_are_least_squares(rng, swing_twist):
     assert value(found) < value(body.vertices)
 
 
-def test_anchors_lie_amid_cuts():
-    body = chain_body()
-    anchors = cut_anchors(body)
+def test_anchors_hold_what_no_motion_tells(rng):
+    body, poses, _, _ = scene(rng, False, frames=12)
     labels = np.asarray(body.skin.parts())
     joint = int(labels.max())
     parent = body.skeleton.parents[joint]
+    # a hinge about z, twelve times
+    angles = jnp.linspace(-1.0, 1.0, 12)
+    hinge = jnp.stack([jnp.cos(angles / 2), 0 * angles, 0 * angles, jnp.sin(angles / 2)], 1)
+    poses = eqx.tree_at(lambda p: p.rotations, poses, poses.rotations.at[:, joint].set(hinge))
+    anchors = cut_anchors(body, poses, 1e-4)
     rest, faces = np.asarray(body.vertices), np.asarray(body.faces)
     ends = {
         tuple(sorted((a, b)))
@@ -135,7 +139,11 @@ def test_anchors_lie_amid_cuts():
     }
     expected = np.mean([(rest[a] + rest[b]) / 2 for a, b in ends], axis=0)
     np.testing.assert_allclose(anchors.middles[joint], expected, atol=1e-12)
-    assert anchors.weights[0] == 0 and anchors.weights[joint] > 0
+    assert not np.any(anchors.weights[0])
+    along, across = anchors.weights[joint][2, 2], anchors.weights[joint][0, 0]
+    told = anchors.told[joint]
+    assert np.abs(cut_anchors(body, poses, 1e-14).weights).max() < 1e-5
+    assert told[2, 2] < 1e-12 < along and across < told[0, 0] / 100
 
 
 def test_deform_is_pose_body(rng):

@@ -6,28 +6,39 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
+from ..body.pose import Pose
+from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 
-#: how far a joint's centre may be from the middle of its cut, as a share of the body's diagonal
-SPREAD = 0.01
+#: mean squared turn, radians, below which a motion counts as too little to tell: 1 degree
+LITTLE = 0.02**2
+
+
+#: error of a vertex, as a share of the body's diagonal, below which data are trusted to tell all they can
+EXACT = 3e-4
 
 
 class Anchors(eqx.Module):
-    """A normal prior on joints' centres, in the metric of Q.
+    """A quadratic pull on joints' centres, along what their motion does not tell.
 
     A hinge does not tell where along its axis it stands, and a joint that hardly turns tells
-    nothing: there the middle of the cut decides. Elsewhere thousands of vertices do, beside
-    which the prior weighs nothing.
+    nothing: there the middle of the cut decides. Across a hinge, and where joints turn freely,
+    the pull is hundreds of times weaker than the data; where these are exact, it fades.
     """
 
     middles: Float[Array, "J 3"]
-    #: one over a squared deviation, metres^-2, in units of the variance of a vertex; zero for roots
-    #: and where the parts of a joint do not touch
-    weights: Float[Array, "J"]
+    #: how much the pull weighs along each direction, beside what a turn of one radian tells; zero for
+    #: roots and where the parts of a joint do not touch
+    weights: Float[Array, "J 3 3"]
+    #: how much the motion tells along each direction, in the same measure
+    told: Float[Array, "J 3 3"]
 
 
-def cut_anchors(body: Body) -> Anchors:
-    """Anchors amid the edges that lead from each joint's part to its parent's, in the rest shape."""
+def cut_anchors(body: Body, poses: Pose, variance: float) -> Anchors:
+    """Anchors amid the edges that lead from each joint's part to its parent's, in the rest shape.
+
+    **Arguments:** `variance` of a coordinate's error, squared metres.
+    """
     labels, rest = np.asarray(body.skin.parts()), np.asarray(body.vertices, float)
     parents = np.array(body.skeleton.parents)
     adjacency = vertex_adjacency(np.asarray(body.faces), len(rest)).tocoo()
@@ -37,9 +48,14 @@ def cut_anchors(body: Body) -> Anchors:
     count = np.bincount(labels[inner], minlength=len(parents))
     ends = (rest[inner] + rest[outer]) / 2
     sums = np.stack([np.bincount(labels[inner], ends[:, i], len(parents)) for i in range(3)], 1)
-    deviation = SPREAD * float(np.linalg.norm(np.ptp(rest, axis=0)))
-    weights = np.where(count > 0, 1.0 / deviation**2, 0.0)
+    # a turn that never changes could as well be in the rest shape
+    turns = np.asarray(rotation.to_matrix(poses.rotations), float)
+    apart = turns - turns.mean(0)
+    told = np.einsum("fjab,fjac->jbc", apart, apart) / len(turns)
+    values, axes = np.linalg.eigh(told)
+    pull = LITTLE**2 / (np.maximum(values, 0.0) + LITTLE)
+    doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
+    weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes) * (count > 0)[:, None, None]
     dtype = body.vertices.dtype
-    return Anchors(
-        jnp.asarray(sums / np.maximum(count, 1)[:, None], dtype), jnp.asarray(weights, dtype)
-    )
+    middles = sums / np.maximum(count, 1)[:, None]
+    return Anchors(*(jnp.asarray(field, dtype) for field in (middles, weights, told)))

@@ -75,10 +75,9 @@ def improve_joints(
     Q it is damped more, up to `tries` times, and then left.
     """
     slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
-    # errors are alike all over a part: it counts as one vertex
-    variance = jnp.asarray(value / targets.size * targets.shape[1] / body.skeleton.num_joints, targets.dtype)
     arrow = normal_equations(body, poses, targets, metric, curvature, slots)
-    arrow = _anchored(arrow, body.skeleton, cut_anchors(body), variance, slots)
+    anchors = cut_anchors(body, poses, value / targets.size)
+    arrow = _anchored(arrow, body.skeleton, anchors, slots)
     for _ in range(tries):
         trial = _step(body, poses, arrow, jnp.asarray(damping, arrow.shared.dtype), bones, slots)
         trial_value = float(objective(*trial, targets, metric))
@@ -129,18 +128,25 @@ def normal_equations(
 
 
 @eqx.filter_jit
-def _anchored(
-    arrow: Arrow, skeleton: Skeleton, anchors: Anchors, variance: Float[Array, ""], slots: tuple[int, ...]
-) -> Arrow:
-    """The equations with the prior on centres, for residuals of the given variance."""
-    weights = variance * anchors.weights[:, None]
-    pull = jnp.pad(weights * (anchors.middles - skeleton.centres), ((0, 0), (0, 3))).ravel()
-    hold = jnp.pad(jnp.broadcast_to(weights, pull.reshape(-1, 6)[:, :3].shape), ((0, 0), (0, 3))).ravel()
-    chosen = np.array(slots, int)
+def _anchored(arrow: Arrow, skeleton: Skeleton, anchors: Anchors, slots: tuple[int, ...]) -> Arrow:
+    """The equations with the pull of anchors on centres, in the measure of the data: what the
+    curvature is for a turn of one radian."""
+    count, chosen = skeleton.num_joints, np.array(slots, int)
+    known = jnp.zeros(6 * count, arrow.shared.dtype).at[chosen].set(jnp.diag(arrow.shared))
+    total = jnp.sum(known.reshape(count, 6)[:, :3], 1)
+    told = jnp.trace(anchors.told, axis1=1, axis2=2)
+    measure = total / jnp.maximum(told, jnp.finfo(told.dtype).eps)
+    weights = measure[:, None, None] * anchors.weights
+    pull = jnp.einsum("jab,jb->ja", weights, anchors.middles - skeleton.centres)
+    wide = jnp.zeros((count, 6, count, 6), weights.dtype)
+    wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(weights).reshape(6 * count, 6 * count)
     return eqx.tree_at(
         lambda a: (a.shared, a.shared_side),
         arrow,
-        (arrow.shared + jnp.diag(hold[chosen]), arrow.shared_side + pull[chosen]),
+        (
+            arrow.shared + wide[chosen][:, chosen],
+            arrow.shared_side + jnp.pad(pull, ((0, 0), (0, 3))).ravel()[chosen],
+        ),
     )
 
 
