@@ -53,7 +53,7 @@ class Learn:
     skeleton: OptionalFile = None
     """A skeleton that stands in the first mesh (.skl, .bvh, .asf, .npz), in place of one that is found."""
     free_bones: Flag = False
-    """Bones that hang on nothing; the skin is lbs."""
+    """Bones that hang on nothing, one more than --joints; the skin is lbs."""
     rounds: Annotated[int, arg(metavar="N")] = 30
     """The most rounds of weights, vertices and joints, those on some of the vertices among them; learning ends
     before where a round brings little."""
