@@ -60,7 +60,7 @@ def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarra
         return _hang(parts, [0], [-1], means, means, np.zeros(1), areas)
     seams = find_seams(surface, parts.labels, rest, count)
     centres = find_centres(seams, parts.rotations, parts.translations, size, parts.error)
-    joints = _least_tree(_doubts(seams, centres, parts.error), seams.pairs, count)
+    joints = least_tree(_doubts(seams, centres, parts.error), seams.pairs, count)
     order, above, joint = _from_root(seams.pairs[joints], joints, areas)
     place = [means[order[0]] if j < 0 else centres.points[j] for j in joint]
     gaps = np.array([0.0 if j < 0 else centres.residuals[j] for j in joint])
@@ -102,7 +102,7 @@ def _doubts(seams: Seams, centres: Centres, error: float) -> np.ndarray:
     return centres.residuals + DOUBT * error * (1 - share) + seams.gaps
 
 
-def _least_tree(costs: np.ndarray, pairs: np.ndarray, count: int) -> list[int]:
+def least_tree(costs: np.ndarray, pairs: np.ndarray, count: int) -> list[int]:
     """Kruskal's least spanning tree: which of the pairs are in it."""
     owner = np.arange(count)
     chosen = []

@@ -59,7 +59,7 @@ class SwingTwistSkin(AbstractSkin):
     def influence(self, num_bones):
         """The mean of swing and twist weights; the base has the rest."""
         del num_bones
-        return (_with_base(self.swing, self.bases) + _with_base(self.twist, self.bases)) / 2
+        return (with_base(self.swing, self.bases) + with_base(self.twist, self.bases)) / 2
 
     def take(self, vertices):
         return SwingTwistSkin(self.bases[vertices], self.swing[vertices], self.twist[vertices])
@@ -67,10 +67,10 @@ class SwingTwistSkin(AbstractSkin):
     def carry(self, corners, shares, skeleton):
         """The weights between those of the corners, on the base that keeps most of them."""
         rows = [
-            interpolate(np.asarray(_with_base(weights, self.bases)), corners, shares)
+            interpolate(np.asarray(with_base(weights, self.bases)), corners, shares)
             for weights in (self.swing, self.twist)
         ]
-        return _on_best_base(rows[0], rows[1], skeleton, self.swing.dtype)
+        return on_best_base(rows[0], rows[1], skeleton, self.swing.dtype)
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """The base rides with the joints above it; beside it, each child moves the vertex by its
@@ -111,16 +111,16 @@ def swing_twist_from(skin: AbstractSkin, skeleton: Skeleton) -> SwingTwistSkin:
             f"The skin is for {rows.shape[1]} bones and the skeleton has {skeleton.num_joints} joints; "
             "give the skeleton that the skin was made for."
         )
-    return _on_best_base(rows, rows, skeleton, rows.dtype)
+    return on_best_base(rows, rows, skeleton, rows.dtype)
 
 
-def _with_base(weights: Float[Array, "V J"], bases: Int[Array, "V"]) -> Float[Array, "V J"]:
+def with_base(weights: Float[Array, "V J"], bases: Int[Array, "V"]) -> Float[Array, "V J"]:
     """Weights of the children, and what is left of one at the base."""
     rest = 1.0 - jnp.sum(weights, 1, keepdims=True)
     return weights + jnp.where(bases[:, None] == jnp.arange(weights.shape[1]), rest, 0.0)
 
 
-def _on_best_base(
+def on_best_base(
     swing: Float[np.ndarray, "V J"], twist: Float[np.ndarray, "V J"], skeleton: Skeleton, dtype
 ) -> SwingTwistSkin:
     """Influences of any bones, rows one in sum, as weights of the children of one base."""
