@@ -1,0 +1,84 @@
+"""Bones as they move, and where those meet that had no joint between them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from ..body.kinematics import forward_kinematics
+from ..body.pose import Pose
+from ..body.skeleton import Skeleton
+from .centres import Seams, find_centres
+from .tree import least_tree
+
+#: share of the body's diagonal within which a joint that hangs on another bone may move
+REACH = 0.03
+
+
+class Bones(NamedTuple):
+    """World motions of J bones in F frames, without the poses' scale, which learning leaves at one."""
+
+    rotations: Float[np.ndarray, "F J 3 3"]
+    translations: Float[np.ndarray, "F J 3"]
+
+
+def bone_motions(skeleton: Skeleton, poses: Pose) -> Bones:
+    """Where the bones are in every frame."""
+    bones = _transforms(skeleton, poses)
+    scale = np.asarray(poses.scale, float)[:, None]
+    rotations = np.asarray(bones.rotations, float) / scale[..., None, None]
+    return Bones(rotations, np.asarray(bones.translations, float) / scale[..., None])
+
+
+def hang_children(
+    skeleton: Skeleton, bones: Bones, joint: int, rest: Float[np.ndarray, "V 3"]
+) -> dict[int, tuple[int, Float[np.ndarray, "3"], float]]:
+    """On which bone, and where, each child of a joint hangs once that is gone, and the root mean
+    square gap there, metres: the tree with the least gaps."""
+    parent, centres = skeleton.parents[joint], np.asarray(skeleton.centres, float)
+    children = [j for j, above in enumerate(skeleton.parents) if above == joint]
+    if not children:
+        return {}
+    size = float(np.linalg.norm(np.ptp(rest, axis=0)))
+    ends = [parent, *children]
+    places = [centres[joint], *centres[children]]
+    picked = [(a, b) for a in range(len(ends)) for b in range(a + 1, len(ends))]
+    rows = [
+        (
+            ends[a],
+            ends[b],
+            (places[a] + places[b]) / 2,
+            max(float(np.linalg.norm(places[a] - places[b])) / 2, REACH * size),
+        )
+        for a, b in picked
+    ]
+    points, gaps = common_points(rows, bones, size)
+    edges = least_tree(gaps, np.array(picked), len(ends))
+    hung: dict[int, tuple[int, np.ndarray, float]] = {}
+    reached = [0]
+    while reached:
+        here = reached.pop()
+        for edge in edges:
+            a, b = picked[edge]
+            other = b if a == here else a if b == here else 0
+            if other and ends[other] not in hung:
+                hung[ends[other]] = (ends[here], points[edge], float(gaps[edge]))
+                reached.append(other)
+    return hung
+
+
+def common_points(rows: Sequence[tuple], bones: Bones, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of rows (bone, bone, prior middle, radius): the points that both move alike, and the gaps."""
+    first, second, middles, radii = zip(*rows, strict=True)
+    none = np.zeros(len(rows))
+    seams = Seams(np.stack([first, second], 1), np.stack(middles), np.array(radii), none, none)
+    found = find_centres(seams, bones.rotations, bones.translations, size)
+    return found.points, found.residuals
+
+
+@eqx.filter_jit
+def _transforms(skeleton: Skeleton, poses: Pose):
+    return jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)
