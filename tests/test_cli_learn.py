@@ -60,7 +60,7 @@ def inputs(tmp_path_factory):
     meshes = np.asarray(posed_meshes(body, Motion(poses())))
     meshes = meshes + 0.001 * np.random.default_rng(0).normal(size=meshes.shape)
     names = np.array([f"bend_{i}" for i in range(FRAMES)])
-    np.savez(folder / "meshes.npz", vertices=meshes, faces=np.asarray(body.faces), names=names)
+    np.savez(folder / "meshes.npz", vertices=meshes, faces=np.asarray(body.faces), names=names, rate=12.5)
     save_body(folder / "bar.npz", body)
     return folder
 
@@ -123,6 +123,7 @@ def test_fit_refuses_what_does_not_fit(inputs, tmp_path, capsys):
     out = ["-o", tmp_path / "motion.npz"]
     assert "72 vertices and the body 74" in fails(capsys, "fit", inputs / "bar.npz", tmp_path / "other.npz", *out)
     assert "no such file" in fails(capsys, "fit", inputs / "bar.npz", tmp_path / "nowhere.npz", *out)
+    assert "--unit" in fails(capsys, "fit", inputs / "bar.npz", inputs / "meshes.npz", *out, "--unit", "mm")
     assert "meshes.npz" in fails(capsys, "fit", inputs / "meshes.npz", inputs / "meshes.npz", *out)
     assert ".bvh" in fails(capsys, "fit", inputs / "bar.npz", inputs / "meshes.npz", "-o", tmp_path / "m.bvh")
     assert list(tmp_path.iterdir()) == [tmp_path / "other.npz"]
@@ -142,6 +143,7 @@ def test_learn_writes_body_motion_and_report(inputs, tmp_path, capsys, slow_lear
         np.testing.assert_array_equal(slow_learner["meshes"].vertices, file["vertices"][[0, 1, 3, 4]])
     assert load_body(out).skeleton.names == ("low", "high")
     assert load_motion(tmp_path / "body-motion.npz").num_frames == 4
+    assert slow_learner["meshes"].rate == 12.5
     report = json.loads((tmp_path / "report" / "report.json").read_text())
     assert [len(report["scores"][label]["per_mesh"]) for label in ("training", "held out")] == [4, 2]
     assert [row["Q"] for row in report["history"]] == pytest.approx([1.0, 0.7, 0.49])
@@ -189,6 +191,8 @@ def test_a_stopped_run_goes_on_to_the_same_result(inputs, tmp_path, capsys, slow
         (["--alpha", "nan"], "--alpha"),
         (["--rounds", "0"], "--rounds"),
         (["--hold-out", "1"], "--hold-out"),
+        (["--hold-out", "7"], "none of 6 meshes"),
+        (["--rate", "0"], "--rate"),
         (["--unit", "furlong"], "furlong"),
         (["--resume", "--overwrite"], "give one of them"),
         (["--pairs", "1:2", "--no-symmetry"], "--pairs"),
@@ -234,6 +238,7 @@ def _line_of(capsys, folder, vertices, faces) -> str:
 def test_pairs_by_number_and_by_name():
     skeleton = bar().skeleton
     np.testing.assert_array_equal(read_pairs("3:5, 4:6", None), [[3, 5], [4, 6]])
+    np.testing.assert_array_equal(read_pairs("joint3:joint5", None), [[3, 5]])
     np.testing.assert_array_equal(read_pairs("low:high", skeleton), [[0, 1]])
     for text, given in (
         ("low:middle", skeleton),

@@ -8,12 +8,14 @@ import numpy as np
 import tyro
 from jaxtyping import Int
 
+from ..body.body import Body
 from ..errors import InputError
 from ..fit.registered import fit_meshes
 from ..io.meshes import read_named_meshes
 from ..io.npz import save_motion
 from ..io.registry import read_body
 from ..io.table import write_json
+from ..observe import MeshSequence
 from ..report.pictures import error_pictures
 from .options import Flag, Unit, arg
 from .say import say, warn
@@ -21,6 +23,10 @@ from .scoring import score_motion, tell_scores
 
 MeshesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+OptionalRate = Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")]
+
+#: no pose changes the size of a body by so much, and every other unit but feet for metres does
+OTHER_UNIT = 5.0
 
 
 @dataclass
@@ -39,19 +45,19 @@ class Fit:
     """Folder for report.json and heat maps of the error."""
     unit: Unit = "m"
     """Unit of the meshes: m, dm, cm, mm, in or ft."""
-    rate: float = 30.0
-    """Meshes a second."""
+    rate: OptionalRate = None
+    """Meshes a second; where not given, as the file says, or 30."""
     overwrite: Flag = False
     """Replace the motion where it is there."""
 
     def run(self) -> None:
         check_out(self.out, self.overwrite)
-        if not 0 < self.rate < np.inf:
-            raise InputError(f"--rate is {self.rate:g}; it must be above 0 meshes a second.")
+        check_rate(self.rate)
         if self.body.suffix.lower() != ".npz":
             raise InputError(f"{self.body}: a body is read from an .npz; learn or rig one first.")
         body = read_body(self.body)
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
+        check_size(body, sequence, self.meshes[0])
         try:
             fit = fit_meshes(body, sequence)
         except ValueError as error:
@@ -75,6 +81,22 @@ def same_triangles(a: Int[np.ndarray, "T 3"], b: Int[np.ndarray, "S 3"]) -> bool
     """Whether two lists of triangles join the same vertices, in any order."""
     rows = [np.unique(np.sort(faces, axis=1), axis=0) for faces in (a, b)]
     return rows[0].shape == rows[1].shape and bool((rows[0] == rows[1]).all())
+
+
+def check_rate(rate: float | None) -> None:
+    """Raises `InputError` for what is no rate."""
+    if rate is not None and not 0 < rate < np.inf:
+        raise InputError(f"--rate is {rate:g}; it must be above 0 meshes a second.")
+
+
+def check_size(body: Body, sequence: MeshSequence, where: str) -> None:
+    """That meshes are in the unit that they were read in. Raises `InputError`."""
+    there = float(np.median(np.ptp(np.asarray(sequence.vertices, float), axis=1).max(1)))
+    here = float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
+    if not here / OTHER_UNIT < there < here * OTHER_UNIT:
+        raise InputError(
+            f"{where}: the meshes are {there:.4g} m long and the body {here:.4g} m; say by --unit what they are in."
+        )
 
 
 def check_out(path: Path, overwrite: bool, what: str = "a motion") -> None:

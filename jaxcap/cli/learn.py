@@ -20,7 +20,7 @@ from ..learn.loop import COARSE, Learned, LearnState, learn_body
 from ..observe import MeshSequence
 from ..report.learned import report_learning
 from ..report.scores import Scores
-from .fit import MeshesSpec, OptionalFolder, check_out, make_folder
+from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_out, check_rate, make_folder
 from .options import Flag, OptionalCount, OptionalFile, Unit, arg
 from .rounds import Rounds
 from .say import say, warn
@@ -59,8 +59,8 @@ class Learn:
     before where a round brings little."""
     unit: Unit = "m"
     """Unit of meshes and skeleton: m, dm, cm, mm, in or ft."""
-    rate: float = 30.0
-    """Meshes a second."""
+    rate: OptionalRate = None
+    """Meshes a second; where not given, as the file says, or 30."""
     motion: OptionalFile = None
     """The poses of the training meshes; beside the body where not given."""
     hold_out: OptionalCount = None
@@ -80,6 +80,10 @@ class Learn:
         check_out(motion_path, self.overwrite)
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         train, held = split(len(sequence), self.hold_out)
+        if self.hold_out is not None and not held.size:
+            raise InputError(
+                f"--hold-out {self.hold_out} leaves out none of {len(sequence)} meshes; give a lower number."
+            )
         for told in check_meshes(sequence, names):
             warn(told)
         skeleton = None if self.skeleton is None else read_skeleton(self.skeleton, self.unit)
@@ -105,12 +109,12 @@ class Learn:
             "--joints": (self.joints, self.joints is None or self.joints >= 1, "at least 1"),
             "--alpha": (self.alpha, 0 <= self.alpha < np.inf, "at least 0"),
             "--rounds": (self.rounds, self.rounds >= 1, "at least 1"),
-            "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 meshes a second"),
             "--hold-out": (self.hold_out, self.hold_out is None or self.hold_out >= 2, "at least 2"),
         }
         for name, (value, fine, what) in wrong.items():
             if not fine:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
+        check_rate(self.rate)
         if self.resume and self.overwrite:
             raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
         if self.pairs is not None and not self.symmetry:
@@ -233,10 +237,12 @@ def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
             raise InputError(f"--pairs has '{word}'; it must be left:right, such as 3:5,4:6.")
         row = []
         for side in sides:
+            # joints that are found are called so
+            number = side.removeprefix("joint") if skeleton is None else side
             if skeleton is not None and side in skeleton.names:
                 row.append(skeleton.names.index(side))
-            elif side.isdigit() and (skeleton is None or int(side) < skeleton.num_joints):
-                row.append(int(side))
+            elif number.isdigit() and (skeleton is None or int(number) < skeleton.num_joints):
+                row.append(int(number))
             else:
                 there = "" if skeleton is None else f"; the skeleton has {', '.join(skeleton.names)}"
                 raise InputError(f"--pairs has '{side}', which is no joint{there}.")
