@@ -7,7 +7,7 @@ should, nothing is gained by a split; and of a bone that is a blend of those aro
 lost.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,38 +42,34 @@ def exchange(
     targets: Float[Array, "F V 3"],
     improve: Callable[[LearnState, Graft], LearnState],
     step: str = "exchange",
-    tries: int = 12,
+    tries: int = 6,
 ) -> LearnState:
-    """Exchange joints one by one, the most promising first, as long as Q falls.
+    """Exchange joints, the most promising first, as long as Q falls.
 
-    Every trial is improved, then kept where Q is lower than before, by more than a share `KEEP`;
-    two in a row that are not end it. The history gets one entry of Q for each trial, named `step`.
+    All exchanges that promise something and do not touch each other are tried at once; where that
+    fails, one by one. What is tried is improved, then kept where Q is lower than before, by more
+    than a share `KEEP`; two failures in a row end it. The history gets one entry of Q for each
+    trial, named `step`.
 
     **Arguments:** `targets` the meshes of the state's body; `improve` puts a grafted body in the
     place of the state's and makes it better by a few rounds; `tries` at most.
 
     Only trees of "ball" joints under one "free" root are changed; others are given back as they are.
     """
-    failures, refused, options = 0, set(), None
-    for _ in range(tries):
-        if failures == FAILURES or not exchangeable(state.body):
+    failures, queue = 0, None
+    for _ in range(tries if exchangeable(state.body) else 0):
+        if queue is None:
+            singles = apart(propose(state.body, state.motion.poses, targets))
+            queue = ([singles] if len(singles) > 1 else []) + [[single] for single in singles]
+        if failures == FAILURES or not queue:
             break
-        if options is None:
-            options = propose(state.body, state.motion.poses, targets)
-        names = state.body.skeleton.names
-        options = [option for option in options if not refused & _touched(option, names)]
-        if not options:
-            break
-        before = state.history[-1][1]
-        trial = improve(state, graft(state.body, state.motion.poses, state.pairs, options[0]))
+        before, chosen = state.history[-1][1], queue.pop(0)
+        trial = improve(state, graft(state.body, state.motion.poses, state.pairs, chosen))
         after = trial.history[-1][1]
-        kept = after < (1 - KEEP) * before
-        history = (*state.history, (step, after if kept else before))
-        if kept:
-            state, failures, refused, options = trial, 0, set(), None
+        if after < (1 - KEEP) * before:
+            state, failures, queue = trial._replace(history=(*state.history, (step, after))), 0, None
         else:
-            failures, refused = failures + 1, refused | _touched(options[0], names)
-        state = state._replace(history=history)
+            state, failures = state._replace(history=(*state.history, (step, before))), failures + 1
     return state
 
 
@@ -84,8 +80,7 @@ def exchangeable(body: Body) -> bool:
 
 
 def propose(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Proposal]:
-    """Exchanges that promise something, the most promising first: the best split and the cheapest
-    removal, the next of both, and so on with every pairing of them."""
+    """Every pairing of a split and a removal that promises something, the most promising first."""
     errors = np.asarray(targets, float) - np.asarray(deform_all(body, poses), float)
     splits = find_splits(body, poses, errors)
     removals = find_removals(body, poses, targets)
@@ -94,34 +89,46 @@ def propose(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Pro
         Proposal(split, removal, split.gain - LASTING * removal.cost)
         for split in splits
         for removal in removals
-        if split.joint != removal.joint
     ]
-    return sorted((p for p in pairings if p.gain > least), key=lambda p: -p.gain)
+    return sorted((p for p in pairings if p.gain > least and len(_touched(p)) == 2), key=lambda p: -p.gain)
 
 
-def graft(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], proposal: Proposal) -> Graft:
-    """The body with the proposed change."""
-    made = Graft(body, poses, pairs)
-    split, removal = proposal.split, proposal.removal
-    names = body.skeleton.names
-    if split is not None:
-        made = with_joint(body, poses, pairs, split)
-    if removal is None:
-        return made
-    if split is not None:
-        there = made.body.skeleton.names
-        wide = insert_share(removal.shares, split.joint, split.below[removal.vertices])
-        new = next(name for name in there if name not in names)
-        order = [[*names, new].index(name) for name in there]
-        removal = removal._replace(joint=there.index(names[removal.joint]), shares=wide[:, order])
-    return without_joint(*made, removal)
+def apart(proposals: Sequence[Proposal]) -> list[Proposal]:
+    """From the first one on, the proposals that touch no joint of those before."""
+    chosen, taken = [], set()
+    for proposal in proposals:
+        if not taken & _touched(proposal):
+            chosen.append(proposal)
+            taken |= _touched(proposal)
+    return chosen
 
 
-def _touched(proposal: Proposal, names: tuple[str, ...]) -> set[tuple[str, str]]:
-    """What a refusal speaks against: this split, and this removal."""
-    touched = set()
-    if proposal.split is not None:
-        touched.add(("split", names[proposal.split.joint]))
-    if proposal.removal is not None:
-        touched.add(("removal", names[proposal.removal.joint]))
-    return touched
+def graft(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], proposals: Sequence[Proposal]) -> Graft:
+    """The body with the proposed changes, which are apart: first all splits, then all removals."""
+    old, made = body.skeleton, Graft(body, poses, pairs)
+    splits = [p.split for p in proposals if p.split is not None]
+    removals = [p.removal for p in proposals if p.removal is not None]
+    names = list(old.names)
+    for split in splits:
+        before = made.body.skeleton
+        children = tuple(before.index(old.names[child]) for child in split.children)
+        here = split._replace(joint=before.index(old.names[split.joint]), children=children)
+        made = with_joint(*made, here)
+        names += sorted(set(made.body.skeleton.names) - set(names))
+    gone: list[int] = []
+    for removal in removals:
+        shares = np.array(removal.shares)
+        for split in splits:
+            shares = insert_share(shares, split.joint, split.below[removal.vertices])
+        for joint in sorted(gone, reverse=True):
+            shares[:, old.parents[joint]] += shares[:, joint]
+        there = made.body.skeleton
+        columns = [names.index(name) for name in there.names]
+        here = removal._replace(joint=there.index(old.names[removal.joint]), shares=shares[:, columns])
+        made = without_joint(*made, here)
+        gone.append(removal.joint)
+    return made
+
+
+def _touched(proposal: Proposal) -> set[int]:
+    return {change.joint for change in (proposal.split, proposal.removal) if change is not None}
