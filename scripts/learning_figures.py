@@ -32,7 +32,7 @@ def main() -> None:
     """Learn, score, draw, and make the pictures small."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="medium")
-    parser.add_argument("--meshes", type=int, default=32)
+    parser.add_argument("--meshes", type=int, default=28)
     parser.add_argument("--joints", type=int)
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--folder", type=Path, default=ASSETS)
