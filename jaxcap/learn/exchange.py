@@ -51,14 +51,14 @@ def exchange(
     All exchanges that promise something and do not touch each other are tried at once; where that
     fails, one by one. What is tried is improved, then kept where Q is lower than before, by more
     than a share `KEEP`; two failures in a row end it. The history gets one entry of Q for each
-    trial, named `step`.
+    trial, named `step`; one, too, where nothing is worth a trial.
 
     **Arguments:** `targets` the meshes of the state's body; `improve` puts a grafted body in the
     place of the state's and makes it better by a few rounds; `tries` at most.
 
     Only trees of "ball" joints under one "free" root are changed; others are given back as they are.
     """
-    failures, queue = 0, None
+    failures, queue, begun = 0, None, len(state.history)
     for _ in range(tries if exchangeable(state.body) else 0):
         if queue is None:
             singles = apart(propose(state.body, state.motion.poses, targets))
@@ -72,6 +72,8 @@ def exchange(
             state, failures, queue = trial._replace(history=(*state.history, (step, after))), 0, None
         else:
             state, failures = state._replace(history=(*state.history, (step, before))), failures + 1
+    if len(state.history) == begun:
+        state = state._replace(history=(*state.history, (step, state.history[-1][1])))
     return state
 
 
