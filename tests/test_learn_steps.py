@@ -124,7 +124,7 @@ def test_anchors_hold_what_no_motion_tells(rng):
     body, poses, _, _ = scene(rng, False, frames=12)
     labels = np.asarray(body.skin.parts())
     joint = int(labels.max())
-    parent = body.skeleton.parents[joint]
+    below = body.skeleton.descent[joint]
     # a hinge about z, twelve times
     angles = jnp.linspace(-1.0, 1.0, 12)
     hinge = jnp.stack([jnp.cos(angles / 2), 0 * angles, 0 * angles, jnp.sin(angles / 2)], 1)
@@ -135,7 +135,7 @@ def test_anchors_hold_what_no_motion_tells(rng):
         tuple(sorted((a, b)))
         for face in faces
         for a, b in ((face[0], face[1]), (face[1], face[2]), (face[2], face[0]))
-        if {labels[a], labels[b]} == {joint, parent}
+        if below[labels[a]] != below[labels[b]]
     }
     expected = np.mean([(rest[a] + rest[b]) / 2 for a, b in ends], axis=0)
     np.testing.assert_allclose(anchors.middles[joint], expected, atol=1e-12)
@@ -143,6 +143,8 @@ def test_anchors_hold_what_no_motion_tells(rng):
     along, across = anchors.weights[joint][2, 2], anchors.weights[joint][0, 0]
     told = anchors.told[joint]
     assert np.abs(cut_anchors(body, poses, 1e-14).weights).max() < 1e-5
+    far = eqx.tree_at(lambda b: b.skeleton.centres, body, body.skeleton.centres.at[joint, 0].add(9.0))
+    assert cut_anchors(far, poses, 1e-4).weights[joint, 0, 0] > told[0, 0]
     assert told[2, 2] < 1e-12 < along and across < told[0, 0] / 100
 
 

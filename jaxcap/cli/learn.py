@@ -138,7 +138,7 @@ class Learn:
         if self.resume:
             if not kept.is_file():
                 raise InputError(f"{kept}: there is no unfinished run to go on from; leave --resume out.")
-            return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round")))
+            return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round", "curve")))
         if kept.exists() and not self.overwrite:
             raise InputError(
                 f"{kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
@@ -258,6 +258,7 @@ def checkpoint_of(state: LearnState) -> Checkpoint:
         "pairs": np.asarray(state.pairs, int),
         "damping": np.array(float(state.damping)),
         "round": np.array(state.round),
+        "curve": np.asarray(state.curve, float),
     }
     return Checkpoint(state.body, state.motion, tuple(state.history), arrays)
 
@@ -272,4 +273,5 @@ def state_of(kept: Checkpoint) -> LearnState:
         damping=float(arrays["damping"]),
         history=kept.history,
         round=int(arrays["round"]),
+        curve=arrays["curve"],
     )

@@ -14,6 +14,8 @@ from ..geometry.laplacian import vertex_adjacency
 LITTLE = 0.02**2
 
 
+#: radii of its cut within which a centre may be
+REACH = 1.5
 #: error of a vertex, as a share of the body's diagonal, below which data are trusted to tell all they can
 EXACT = 3e-4
 
@@ -35,19 +37,24 @@ class Anchors(eqx.Module):
 
 
 def cut_anchors(body: Body, poses: Pose, variance: float) -> Anchors:
-    """Anchors amid the edges that lead from each joint's part to its parent's, in the rest shape.
+    """Anchors amid the edges that lead from all that hangs below a joint to the rest of the body.
+
+    A centre that has left the sphere of one and a half times the cut's radius is pulled the more,
+    whatever its motion tells: bones with few vertices of their own would else use it to stretch.
 
     **Arguments:** `variance` of a coordinate's error, squared metres.
     """
     labels, rest = np.asarray(body.skin.parts()), np.asarray(body.vertices, float)
-    parents = np.array(body.skeleton.parents)
     adjacency = vertex_adjacency(np.asarray(body.faces), len(rest)).tocoo()
     inner, outer = adjacency.coords
-    crossing = parents[labels[inner]] == labels[outer]
-    inner, outer = inner[crossing], outer[crossing]
-    count = np.bincount(labels[inner], minlength=len(parents))
     ends = (rest[inner] + rest[outer]) / 2
-    sums = np.stack([np.bincount(labels[inner], ends[:, i], len(parents)) for i in range(3)], 1)
+    below = body.skeleton.descent
+    crossing = below[:, labels[inner]] & ~below[:, labels[outer]]
+    count = crossing.sum(1)
+    middles = crossing @ ends / np.maximum(count, 1)[:, None]
+    squares = crossing @ np.sum(ends**2, 1) / np.maximum(count, 1) - np.sum(middles**2, 1)
+    radii = REACH * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
+    away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
     # a turn that never changes could as well be in the rest shape
     turns = np.asarray(rotation.to_matrix(poses.rotations), float)
     apart = turns - turns.mean(0)
@@ -55,7 +62,8 @@ def cut_anchors(body: Body, poses: Pose, variance: float) -> Anchors:
     values, axes = np.linalg.eigh(told)
     pull = LITTLE**2 / (np.maximum(values, 0.0) + LITTLE)
     doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
-    weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes) * (count > 0)[:, None, None]
+    weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
+    beyond = np.einsum("jaa->j", told) / 3 * np.maximum(away / radii - 1, 0.0)
+    weights = (weights + beyond[:, None, None] * np.eye(3)) * (count > 0)[:, None, None]
     dtype = body.vertices.dtype
-    middles = sums / np.maximum(count, 1)[:, None]
     return Anchors(*(jnp.asarray(field, dtype) for field in (middles, weights, told)))

@@ -77,13 +77,16 @@ def improve_joints(
     slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
     arrow = normal_equations(body, poses, targets, metric, curvature, slots)
     anchors = cut_anchors(body, poses, value / targets.size)
-    arrow = _anchored(arrow, body.skeleton, anchors, slots)
-    for _ in range(tries):
-        trial = _step(body, poses, arrow, jnp.asarray(damping, arrow.shared.dtype), bones, slots)
+    strengths = jnp.asarray([1.0, 0.0], targets.dtype)
+    pulled, held = (_anchored(arrow, body.skeleton, anchors, slots, strength) for strength in strengths)
+    for number in range(tries):
+        # anchors that would raise Q only keep centres from going further
+        shares = jnp.asarray(damping, targets.dtype)
+        trial = _step(body, poses, held if number else pulled, shares, bones, slots)
         trial_value = float(objective(*trial, targets, metric))
         if trial_value < value:
             return JointStep(*trial, trial_value, max(damping / 5.0, 1e-7))
-        damping = max(10.0 * damping, 1e-5)
+        damping = max(10.0 * damping, 1e-5) if number else damping
     return JointStep(body, poses, value, damping)
 
 
@@ -128,16 +131,18 @@ def normal_equations(
 
 
 @eqx.filter_jit
-def _anchored(arrow: Arrow, skeleton: Skeleton, anchors: Anchors, slots: tuple[int, ...]) -> Arrow:
-    """The equations with the pull of anchors on centres, in the measure of the data: what the
-    curvature is for a turn of one radian."""
+def _anchored(
+    arrow: Arrow, skeleton: Skeleton, anchors: Anchors, slots: tuple[int, ...], strength: Float[Array, ""]
+) -> Arrow:
+    """The equations with the hold of anchors on centres, in the measure of the data: what the
+    curvature is for a turn of one radian; they also pull, with the given strength."""
     count, chosen = skeleton.num_joints, np.array(slots, int)
     known = jnp.zeros(6 * count, arrow.shared.dtype).at[chosen].set(jnp.diag(arrow.shared))
     total = jnp.sum(known.reshape(count, 6)[:, :3], 1)
     told = jnp.trace(anchors.told, axis1=1, axis2=2)
     measure = total / jnp.maximum(told, jnp.finfo(told.dtype).eps)
     weights = measure[:, None, None] * anchors.weights
-    pull = jnp.einsum("jab,jb->ja", weights, anchors.middles - skeleton.centres)
+    pull = strength * jnp.einsum("jab,jb->ja", weights, anchors.middles - skeleton.centres)
     wide = jnp.zeros((count, 6, count, 6), weights.dtype)
     wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(weights).reshape(6 * count, 6 * count)
     return eqx.tree_at(

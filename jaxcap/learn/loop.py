@@ -14,38 +14,29 @@ from ..body.skeleton import Skeleton
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
 from .coarse import Coarse, coarse_alpha, coarsen
+from .exchange import exchange
+from .graft import Graft
 from .joints import Curvature, improve_joints, make_curvature
 from .objective import objective
 from .start import SkinName, Start, start_free, start_from_motion, start_from_skeleton
+from .state import LearnState
 from .vertices import VertexSolver, carry_back
 from .weights import improve_weights
 
 #: a round that lowers Q by less than this share is the last on its mesh
-ENOUGH = 5e-3
+ENOUGH = 8e-3
 #: the share of all rounds that may go to the coarse mesh
 COARSE_SHARE = 2 / 3
 #: damping of the first step of joints and poses
 FIRST_DAMPING = 1e-3
 #: steps of Gauss-Newton on joints and poses, before the first round and in each
 FIRST_STEPS, STEPS = 4, 2
+#: rounds after which joints are exchanged, rounds of each trial, and how many of these
+EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 5
 #: sweeps over the weights, at most, in the first round on a mesh and in others
 FIRST_SWEEPS, SWEEPS = 8, 4
 #: what steps on the coarse mesh are called by in the history
 COARSE = "coarse "
-
-
-class LearnState(NamedTuple):
-    """Where learning stands after a round: all that is needed to go on."""
-
-    body: Body
-    #: the poses of the meshes
-    motion: Motion
-    #: left and right joints of which the bones stay equally long
-    pairs: Int[np.ndarray, "P 2"]
-    damping: float
-    #: (step, Q) from the start on, Q in squared metres
-    history: tuple[tuple[str, float], ...]
-    round: int
 
 
 class Learned(NamedTuple):
@@ -96,22 +87,21 @@ def learn_body(
     fine = _stage(meshes, alpha, "")
     coarse = coarsen(meshes)
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
-    curve = np.zeros(0)
     if resume is None:
         start = _start(meshes, joints, skin, symmetry, skeleton, free_bones)
-        curve = start.curve
         motion = Motion(start.poses, meshes.rate)
-        state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0)
+        state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
         if thinned:
             state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume
     if len(state.body.vertices) < meshes.vertices.shape[1]:
         stage = _stage(coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE)
-        state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round)
+        state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, skeleton is None)
         state = state._replace(body=_refine(state, meshes, coarse))
-    state = _improve(state, fine, rounds, on_round)
-    return Learned(state.body, state.motion, state.pairs, state.history, curve)
+    # joints that were exchanged on the coarse mesh stay
+    state = _improve(state, fine, rounds, on_round, skeleton is None and not thinned)
+    return Learned(state.body, state.motion, state.pairs, state.history, state.curve)
 
 
 class _Stage(NamedTuple):
@@ -153,19 +143,49 @@ def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse) -> Body:
 
 
 def _improve(
-    state: LearnState, stage: _Stage, rounds: int, on_round: Callable[[LearnState], None] | None
+    state: LearnState,
+    stage: _Stage,
+    rounds: int,
+    on_round: Callable[[LearnState], None] | None,
+    exchanging: bool,
 ) -> LearnState:
-    """Rounds on one mesh until one of them lowers Q by little, or as many are over."""
+    """Rounds on one mesh until one of them lowers Q by little, or as many are over; after the first
+    few, joints that are too many are exchanged for joints that are missing."""
     if not _values(state, stage):
         value = float(objective(state.body, state.motion.poses, stage.meshes.vertices, stage.metric))
         state = state._replace(history=(*state.history, (stage.prefix + "start", value)))
         if state.round == 0:
             state = _improve_joints(state, stage, FIRST_STEPS)
-    while state.round < rounds and not _settled(state, stage):
-        state = _round(state, stage)
-        if on_round is not None:
-            on_round(state)
+    while state.round < rounds:
+        waiting = exchanging and not _has(state, stage, "exchange")
+        if waiting and (state.round >= EXCHANGE_AFTER or _settled(state, stage)):
+            state = _exchange(state, stage)
+        elif _settled(state, stage):
+            break
+        else:
+            state = _round(state, stage)
+            if on_round is not None:
+                on_round(state)
     return state
+
+
+def _exchange(state: LearnState, stage: _Stage) -> LearnState:
+    def improve(before: LearnState, made: Graft) -> LearnState:
+        motion = Motion(made.poses, before.motion.rate)
+        value = float(objective(made.body, made.poses, stage.meshes.vertices, stage.metric))
+        history = (*before.history, (stage.prefix + "graft", value))
+        after = before._replace(
+            body=made.body, motion=motion, pairs=made.pairs, damping=FIRST_DAMPING, history=history
+        )
+        for _ in range(TRIAL_ROUNDS):
+            after = _round(after, stage)
+        return after
+
+    return exchange(state, stage.meshes.vertices, improve, stage.prefix + "exchange", TRIALS)
+
+
+def _has(state: LearnState, stage: _Stage, step: str) -> bool:
+    return any(name == stage.prefix + step for name, _ in state.history)
 
 
 def _values(state: LearnState, stage: _Stage) -> list[float]:
@@ -184,7 +204,7 @@ def _settled(state: LearnState, stage: _Stage) -> bool:
 def _round(state: LearnState, stage: _Stage) -> LearnState:
     poses, targets = state.motion.poses, stage.meshes.vertices
     # the first weights on a mesh have far to go
-    first = not any(name == stage.prefix + "weights" for name, _ in state.history)
+    first = not _has(state, stage, "weights")
     effort = FIRST_SWEEPS if first else SWEEPS
     better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=first).body
     state = _keep(state, better, stage, "weights")

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.pose import Motion
@@ -21,3 +21,5 @@ class LearnState(NamedTuple):
     #: (step, Q) from the start on, Q in squared metres
     history: tuple[tuple[str, float], ...]
     round: int
+    #: root mean square error over the number of rigid parts, metres; empty where it was not asked
+    curve: Float[np.ndarray, "N"] = np.zeros(0)
