@@ -9,7 +9,9 @@ from jaxcap.fit.arrow import Arrow, damped, solve_arrow
 
 def random_rows(rng, frames=4, dofs=5, shared=3, count=11):
     """Rows of a least-squares problem, frame by frame: by own unknowns, by shared ones, residual."""
-    return [rng.normal(size=shape) for shape in ((frames, count, dofs), (frames, count, shared), (frames, count))]
+    return [
+        rng.normal(size=shape) for shape in ((frames, count, dofs), (frames, count, shared), (frames, count))
+    ]
 
 
 def arrow_of(own, common, residual) -> Arrow:

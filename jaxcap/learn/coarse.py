@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -40,10 +40,16 @@ def coarsen(meshes: MeshSequence, enough: int = ENOUGH) -> Coarse:
         if len(chosen) == len(kept):
             break
         # hops, so that every vertex follows one of its neighbours
-        _, _, source = dijkstra(adjacency, indices=chosen, min_only=True, unweighted=True, return_predecessors=True)
+        _, _, source = dijkstra(
+            adjacency, indices=chosen, min_only=True, unweighted=True, return_predecessors=True
+        )
         owner = np.searchsorted(chosen, source)
         corners = owner[faces]
-        apart = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
+        apart = (
+            (corners[:, 0] != corners[:, 1])
+            & (corners[:, 1] != corners[:, 2])
+            & (corners[:, 2] != corners[:, 0])
+        )
         faces = _unique(corners[apart])
         kept, nearest = kept[chosen], owner[nearest]
     fewer = MeshSequence(meshes.vertices[:, kept], jnp.asarray(faces, meshes.faces.dtype), meshes.rate)
@@ -57,8 +63,8 @@ def coarse_alpha(alpha: float, fine: int, coarse: int) -> float:
 
 
 def _independent(adjacency: csr_array) -> Int[np.ndarray, "S"]:
-    """A greatest set of vertices no two of which are neighbours, by their order."""
-    open_ = np.ones(adjacency.shape[0], bool)
+    """A set of vertices, to which none can be added, no two of which are neighbours, by their order."""
+    open_ = np.ones(len(adjacency.indptr) - 1, bool)
     chosen = []
     for vertex in range(len(open_)):
         if open_[vertex]:

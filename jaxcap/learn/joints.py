@@ -22,7 +22,6 @@ from .anchors import Anchors, cut_anchors
 from .objective import deform, objective
 from .symmetry import length_differences
 
-
 #: vertices from which curvature is estimated, at least
 SAMPLES = 4000
 

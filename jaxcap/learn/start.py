@@ -10,11 +10,11 @@ from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from ..geometry.procrustes import group_moments, nearest_rotation
+from ..geometry.procrustes import group_moments
 from ..observe import MeshSequence
 from ..rig.rig import rig_mesh
 from .pairs import find_pairs
-from .parts import Parts, find_parts
+from .parts import find_parts
 from .posing import pose_moments
 from .rest import choose_rest
 from .surface import make_surface, membership

@@ -1,11 +1,13 @@
 """The rest vertices that fit best, everything else given: sparse linear least squares."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse.linalg
 from jaxtyping import Array, Float
+from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from ..body.body import Body
 from ..body.kinematics import forward_kinematics
@@ -25,7 +27,7 @@ class VertexSolver:
 
     def __init__(self, metric: Conformance):
         self._metric = metric
-        self._factor = scipy.sparse.linalg.splu(matrix(metric).tocsc())
+        self._factor = splu(matrix(metric).tocsc())
 
     def solve(
         self, body: Body, poses: Pose, targets: Float[Array, "F V 3"], tolerance: float = 1e-3
@@ -44,15 +46,25 @@ class VertexSolver:
         def precondition(rest):
             return self._factor.solve(rest.reshape(count, 3)).ravel() / frames
 
-        shape = (3 * count, 3 * count)
-        step, _ = scipy.sparse.linalg.cg(
-            scipy.sparse.linalg.LinearOperator(shape, matvec=product, dtype=float),
+        step, _ = cg(
+            _Operator(product, 3 * count),
             side.ravel(),
             rtol=tolerance,
             maxiter=30,
-            M=scipy.sparse.linalg.LinearOperator(shape, matvec=precondition, dtype=float),
+            M=_Operator(precondition, 3 * count),
         )
         return body.vertices + jnp.asarray(step.reshape(count, 3), body.vertices.dtype)
+
+
+class _Operator(LinearOperator):
+    """A symmetric operator by its products."""
+
+    def __init__(self, product: Callable[[np.ndarray], np.ndarray], size: int):
+        super().__init__(np.dtype(float), (size, size))
+        self._product = product
+
+    def _matvec(self, x):
+        return self._product(x)
 
 
 @eqx.filter_jit
