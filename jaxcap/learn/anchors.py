@@ -14,6 +14,8 @@ from ..geometry.laplacian import vertex_adjacency
 LITTLE = 0.02**2
 
 
+#: how many times stiffer a centre is held where it stands than it is pulled
+HOLD = 30.0
 #: radii of its cut within which a centre may be
 REACH = 1.5
 #: error of a vertex, as a share of the body's diagonal, below which data are trusted to tell all they can
@@ -32,6 +34,9 @@ class Anchors(eqx.Module):
     #: how much the pull weighs along each direction, beside what a turn of one radian tells; zero for
     #: roots and where the parts of a joint do not touch
     weights: Float[Array, "J 3 3"]
+    #: the same for how stiffly a centre is held where it stands: where nothing is told, even a weak
+    #: misfit would drive it far in many steps
+    hold: Float[Array, "J 3 3"]
     #: how much the motion tells along each direction, in the same measure
     told: Float[Array, "J 3 3"]
 
@@ -64,6 +69,7 @@ def cut_anchors(body: Body, poses: Pose, variance: float) -> Anchors:
     doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     beyond = np.einsum("jaa->j", told) / 3 * np.maximum(away / radii - 1, 0.0)
-    weights = (weights + beyond[:, None, None] * np.eye(3)) * (count > 0)[:, None, None]
+    back = beyond[:, None, None] * np.eye(3)
+    hold, weights = (((share * weights) + back) * (count > 0)[:, None, None] for share in (HOLD, 1.0))
     dtype = body.vertices.dtype
-    return Anchors(*(jnp.asarray(field, dtype) for field in (middles, weights, told)))
+    return Anchors(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, told)))

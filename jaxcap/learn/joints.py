@@ -140,10 +140,10 @@ def _anchored(
     total = jnp.sum(known.reshape(count, 6)[:, :3], 1)
     told = jnp.trace(anchors.told, axis1=1, axis2=2)
     measure = total / jnp.maximum(told, jnp.finfo(told.dtype).eps)
-    weights = measure[:, None, None] * anchors.weights
+    weights, hold = (measure[:, None, None] * some for some in (anchors.weights, anchors.hold))
     pull = strength * jnp.einsum("jab,jb->ja", weights, anchors.middles - skeleton.centres)
     wide = jnp.zeros((count, 6, count, 6), weights.dtype)
-    wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(weights).reshape(6 * count, 6 * count)
+    wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(hold).reshape(6 * count, 6 * count)
     return eqx.tree_at(
         lambda a: (a.shared, a.shared_side),
         arrow,

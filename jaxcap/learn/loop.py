@@ -149,20 +149,25 @@ def _improve(
     on_round: Callable[[LearnState], None] | None,
     exchanging: bool,
 ) -> LearnState:
-    """Rounds on one mesh until one of them lowers Q by little, or as many are over; after the first
-    few, joints that are too many are exchanged for joints that are missing."""
+    """Rounds on one mesh until one of them lowers Q by little, or as many are over. After the first
+    few, and where rounds alone gain little, joints that are too many are exchanged for joints that
+    are missing, until that gains nothing either."""
     if not _values(state, stage):
         value = float(objective(state.body, state.motion.poses, stage.meshes.vertices, stage.metric))
         state = state._replace(history=(*state.history, (stage.prefix + "start", value)))
         if state.round == 0:
             state = _improve_joints(state, stage, FIRST_STEPS)
     while state.round < rounds:
-        waiting = exchanging and not _has(state, stage, "exchange")
-        if waiting and (state.round >= EXCHANGE_AFTER or _settled(state, stage)):
+        settled = _settled(state, stage)
+        first = state.round >= EXCHANGE_AFTER and not _has(state, stage, "exchange")
+        if exchanging and (first or settled):
+            before = state.history[-1][1]
             state = _exchange(state, stage)
-        elif _settled(state, stage):
+            if settled and state.history[-1][1] == before:
+                break
+        elif settled:
             break
-        else:
+        if state.round < rounds:
             state = _round(state, stage)
             if on_round is not None:
                 on_round(state)
@@ -198,6 +203,9 @@ def _values(state: LearnState, stage: _Stage) -> list[float]:
 def _settled(state: LearnState, stage: _Stage) -> bool:
     """Whether the last round on this mesh lowered Q by little."""
     values, length = _values(state, stage), 2 + STEPS
+    # an exchange is no part of a round
+    if any(name == stage.prefix + "exchange" for name, _ in state.history[-length:]):
+        return False
     return len(values) > 2 * length and values[-1] > (1 - ENOUGH) * values[-1 - length]
 
 
