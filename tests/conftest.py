@@ -18,8 +18,15 @@ jax.config.update("jax_enable_x64", os.environ.get("JAXCAP_TEST_FLOAT32", "0") i
 # from here on every annotation of the package is checked; it must not be imported before
 install_import_hook("jaxcap", "beartype.beartype")
 
-# the first example of a test compiles, so no deadline; the same examples on every machine
-hypothesis.settings.register_profile("jaxcap", deadline=None, derandomize=True, max_examples=25)
+# the first example of a test compiles, so no deadline, and no test is too slow; the same examples on
+# every machine
+hypothesis.settings.register_profile(
+    "jaxcap",
+    deadline=None,
+    derandomize=True,
+    max_examples=25,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
 hypothesis.settings.load_profile("jaxcap")
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -32,6 +39,13 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if "shared" in item.keywords:
             item.add_marker(pytest.mark.skip(reason="needs the shared captures"))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _forget_compiled():
+    """Compiled functions stay mapped into memory, and a process may map only so many pieces."""
+    yield
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")
