@@ -55,9 +55,9 @@ def poses() -> Pose:
 def inputs(tmp_path_factory):
     """The bar as `bar.npz`, and as it bends, with 1 mm of noise, in `meshes.npz`."""
     folder, body = tmp_path_factory.mktemp("inputs"), bar()
-    from jaxcap.report.scores import posed_meshes
+    from jaxcap.body.body import deform_all
 
-    meshes = np.asarray(posed_meshes(body, Motion(poses())))
+    meshes = np.asarray(deform_all(body, poses()))
     meshes = meshes + 0.001 * np.random.default_rng(0).normal(size=meshes.shape)
     names = np.array([f"bend_{i}" for i in range(FRAMES)])
     np.savez(folder / "meshes.npz", vertices=meshes, faces=np.asarray(body.faces), names=names, rate=12.5)

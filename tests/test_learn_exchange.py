@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.body.body import Body
+from jaxcap.body.body import Body, deform_all
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skin import LinearSkin, SwingTwistSkin
 from jaxcap.geometry import rotation
@@ -15,7 +15,7 @@ from jaxcap.learn.dissolve import find_removals
 from jaxcap.learn.exchange import exchange, exchangeable
 from jaxcap.learn.graft import Split, with_joint, without_joint
 from jaxcap.learn.hang import bone_motions
-from jaxcap.learn.objective import deform_all, objective
+from jaxcap.learn.objective import objective
 from jaxcap.learn.splits import find_splits
 from jaxcap.learn.state import LearnState
 from tests.helpers import chain_body

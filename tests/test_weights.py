@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from helpers import random_pose
 
-from jaxcap.body.body import Body
+from jaxcap.body.body import Body, deform_all
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from jaxcap.geometry.laplacian import make_conformance, matrix
 from jaxcap.learn import sweep as sweeping
 from jaxcap.learn.colours import colour_vertices
-from jaxcap.learn.objective import deform_all
 from jaxcap.learn.weights import improve_weights
 
 SIDES, RINGS, FRAMES = 8, 25, 12

@@ -1,6 +1,7 @@
 """A body: a skeleton, a surface, and a skin that binds the one to the other."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -45,6 +46,12 @@ def pose_body(body: Body, pose: Pose) -> Posed:
         vertices=vertices,
         normals=vertex_normals(vertices, body.faces),
     )
+
+
+@eqx.filter_jit
+def deform_all(body: Body, poses: Pose) -> Float[Array, "F V 3"]:
+    """The vertices of a body in every pose of a stack, metres."""
+    return jax.lax.map(lambda pose: pose_body(body, pose).vertices, poses)
 
 
 def body_height(body: Body) -> Float[Array, ""]:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry.mesh import triangle_sides
 from .body import Body
 
 #: the smallest closed surface
@@ -139,7 +140,7 @@ def _frames(vertices: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, ...]
 
 def _is_closed(faces: np.ndarray) -> bool:
     """Whether every edge has exactly two triangles, once in each direction."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = triangle_sides(faces)
     if len(np.unique(edges, axis=0)) < len(edges):
         return False
     return np.array_equal(np.unique(edges, axis=0), np.unique(edges[:, ::-1], axis=0))

@@ -14,6 +14,8 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Array, Float, Int
 
+from .mesh import mesh_edges
+
 
 class Conformance(eqx.Module):
     """The metric `A = I + alpha L^T L` over the vertices of a mesh."""
@@ -81,25 +83,31 @@ def energy(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, ""]:
 
 def matrix(metric: Conformance) -> scipy.sparse.csr_array:
     """`A (V, V)` as a sparse matrix."""
-    neighbours = np.asarray(metric.neighbours)
-    count, width = neighbours.shape
-    rows = np.repeat(np.arange(count), width)
-    real = neighbours.ravel() != rows
-    ones = np.ones(int(real.sum()))
-    adjacency = scipy.sparse.csr_array((ones, (rows[real], neighbours.ravel()[real])), shape=(count, count))
-    operator = _laplacian_matrix(adjacency)
+    count = len(metric.neighbours)
+    operator = _laplacian_matrix(_adjacency(neighbour_pairs(metric), count))
     identity = scipy.sparse.eye_array(count, format="csr")
     return (identity + float(metric.alpha) * (operator.T @ operator)).tocsr()
 
 
+def neighbour_pairs(metric: Conformance) -> Int[np.ndarray, "E 2"]:
+    """Every vertex with each of its neighbours, so that an edge is there in both directions."""
+    neighbours = np.asarray(metric.neighbours)
+    pairs = np.stack([np.repeat(np.arange(len(neighbours)), neighbours.shape[1]), neighbours.ravel()], 1)
+    return pairs[pairs[:, 0] != pairs[:, 1]]
+
+
 def vertex_adjacency(faces: Int[np.ndarray, "F 3"], num_vertices: int) -> scipy.sparse.csr_array:
     """`(V, V)`, one where two vertices share an edge."""
-    faces = np.asarray(faces)
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    both = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
-    values = np.ones(len(both))
-    return scipy.sparse.csr_array((values, (both[:, 0], both[:, 1])), shape=(num_vertices, num_vertices))
+    edges = mesh_edges(faces)
+    return _adjacency(np.concatenate([edges, edges[:, ::-1]]), num_vertices)
+
+
+def _adjacency(edges: Int[np.ndarray, "E 2"], num_vertices: int) -> scipy.sparse.csr_array:
+    """Ones at the given pairs, each of which is there in both directions."""
+    shape = (num_vertices, num_vertices)
+    adjacency = scipy.sparse.csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=shape)
+    adjacency.sort_indices()
+    return adjacency
 
 
 def _laplacian_matrix(adjacency: scipy.sparse.csr_array) -> scipy.sparse.csr_array:

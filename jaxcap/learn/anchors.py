@@ -8,12 +8,10 @@ from jaxtyping import Array, Float
 from ..body.body import Body
 from ..body.pose import Pose
 from ..geometry import rotation
-from ..geometry.laplacian import vertex_adjacency
+from ..geometry.laplacian import Conformance, neighbour_pairs
 
 #: mean squared turn, radians, below which a motion counts as too little to tell: 1 degree
 LITTLE = 0.02**2
-
-
 #: how many times stiffer a centre is held where it stands than it is pulled
 HOLD = 30.0
 #: radii of its cut within which a centre may be
@@ -41,17 +39,16 @@ class Anchors(eqx.Module):
     told: Float[Array, "J 3 3"]
 
 
-def cut_anchors(body: Body, poses: Pose, variance: float) -> Anchors:
+def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -> Anchors:
     """Anchors amid the edges that lead from all that hangs below a joint to the rest of the body.
 
     A centre that has left the sphere of one and a half times the cut's radius is pulled the more,
     whatever its motion tells: bones with few vertices of their own would else use it to stretch.
 
-    **Arguments:** `variance` of a coordinate's error, squared metres.
+    **Arguments:** `metric` of the body's mesh, for its edges; `variance` of a coordinate's error, squared metres.
     """
     labels, rest = np.asarray(body.skin.parts()), np.asarray(body.vertices, float)
-    adjacency = vertex_adjacency(np.asarray(body.faces), len(rest)).tocoo()
-    inner, outer = adjacency.coords
+    inner, outer = neighbour_pairs(metric).T
     ends = (rest[inner] + rest[outer]) / 2
     below = body.skeleton.descent
     crossing = below[:, labels[inner]] & ~below[:, labels[outer]]

@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import InputError
+from ..geometry.mesh import mesh_edges, triangle_sides
 from ..observe import MeshSequence
 
 #: a body outside of the first is likely in another unit, outside of the second certainly, metres
@@ -56,7 +57,7 @@ def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> 
             "in poses that move every joint."
         )
     _check_arrays(vertices, faces, called)
-    edges = _edges(faces)
+    edges = mesh_edges(faces)
     _check_order(vertices, edges, called)
     extent = float(np.median(np.ptp(vertices, axis=1).max(1)))
     return [
@@ -92,13 +93,6 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray, names: list[str]) -> 
     sizes = np.ptp(vertices, axis=1).max(1)
     if (sizes == 0).any():
         raise InputError(f"{names[int(sizes.argmin())]} is a single point; leave this mesh out.")
-
-
-def _edges(faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "E 2"]:
-    """Every pair of vertices that share a triangle, once."""
-    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    pairs = np.unique(pairs, axis=0)
-    return pairs[pairs[:, 0] < pairs[:, 1]]
 
 
 def _lengths(vertices: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, "F E"]:
@@ -201,7 +195,7 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent:
             f"The surface is of {apart} pieces that nothing joins; each is moved by the joints that fit it, and parts "
             "of different pieces are neighbours only where they are near."
         )
-    corners = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    corners = np.sort(triangle_sides(faces), axis=1)
     shared = np.unique(corners, axis=0, return_counts=True)[1]
     if (shared > 2).any():
         told.append(

@@ -13,15 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..body.body import Body
+from ..body.body import Body, deform_all
 from ..body.pose import Pose
 from .dissolve import find_removals
 from .graft import Graft, Removal, Split, insert_share, with_joint, without_joint
-from .objective import deform_all
-from .pairs import find_pairs
 from .splits import find_splits
 from .state import LearnState
-from .surface import make_surface
 
 #: the share of a removal's cost that is left when poses, centres and rest shape have adapted to it
 LASTING = 0.5
@@ -132,14 +129,6 @@ def graft(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], proposals: Seq
         made = without_joint(*made, here)
         gone.append(removal.joint)
     return made
-
-
-def pair_joints(body: Body) -> Int[np.ndarray, "P 2"]:
-    """Left and right joints of a body by its parts as they are: a tree put right shows pairs that the
-    first one hid."""
-    rest, labels = np.asarray(body.vertices, float), np.asarray(body.skin.parts())
-    areas = make_surface(rest, rest[None], np.asarray(body.faces)).areas
-    return find_pairs(body.skeleton, np.bincount(labels, areas, body.skeleton.num_joints))
 
 
 def _touched(proposal: Proposal) -> set[int]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..body.body import Body
+from ..body.body import Body, pose_body
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose, retract
 from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
@@ -19,7 +19,7 @@ from ..geometry import rotation
 from ..geometry.laplacian import Conformance, apply
 from ..geometry.patches import Blocks, laplacian_rows, make_blocks
 from .anchors import Anchors, cut_anchors
-from .objective import deform, objective
+from .objective import objective
 from .symmetry import length_differences
 
 #: vertices from which curvature is estimated, at least
@@ -75,7 +75,7 @@ def improve_joints(
     """
     slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
     arrow = normal_equations(body, poses, targets, metric, curvature, slots)
-    anchors = cut_anchors(body, poses, value / targets.size)
+    anchors = cut_anchors(body, poses, metric, value / targets.size)
     strengths = jnp.asarray([1.0, 0.0], targets.dtype)
     pulled, held = (_anchored(arrow, body.skeleton, anchors, slots, strength) for strength in strengths)
     for number in range(tries):
@@ -119,7 +119,7 @@ def normal_equations(
             take_rates(joint_rates(skeleton, pose, transforms), chosen),
         )
         rows = body.skin.jacobian(body.vertices, every, skeleton, pose, transforms, rates)
-        side = jnp.tensordot(apply(metric, target - deform(body, pose)), rows, 2)
+        side = jnp.tensordot(apply(metric, target - pose_body(body, pose).vertices), rows, 2)
         rough = laplacian_rows(curvature.laplacian, rows.reshape(count, -1)).reshape(-1, rows.shape[2])
         plain = rows[curvature.vertices].reshape(-1, rows.shape[2])
         gram = curvature.weight * (plain.T @ plain + metric.alpha * rough.T @ rough)

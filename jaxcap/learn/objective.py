@@ -5,22 +5,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..body.body import Body
-from ..body.kinematics import forward_kinematics
+from ..body.body import Body, pose_body
 from ..body.pose import Pose
 from ..geometry.laplacian import Conformance, energy
-
-
-def deform(body: Body, pose: Pose) -> Float[Array, "V 3"]:
-    """The vertices of a body in a pose, metres."""
-    transforms = forward_kinematics(body.skeleton, pose)
-    return body.skin.deform(body.vertices, body.skeleton, pose, transforms)
-
-
-@eqx.filter_jit
-def deform_all(body: Body, poses: Pose) -> Float[Array, "F V 3"]:
-    """The vertices of a body in every pose of a stack, metres."""
-    return jax.lax.map(lambda pose: deform(body, pose), poses)
 
 
 @eqx.filter_jit
@@ -31,6 +18,6 @@ def objective(
 
     def of_frame(frame):
         pose, target = frame
-        return energy(metric, target - deform(body, pose))
+        return energy(metric, target - pose_body(body, pose).vertices)
 
     return jnp.sum(jax.lax.map(of_frame, (poses, targets)))

@@ -7,6 +7,8 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from ..geometry.mesh import mesh_edges
+
 #: frames by which pieces of a mesh are judged to lie close
 BRIDGE_FRAMES = 16
 #: vertices by which a large piece is joined to others
@@ -37,8 +39,7 @@ def make_surface(
 ) -> Surface:
     """The graph of a mesh whose vertices stand at `rest` and move as in `meshes`."""
     count = len(rest)
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    edges = np.unique(np.sort(sides[sides[:, 0] != sides[:, 1]], axis=1), axis=0)
+    edges = mesh_edges(faces)
     chosen = np.unique(np.linspace(0, len(meshes) - 1, BRIDGE_FRAMES).round().astype(int))
     places = meshes[chosen].transpose(1, 0, 2).reshape(count, -1).astype(float) / np.sqrt(len(chosen))
     edges = np.concatenate([edges, _coincident(places)])

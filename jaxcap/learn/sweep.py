@@ -9,11 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..body.body import Body
+from ..body.body import Body, deform_all
 from ..body.pose import Pose
 from ..geometry.laplacian import Conformance, laplacian
 from .blends import Blends, Parts
-from .objective import deform_all
 from .slides import LENDERS, Slides
 
 

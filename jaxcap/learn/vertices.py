@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from ..body.body import Body
+from ..body.body import Body, deform_all
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..geometry.laplacian import Conformance, apply, matrix
-from .objective import deform_all
 
 
 class VertexSolver:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -102,9 +101,3 @@ def total_scores(meshes: tuple[MeshScore, ...]) -> Scores:
 def posed_vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
     """The vertices of a body in a pose; compiled once."""
     return pose_body(body, pose).vertices
-
-
-@eqx.filter_jit
-def posed_meshes(body: Body, motion: Motion) -> Float[Array, "F V 3"]:
-    """The vertices of a body in every pose of a motion."""
-    return jax.lax.map(lambda pose: pose_body(body, pose).vertices, motion.poses)
