@@ -1,0 +1,1 @@
+"""From raw optical markers to a skeleton and its motion."""
