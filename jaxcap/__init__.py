@@ -87,11 +87,15 @@ from .io.npz import load_body as load_body
 from .io.npz import load_motion as load_motion
 from .io.npz import save_body as save_body
 from .io.npz import save_motion as save_motion
+from .io.registry import read_markers as read_markers
+from .io.registry import write_markers as write_markers
 from .learn.loop import Learned as Learned
 from .learn.loop import LearnState as LearnState
 from .learn.loop import learn_body as learn_body
 from .observe import Cloud as Cloud
+from .observe import MarkerFrames as MarkerFrames
 from .observe import MeshSequence as MeshSequence
 from .observe import make_cloud as make_cloud
+from .observe import make_markers as make_markers
 from .observe import stack_clouds as stack_clouds
 from .rig.rig import rig_mesh as rig_mesh

@@ -1,11 +1,12 @@
 """What sensors saw."""
 
+from collections import Counter
 from typing import overload
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .errors import InputError
 from .geometry.normals import estimate_normals
@@ -51,6 +52,64 @@ class MeshSequence(eqx.Module):
             return self.vertices[frames]
         step = abs(frames.step or 1) if isinstance(frames, slice) else 1
         return MeshSequence(self.vertices[frames], self.faces, self.rate / step)
+
+
+class MarkerFrames(eqx.Module):
+    """Optical markers as they move, metres; where a marker is not seen its place is zero.
+
+    Arrays of NumPy are taken as they are and become arrays of JAX. A slice or an array of numbers picks
+    some of the frames. `make_markers` checks and takes NaN for what is not seen.
+    """
+
+    places: Float[Array, "F M 3"] = eqx.field(converter=jnp.asarray)
+    seen: Bool[Array, "F M"] = eqx.field(converter=jnp.asarray)
+    labels: tuple[str, ...] = eqx.field(static=True)
+    #: frames a second
+    rate: float = eqx.field(static=True, default=100.0)
+
+    def __len__(self) -> int:
+        return self.places.shape[0]
+
+    def __getitem__(self, frames: slice | np.ndarray) -> "MarkerFrames":
+        step = abs(frames.step or 1) if isinstance(frames, slice) else 1
+        return MarkerFrames(self.places[frames], self.seen[frames], self.labels, self.rate / step)
+
+
+def make_markers(places, labels, rate: float, *, name: str = "the markers") -> MarkerFrames:
+    """Checked `MarkerFrames`; a marker with NaN in any coordinate is not seen in that frame.
+
+    **Arguments:** `places (F, M, 3)` metres; `labels`, a name for each marker; `rate`, frames a second;
+    `name` for messages.
+
+    **Raises:** `InputError` with one sentence for another shape, no frames, no markers, labels too many,
+    too few, empty or twice the same, a place that is infinite, and a rate that is not above zero.
+    """
+    places, labels = np.asarray(places), tuple(str(label) for label in labels)
+    places = places if places.dtype in (np.float32, np.float64) else places.astype(float)
+    if places.ndim != 3 or places.shape[2] != 3:
+        raise InputError(f"{name} have an array of shape {places.shape}; markers come as (F, M, 3).")
+    if places.shape[1] == 0:
+        raise InputError(f"{name}: there are no markers; give at least one.")
+    if len(places) == 0:
+        raise InputError(f"{name}: there are no frames; give at least one.")
+    if len(labels) != places.shape[1]:
+        raise InputError(
+            f"{name}: {places.shape[1]} markers have {len(labels)} labels; give one for each marker."
+        )
+    twice = [label for label, count in Counter(labels).items() if count > 1]
+    if twice or "" in labels:
+        what = f"two markers have the label '{twice[0]}'" if twice else "a marker has an empty label"
+        raise InputError(f"{name}: {what}; give each marker a label of its own.")
+    if not (np.isfinite(rate) and rate > 0):
+        raise InputError(f"{name}: {rate} frames a second cannot be a rate; give a number above zero.")
+    infinite = np.isinf(places).any((0, 2))
+    if infinite.any():
+        raise InputError(
+            f"{name}: marker '{labels[int(infinite.argmax())]}' has an infinite coordinate; write NaN where a "
+            "marker is not seen."
+        )
+    seen = ~np.isnan(places).any(2)
+    return MarkerFrames(np.where(seen[..., None], places, 0), seen, labels, float(rate))
 
 
 def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -> Cloud:

@@ -14,12 +14,17 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..body.skin import RigidSkin
 from ..errors import InputError
+from ..observe import MarkerFrames
 from .amc import read_amc
 from .asf import read_asf
 from .bvh import read_bvh, write_bvh
+from .c3d import read_c3d, write_c3d
+from .marker_file import SIZE, MarkerFile, check_extent, pick_subject
+from .marker_table import read_marker_table, write_marker_table
 from .mesh import SUFFIXES, check_mesh, check_size, read_mesh
 from .npz import load_body, load_motion, load_skeleton, save_motion
 from .skl import read_skl, write_skl
+from .trc import read_trc, write_trc
 from .vj import read_vj
 
 #: suffix -> function of (path, unit)
@@ -38,6 +43,17 @@ MOTION_READERS: dict[str, Callable[[Path, Any], tuple[Skeleton, Motion]]] = {
 MOTION_WRITERS: dict[str, Callable[[Path, Skeleton, Motion, Any], None]] = {
     ".bvh": write_bvh,
     ".npz": lambda path, skeleton, motion, unit: save_motion(path, motion, skeleton),
+}
+#: these say their unit themselves where `unit` is None
+MARKER_READERS: dict[str, Callable[[Path, Any], MarkerFile]] = {
+    ".c3d": read_c3d,
+    ".trc": read_trc,
+    ".csv": read_marker_table,
+}
+MARKER_WRITERS: dict[str, Callable[[Path, MarkerFrames, Any], None]] = {
+    ".c3d": write_c3d,
+    ".trc": write_trc,
+    ".csv": write_marker_table,
 }
 #: the unit of a format's files where the caller says none; the others say it themselves
 DEFAULT_UNITS = {".bvh": "cm"}
@@ -100,6 +116,49 @@ def read_body(
     tree = read_skeleton(skeleton, unit)
     bones = read_vj(parts, tree, len(mesh.vertices))
     return Body(tree, RigidSkin(jnp.asarray(bones)), jnp.asarray(mesh.vertices), jnp.asarray(mesh.faces))
+
+
+def read_markers(
+    path: str | Path,
+    unit: str | float | None = None,
+    *,
+    subject: str | None = None,
+    size: tuple[float, float] = SIZE,
+) -> MarkerFrames:
+    """Trajectories of markers from `.c3d`, `.trc` or `.csv`, gaps as not seen.
+
+    **Arguments:** `unit` of the file's lengths, in place of what the file says itself; where neither
+    says it, C3D and TRC are in millimetres and CSV is in metres. `subject`, whose markers are read, by the
+    prefix of their labels (`Anna:LKNE`), where there is more than one. `size`, metres between which the
+    longest side of the markers of a frame has to be.
+
+    **Raises:** `InputError` with one sentence where the suffix is unknown, the file is wrong, damaged or
+    cut short, it has no markers or no frames or none that is seen, it has several subjects and none is
+    chosen, or the markers have another size, as in a wrong unit, which it then names.
+    """
+    path = Path(path)
+    file = read_marker_file(path, unit)
+    frames = pick_subject(file.frames, path, subject)
+    check_extent(frames, path, file.scale, size)
+    return frames
+
+
+def read_marker_file(path: str | Path, unit: str | float | None = None) -> MarkerFile:
+    """All subjects of a file of markers, whatever their size, and what else the file says of them; `unit`
+    and other errors as in `read_markers`."""
+    return _of(MARKER_READERS, path, "markers", "read")(Path(path), unit)
+
+
+def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | None = None) -> None:
+    """Write markers, or joint centres, as `.c3d`, `.trc` or `.csv`; `unit` is millimetres in the first two
+    and metres in the third where not given.
+
+    **Raises:** `InputError` where the suffix is unknown, the format cannot hold the markers, or the file
+    cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    write = _of(MARKER_WRITERS, path, "markers", "written")
+    write(Path(path), frames, ("m" if suffix == ".csv" else "mm") if unit is None else unit)
 
 
 def _of(table: dict[str, Any], path: str | Path, what: str, done: str) -> Any:

@@ -1,0 +1,207 @@
+"""C3D, the files of optical motion capture (c3d.org), by ezc3d.
+
+Trajectories of markers share their table with whatever a capture program computed: angles, forces,
+moments, powers, axes of segments. Those are told apart by the lists in the POINT group
+(`POINT:ANGLES`, ...; `POINT:TYPE_GROUPS` names more of them) and, where a program left these out, by
+the names that Plug-in Gait gives to its outputs.
+"""
+
+import re
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..observe import MarkerFrames
+from .atomic import replacing
+from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file
+from .text import unit_scale
+
+#: lists in the POINT group of what is no marker
+KINDS = (
+    "ANGLES",
+    "FORCES",
+    "MOMENTS",
+    "POWERS",
+    "SCALARS",
+    "REACTIONS",
+    "MODELED_MARKERS",
+    "MODEL_OUTPUTS",
+    "GRFS",
+    "BONES",
+    "LENGTHS",
+    "VELOCITIES",
+    "ACCELERATIONS",
+)
+#: names of model outputs by how they end
+_OUTPUTS = {
+    "angles": r".*Angles?",
+    "forces": r".*(Force|GRF|GroundReactionForce)",
+    "moments": r".*(Moment|GRM|GroundReactionMoment)",
+    "powers": r".*Power",
+    "model outputs": r"CentreOf(Mass|MassFloor|Pressure)|CenterOf(Mass|MassFloor|Pressure)",
+}
+#: frames that the header's 16 bits count
+LONGEST = 65535
+_BYTE_ORDERS = {84: "<", 85: "<", 86: ">"}
+
+
+def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
+    """The markers of a C3D file; not seen is what has a negative residual, NaN, or zeros for a place.
+
+    **Arguments:** `unit` of lengths, in place of what `POINT:UNITS` says, or millimetres where it says
+    none.
+
+    **Raises:** `InputError` where there is no such file, it is no C3D file or cut short, or it holds no
+    markers or no frames.
+    """
+    path = Path(path)
+    first, declared = _header(path)
+    loaded = _load(path)
+    points = np.asarray(loaded["data"]["points"], float)
+    residuals = np.asarray(loaded["data"]["meta_points"]["residuals"], float)
+    if points.shape[2] < declared:
+        raise InputError(
+            f"{path}: the file is cut short: {points.shape[2]} of the {declared} frames that it announces are in "
+            "it; copy it again."
+        )
+    group: dict[str, Any] = loaded["parameters"].get("POINT", {})
+    labels, told = _strings(group, "LABELS"), []
+    count = points.shape[1]
+    if len(labels) > count:
+        told.append(
+            f"there are {len(labels)} labels for {count} points; the last {len(labels) - count} are dropped."
+        )
+    labels = [label.strip(" \t\r\n\0") for label in labels[:count]] + [""] * (count - len(labels))
+    kinds = point_kinds(labels, group)
+    others: dict[str, tuple[str, ...]] = {}
+    for label, kind in zip(labels, kinds, strict=True):
+        if kind:
+            others[kind] = (*others.get(kind, ()), label)
+    markers = [i for i, kind in enumerate(kinds) if not kind]
+    places = np.transpose(points[:3, markers], (2, 1, 0)).copy()
+    places[(residuals[0][markers] < 0).T] = np.nan
+    said = " ".join(_strings(group, "UNITS")[:1])
+    if unit is None and not file_unit(said, ""):
+        told.append(f"its unit is {repr(said) if said else 'not told'}; lengths are read as millimetres.")
+    rates = np.ravel(group.get("RATE", {}).get("value", ())).tolist()
+    rate = rates[0] if rates and rates[0] > 0 else loaded["header"]["points"]["frame_rate"]
+    return make_file(
+        path,
+        places,
+        # a point without a label is called by its place in the file
+        [labels[i] or f"*{i + 1}" for i in markers],
+        # the rate is stored in four bytes
+        float(f"{rate:.7g}"),
+        file_unit(said) if unit is None else unit,
+        first_frame=first,
+        others=others,
+        told=told,
+    )
+
+
+def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:
+    """Write markers, or joint centres, as C3D with 4-byte numbers; not seen has zeros and residual -1.
+
+    **Raises:** `InputError` where the file cannot be written, or for more than 65,535 frames, which the
+    format's header cannot count.
+    """
+    import ezc3d
+
+    path, metres = Path(path), unit_scale(unit)
+    if len(frames) > LONGEST:
+        raise InputError(
+            f"{path}: {len(frames)} frames are more than the {LONGEST} of a C3D file; write them in pieces."
+        )
+    places, seen = clear_of_zero(frames)
+    values = np.ones((4, places.shape[1], len(places)))
+    values[:3] = np.transpose(np.where(seen[..., None], places / metres, 0), (2, 1, 0))
+    file = ezc3d.c3d()
+    group = file["parameters"]["POINT"]
+    group["RATE"]["value"] = [frames.rate]
+    group["UNITS"]["value"] = [unit if isinstance(unit, str) else f"{unit:g} m"]
+    group["LABELS"]["value"] = list(frames.labels)
+    file["data"]["points"] = values
+    file["data"]["meta_points"]["residuals"] = np.where(seen, 0.0, -1.0).T[None]
+    with replacing(path) as beside:
+        # ezc3d puts the ending behind names that lack it in small letters
+        lower = beside.with_suffix(".c3d")
+        try:
+            file.write(str(lower))
+            lower.replace(beside)
+        finally:
+            if lower != beside:
+                lower.unlink(missing_ok=True)
+
+
+def point_kinds(labels: list[str], group: dict[str, Any]) -> list[str]:
+    """For each point "" for a marker, or what else it is: `angles`, `forces`, ..."""
+    named: dict[str, str] = {}
+    groups = [*KINDS, *(word.strip().upper() for word in _strings(group, "TYPE_GROUPS"))]
+    for kind in dict.fromkeys(groups):
+        if kind and kind not in ("LABELS", "DESCRIPTIONS", "UNITS", "MARKERS", "TYPE_GROUPS"):
+            for label in _strings(group, kind):
+                named.setdefault(label.strip(" \0"), kind.lower().replace("_", " "))
+    bare = [label.partition(":")[2] or label for label in labels]
+    axes = _segment_axes(bare)
+    return [
+        (label and (named.get(label) or named.get(short)))
+        or ("segment axes" if short in axes else _by_name(short))
+        for label, short in zip(labels, bare, strict=True)
+    ]
+
+
+def _by_name(label: str) -> str:
+    return next((kind for kind, ending in _OUTPUTS.items() if re.fullmatch(ending, label)), "")
+
+
+def _segment_axes(labels: list[str]) -> set[str]:
+    """Plug-in Gait writes each segment as four points: PELO, its origin, and PELP, PELA, PELL on its axes."""
+    there = set(labels)
+    stems = {label[:3] for label in there if len(label) == 4 and label.endswith("O")}
+    return {stem + end for stem in stems if {stem + end for end in "OPAL"} <= there for end in "OPAL"}
+
+
+def _strings(group: dict[str, Any], name: str) -> list[str]:
+    """A list of words that goes on in NAME2, NAME3, ..., as lists of more than 255 do."""
+    words: list[str] = []
+    number = 1
+    while (key := name if number == 1 else f"{name}{number}") in group:
+        value = group[key].get("value", ())
+        words += [word for word in ([value] if isinstance(value, str) else value) if isinstance(word, str)]
+        number += 1
+    return words
+
+
+def _header(path: Path) -> tuple[int, int]:
+    """First frame and count of frames as the first block tells; ezc3d tells only how many it found."""
+    try:
+        with path.open("rb") as file:
+            block = file.read(512)
+            file.seek(512 * max(block[0] - 1, 1) if block else 0)
+            parameters = file.read(4)
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; check the path.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
+    if len(block) < 2 or block[1] != 0x50:
+        raise InputError(f"{path}: this is not a C3D file, or it is damaged at its beginning.")
+    if len(block) < 512 or len(parameters) < 4:
+        raise InputError(f"{path}: the file is cut short within its header; copy it again.")
+    first, last = struct.unpack(_BYTE_ORDERS.get(parameters[3], "<") + "HH", block[6:10])
+    return first, max(last - first + 1, 0)
+
+
+def _load(path: Path) -> Any:
+    import ezc3d
+
+    try:
+        return ezc3d.c3d(str(path))
+    except Exception as strict:  # whatever a damaged file makes of a reader
+        try:
+            return ezc3d.c3d(str(path), ignore_bad_formatting=True)
+        except Exception:
+            reason = str(strict).splitlines()[0][:120].rstrip(". ") if str(strict) else type(strict).__name__
+            raise InputError(f"{path}: this is not a whole C3D file ({reason}).") from None
