@@ -3,8 +3,7 @@
     python -m benchmarks.learn_known --resolution low --training 12 --held-out 4 --rounds 2
 
 The truth is the embedded human under swing-twist skinning, posed by CMU's takes of subject 02, its
-vertices in a random order. Learning gets the meshes and the number of joints that move in them. The
-error of a vertex is its distance from its true place, means over vertices and meshes; held-out
+vertices in a random order. Learning gets the meshes alone, with default options. The error of a vertex is its distance from its true place, means over vertices and meshes; held-out
 meshes are fitted with the learned body (`jaxcap.fit.registered.fit_meshes`). A second run learns
 from meshes with Gaussian noise along each axis, and is measured against the meshes without.
 """
@@ -52,6 +51,7 @@ def main() -> None:
     parser.add_argument(
         "--poses", choices=("farthest", "random"), default="farthest", help="how they are picked"
     )
+    parser.add_argument("--joints", type=int, help="how many to find, where it is not left to the meshes")
     parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
     parser.add_argument("--noise", type=float, nargs="*", default=[0.0, NOISE], help="metres along each axis")
     parser.add_argument("--seed", type=int, default=0, help="of the choice of poses, the order and the noise")
@@ -71,7 +71,7 @@ def main() -> None:
             resolution=options.resolution,
             seed=options.seed,
         )
-        run = learn(scene.training, joints=len(scene.moving), **extra)
+        run = learn(scene.training, joints=options.joints, **extra)
         prefix = "noisy_" if noise else ""
         figures |= {prefix + name: value for name, value in measured(scene, run).items()}
         joints = joint_errors(scene, run.body, run.motion, scene.turning)
@@ -86,12 +86,14 @@ def main() -> None:
             prefix + "held_out_mm": ("<=", 2.5 if noise else 2.0),
         }
         if not noise:
-            limits["worst_joint_mm"] = ("<=", 10.0)
+            # along a hinge's axis no mesh tells where the centre is
+            limits["worst_joint_off_axis_mm"] = ("<=", 10.0)
         sizes = {
             "meshes": len(scene.training),
             "held_out": len(scene.held_out),
             "vertices": scene.clean.shape[1],
             "joints": len(scene.moving),
+            "joints_learned": run.body.skeleton.num_joints - 1,
             f"joints_over_{TURNS:g}_degrees": len(scene.turning),
         }
     finish("learn_known", figures, limits, sizes, seconds)

@@ -8,32 +8,27 @@ lost.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..body.body import Body, deform_all
 from ..body.pose import Pose
 from .dissolve import find_removals
-from .graft import Graft, Removal, Split, insert_share, with_joint, without_joint
+from .graft import Graft, Removal, Split, with_joint, without_joint
 from .splits import find_splits
 from .state import LearnState
 
-#: the share of a removal's cost that is left when poses, centres and rest shape have adapted to it
-LASTING = 0.5
-#: what an exchange has to promise, and what it has to keep, as shares of the error
+#: the share of a removal's cost that is left when all else has adapted to it
+LASTING = 0.1
+#: what a split has to promise, and what an exchange has to keep, as shares of the error
 PROMISE, KEEP = 0.01, 0.005
-#: exchanges that may fail in a row
-FAILURES = 2
-
-
-class Proposal(NamedTuple):
-    """A change of the tree that may lower the sum of squared distances by `gain`, square metres."""
-
-    split: Split | None
-    removal: Removal | None
-    gain: float
+#: where the number of joints is free: what each further one has to gain, as a share of Q; and what one
+#: may cost that goes, with vertices of its own or without, as shares of the error
+WORTH, IDLE, BARE = 0.02, 0.02, 0.04
+#: the share of all joints that are exchanged at once, at most
+AT_ONCE = 0.2
 
 
 def exchange(
@@ -41,34 +36,39 @@ def exchange(
     targets: Float[Array, "F V 3"],
     improve: Callable[[LearnState, Graft], LearnState],
     step: str = "exchange",
-    tries: int = 6,
+    tries: int = 3,
+    free: bool = False,
 ) -> LearnState:
-    """Exchange joints, the most promising first, as long as Q falls.
+    """Exchange joints as long as Q falls.
 
-    All exchanges that promise something and do not touch each other are tried at once; where that
-    fails, one by one. What is tried is improved, then kept where Q is lower than before, by more
-    than a share `KEEP`; two failures in a row end it. The history gets one entry of Q for each
-    trial, named `step`; one, too, where nothing is worth a trial.
+    The body first grows the joints that promise most, and is improved; then it loses as many, those
+    that are missed least, which may be new ones, too; and is improved again. What comes out is kept
+    where Q is lower than before by more than a share `KEEP`. Where it is not, fewer are exchanged.
+    Where the number is `free`, only those go that are hardly missed, and each joint more has to be
+    `WORTH` it. The history gets one entry of Q for each trial, named `step`; one, too, where
+    nothing is worth a trial.
 
     **Arguments:** `targets` the meshes of the state's body; `improve` puts a grafted body in the
     place of the state's and makes it better by a few rounds; `tries` at most.
 
     Only trees of "ball" joints under one "free" root are changed; others are given back as they are.
     """
-    failures, queue, begun = 0, None, len(state.history)
+    begun, most, splits = len(state.history), None, None
     for _ in range(tries if exchangeable(state.body) else 0):
-        if queue is None:
-            singles = apart(propose(state.body, state.motion.poses, targets))
-            queue = ([singles] if len(singles) > 1 else []) + [[single] for single in singles]
-        if failures == FAILURES or not queue:
+        splits = worthwhile(state.body, state.motion.poses, targets) if splits is None else splits
+        splits = splits if most is None else splits[:most]
+        if not splits:
             break
-        before, chosen = state.history[-1][1], queue.pop(0)
-        trial = improve(state, graft(state.body, state.motion.poses, state.pairs, chosen))
-        after = trial.history[-1][1]
-        if after < (1 - KEEP) * before:
-            state, failures, queue = trial._replace(history=(*state.history, (step, after))), 0, None
+        before = state.history[-1][1]
+        trial = improve(state, grown(state.body, state.motion.poses, state.pairs, splits))
+        removals = spare(trial.body, trial.motion.poses, targets, len(splits), free)
+        if removals:
+            trial = improve(trial, pruned(trial.body, trial.motion.poses, trial.pairs, removals))
+        after, more = trial.history[-1][1], len(splits) - len(removals)
+        if (free or more == 0) and after < (1 - KEEP - WORTH * max(more, 0)) * before:
+            state, most, splits = trial._replace(history=(*state.history, (step, after))), None, None
         else:
-            state, failures = state._replace(history=(*state.history, (step, before))), failures + 1
+            state, most = state._replace(history=(*state.history, (step, before))), len(splits) // 3
     if len(state.history) == begun:
         state = state._replace(history=(*state.history, (step, state.history[-1][1])))
     return state
@@ -80,56 +80,70 @@ def exchangeable(body: Body) -> bool:
     return kinds[0] == "free" and set(kinds[1:]) <= {"ball"} and parents.count(-1) == 1
 
 
-def propose(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Proposal]:
-    """Every pairing of a split and a removal that promises something, the most promising first."""
-    errors = np.asarray(targets, float) - np.asarray(deform_all(body, poses), float)
-    splits = find_splits(body, poses, errors)
-    removals = find_removals(body, poses, targets)
-    least = PROMISE * float(np.sum(errors**2))
-    pairings = [
-        Proposal(split, removal, split.gain - LASTING * removal.cost)
-        for split in splits
-        for removal in removals
-    ]
-    return sorted((p for p in pairings if p.gain > least and len(_touched(p)) == 2), key=lambda p: -p.gain)
+def worthwhile(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
+    """The splits that promise most and touch no joint of each other, as many as gain more than the
+    removals of as many joints may cost."""
+    least = PROMISE * float(jnp.sum((targets - deform_all(body, poses)) ** 2))
+    splits, taken = [], set()
+    for split in find_splits(body, poses, targets):
+        if split.gain > least and not taken & _moved(split):
+            splits.append(split)
+            taken |= _moved(split)
+    splits = splits[: max(1, round(AT_ONCE * body.skeleton.num_joints))]
+    costs = np.cumsum([removal.cost for removal in find_removals(body, poses, targets)])
+    gains = np.cumsum([split.gain for split in splits])
+    number = min(len(costs), len(gains))
+    paying = np.flatnonzero(gains[:number] > LASTING * costs[:number])
+    return splits[: paying.max() + 1] if len(paying) else []
 
 
-def apart(proposals: Sequence[Proposal]) -> list[Proposal]:
-    """From the first one on, the proposals that touch no joint of those before."""
-    chosen, taken = [], set()
-    for proposal in proposals:
-        if not taken & _touched(proposal):
-            chosen.append(proposal)
-            taken |= _touched(proposal)
+def spare(body: Body, poses: Pose, targets: Float[Array, "F V 3"], count: int, idle: bool) -> list[Removal]:
+    """So many removals that cost least, no joint of which hangs on another; of `idle` joints only, on
+    demand."""
+    error = float(jnp.sum((targets - deform_all(body, poses)) ** 2))
+    parents = body.skeleton.parents
+    own = np.bincount(np.asarray(body.skin.parts()), minlength=len(parents))
+    chosen: list[Removal] = []
+    for removal in find_removals(body, poses, targets):
+        beside = {parents[other.joint] for other in chosen} | {
+            child for other in chosen for child, parent in enumerate(parents) if parent == other.joint
+        }
+        allowed = np.inf if not idle else error * (IDLE if own[removal.joint] else BARE)
+        if len(chosen) < count and removal.joint not in beside and removal.cost < allowed:
+            chosen.append(removal)
     return chosen
 
 
-def graft(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], proposals: Sequence[Proposal]) -> Graft:
-    """The body with the proposed changes, which are apart: first all splits, then all removals."""
-    old, made = body.skeleton, Graft(body, poses, pairs)
-    splits = [p.split for p in proposals if p.split is not None]
-    removals = [p.removal for p in proposals if p.removal is not None]
-    names = list(old.names)
+def grown(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], splits: Sequence[Split]) -> Graft:
+    """The body with the joints of splits that touch no joint of each other."""
+    names, made = list(body.skeleton.names), Graft(body, poses, pairs)
     for split in splits:
-        before = made.body.skeleton
-        children = tuple(before.index(old.names[child]) for child in split.children)
-        here = split._replace(joint=before.index(old.names[split.joint]), children=children)
-        made = with_joint(*made, here)
-        names += sorted(set(made.body.skeleton.names) - set(names))
-    gone: list[int] = []
+        skeleton = made.body.skeleton
+        place = [skeleton.index(name) for name in names] + [skeleton.num_joints]
+        shares = np.zeros((len(split.shares), skeleton.num_joints + 1))
+        shares[:, place] = split.shares
+        hung = tuple((place[joint], place[parent], centre) for joint, parent, centre in split.hung)
+        made = with_joint(*made, split._replace(joint=place[split.joint], shares=shares, hung=hung))
+    return made
+
+
+def pruned(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removals: Sequence[Removal]) -> Graft:
+    """The body without some of its joints, of which none hangs on another."""
+    old, made, gone = body.skeleton, Graft(body, poses, pairs), []
     for removal in removals:
         shares = np.array(removal.shares)
-        for split in splits:
-            shares = insert_share(shares, split.joint, split.below[removal.vertices])
-        for joint in sorted(gone, reverse=True):
+        # what it was to get of bones that are gone
+        for joint in gone:
             shares[:, old.parents[joint]] += shares[:, joint]
-        there = made.body.skeleton
-        columns = [names.index(name) for name in there.names]
-        here = removal._replace(joint=there.index(old.names[removal.joint]), shares=shares[:, columns])
+        skeleton = made.body.skeleton
+        columns = [old.index(name) for name in skeleton.names]
+        here = removal._replace(joint=skeleton.index(old.names[removal.joint]), shares=shares[:, columns])
         made = without_joint(*made, here)
         gone.append(removal.joint)
     return made
 
 
-def _touched(proposal: Proposal) -> set[int]:
-    return {change.joint for change in (proposal.split, proposal.removal) if change is not None}
+def _moved(split: Split) -> set[int]:
+    """The joints that a split hangs elsewhere, and those that they hang on, but for the new one."""
+    ends = {split.joint, *(end for joint, parent, _ in split.hung for end in (joint, parent))}
+    return ends - {split.shares.shape[1] - 1}

@@ -6,14 +6,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ..body.skin.swing_twist import on_best_base, with_base
-from .hang import REACH, Bones, bone_motions, common_points, hang_children
+from .hang import Bones, bone_motions, hang_children
 from .posing import motion_moments, pose_moments
 from .tree import orient
 
@@ -22,21 +22,20 @@ FRAME_MASS, FRAME_WIDTH = 1e-2, 0.02
 
 
 class Split(NamedTuple):
-    """One bone as two: which of its vertices go to a new bone below it, and how both move."""
+    """A bone more: the vertices that it moves, and how it moves itself."""
 
+    #: the bone that most of them belonged to
     joint: int
     #: by how much the sum of squared distances falls, square metres
     gain: float
-    #: the vertices of the new bone
-    below: Bool[np.ndarray, "V"]
-    #: children of the joint that hang on the new bone
-    children: tuple[int, ...]
-    #: what comes before the bone's motion: of what stays (0) and of what goes to the new bone (1)
+    #: the vertices that it moves, and the shares of all bones in them with the new one, which is the last
+    vertices: Int[np.ndarray, "C"]
+    shares: Float[np.ndarray, "C I"]
+    #: motions in the world, of what is left of that bone and of the new one
     rotations: Float[np.ndarray, "F 2 3 3"]
     translations: Float[np.ndarray, "F 2 3"]
-    #: the middle of the cut in the rest shape and its radius, metres
-    middle: Float[np.ndarray, "3"]
-    radius: float
+    #: joint, parent and centre of itself and of all that hangs elsewhere with it
+    hung: tuple[tuple[int, int, Float[np.ndarray, "3"]], ...]
 
 
 class Removal(NamedTuple):
@@ -59,50 +58,40 @@ class Graft(NamedTuple):
 
 
 def with_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: Split) -> Graft:
-    """The body with a new "ball" joint that carries part of a bone, moved as the split says; all
-    other bones move as they did, as nearly as the tree allows."""
+    """The body with a new "ball" joint, moved as the split says; all other bones move as they did,
+    as nearly as the tree allows."""
     old = body.skeleton
-    count, joint = old.num_joints, split.joint
+    count = old.num_joints
     bones = bone_motions(old, poses)
-    turn, shift = bones.rotations[:, joint, None], bones.translations[:, joint, None]
-    rotations = turn @ split.rotations
-    translations = (
-        np.einsum("fkab,fkb->fka", np.broadcast_to(turn, rotations.shape), split.translations) + shift
-    )
     moved = Bones(
-        np.concatenate([bones.rotations, rotations[:, 1:]], 1),
-        np.concatenate([bones.translations, translations[:, 1:]], 1),
+        np.concatenate([bones.rotations, split.rotations[:, 1:]], 1),
+        np.concatenate([bones.translations, split.translations[:, 1:]], 1),
     )
-    moved.rotations[:, joint], moved.translations[:, joint] = rotations[:, 0], translations[:, 0]
-    parents = [*old.parents, joint]
-    for child in split.children:
-        parents[child] = count
+    moved.rotations[:, split.joint], moved.translations[:, split.joint] = (
+        split.rotations[:, 0],
+        split.translations[:, 0],
+    )
+    parents = [*old.parents, -1]
+    centres = np.concatenate([np.asarray(old.centres, float), np.zeros((1, 3))])
+    for joint, parent, centre in split.hung:
+        parents[joint], centres[joint] = parent, centre
     rest = np.asarray(body.vertices, float)
-    reach = REACH * float(np.linalg.norm(np.ptp(rest, axis=0)))
-    centres = np.concatenate([np.asarray(old.centres, float), split.middle[None]])
-    rows = [(joint, count, split.middle, split.radius)]
-    rows += [(count, child, centres[child], reach) for child in split.children]
-    for (_, child, *_), point in zip(rows, common_points(rows, moved, reach)[0], strict=True):
-        centres[child] = point
     ends = centres.copy()
-    ends[count] = rest[split.below].mean(0)
+    ends[count] = np.average(rest[split.vertices], axis=0, weights=split.shares[:, -1])
     orientations = np.concatenate([np.asarray(old.orientations, float), orient(parents, centres, ends)[-1:]])
     names = [*old.names, _new_name(old.names)]
     keep = list(range(count + 1))
 
     def insert(shares: np.ndarray) -> np.ndarray:
-        return insert_share(shares, joint, split.below)
+        return insert_share(shares, split)
 
     return _regrown(body, pairs, names, parents, centres, orientations, moved, keep, insert)
 
 
-def insert_share(
-    shares: Float[np.ndarray, "C J"], joint: int, below: Bool[np.ndarray, "C"]
-) -> Float[np.ndarray, "C I"]:
-    """Shares with a last column for a new bone, which takes those of a joint in some of the rows."""
-    taken = np.where(below, shares[:, joint], 0.0)
-    wide = np.concatenate([shares, taken[:, None]], 1)
-    wide[:, joint] -= taken
+def insert_share(shares: Float[np.ndarray, "V J"], split: Split) -> Float[np.ndarray, "V I"]:
+    """Shares with a last column for a new bone, and what the split makes of its vertices."""
+    wide = np.pad(shares, ((0, 0), (0, 1)))
+    wide[split.vertices] = split.shares
     return wide
 
 

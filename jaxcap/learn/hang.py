@@ -6,16 +6,19 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
-from .centres import Seams, find_centres
+from .centres import Seams, find_centres, find_seams
+from .surface import Surface
 from .tree import least_tree
 
 #: share of the body's diagonal within which a joint that hangs on another bone may move
 REACH = 0.03
+#: share of a joint's gap that the gap of another has to be below to take its place
+CLEARLY = 0.8
 
 
 class Bones(NamedTuple):
@@ -68,6 +71,52 @@ def hang_children(
                 hung[ends[other]] = (ends[here], points[edge], float(gaps[edge]))
                 reached.append(other)
     return hung
+
+
+def hang_joint(
+    skeleton: Skeleton,
+    bones: Bones,
+    labels: Int[np.ndarray, "V"],
+    surface: Surface,
+    rest: Float[np.ndarray, "V 3"],
+) -> tuple[tuple[int, int, Float[np.ndarray, "3"]], ...]:
+    """Where a new bone hangs, the last one of `bones` and `labels`, and what hangs on it: rows of
+    joint, parent and centre.
+
+    Of the joints there are and of those that may be between the new bone and what it touches, the
+    tree with the least gaps; a joint that there is has to be clearly worse than a new one to go.
+    """
+    count, size = skeleton.num_joints, float(np.linalg.norm(np.ptp(rest, axis=0)))
+    centres = np.asarray(skeleton.centres, float)
+    reach = REACH * size
+    old = [(joint, parent) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
+    rows = [(parent, joint, centres[joint], reach) for joint, parent in old]
+    # bones without vertices touch nothing
+    shown, places = np.unique(labels, return_inverse=True)
+    seams = find_seams(surface, places, rest, len(shown))
+    rows += [
+        (int(shown[first]), count, seams.middles[row], seams.radii[row])
+        for row, (first, second) in enumerate(seams.pairs)
+        if shown[second] == count
+    ]
+    points, gaps = common_points(rows, bones, size)
+    costs = np.where(np.arange(len(rows)) < len(old), CLEARLY * gaps, gaps)
+    edges = least_tree(costs, np.array([row[:2] for row in rows]), count + 1)
+    hung, reached = [], [0]
+    above = {0}
+    while reached:
+        here = reached.pop()
+        for edge in edges:
+            first, second = rows[edge][:2]
+            other = second if first == here else first if second == here else 0
+            if other and other not in above:
+                above.add(other)
+                reached.append(other)
+                if edge >= len(old) or skeleton.parents[other] != here:
+                    # a joint that only turned round stays where it was
+                    centre = points[edge] if edge >= len(old) else rows[edge][2]
+                    hung.append((other, here, centre))
+    return tuple(hung)
 
 
 def common_points(rows: Sequence[tuple], bones: Bones, size: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """Learn an animatable body from registered meshes: three improvements in turn, until Q is least."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,11 +13,13 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
+from .adapt import adapt_vertices
 from .coarse import Coarse, coarse_alpha, coarsen
 from .exchange import exchange
 from .graft import Graft
 from .joints import Curvature, improve_joints, make_curvature
 from .objective import objective
+from .projection import improve_all, projectable
 from .start import SkinName, Start, start_free, start_from_motion, start_from_skeleton
 from .state import LearnState
 from .vertices import VertexSolver, carry_back
@@ -27,16 +29,22 @@ from .weights import improve_weights
 ENOUGH = 8e-3
 #: the share of all rounds that may go to the coarse mesh
 COARSE_SHARE = 2 / 3
+#: the same where all unknowns can be improved at once, and the alpha up to which they are
+SLOW, LOOSE = 0.05, 1.0
 #: damping of the first step of joints and poses
 FIRST_DAMPING = 1e-3
 #: steps of Gauss-Newton on joints and poses, before the first round and in each
 FIRST_STEPS, STEPS = 4, 2
 #: rounds after which joints are exchanged, rounds of each trial, and how many of these
-EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 5
+EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 3
 #: sweeps over the weights, at most, in the first round on a mesh and in others
 FIRST_SWEEPS, SWEEPS = 8, 4
 #: what steps on the coarse mesh are called by in the history
 COARSE = "coarse "
+
+
+#: whether joints are exchanged, and whether their number stays
+Exchanging = Literal["no", "fixed", "free"]
 
 
 class Learned(NamedTuple):
@@ -75,7 +83,8 @@ def learn_body(
     until a round lowers it by little, or `rounds` are over. A mesh of many vertices is learned on
     some of them first (`coarsen`), and on all of them only then.
 
-    **Arguments:** `joints` between parts, as many as the motion shows where None; `skin` says how
+    **Arguments:** `joints` between parts, as many as the motion shows and as are worth it in the
+    end where None; `skin` says how
     vertices follow; `alpha` weighs shape against distance; `symmetry` keeps left and right bones
     equally long, in pairs that are found or given as `(P, 2)` indices of joints; `skeleton`, which
     stands in the first mesh, replaces the joints that would be found; `free_bones` hang on
@@ -84,6 +93,7 @@ def learn_body(
 
     **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned.
     """
+    exchanging: Exchanging = "no" if skeleton is not None else "free" if joints is None else "fixed"
     fine = _stage(meshes, alpha, "")
     coarse = coarsen(meshes)
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
@@ -97,10 +107,10 @@ def learn_body(
         state = resume
     if len(state.body.vertices) < meshes.vertices.shape[1]:
         stage = _stage(coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE)
-        state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, skeleton is None)
-        state = state._replace(body=_refine(state, meshes, coarse))
+        state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging)
+        state = state._replace(body=_refine(state, meshes, coarse, _projects(state, stage)))
     # joints that were exchanged on the coarse mesh stay
-    state = _improve(state, fine, rounds, on_round, skeleton is None and not thinned)
+    state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging)
     return Learned(state.body, state.motion, state.pairs, state.history, state.curve)
 
 
@@ -132,14 +142,15 @@ def _thin(body: Body, coarse: Coarse) -> Body:
     return Body(body.skeleton, body.skin.take(kept), body.vertices[kept], coarse.meshes.faces)
 
 
-def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse) -> Body:
+def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse, loose: bool) -> Body:
     """The body on all vertices: each with the weights of the kept one nearest to it, and at rest
     where its own places in the meshes call for."""
     nearest = jnp.asarray(coarse.nearest)
     body = state.body
     body = Body(body.skeleton, body.skin.take(nearest), body.vertices[nearest], meshes.faces)
     rest = carry_back(body, state.motion.poses, meshes.vertices)
-    return eqx.tree_at(lambda b: b.vertices, body, rest)
+    body = eqx.tree_at(lambda b: b.vertices, body, rest)
+    return adapt_vertices(body, state.motion.poses, meshes.vertices) if loose else body
 
 
 def _improve(
@@ -147,7 +158,7 @@ def _improve(
     stage: _Stage,
     rounds: int,
     on_round: Callable[[LearnState], None] | None,
-    exchanging: bool,
+    exchanging: Exchanging,
 ) -> LearnState:
     """Rounds on one mesh until one of them lowers Q by little, or as many are over. After the first
     few, and where rounds alone gain little, joints that are too many are exchanged for joints that
@@ -160,12 +171,14 @@ def _improve(
     while state.round < rounds:
         settled = _settled(state, stage)
         first = state.round >= EXCHANGE_AFTER and not _has(state, stage, "exchange")
-        if exchanging and (first or settled):
-            before = state.history[-1][1]
-            state = _exchange(state, stage)
-            if settled and state.history[-1][1] == before:
+        before = state.history[-1][1]
+        if settled:
+            state = _project(state, stage)
+        if exchanging != "no" and (first or settled):
+            state = _exchange(state, stage, exchanging == "free")
+            if settled and state.history[-1][1] > (1 - ENOUGH) * before:
                 break
-        elif settled:
+        elif settled and state.history[-1][1] > (1 - ENOUGH) * before:
             break
         if state.round < rounds:
             state = _round(state, stage)
@@ -174,19 +187,41 @@ def _improve(
     return state
 
 
-def _exchange(state: LearnState, stage: _Stage) -> LearnState:
+def _projects(state: LearnState, stage: _Stage) -> bool:
+    loose = float(stage.metric.alpha) < LOOSE
+    return loose and projectable(state.body, len(stage.meshes.vertices))
+
+
+def _project(state: LearnState, stage: _Stage) -> LearnState:
+    """All unknowns at once, where vertices hardly hang together, by which rounds alone creep."""
+    body, poses, targets = state.body, state.motion.poses, stage.meshes.vertices
+    if not _projects(state, stage):
+        return state
+    found = improve_all(body, poses, targets, state.pairs)
+    value = float(objective(found.body, found.poses, targets, stage.metric))
+    before = state.history[-1][1]
+    if value < before:
+        state = state._replace(body=found.body, motion=Motion(found.poses, state.motion.rate))
+    return state._replace(history=(*state.history, (stage.prefix + "projection", min(value, before))))
+
+
+def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
+    targets = stage.meshes.vertices
+
     def improve(before: LearnState, made: Graft) -> LearnState:
-        motion = Motion(made.poses, before.motion.rate)
-        value = float(objective(made.body, made.poses, stage.meshes.vertices, stage.metric))
-        history = (*before.history, (stage.prefix + "graft", value))
+        value = float(objective(made.body, made.poses, targets, stage.metric))
         after = before._replace(
-            body=made.body, motion=motion, pairs=made.pairs, damping=FIRST_DAMPING, history=history
+            body=made.body,
+            motion=Motion(made.poses, before.motion.rate),
+            pairs=made.pairs,
+            damping=FIRST_DAMPING,
+            history=(*before.history, (stage.prefix + "graft", value)),
         )
-        for _ in range(TRIAL_ROUNDS):
-            after = _round(after, stage)
+        for number in range(TRIAL_ROUNDS):
+            after = _round(after, stage, far=number == 0)
         return after
 
-    return exchange(state, stage.meshes.vertices, improve, stage.prefix + "exchange", TRIALS)
+    return exchange(state, targets, improve, stage.prefix + "exchange", TRIALS, free)
 
 
 def _has(state: LearnState, stage: _Stage, step: str) -> bool:
@@ -203,18 +238,20 @@ def _values(state: LearnState, stage: _Stage) -> list[float]:
 def _settled(state: LearnState, stage: _Stage) -> bool:
     """Whether the last round on this mesh lowered Q by little."""
     values, length = _values(state, stage), 2 + STEPS
-    # an exchange is no part of a round
-    if any(name == stage.prefix + "exchange" for name, _ in state.history[-length:]):
+    # neither is part of a round
+    other = {stage.prefix + "exchange", stage.prefix + "projection"}
+    if any(name in other for name, _ in state.history[-length:]):
         return False
-    return len(values) > 2 * length and values[-1] > (1 - ENOUGH) * values[-1 - length]
+    enough = SLOW if _projects(state, stage) else ENOUGH
+    return len(values) > 2 * length and values[-1] > (1 - enough) * values[-1 - length]
 
 
-def _round(state: LearnState, stage: _Stage) -> LearnState:
+def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     poses, targets = state.motion.poses, stage.meshes.vertices
     # the first weights on a mesh have far to go
-    first = not _has(state, stage, "weights")
-    effort = FIRST_SWEEPS if first else SWEEPS
-    better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=first).body
+    far = far or not _has(state, stage, "weights")
+    effort = FIRST_SWEEPS if far else SWEEPS
+    better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=far).body
     state = _keep(state, better, stage, "weights")
     rest = stage.vertices.solve(state.body, poses, targets)
     state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
