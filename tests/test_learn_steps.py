@@ -10,12 +10,12 @@ import pytest
 
 import jaxcap as jc
 from jaxcap.body.body import deform_all
+from jaxcap.body.symmetry import bones_of, length_differences, symmetrise
 from jaxcap.fit.arrow import Arrow
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.anchors import cut_anchors
 from jaxcap.learn.joints import improve_joints, make_curvature, move_joints, normal_equations, shared_slots
 from jaxcap.learn.objective import objective
-from jaxcap.learn.symmetry import bones_of, length_differences, symmetrise
 from jaxcap.learn.vertices import VertexSolver
 from tests.helpers import chain_body, random_pose
 

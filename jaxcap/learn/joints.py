@@ -14,13 +14,13 @@ from ..body.pose import Pose, retract
 from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from ..body.skeleton import Skeleton
 from ..body.skin.swing_twist import SwingTwistSkin
+from ..body.symmetry import length_differences
 from ..fit.arrow import Arrow, damped, solve_arrow
 from ..geometry import rotation
 from ..geometry.laplacian import Conformance, apply
 from ..geometry.patches import Blocks, laplacian_rows, make_blocks
 from .anchors import Anchors, cut_anchors
 from .objective import objective
-from .symmetry import length_differences
 
 #: vertices from which curvature is estimated, at least
 SAMPLES = 4000

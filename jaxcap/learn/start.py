@@ -10,6 +10,7 @@ from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from ..body.symmetry import symmetrise
 from ..geometry.procrustes import group_moments
 from ..observe import MeshSequence
 from ..rig.rig import rig_mesh
@@ -18,7 +19,6 @@ from .parts import find_parts
 from .posing import pose_moments
 from .rest import choose_rest
 from .surface import make_surface, membership
-from .symmetry import symmetrise
 from .tree import find_tree, pose_parts
 
 SkinName = Literal["swing_twist", "lbs", "rigid"]

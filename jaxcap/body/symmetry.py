@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..body.skeleton import Skeleton
+from .skeleton import Skeleton
 
 
 def length_differences(
