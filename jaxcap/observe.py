@@ -102,13 +102,13 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
         raise InputError(f"{name}: {what}; give each marker a label of its own.")
     if not (np.isfinite(rate) and rate > 0):
         raise InputError(f"{name}: {rate} frames a second cannot be a rate; give a number above zero.")
-    infinite = np.isinf(places).any((0, 2))
-    if infinite.any():
+    infinite = np.argwhere(np.isinf(places))
+    if len(infinite):
         raise InputError(
-            f"{name}: marker '{labels[int(infinite.argmax())]}' has an infinite coordinate; write NaN where a "
+            f"{name}: marker '{labels[infinite[0, 1]]}' has an infinite coordinate; write NaN where a "
             "marker is not seen."
         )
-    seen = ~np.isnan(places).any(2)
+    seen = np.asarray(~np.isnan(places).any(2))
     return MarkerFrames(np.where(seen[..., None], places, 0), seen, labels, float(rate))
 
 

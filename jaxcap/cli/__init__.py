@@ -26,9 +26,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from .fit import Fit
         from .info import Info
         from .learn import Learn
+        from .markers import Markers, run_markers
         from .rig import Rig
         from .track import Track
 
+        if arguments[:1] == ["markers"]:
+            run_markers(arguments[1:])
+            return
         verbs = {
             "demo": Demo,
             "rig": Rig,
@@ -36,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "fit": Fit,
             "track": Track,
             "evaluate": Evaluate,
+            "markers": Markers,
             "info": Info,
             "convert": Convert,
         }

@@ -1,0 +1,33 @@
+"""`jaxcap markers`: what is done with optical markers, one file a verb."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+DESCRIPTION = """Optical markers: what is in a file of them.
+
+`jaxcap markers VERB --help` explains a verb. Results are in metres."""
+
+
+@dataclass
+class Markers:
+    """Optical markers; `jaxcap markers --help` tells its verbs."""
+
+    def run(self) -> None:
+        run_markers(["--help"])
+
+
+def run_markers(arguments: Sequence[str]) -> None:
+    """Run one verb of `jaxcap markers`."""
+    import tyro
+
+    from .info import Info
+
+    verbs = {"info": Info}
+    command = tyro.extras.subcommand_cli_from_dict(
+        verbs,
+        prog="jaxcap markers",
+        description=DESCRIPTION,
+        args=arguments,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    command.run()

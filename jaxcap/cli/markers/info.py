@@ -1,0 +1,136 @@
+"""`jaxcap markers info`: rate, frames, markers and gaps of a file."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ...errors import InputError
+from ...io.marker_file import check_extent, frame_size, pick_subject, subjects_of
+from ...io.registry import read_marker_file
+from ...markers.gaps import describe_gaps, gap_statistics
+from ...observe import MarkerFrames
+from ..options import OptionalFile, OptionalUnit, arg
+from ..say import say, table, warn
+
+#: characters of a marker's bar of time
+WIDTH = 40
+
+
+@dataclass
+class Info:
+    """Say what is in a file of markers: rate, frames, unit, extent, and the gaps of each marker."""
+
+    file: tyro.conf.Positional[Annotated[str, arg(metavar="FILE")]]
+    """A .c3d, .trc or .csv file."""
+    unit: OptionalUnit = None
+    """Unit of the file's lengths, in place of what the file says: m, dm, cm, mm, in or ft."""
+    subject: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
+    """One subject of several, by the prefix of its labels."""
+    rows: Annotated[int, arg(metavar="N")] = 20
+    """Markers in the table, the worst first; 0 for all of them."""
+    picture: OptionalFile = None
+    """A PNG file to draw the gaps to."""
+
+    def run(self) -> None:
+        path = Path(self.file)
+        if self.rows < 0:
+            raise InputError(f"--rows {self.rows}: give 0 or a number of markers.")
+        if self.picture is not None and self.picture.suffix.lower() != ".png":
+            raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
+        file = read_marker_file(path, self.unit)
+        subjects = subjects_of(file.frames.labels)
+        several = self.subject is None and len(subjects) > 1
+        frames = file.frames if several else pick_subject(file.frames, path, self.subject)
+        count = len(frames)
+        say(f"{path.name}: {count} frames at {frames.rate:g} a second, {count / frames.rate:.2f} s, the first is {file.first_frame}")  # fmt: skip
+        say(f"markers: {len(frames.labels)}{_starred(frames)}, unit {file.unit}, {_extent(frames)}")
+        for name, members in subjects.items():
+            say(f"subject: {name}, {len(members)} markers")
+        for kind, labels in file.others.items():
+            say(f"{kind}: {len(labels)} ({_some(labels)})")
+        _gaps(frames, self.rows)
+        for sentence in (*file.told, *describe_gaps(frames)):
+            warn(sentence)
+        if several:
+            warn(f"there are {len(subjects)} subjects; markers are read of one, chosen by --subject.")
+        try:
+            check_extent(frames, path, file.scale)
+        except InputError as error:
+            warn(str(error))
+        if self.picture is not None:
+            from ...report.marker_gaps import draw_gaps
+
+            draw_gaps(self.picture, frames, path.name)
+            say(f"written: {self.picture}")
+
+
+def _gaps(frames: MarkerFrames, most: int) -> None:
+    """The table of gaps, the least seen first."""
+    seen, gaps = np.asarray(frames.seen), gap_statistics(frames)
+    gappy = np.flatnonzero(gaps.count)
+    whole = 100 * seen.mean()
+    if not len(gappy):
+        say("gaps: none, every marker is seen in every frame")
+        return
+    say(
+        f"gaps: {len(gappy)} of {len(frames.labels)} markers have some; {whole:.{1 if whole < 99.9 else 3}f} % is seen"
+    )
+    order = gappy[np.argsort(gaps.seen[gappy], kind="stable")]
+    shown = order[: most or None]
+    table(
+        ["marker", "seen", "gaps", "longest", "time".ljust(WIDTH)],
+        [
+            [
+                frames.labels[i],
+                f"{100 * gaps.seen[i]:.2f} %",
+                str(gaps.count[i]),
+                f"{gaps.longest[i] / frames.rate:.3g} s",
+                bar(seen[:, i]),
+            ]
+            for i in shown
+        ],
+    )
+    if len(order) > len(shown):
+        say(f"... and {len(order) - len(shown)} more; --rows 0 shows all")
+
+
+def bar(seen: np.ndarray, width: int = WIDTH) -> str:
+    """Time from left to right: full where a marker is seen throughout, empty where never."""
+    marks = " ░▒▓█"
+    try:
+        marks.encode(sys.stdout.encoding or "ascii")
+    except UnicodeEncodeError:
+        marks = " .:+#"
+    parts = np.array_split(seen, min(width, len(seen)))
+    # a short gap may not vanish in a bar: only a whole part is full, and only an empty one is empty
+    shares = [float(part.mean()) for part in parts]
+    inner = len(marks) - 3
+    return "".join(
+        marks[0]
+        if share == 0
+        else marks[-1]
+        if share == 1
+        else marks[1 + min(int(share * (inner + 1)), inner)]
+        for share in shares
+    ).ljust(width)
+
+
+def _starred(frames: MarkerFrames) -> str:
+    count = sum(label.startswith("*") for label in frames.labels)
+    return f" ({count} without a label)" if count else ""
+
+
+def _extent(frames: MarkerFrames) -> str:
+    seen = np.asarray(frames.seen)
+    places = np.asarray(frames.places, float)[seen]
+    sides = " x ".join(f"{side:.3g}" for side in np.ptp(places, axis=0))
+    size = frame_size(frames)
+    return f"all frames {sides} m" + ("" if np.isnan(size) else f", one frame {size:.3g} m")
+
+
+def _some(labels: tuple[str, ...]) -> str:
+    return ", ".join(labels[:6]) + (", ..." if len(labels) > 6 else "")
