@@ -11,13 +11,17 @@ from jaxtyping import Array, Bool, Float
 BOUND = 12.8
 #: median of the squared length of three standard normal numbers
 MEDIAN = 2.366
+#: a bound that nothing reaches: least squares
+UNBOUNDED = 1e12
 
 
-def kernel(squared: Float[Array, "*shape"]) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+def kernel(
+    squared: Float[Array, "*shape"], bound: float | Float[Array, ""] = BOUND
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
     """The cost of squared residuals over their variance, and its slope, the weight: `u` up to the bound
     `k`, `2 k - k^2 / u` beyond, which is smooth and bounded by `2 k`."""
-    share = BOUND / jnp.maximum(squared, BOUND)
-    return jnp.where(squared > BOUND, BOUND * (2.0 - share), squared), share**2
+    share = bound / jnp.maximum(squared, bound)
+    return jnp.where(squared > bound, bound * (2.0 - share), squared), share**2
 
 
 def spread(squared: Float[Array, "M"], seen: Bool[Array, "M"]) -> Float[Array, ""]:

@@ -1,0 +1,210 @@
+"""A subject from frames: all poses, joint centres and marker places together (the global technique).
+
+Levenberg-Marquardt on block-arrow normal equations, with weights that leave out what is far off and
+variances of the markers that come from the data, both renewed as the fit gets better.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..body.pose import Motion, Pose, retract
+from ..body.symmetry import bones_of, length_differences
+from ..fit.arrow import Arrow, damped, solve_arrow
+from ..observe import MarkerFrames
+from .choose import choose_frames
+from .equations import marker_deviations, normal_equations
+from .matched import match_markers
+from .null_space import describe_precision, shared_covariance
+from .robust import BOUND, MEDIAN, UNBOUNDED
+from .shared import Trust, followers, prior_precision, shared_between, shift_subject, solved_joints
+from .solve import solve_markers
+from .subject import Subject
+
+#: below this no residual is believed, metres
+EXACT = 2e-5
+#: a fit that lowers its cost by a smaller share has converged
+CONVERGED = 1e-4
+
+
+class Calibration(NamedTuple):
+    """A calibrated subject, its motion through all frames, and how well it is known.
+
+    Markers are in the subject's order; `s` are the shared unknowns of `jaxcap.markers.shared`.
+    """
+
+    subject: Subject
+    motion: Motion
+    #: metres, NaN where not seen
+    residuals: Float[np.ndarray, "F M"]
+    #: of `s`, metres squared, with what the template was trusted
+    covariance: Float[np.ndarray, "S S"]
+    #: what the data do not tell, or hardly, in sentences
+    told: tuple[str, ...]
+    #: robust cost after every step, in squared standard deviations; a rise marks new variances
+    history: tuple[float, ...]
+    #: the joints whose centres were solved for, in the order of `s`
+    joints: tuple[int, ...]
+    #: the frames that the subject was made of
+    frames: Float[np.ndarray, "C"]
+    converged: bool
+
+
+class _Fit(NamedTuple):
+    subject: Subject
+    poses: Pose
+    deviations: Float[Array, "M"]
+    history: tuple[float, ...]
+    converged: bool
+
+
+def calibrate(
+    frames: MarkerFrames,
+    subject: Subject,
+    motion: Motion | None = None,
+    *,
+    robust: bool = True,
+    symmetry: Sequence[tuple[str, str]] = (),
+    count: int = 100,
+    trust: Trust = Trust(),  # noqa: B008
+    steps: int = 60,
+) -> Calibration:
+    """The performer's skeleton and the places of the markers on it, from a template.
+
+    **Arguments:** `frames` with the template's labels in any order; `subject`, the template, whose
+    bones may be a tenth too long or short and whose markers centimetres off; `motion` of the template
+    through the frames, solved for where not given; `robust`: what is far off counts little;
+    `symmetry`, pairs of names of joints whose bones are equally long, kept exactly; `count` frames are
+    chosen, as different as can be, and all are solved in the end; `trust` in the template, which
+    decides what the frames do not tell; `steps` at most.
+
+    **Raises:** `ValueError` where frames and template share no label, fewer than three markers are ever
+    seen, or a name in `symmetry` is not a joint's.
+    """
+    matched = match_markers(subject, frames)
+    used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
+    if used.any(0).sum() < 3:
+        raise ValueError(
+            f"Only {int(used.any(0).sum())} markers are ever seen; a body takes three at the least, and several a bone."
+        )
+    pairs = _pairs(subject, symmetry)
+    if motion is None:
+        start = solve_markers(subject, frames)
+        motion, usable = start.motion, ~start.lost
+    else:
+        usable = used.sum(1) >= 3
+    chosen = choose_frames(subject, motion.poses, used, usable, count)
+    joints = solved_joints(subject, used[chosen].any(0))
+    poses = jax.tree.map(lambda leaf: leaf[chosen], motion.poses)
+    places, seen = matched.places[chosen], jnp.asarray(used[chosen])
+    fit = _fit(subject, poses, places, seen, joints, pairs, trust, robust, steps)
+    best = eqx.tree_at(lambda s: s.deviations, fit.subject, fit.deviations)
+    known = shared_covariance(best, fit.poses, places, seen, joints, trust, pairs)
+    solved = solve_markers(best, frames)
+    told = tuple(describe_precision(best, known, fit.poses, joints)) + solved.told
+    if not fit.converged:
+        told += (f"The fit had not converged after {steps} steps; allow more.",)
+    return Calibration(
+        best, solved.motion, solved.residuals, known.covariance, told, fit.history, joints, chosen, fit.converged
+    )
+
+
+def _fit(template: Subject, poses, places, seen, joints, pairs, trust, robust, steps) -> _Fit:
+    """Steps at fixed variances until the cost hardly falls, then new variances, until these stay."""
+    precision = jnp.asarray(prior_precision(template, joints, trust), places.dtype)
+    subject, floor = template, jnp.asarray(EXACT, places.dtype)
+    bound = jnp.asarray(BOUND if robust else UNBOUNDED, places.dtype)
+    deviations = _first_deviations(subject, poses, places, seen, bound)
+    least = 1e-6 if places.dtype == jnp.float32 else 1e-9
+    state, damping, history = None, 1e-3, []
+    settled = renewed = 0
+    for _ in range(steps):
+        if state is None:
+            state = _evaluate(template, subject, poses, places, seen, deviations, joints, precision, bound)
+            history.append(float(state[1]))
+        share = jnp.asarray(damping, places.dtype)
+        trial = _step(state[0], subject, poses, share, joints, pairs)
+        after = _evaluate(template, *trial, places, seen, deviations, joints, precision, bound)
+        before, value = float(state[1]), float(after[1])
+        fell = value <= before
+        if fell:
+            (subject, poses), state, damping = trial, after, max(damping / 10.0, least)
+            history.append(value)
+        else:
+            damping = 10.0 * max(damping, 1e-4)
+        slow = fell and before - value < (1e-2 if renewed < 3 else CONVERGED) * before
+        if slow or damping > 1e3:
+            renewed += 1
+            old, damping = deviations, min(damping, 1e-3)
+            deviations = marker_deviations(subject, poses, places, seen, deviations, floor, bound)
+            state = None
+            settled = settled + 1 if float(jnp.max(jnp.abs(deviations / old - 1.0))) < 0.02 else 0
+            if settled and renewed > 3:
+                return _Fit(subject, poses, deviations, tuple(history), True)
+    return _Fit(subject, poses, deviations, tuple(history), False)
+
+
+def _first_deviations(subject: Subject, poses, places, seen, bound) -> Float[Array, "M"]:
+    """One for all markers, by the median of what the template leaves."""
+    ones = jnp.ones(subject.num_markers, places.dtype)
+    squared = np.asarray(normal_equations(subject, poses, places, seen, ones, (), bound).squared)
+    middle = np.median(squared[np.asarray(seen)])
+    return max(float(np.sqrt(middle / MEDIAN)), EXACT) * ones
+
+
+def _evaluate(
+    template, subject, poses, places, seen, deviations, joints, precision, bound
+) -> tuple[Arrow, Float[Array, ""]]:
+    """The equations with the prior, and their cost."""
+    found = normal_equations(subject, poses, places, seen, deviations, joints, bound)
+    return _with_prior(found.arrow, found.cost, template, subject, joints, precision)
+
+
+@eqx.filter_jit
+def _with_prior(arrow, cost, template, subject, joints, precision):
+    away = shared_between(template, subject, joints)
+    pull = precision @ away
+    arrow = eqx.tree_at(
+        lambda a: (a.shared, a.shared_side), arrow, (arrow.shared + precision, arrow.shared_side - pull)
+    )
+    return arrow, cost + away @ pull
+
+
+@eqx.filter_jit
+def _step(arrow: Arrow, subject: Subject, poses: Pose, damping, joints, pairs) -> tuple[Subject, Pose]:
+    rows, violation = constraint_rows(subject, joints, pairs)
+    by_frame, shared = solve_arrow(damped(arrow, damping), rows, violation)
+    moved = shift_subject(subject, joints, shared)
+    return moved, jax.vmap(retract, (None, 0, 0))(subject.skeleton, poses, by_frame)
+
+
+def constraint_rows(
+    subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
+) -> tuple[Float[Array, "B S"], Float[Array, "B"]]:
+    """What keeps paired bones equally long: rows over `s`, and what they have to make up for."""
+    skeleton = subject.skeleton
+    differences, slopes = length_differences(skeleton, np.array(pairs, int).reshape(-1, 2))
+    rows = jnp.asarray(followers(skeleton, joints), slopes.dtype)
+    by_centre = jnp.einsum("bja,jk->bka", slopes, rows).reshape(len(differences), 3 * len(joints))
+    return jnp.pad(by_centre, ((0, 0), (0, 3 * subject.num_markers))), -differences
+
+
+def _pairs(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple[int, int], ...]:
+    """The pairs that end bones of which both ends are told apart by motion."""
+    skeleton = subject.skeleton
+    for name in (name for pair in symmetry for name in pair):
+        if name not in skeleton.names:
+            raise ValueError(
+                f"There is no joint '{name}' to be symmetrical; the skeleton has {', '.join(skeleton.names)}."
+            )
+    pairs = [(skeleton.index(left), skeleton.index(right)) for left, right in symmetry]
+    kept = bones_of(skeleton, np.array(pairs, int).reshape(-1, 2))
+    # nothing tells where along its line the centre of a joint lies that does not turn
+    stiff = np.isin(np.array(skeleton.kinds), ["fixed", "translate"])
+    ends = np.array([stiff[j] or stiff[skeleton.parents[j]] for j in range(skeleton.num_joints)])
+    return tuple((int(a), int(b)) for a, b in kept if not ends[a] and not ends[b])

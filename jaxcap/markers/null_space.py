@@ -1,0 +1,231 @@
+"""How well joint centres and marker places are known, and what the data do not tell, in words."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Array, Bool, Float
+
+from ..body.pose import Pose
+from ..body.symmetry import length_differences
+from .gauge import without_gauge
+from .residuals import linearise
+from .robust import kernel
+from .shared import Trust, followers, prior_precision
+from .subject import Subject
+
+#: a direction is hardly known with a larger standard deviation, metres
+HARDLY = 0.01
+#: and not told by the data at all where it is this share of what the template alone would have it
+UNTOLD = 0.7
+
+
+class Known(NamedTuple):
+    """What is known of `s` (`jaxcap.markers.shared`): covariances in metres squared."""
+
+    #: by the data and what the template was trusted
+    covariance: Float[np.ndarray, "S S"]
+    #: by the template alone
+    prior: Float[np.ndarray, "S S"]
+
+
+@eqx.filter_jit
+def _rows(subject: Subject, poses: Pose, places, seen, joints):
+    information = jnp.where(seen, subject.weights / subject.deviations**2, 0.0)
+
+    def of_frame(frame):
+        pose, place, informed = frame
+        rows = linearise(subject, pose, place, joints)
+        squared = jnp.sum(rows.residual**2, 1) * informed
+        root = jnp.sqrt(kernel(squared)[1] * informed)[:, None, None]
+        wide = jnp.concatenate([rows.by_pose, rows.by_centres], 2) * root
+        return wide, rows.by_offset * root
+
+    return jax.lax.map(of_frame, (poses, places, information))
+
+
+def schur_complement(
+    subject: Subject,
+    poses: Pose,
+    places: Float[Array, "F M 3"],
+    seen: Bool[Array, "F M"],
+    joints: tuple[int, ...],
+) -> Float[np.ndarray, "S S"]:
+    """What all frames tell of `s` when their poses are free: the information matrix, in 1/metres
+    squared. In float64 whatever the input, as directions that are not told are differences of large
+    numbers."""
+    wide, own = (np.asarray(x, float) for x in _rows(subject, poses, places, seen, joints))
+    dofs, markers, centres = subject.skeleton.num_dofs, subject.num_markers, 3 * len(joints)
+    size = centres + 3 * markers
+    total = np.zeros((size, size))
+    block = np.arange(markers)
+    for rows, offsets in zip(wide, own, strict=True):
+        shared = np.zeros((markers, 3, size))
+        shared[:, :, :centres] = rows[:, :, dofs:]
+        shared[:, :, centres:].reshape(markers, 3, markers, 3)[block, :, block] = offsets
+        shared = shared.reshape(3 * markers, size)
+        by_pose = rows[:, :, :dofs].reshape(3 * markers, dofs)
+        # what is left of the shared part beside all that a pose can do
+        left, values, _ = scipy.linalg.svd(by_pose, full_matrices=False)
+        left = left[:, values > 1e-6 * values[0]] if values[0] > 0 else left[:, :0]
+        beside = shared - left @ (left.T @ shared)
+        total += beside.T @ beside
+    return total
+
+
+def shared_covariance(
+    subject: Subject,
+    poses: Pose,
+    places: Float[Array, "F M 3"],
+    seen: Bool[Array, "F M"],
+    joints: tuple[int, ...],
+    trust: Trust = Trust(),  # noqa: B008
+    pairs: tuple[tuple[int, int], ...] = (),
+) -> Known:
+    """The covariance of `s` at a fitted subject with its markers' deviations: the inverse of the Schur
+    complement of all poses with the template's prior; bones that are kept equally long have no
+    difference that could be wrong."""
+    prior = prior_precision(subject, joints, trust)
+    data = schur_complement(subject, poses, places, seen, joints)
+    both, alone = _inverse(data + prior), _inverse(prior)
+    if pairs:
+        slopes = np.asarray(length_differences(subject.skeleton, np.array(pairs, int))[1], float)
+        by_centre = np.einsum("bja,jk->bka", slopes, followers(subject.skeleton, joints))
+        rows = np.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
+        across = both @ rows.T
+        both = both - across @ np.linalg.pinv(rows @ across) @ across.T
+    return Known(both, alone)
+
+
+def _inverse(matrix: Float[np.ndarray, "S S"]) -> Float[np.ndarray, "S S"]:
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    factor = scipy.linalg.cho_factor(matrix * scale[:, None] * scale, lower=True)
+    inverse = scipy.linalg.cho_solve(factor, np.eye(len(matrix)))
+    return scale[:, None] * (inverse + inverse.T) / 2 * scale
+
+
+def length_deviations(
+    subject: Subject, joints: tuple[int, ...], covariance: Float[np.ndarray, "S S"]
+) -> Float[np.ndarray, "J"]:
+    """The standard deviation of the length of the bone from each joint's parent to it, metres; NaN
+    where the joint's own centre is not solved or it hangs on a root, whose centre may be anywhere."""
+    skeleton = subject.skeleton
+    rows, centres = followers(skeleton, joints), np.asarray(skeleton.centres, float)
+    result = np.full(skeleton.num_joints, np.nan)
+    size = 3 * len(joints)
+    for joint in joints:
+        parent = skeleton.parents[joint]
+        if parent not in joints:
+            continue
+        along = centres[joint] - centres[parent]
+        along = along / max(np.linalg.norm(along), 1e-12)
+        slope = np.kron(rows[joint] - rows[parent], along)
+        result[joint] = np.sqrt(max(slope @ covariance[:size, :size] @ slope, 0.0))
+    return result
+
+
+def centre_covariances(
+    subject: Subject, joints: tuple[int, ...], covariance: Float[np.ndarray, "S S"]
+) -> Float[np.ndarray, "K 3 3"]:
+    """The covariance of each solved centre among the markers of the bone that it is the end of, or of
+    the nearest bone above with markers; metres squared, along the axes of the world at rest."""
+    free = without_gauge(subject, joints, covariance)
+    skeleton, bones = subject.skeleton, np.asarray(subject.bones)
+    weights = np.asarray(subject.weights) > 0
+    count = len(joints) + subject.num_markers
+    result = np.zeros((len(joints), 3, 3))
+    for row, joint in enumerate(joints):
+        bone = skeleton.parents[joint]
+        while skeleton.parents[bone] >= 0 and not (weights & (bones == bone)).any():
+            bone = skeleton.parents[bone]
+        own = np.flatnonzero(weights & (bones == bone))
+        pick = np.zeros(count)
+        pick[row] = 1.0
+        pick[len(joints) + own] -= 1.0 / max(len(own), 1)
+        wide = np.kron(pick, np.eye(3))
+        result[row] = wide @ free @ wide.T
+    return result
+
+
+def describe_precision(subject: Subject, known: Known, poses: Pose, joints: tuple[int, ...]) -> list[str]:
+    """A sentence for each direction that is hardly known: of joints' centres, and of the size of all."""
+    skeleton = subject.skeleton
+    said = []
+    silent = [
+        name
+        for joint, name in enumerate(skeleton.names)
+        if joint not in joints and skeleton.parents[joint] >= 0 and skeleton.kinds[joint] not in ("fixed",)
+    ]
+    if silent:
+        said.append(
+            f"No markers tell where the centres of {', '.join(silent)} are; their bones stay as long as the "
+            "template's."
+        )
+    posterior = centre_covariances(subject, joints, known.covariance)
+    before = centre_covariances(subject, joints, known.prior)
+    for joint, covariance, prior in zip(joints, posterior, before, strict=True):
+        values, vectors = np.linalg.eigh(covariance)
+        for value, direction in zip(values[::-1], vectors.T[::-1], strict=True):
+            deviation = float(np.sqrt(max(value, 0.0)))
+            if deviation < HARDLY:
+                break
+            alone = float(np.sqrt(direction @ prior @ direction))
+            where = _in_words(subject, poses, joint, direction)
+            if deviation > UNTOLD * alone:
+                said.append(
+                    f"{where}, the data do not tell the centre of {skeleton.names[joint]}: it is where the "
+                    f"template has it, known to {1000 * deviation:.0f} mm only."
+                )
+            else:
+                said.append(
+                    f"{where}, the centre of {skeleton.names[joint]} is known to {1000 * deviation:.0f} mm only."
+                )
+    size = _size_deviation(subject, joints, known.covariance)
+    if size > 0.01:
+        said.append(
+            f"The size of the skeleton as a whole is known to {100 * size:.1f} % only: longer bones with markers "
+            "elsewhere on them would look alike."
+        )
+    return said
+
+
+def _in_words(subject: Subject, poses: Pose, joint: int, direction: np.ndarray) -> str:
+    """Along what a direction at rest lies: the axis that the joint turned about, its bone, or numbers."""
+    skeleton = subject.skeleton
+    q = np.asarray(poses.rotations[:, joint], float)
+    middle = np.linalg.eigh(q.T @ q)[1][:, -1]
+    signed = q * np.where(q @ middle < 0, -1.0, 1.0)[:, None]
+    # vector parts of conj(middle) q: half the turns about the mean, in the bone's own frame at rest
+    w, v = middle[0], middle[1:]
+    turns = w * signed[:, 1:] - signed[:, :1] * v - np.cross(v, signed[:, 1:])
+    values, axes = np.linalg.eigh(turns.T @ turns / len(turns))
+    if values[2] < np.radians(3.0) ** 2 / 4:
+        return "As it hardly turns"
+    if abs(axes[:, 2] @ direction) > 0.85 and values[1] < 0.25 * values[2]:
+        return "Along the axis that it turns about"
+    parent = skeleton.parents[joint]
+    bone = np.asarray(skeleton.centres[joint] - skeleton.centres[parent], float)
+    if abs(bone @ direction) > 0.85 * np.linalg.norm(bone) > 0:
+        return f"Along the bone from {skeleton.names[parent]}"
+    x, y, z = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return f"Along ({x:.2f}, {y:.2f}, {z:.2f}) at rest"
+
+
+def _size_deviation(subject: Subject, joints: tuple[int, ...], covariance) -> float:
+    """The standard deviation of the sum of all solved bones' lengths, as a share of it."""
+    skeleton = subject.skeleton
+    rows, centres = followers(skeleton, joints), np.asarray(skeleton.centres, float)
+    inner = [joint for joint in joints if skeleton.parents[joint] in joints]
+    if not inner:
+        return 0.0
+    slope, total = np.zeros(3 * len(joints)), 0.0
+    for joint in inner:
+        parent = skeleton.parents[joint]
+        along = centres[joint] - centres[parent]
+        length = np.linalg.norm(along)
+        slope += np.kron(rows[joint] - rows[parent], along / max(length, 1e-12))
+        total += float(length)
+    return float(np.sqrt(max(slope @ covariance[: len(slope), : len(slope)] @ slope, 0.0)) / max(total, 1e-12))
