@@ -6,6 +6,7 @@ moments, powers, axes of segments. Those are told apart by the lists in the POIN
 the names that Plug-in Gait gives to its outputs.
 """
 
+import math
 import re
 import struct
 from pathlib import Path
@@ -45,7 +46,8 @@ _OUTPUTS = {
 }
 #: frames that the header's 16 bits count
 LONGEST = 65535
-_BYTE_ORDERS = {84: "<", 85: "<", 86: ">"}
+#: processors whose numbers a file holds: Intel, DEC, MIPS; all integers of the first two are alike
+_INTEL, _DEC, _MIPS = 84, 85, 86
 
 
 def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
@@ -62,7 +64,7 @@ def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     loaded = _load(path)
     points = np.asarray(loaded["data"]["points"], float)
     residuals = np.asarray(loaded["data"]["meta_points"]["residuals"], float)
-    if points.shape[2] < declared:
+    if points.shape[1] and points.shape[2] < declared:
         raise InputError(
             f"{path}: the file is cut short: {points.shape[2]} of the {declared} frames that it announces are in "
             "it; copy it again."
@@ -178,20 +180,48 @@ def _strings(group: dict[str, Any], name: str) -> list[str]:
 def _header(path: Path) -> tuple[int, int]:
     """First frame and count of frames as the first block tells; ezc3d tells only how many it found."""
     try:
-        with path.open("rb") as file:
-            block = file.read(512)
-            file.seek(512 * max(block[0] - 1, 1) if block else 0)
-            parameters = file.read(4)
+        raw = path.read_bytes()
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; check the path.") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
-    if len(block) < 2 or block[1] != 0x50:
+    if len(raw) < 2 or raw[1] != 0x50:
         raise InputError(f"{path}: this is not a C3D file, or it is damaged at its beginning.")
-    if len(block) < 512 or len(parameters) < 4:
+    begin = 512 * (raw[0] - 1)
+    if len(raw) < max(begin, 512) + 4:
         raise InputError(f"{path}: the file is cut short within its header; copy it again.")
-    first, last = struct.unpack(_BYTE_ORDERS.get(parameters[3], "<") + "HH", block[6:10])
+    if begin < 512 or raw[begin + 3] not in (_INTEL, _DEC, _MIPS):
+        raise InputError(f"{path}: this is not a C3D file, or its header is damaged.")
+    if raw[begin + 3] == _MIPS:
+        raise InputError(
+            f"{path}: its numbers are those of a MIPS processor, which ezc3d does not read; convert it to Intel's."
+        )
+    try:
+        _walk_parameters(raw, begin + 4)
+    except (IndexError, struct.error):
+        raise InputError(
+            f"{path}: the file is cut short or damaged within its parameters; copy it again."
+        ) from None
+    first, last = struct.unpack_from("<HH", raw, 6)
     return first, max(last - first + 1, 0)
+
+
+def _walk_parameters(raw: bytes, at: int) -> None:
+    """Follows the chain of parameters to its end, which ezc3d looks for without end in a damaged file.
+
+    **Raises:** `IndexError` or `struct.error` where it leads out of the file.
+    """
+    while raw[at]:
+        length, number = struct.unpack_from("bb", raw, at)
+        link = at + 2 + abs(length)
+        (step,) = struct.unpack_from("<H", raw, link)
+        if number > 0:
+            size, rank = struct.unpack_from("bB", raw, link + 2)
+            if link + 4 + rank + abs(size) * math.prod(raw[link + 4 : link + 4 + rank]) > len(raw):
+                raise IndexError
+        if step == 0:
+            return
+        at = link + step
 
 
 def _load(path: Path) -> Any:

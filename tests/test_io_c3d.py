@@ -1,0 +1,246 @@
+"""C3D: what several programs write, byte by byte, is read; what is written is read again by ezc3d."""
+
+import ezc3d
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from c3d_bytes import c3d_bytes
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jaxcap as jc
+from jaxcap.errors import InputError
+from jaxcap.io.c3d import read_c3d, write_c3d
+from jaxcap.io.registry import read_marker_file
+
+NAMES = ["LKNE", "RKNE", "LANK", "RANK"]
+
+
+def walked(frames=6, markers=4, seed=0):
+    """Places in millimetres that fit a body."""
+    rng = np.random.default_rng(seed)
+    return 300 + 1200 * rng.random((1, markers, 3)) + 30 * rng.random((frames, markers, 3))
+
+
+def written(folder, *arguments, name="trial.c3d", **options):
+    (folder / name).write_bytes(c3d_bytes(*arguments, **options))
+    return folder / name
+
+
+@pytest.mark.parametrize("processor", ["intel", "dec"])
+@pytest.mark.parametrize("integers", [False, True])
+def test_number_formats(tmp_path, processor, integers):
+    places = walked()
+    residuals = np.zeros(places.shape[:2])
+    residuals[2:4, 1] = -1
+    options = dict(processor=processor, integers=integers, rate=120.0, first=37)
+    path = written(tmp_path, places, NAMES, residuals=residuals, **options)
+    file = read_c3d(path)
+    assert (file.frames.labels, file.frames.rate, file.first_frame) == (tuple(NAMES), 120.0, 37)
+    np.testing.assert_array_equal(file.frames.seen, residuals == 0)
+    expected = np.where(residuals[..., None] < 0, 0, places / 1000)
+    np.testing.assert_allclose(file.frames.places, expected, atol=6e-5 if integers else 1e-6)
+
+
+def test_nan_and_zeros_are_gaps_as_well(tmp_path):
+    places = walked()
+    places[1, 0] = np.nan
+    places[2, 1, 2] = np.nan
+    places[3, 2] = 0
+    frames = jc.read_markers(written(tmp_path, places, NAMES))
+    assert np.argwhere(~np.asarray(frames.seen)).tolist() == [[1, 0], [2, 1], [3, 2]]
+    assert jnp.all(frames.places[~frames.seen] == 0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [("mm", 1e-3), ("m", 1.0), ("cm", 1e-2), ("Meters", 1.0), ("INCHES", 0.0254), ("mm  ", 1e-3), ("", 1e-3)],
+)
+def test_units_of_the_file(tmp_path, unit, metres):
+    places = walked() * 1e-3 / metres
+    file = read_c3d(written(tmp_path, places, NAMES, unit=unit))
+    np.testing.assert_allclose(file.frames.places, walked() * 1e-3, rtol=1e-5)
+    assert any("unit" in sentence for sentence in file.told) == (not unit)
+
+
+def test_a_unit_that_is_given_counts_more(tmp_path):
+    path = written(tmp_path, walked() / 10, NAMES, unit="mm")
+    with pytest.raises(InputError, match="looks like centimetres: pass unit='cm'"):
+        jc.read_markers(path)
+    np.testing.assert_allclose(jc.read_markers(path, "cm").places, walked() * 1e-3, rtol=1e-5)
+    assert jc.read_markers(path, size=(0.01, 5.0)).places.max() < 0.2
+
+
+@pytest.mark.parametrize(("metres", "name"), [(1.0, "metres"), (0.01, "centimetres"), (0.0254, "inches")])
+def test_a_wrong_unit_is_named(tmp_path, metres, name):
+    path = written(tmp_path, walked() * 1e-3 / metres, NAMES, unit="mm" if name != "inches" else "m")
+    if name == "inches":
+        name = "(inches|centimetres)"
+    with pytest.raises(InputError, match=f"looks like {name}: pass unit="):
+        jc.read_markers(path)
+
+
+def test_angles_forces_and_the_rest_are_no_markers(tmp_path):
+    """By the lists of POINT, by groups that TYPE_GROUPS names, by Plug-in Gait's names, and by four axes."""
+    names = ["A:LKNE", "A:KneeThing", "A:LKneeAngles", "A:Grip", "A:LPower", "A:PELO", "A:PELP", "A:PELA", "A:PELL", "A:RKNE"]  # fmt: skip
+    names += ["A:Strain", "A:RHEO", "A:LongName"]
+    lists = [
+        ("POINT", "ANGLES", "char", (11, 1), ["KneeThing  "]),
+        ("POINT", "FORCES", "char", (6, 1), ["A:Grip"]),
+        ("POINT", "TYPE_GROUPS", "char", (7, 3), ["ANGLES ", "STRAINS", "FORCES "]),
+        ("POINT", "STRAINS", "char", (6, 1), ["Strain"]),
+        ("POINT", "STRAINS2", "char", (8, 1), ["LongName"]),
+    ]
+    places = walked(markers=len(names))
+    file = read_c3d(written(tmp_path, places, names, more=lists))
+    assert file.frames.labels == ("A:LKNE", "A:RKNE", "A:RHEO")
+    assert file.others == {
+        "angles": ("A:KneeThing", "A:LKneeAngles"),
+        "forces": ("A:Grip",),
+        "powers": ("A:LPower",),
+        "segment axes": ("A:PELO", "A:PELP", "A:PELA", "A:PELL"),
+        "strains": ("A:Strain", "A:LongName"),
+    }
+    np.testing.assert_allclose(file.frames.places, places[:, [0, 9, 11]] / 1000, rtol=1e-6)
+    assert jc.read_markers(tmp_path / "trial.c3d").labels == ("LKNE", "RKNE", "RHEO")
+
+
+def test_more_labels_than_a_byte_counts(tmp_path):
+    names = [f"marker{i}" for i in range(300)]
+    places = walked(frames=2, markers=300)
+    frames = jc.read_markers(written(tmp_path, places, names))
+    assert frames.labels == tuple(names)
+    write_c3d(tmp_path / "again.c3d", frames)
+    again = jc.read_markers(tmp_path / "again.c3d")
+    assert again.labels == tuple(names)
+    np.testing.assert_array_equal(again.places, frames.places)
+
+
+def test_labels_missing_empty_twice_starred_and_too_many(tmp_path):
+    places = walked(markers=6)
+    file = read_c3d(written(tmp_path, places, ["A  ", "", "A", "*32", "A_2"]))
+    assert file.frames.labels == ("A", "*2", "A_3", "*32", "A_2", "*6")
+    assert any("'A'" in sentence for sentence in file.told)
+    few = read_c3d(written(tmp_path, places[:, :2], ["A", "B", "C"]))
+    assert few.frames.labels == ("A", "B")
+    assert any("3 labels for 2 points" in sentence for sentence in few.told)
+    assert read_c3d(written(tmp_path, places, NAMES, without=("LABELS",))).frames.labels[-1] == "*6"
+
+
+def test_subjects_are_parted_by_their_prefix(tmp_path):
+    places = walked(markers=4)
+    one = written(tmp_path, places, ["Anna:A", "Anna:B", "*32", "C"])
+    assert jc.read_markers(one).labels == ("A", "B", "*32", "C")
+    assert jc.read_markers(one, subject="Anna").labels == ("A", "B")
+    two = written(tmp_path, places, ["Anna:A", "Ben:A", "Ben:B", "*32"])
+    with pytest.raises(InputError, match=r"2 subjects in it, 'Anna' \(1 markers\) and 'Ben' \(2 markers\)"):
+        jc.read_markers(two)
+    with pytest.raises(InputError, match="no subject 'Carl' in it; there are 'Anna'"):
+        jc.read_markers(two, subject="Carl")
+    ben = jc.read_markers(two, subject="Ben")
+    assert ben.labels == ("A", "B")
+    np.testing.assert_allclose(ben.places, places[:, 1:3] / 1000, rtol=1e-6)
+
+
+@given(
+    st.integers(0, 10**6),
+    st.integers(1, 8),
+    st.integers(1, 6),
+    st.sampled_from(["mm", "m", "cm", "in"]),
+    st.sampled_from([50.0, 100.0, 120.0, 59.94, 29.97]),
+)
+def test_written_and_read_by_ezc3d(tmp_path_factory, seed, count, markers, unit, rate):
+    rng = np.random.default_rng(seed)
+    path = tmp_path_factory.mktemp("c3d") / "trial.C3D"
+    places = rng.normal(size=(count, markers, 3))
+    places[rng.random((count, markers)) < 0.3] = np.nan
+    places[0, 0] = 0.0, 0.0, 0.0
+    frames = jc.make_markers(places, [f"M{i}" for i in range(markers)], rate)
+    jc.write_markers(path, frames, unit)
+    theirs = ezc3d.c3d(str(path))
+    metres = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "in": 0.0254}[unit]
+    points = np.transpose(theirs["data"]["points"][:3], (2, 1, 0)) * metres
+    np.testing.assert_allclose(points, places, rtol=1e-6, atol=2e-9)
+    assert theirs["parameters"]["POINT"]["LABELS"]["value"] == list(frames.labels)
+    np.testing.assert_array_equal(theirs["data"]["meta_points"]["residuals"][0].T < 0, ~frames.seen)
+    again = read_marker_file(path).frames
+    assert (again.labels, again.rate) == (frames.labels, rate)
+    np.testing.assert_array_equal(again.seen, frames.seen)
+    np.testing.assert_allclose(again.places, frames.places, rtol=1e-6, atol=2e-9)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"", "not a C3D file"),
+        (b"hello world\n" * 100, "not a C3D file"),
+        (c3d_bytes(walked(), NAMES)[:300], "cut short within its header"),
+        (c3d_bytes(walked(), NAMES)[:600], "cut short or damaged within its parameters"),
+        (c3d_bytes(walked(100), NAMES)[:4000], "cut short: .* of the 100 frames"),
+        (bytes([2, 0x50]) + bytes(range(256)) * 8, "not a C3D file, or its header is damaged"),
+        (c3d_bytes(walked(), NAMES, processor="mips"), "numbers are those of a MIPS processor"),
+        (c3d_bytes(np.zeros((5, 0, 3)), []), "no markers in it"),
+        (c3d_bytes(walked(0), NAMES), "no frames in it"),
+        (
+            c3d_bytes(walked(markers=2), ["LKneeAngles", "RKneeAngles"]),
+            "no markers in it; it holds 2 angles only",
+        ),
+        (c3d_bytes(np.zeros((5, 4, 3)), NAMES), "none of its 4 markers is seen in any of 5 frames"),
+    ],
+)
+def test_what_is_refused(tmp_path, content, sentence):
+    path = tmp_path / "trial.c3d"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=sentence) as error:
+        jc.read_markers(path)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
+
+
+def test_paths_that_are_wrong(tmp_path):
+    frames = jc.make_markers(walked() / 1000, NAMES, 100.0)
+    with pytest.raises(InputError, match="no such file"):
+        jc.read_markers(tmp_path / "none.c3d")
+    with pytest.raises(InputError, match=r"'.xyz' files; use .c3d, .trc, .csv"):
+        jc.read_markers(tmp_path / "none.xyz")
+    with pytest.raises(InputError, match="cannot be read"):
+        (tmp_path / "folder.c3d").mkdir()
+        jc.read_markers(tmp_path / "folder.c3d")
+    with pytest.raises(InputError, match="writable folder"):
+        jc.write_markers(tmp_path / "nowhere" / "trial.c3d", frames)
+    long = jc.MarkerFrames(jnp.ones((65536, 1, 3)), jnp.ones((65536, 1), bool), ("A",), 100.0)
+    with pytest.raises(InputError, match="65536 frames are more than the 65535"):
+        jc.write_markers(tmp_path / "long.c3d", long)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.c3d"]
+
+
+@pytest.mark.shared
+def test_real_files(shared):
+    folder = shared / "data" / "markers"
+    for name, count, markers in [("static", 875, 73), ("right_hip", 1690, 73), ("right_knee", 922, 73)]:
+        frames = jc.read_markers(folder / f"biobuddy_{name}.c3d")
+        assert (frames.seen.shape, frames.rate) == ((count, markers), 100.0)
+        assert frames.seen.all()
+    epicondyles = [frames.labels.index(label) for label in ("RLFE", "RMFE")]
+    knee = frames.places[:, epicondyles]
+    assert 0.09 < float(jnp.linalg.norm(knee[:, 0] - knee[:, 1], axis=1).mean()) < 0.12
+    cmu = jc.read_markers(folder / "cmu_02_05.c3d")
+    assert (cmu.seen.shape, cmu.rate, cmu.labels[0]) == ((1854, 41), 120.0, "RBWT")
+    # three frames of one marker have a negative residual
+    assert np.unique(np.argwhere(~np.asarray(cmu.seen))[:, 1]).tolist() == [cmu.labels.index("RSHN")]
+    assert int((~cmu.seen).sum()) == 3
+    with pytest.raises(InputError, match="'boite' .* and 'Daphnee'"):
+        jc.read_markers(folder / "pyomeca_upper_limb.c3d")
+    arm = jc.read_markers(folder / "pyomeca_upper_limb.c3d", subject="Daphnee")
+    assert (arm.seen.shape, arm.labels[0]) == ((580, 43), "ASISr")
+    with pytest.raises(InputError, match="looks like millimetres: pass unit='mm'"):
+        jc.read_markers(folder / "cmu_02_05.c3d", unit="m")
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("kept", [0.1, 0.5, 0.99])
+def test_a_real_file_cut_short(shared, tmp_path, kept):
+    raw = (shared / "data" / "markers" / "cmu_02_05.c3d").read_bytes()
+    (tmp_path / "cut.c3d").write_bytes(raw[: int(kept * len(raw))])
+    with pytest.raises(InputError, match="cut short"):
+        jc.read_markers(tmp_path / "cut.c3d")
