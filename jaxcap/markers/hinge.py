@@ -9,11 +9,11 @@ from .common import ROUNDS, robust_weights
 
 #: a joint is a hinge where what turns off the axis is less than this share of what turns about it, both
 #: in the root mean square
-SHARE = 0.25
+SHARE = 0.18
 #: and less than this, radians
-WOBBLE = np.radians(9.0)
-#: and it turns about the axis by this at least, radians
-LEAST_SWEPT = np.radians(15.0)
+WOBBLE = np.radians(7.0)
+#: and the turn about it is more than this, root mean square, radians: less may be any joint's
+LEAST_TURN = np.radians(8.0)
 
 
 class Hinge(NamedTuple):
@@ -34,7 +34,7 @@ class Hinge(NamedTuple):
     @property
     def is_hinge(self) -> bool:
         """Whether all but a small share of the turning is about the axis."""
-        return self.swept > LEAST_SWEPT and self.wobble < min(WOBBLE, SHARE * self.turn)
+        return self.turn > LEAST_TURN and self.wobble < min(WOBBLE, SHARE * self.turn)
 
 
 def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hinge:

@@ -1,0 +1,215 @@
+"""From raw markers to a skeleton and its motion, limb by limb (Silaghi et al. 1998, local technique)."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..body.pose import Motion
+from ..body.skeleton import Skeleton
+from ..observe import MarkerFrames
+from .assemble import Assembled, assemble
+from .centres import Method
+from .gaps import is_still
+from .guess import guess_poses
+from .joint import Joint
+from .lengths import LengthMethod, bone_lengths, bones, joint_places
+from .partition import correct, find_partition
+from .segment import Segments
+from .subject import Subject, make_subject
+from .swaps import mend_swaps
+from .tree import Tree, find_tree, template_pairs
+
+#: a joint is told as hardly turning where it sweeps less than this, radians
+HARDLY = np.radians(15.0)
+#: or where its centre is known no better than this across what may be a hinge's axis, metres
+VAGUE = 0.03
+
+
+class LocalFit(NamedTuple):
+    """What markers tell limb by limb; where they do not tell, `told` says so."""
+
+    segments: Segments
+    #: joint of each segment with its parent, None at roots
+    joints: tuple[Joint | None, ...]
+    #: what joins the segments, and their frames
+    tree: Tree
+    skeleton: Skeleton
+    motion: Motion
+    #: (M,) bone of each marker, -1 of those on no bone
+    bones: Int[np.ndarray, "M"]
+    #: (M, 3) place of each marker in the world at rest, metres
+    offsets: Float[np.ndarray, "M 3"]
+    #: the skeleton with the markers that sit on it
+    subject: Subject
+    #: the markers after exchanges of labels were undone
+    markers: MarkerFrames
+    told: tuple[str, ...]
+
+
+def fit_local(
+    frames: MarkerFrames,
+    segments: Segments | None = None,
+    threshold: float | None = None,
+    method: Method = "score",
+    template: tuple[Skeleton, Mapping[str, str]] | None = None,
+    symmetry: Sequence[tuple[str, str]] | None = None,
+    *,
+    corrections: Mapping[str, tuple[str, float]] | None = None,
+    lengths: LengthMethod = "global",
+) -> LocalFit:
+    """Segments, joints, skeleton and motion from raw markers, with nobody saying which sits where.
+
+    **Arguments:** `segments` where known, else they are found, with `threshold` metres where given and
+    a user's `corrections` (marker -> (segment, weight)); `method` for centres of rotation; `template` a
+    skeleton and which segment (by name) is which of its bones, else the tree is found; `symmetry` pairs
+    of segments whose bones are equally long; `lengths` how they are measured.
+
+    **Raises:** `ValueError` where no markers are seen, nothing moves, no markers move together, or
+    fewer than three markers of any segment are seen together.
+    """
+    places, seen = np.asarray(frames.places, float), np.asarray(frames.seen)
+    labels, told = frames.labels, []
+    if not seen.any():
+        raise ValueError("No marker is seen in any frame, so there is nothing to fit.")
+    if is_still(frames):
+        raise ValueError(
+            f"All {len(frames)} frames are equal: nothing moves, so neither segments nor joints can be told. "
+            "Give a take in which every joint turns."
+        )
+    lost = [label for label, some in zip(labels, seen.any(0), strict=True) if not some]
+    if lost:
+        told.append(f"{_listed(lost)} never seen and left out.")
+    mended = mend_swaps(places, seen, labels)
+    told += mended.told
+    places, seen = mended.places, mended.seen
+    if segments is None:
+        segments = find_partition(places, seen, threshold).segments
+    if corrections:
+        segments = correct(segments, labels, corrections)
+    loose = [labels[m] for m in np.flatnonzero(segments.loose) if labels[m] not in lost]
+    if loose:
+        told.append(f"{_listed(loose)} loose: no segment keeps its distance from {_them(loose)}.")
+    pairs = None if template is None else template_pairs(template[0], segments, template[1])
+    tree = find_tree(places, seen, segments, method, pairs)
+    if not tree.markers.frames.known.any():
+        raise ValueError(
+            "No segment has three markers, not on a line, that are seen together, so none has a frame; "
+            "give a larger threshold or a take with fewer gaps."
+        )
+    root = max(tree.roots, key=lambda k: _size(tree, k, segments))
+    told += _pieces(tree, root, segments, labels)
+    made = assemble(tree, root, len(labels), _lengths(tree, lengths, symmetry, segments))
+    told += _precisions(tree, made, segments)
+    told += _left_out(tree, made, segments, labels)
+    subject = _subject(made, segments, labels, frames.places.dtype)
+    poses = guess_poses(subject, jnp.asarray(places, frames.places.dtype), jnp.asarray(seen))
+    return LocalFit(
+        segments,
+        tree.joints,
+        tree,
+        subject.skeleton,
+        Motion(poses, frames.rate),
+        made.bones,
+        made.offsets,
+        subject,
+        MarkerFrames(jnp.asarray(places, frames.places.dtype), jnp.asarray(seen), labels, frames.rate),
+        tuple(told),
+    )
+
+
+def _lengths(tree: Tree, method: LengthMethod, symmetry, segments: Segments) -> dict[tuple[int, int], float]:
+    between = bones(tree)
+    same = []
+    for left, right in symmetry or ():
+        for name in (left, right):
+            if name not in segments.names:
+                raise ValueError(f"There is no segment '{name}'; there are {', '.join(segments.names)}.")
+        ends = [
+            [n for n, bone in enumerate(between) if bone[0] == segments.names.index(name)]
+            for name in (left, right)
+        ]
+        if len(ends[0]) == len(ends[1]) == 1:
+            same.append((ends[0][0], ends[1][0]))
+    places, known = joint_places(tree)
+    deviations = np.array([1.0 if joint is None else max(joint.residual, 1e-4) for joint in tree.joints])
+    found = bone_lengths(places, known, between, method, same=same, deviations=deviations)
+    return dict(zip(between, found.tolist(), strict=True))
+
+
+def _subject(made: Assembled, segments: Segments, labels: tuple[str, ...], dtype) -> Subject:
+    on = np.flatnonzero(made.bones >= 0)
+    return make_subject(
+        made.skeleton,
+        np.maximum(made.bones, 0),
+        np.where((made.bones >= 0)[:, None], made.offsets, np.asarray(made.skeleton.centres)[0]),
+        labels,
+        weights=np.where(np.isin(np.arange(len(labels)), on), segments.weights, 0.0),
+    )
+
+
+def _size(tree: Tree, root: int, segments: Segments) -> int:
+    total = len(segments.members[root])
+    return total + sum(_size(tree, k, segments) for k, parent in enumerate(tree.parents) if parent == root)
+
+
+def _pieces(tree: Tree, root: int, segments: Segments, labels) -> list[str]:
+    others = [k for k in tree.roots if k != root]
+    told = []
+    for other in others:
+        inside = [other]
+        for k in inside:
+            inside += [c for c, parent in enumerate(tree.parents) if parent == k]
+        markers = [labels[m] for k in inside for m in segments.members[k]]
+        told.append(
+            f"{_listed(markers)} joined to nothing else: these markers never keep together with the others, as if "
+            "they were of another subject; they are left out, fit them by themselves."
+        )
+    return told
+
+
+def _precisions(tree: Tree, made: Assembled, segments: Segments) -> list[str]:
+    told = []
+    for segment in made.order:
+        joint = tree.joints[segment]
+        if joint is None:
+            continue
+        across = joint.precision[-2 if joint.axis_in_parent is not None else -1]
+        if joint.swept < HARDLY or across > VAGUE:
+            told.append(
+                f"The joint of '{segments.names[joint.parent]}' and '{segments.names[segment]}' turns by "
+                f"{np.degrees(joint.swept):.0f} degrees, and its centre is known to {1e3 * across:.0f} mm in the worst "
+                f"direction{' across its axis' if joint.axis_in_parent is not None else ''}; what is not known is as "
+                "between the nearest markers."
+            )
+    return told
+
+
+def _left_out(tree: Tree, made: Assembled, segments: Segments, labels) -> list[str]:
+    joined = {k for k, parent in enumerate(tree.parents) if parent >= 0} | set(tree.roots)
+    roots = [k for k in tree.roots if k not in made.order]
+    told = []
+    for k, name in enumerate(segments.names):
+        if k in made.order or k not in joined or k in roots or _top(tree, k) != made.order[0]:
+            continue
+        markers = [labels[m] for m in segments.members[k]]
+        told.append(f"'{name}' ({_listed(markers)} in it) has no frame of its own and no bone.")
+    return told
+
+
+def _top(tree: Tree, segment: int) -> int:
+    while tree.parents[segment] >= 0:
+        segment = tree.parents[segment]
+    return segment
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names with their verb: "'A', 'B' are"."""
+    shown = ", ".join(f"'{name}'" for name in names[:12]) + (", ..." if len(names) > 12 else "")
+    return f"{shown} {'is' if len(names) == 1 else 'are'}"
+
+
+def _them(names: Sequence[str]) -> str:
+    return "it" if len(names) == 1 else "them"
