@@ -203,8 +203,8 @@ def test_paths_that_are_wrong(tmp_path):
         jc.read_markers(tmp_path / "none.c3d")
     with pytest.raises(InputError, match=r"'.xyz' files; use .c3d, .trc, .csv"):
         jc.read_markers(tmp_path / "none.xyz")
+    (tmp_path / "folder.c3d").mkdir()
     with pytest.raises(InputError, match="cannot be read"):
-        (tmp_path / "folder.c3d").mkdir()
         jc.read_markers(tmp_path / "folder.c3d")
     with pytest.raises(InputError, match="writable folder"):
         jc.write_markers(tmp_path / "nowhere" / "trial.c3d", frames)

@@ -207,7 +207,11 @@ def regular_rows(
     at = np.rint((times - times[0]) / usual).astype(int)
     rate = at[-1] / (times[-1] - times[0])
     at = np.rint((times - times[0]) * rate).astype(int)
-    if np.abs((times - times[0]) * rate - at).max() > 0.3 or (np.diff(at) < 1).any() or at[-1] > 20 * len(at):
+    if (
+        np.abs((times - times[0]) * rate - at).max() > 0.26
+        or (np.diff(at) < 1).any()
+        or at[-1] > 20 * len(at)
+    ):
         raise InputError(f"{where}: {what} does not go in equal steps; resample the file to a constant rate.")
     full = np.full((at[-1] + 1, *places.shape[1:]), np.nan)
     full[at] = places

@@ -56,7 +56,7 @@ def read_marker_table(
             clock += parse_floats([cells[time_at]], where, f"column '{names[time_at]}'")
         if frame_at is not None:
             numbers += parse_floats([cells[frame_at]], where, f"column '{names[frame_at]}'")
-    there = np.asarray(places, float).reshape(-1, len(labels), 3)
+    there = np.asarray(places, float).reshape(len(places), len(labels), 3)
     full, found = there, None
     if len(there) > 1 and time_at is not None:
         scale = 1e-3 if "m" in (re.sub(r"^(times?stamp|times?)", "", names[time_at].lower())) else 1.0
@@ -102,12 +102,13 @@ def write_marker_table(path: str | Path, frames: MarkerFrames, unit: str | float
 def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str]]]]:
     """The rate that a line before the table tells, and its rows with their lines."""
     rate, lines = None, text.splitlines(keepends=True)
-    start = 0
-    for start, line in enumerate(lines):
+    start = len(lines)
+    for i, line in enumerate(lines):
         match = _RATE.fullmatch(line.strip())
         if match:
-            (rate,) = parse_floats([match[2]], f"{path}:{start + 1}", "the rate")
+            (rate,) = parse_floats([match[2]], f"{path}:{i + 1}", "the rate")
         elif line.strip() and not line.lstrip().startswith("# "):
+            start = i
             break
     head = lines[start] if start < len(lines) else ""
     mark = max(",;\t", key=head.count)

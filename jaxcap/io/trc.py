@@ -58,7 +58,7 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
             f"{path}:{last}: the file is cut short: {len(rows)} of the {head.frames} frames that its head announces "
             "are in it."
         )
-    places = np.asarray(rows, float).reshape(-1, count, 3)
+    places = np.asarray(rows, float).reshape(len(rows), count, 3)
     told = (
         []
         if head.frames in (None, len(rows))

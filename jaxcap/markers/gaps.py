@@ -17,6 +17,8 @@ from ..observe import MarkerFrames
 CARRIERS, COMPARED = 6, 50
 #: what a marker can move away from where it was, metres a second, to be looked at as its own piece
 FASTEST = 10.0
+#: metres that the place of a marker is uncertain by
+NOISE = 0.002
 #: metres that all markers move at most, where nothing moves
 STILL = 1e-6
 
@@ -92,34 +94,19 @@ def find_pieces(
     than `reach` metres from where the other would have come to. Each has at most one successor: those that
     are nearest altogether (linear assignment).
     """
-    seen = np.asarray(frames.seen)
-    there = np.flatnonzero(seen.any(0))
-    first, last = seen.argmax(0), len(seen) - 1 - seen[::-1].argmax(0)
-    before, after = first[None, there] - last[there, None], first[there] > 0
-    # rows end, columns begin
-    possible = (before > 0) & (before <= within * frames.rate) & after[None, :]
-    if not possible.any():
-        return ()
-    places = np.asarray(frames.places, float)
-    cost = np.full(possible.shape, np.inf)
-    for row, column in np.argwhere(possible):
-        end, begin = there[row], there[column]
-        gap = before[row, column] / frames.rate
-        if np.linalg.norm(places[last[end], end] - places[first[begin], begin]) > reach + FASTEST * gap:
-            continue
-        miss = _miss(places, seen, int(end), int(begin), int(last[end]), int(first[begin]))
-        if miss < reach:
-            # of two that fit as well, the one that comes sooner
-            cost[row, column] = miss / reach + 0.5 * gap / within
-    follows = _assign(cost)
-    begins = [row for row in range(len(there)) if row in follows and row not in follows.values()]
-    chains = []
-    for row in begins:
-        chain = [row]
-        while chain[-1] in follows:
-            chain.append(follows[chain[-1]])
-        chains.append(tuple(int(there[i]) for i in chain))
-    return tuple(sorted(chains))
+    seen, places = np.array(frames.seen), np.array(frames.places, float)
+    chains = {i: (int(i),) for i in np.flatnonzero(seen.any(0)).tolist()}
+    # what is joined carries others through gaps that its pieces could not
+    while follows := _successors(
+        places, seen, list(chains), within * frames.rate, FASTEST / frames.rate, reach
+    ):
+        for head in [i for i in chains if i in follows and i not in follows.values()]:
+            piece = head
+            while (piece := follows.get(piece, -1)) >= 0:
+                chains[head] += chains.pop(piece)
+                places[:, head] += places[:, piece]
+                seen[:, head] |= seen[:, piece]
+    return tuple(sorted(chain for chain in chains.values() if len(chain) > 1))
 
 
 def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None = None) -> MarkerFrames:
@@ -130,9 +117,9 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
     """
     chains = find_pieces(frames) if chains is None else chains
     seen, places = np.array(frames.seen), np.array(frames.places)
-    labels, gone = list(frames.labels), set()
+    labels, used, gone = list(frames.labels), set(), set()
     for chain in chains:
-        if gone & set(chain) or len(set(chain)) < len(chain):
+        if used & set(chain) or len(set(chain)) < len(chain):
             raise ValueError(
                 f"Marker '{labels[chain[0]]}' is in two chains of pieces; give each marker to one."
             )
@@ -146,6 +133,7 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
         labels[head] = next(
             (frames.labels[i] for i in chain if frames.labels[i][0] != "*"), frames.labels[chain[0]]
         )
+        used |= set(chain)
         gone |= set(chain) - {head}
     kept = [i for i in range(len(labels)) if i not in gone]
     return MarkerFrames(places[:, kept], seen[:, kept], tuple(labels[i] for i in kept), frames.rate)
@@ -172,6 +160,31 @@ def split_unlabelled(frames: MarkerFrames) -> MarkerFrames:
     kept = np.stack([column for _, _, column in columns], 1)
     moved = np.where(kept[..., None], places[:, [i for _, i, _ in columns]], 0)
     return MarkerFrames(moved, kept, tuple(label for label, _, _ in columns), frames.rate)
+
+
+def _successors(
+    places: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    markers: list[int],
+    within: float,
+    speed: float,
+    reach: float,
+) -> dict[int, int]:
+    """Marker to the one that follows it; `within` in frames, `speed` in metres a frame."""
+    there = np.asarray(markers)
+    first, last = seen.argmax(0), len(seen) - 1 - seen[::-1].argmax(0)
+    # rows end, columns begin
+    between = first[None, there] - last[there, None]
+    cost = np.full(between.shape, np.inf)
+    for row, column in np.argwhere((between > 0) & (between <= within)):
+        end, begin, gap = int(there[row]), int(there[column]), between[row, column]
+        if np.linalg.norm(places[last[end], end] - places[first[begin], begin]) > reach + speed * gap:
+            continue
+        miss = _miss(places, seen, end, begin, int(last[end]), int(first[begin]))
+        if miss < reach:
+            # of two that fit as well, the one that comes sooner
+            cost[row, column] = miss / reach + 0.5 * gap / within
+    return {int(there[row]): int(there[column]) for row, column in _assign(cost).items()}
 
 
 def _miss(
@@ -208,11 +221,15 @@ def _carried(
     spread = np.sqrt(np.nanmean((away - away[shown == old]) ** 2, axis=0))
     near = np.linalg.norm(places[old, others] - places[old, marker], axis=1)
     # short pieces show little variation anywhere, and then the nearest are the likeliest of its own bone
-    chosen = others[np.argsort(spread + 0.05 * near)[:CARRIERS]]
-    here, there = places[old, chosen], places[new, chosen]
-    u, _, vt = np.linalg.svd((here - here.mean(0)).T @ (there - there.mean(0)))
+    doubt = spread**2 + (0.02 * near) ** 2 + NOISE**2
+    chosen = np.argsort(doubt)[:CARRIERS]
+    weights = 1 / doubt[chosen] ** 2
+    weights /= weights.sum()
+    here, there = places[old, others[chosen]], places[new, others[chosen]]
+    middle, middle_then = weights @ here, weights @ there
+    u, _, vt = np.linalg.svd((here - middle).T @ (weights[:, None] * (there - middle_then)))
     turn = (u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T
-    return there.mean(0) + turn @ (places[old, marker] - here.mean(0))
+    return middle_then + turn @ (places[old, marker] - middle)
 
 
 def _coasted(
