@@ -209,7 +209,7 @@ def _header(path: Path) -> tuple[int, int]:
 def _walk_parameters(raw: bytes, at: int) -> None:
     """Follows the chain of parameters to its end, which ezc3d looks for without end in a damaged file.
 
-    **Raises:** `IndexError` or `struct.error` where it leads out of the file.
+    **Raises:** `IndexError` or `struct.error` where it leads out of the file, or values out of their parameter.
     """
     while raw[at]:
         length, number = struct.unpack_from("bb", raw, at)
@@ -217,7 +217,8 @@ def _walk_parameters(raw: bytes, at: int) -> None:
         (step,) = struct.unpack_from("<H", raw, link)
         if number > 0:
             size, rank = struct.unpack_from("bB", raw, link + 2)
-            if link + 4 + rank + abs(size) * math.prod(raw[link + 4 : link + 4 + rank]) > len(raw):
+            end = link + 4 + rank + abs(size) * math.prod(raw[link + 4 : link + 4 + rank])
+            if size not in (-1, 1, 2, 4) or rank > 7 or end > (link + step if step else len(raw)):
                 raise IndexError
         if step == 0:
             return

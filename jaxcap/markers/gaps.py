@@ -52,8 +52,8 @@ def runs(mask: Bool[np.ndarray, "F"]) -> list[tuple[int, int]]:
 
 def never_seen(frames: MarkerFrames) -> tuple[str, ...]:
     """Labels of the markers that no frame shows."""
-    seen = np.asarray(frames.seen).any(0).tolist()
-    return tuple(label for label, there in zip(frames.labels, seen, strict=True) if not there)
+    seen = np.any(np.asarray(frames.seen), axis=0)
+    return tuple(label for i, label in enumerate(frames.labels) if not seen[i])
 
 
 def is_still(frames: MarkerFrames) -> bool:
@@ -95,7 +95,7 @@ def find_pieces(
     are nearest altogether (linear assignment).
     """
     seen, places = np.array(frames.seen), np.array(frames.places, float)
-    chains = {i: (int(i),) for i in np.flatnonzero(seen.any(0)).tolist()}
+    chains: dict[int, tuple[int, ...]] = {i: (int(i),) for i in np.flatnonzero(seen.any(0)).tolist()}
     # what is joined carries others through gaps that its pieces could not
     while follows := _successors(
         places, seen, list(chains), within * frames.rate, FASTEST / frames.rate, reach
