@@ -169,6 +169,12 @@ def test_written_and_read_by_ezc3d(tmp_path_factory, seed, count, markers, unit,
     np.testing.assert_allclose(again.places, frames.places, rtol=1e-6, atol=2e-9)
 
 
+def _with(raw, behind, instead):
+    """A file with one byte changed, that behind some others."""
+    at = raw.index(behind) + len(behind)
+    return raw[:at] + instead + raw[at + 1 :]
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
@@ -178,6 +184,12 @@ def test_written_and_read_by_ezc3d(tmp_path_factory, seed, count, markers, unit,
         (c3d_bytes(walked(), NAMES)[:600], "cut short or damaged within its parameters"),
         (c3d_bytes(walked(100), NAMES)[:4000], "cut short: .* of the 100 frames"),
         (bytes([2, 0x50]) + bytes(range(256)) * 8, "not a C3D file, or its header is damaged"),
+        # ezc3d looks for the end of these for ever, and dies of the next
+        (
+            _with(c3d_bytes(walked(), NAMES), b"ANALOG\x03\x00", b"\xb7"),
+            "cut short or damaged within its parameters",
+        ),
+        (_with(c3d_bytes(walked(), NAMES), b"UNITS\x08\x00\xff", b"\x9e"), "damaged within its parameters"),
         (c3d_bytes(walked(), NAMES, processor="mips"), "numbers are those of a MIPS processor"),
         (c3d_bytes(np.zeros((5, 0, 3)), []), "no markers in it"),
         (c3d_bytes(walked(0), NAMES), "no frames in it"),

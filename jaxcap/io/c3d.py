@@ -215,11 +215,15 @@ def _walk_parameters(raw: bytes, at: int) -> None:
         length, number = struct.unpack_from("bb", raw, at)
         link = at + 2 + abs(length)
         (step,) = struct.unpack_from("<H", raw, link)
+        end = link + 2
         if number > 0:
-            size, rank = struct.unpack_from("bB", raw, link + 2)
-            end = link + 4 + rank + abs(size) * math.prod(raw[link + 4 : link + 4 + rank])
-            if size not in (-1, 1, 2, 4) or rank > 7 or end > (link + step if step else len(raw)):
+            size, rank = struct.unpack_from("bB", raw, end)
+            end += 2 + rank + abs(size) * math.prod(raw[end + 2 : end + 2 + rank])
+            if size not in (-1, 1, 2, 4) or rank > 7:
                 raise IndexError
+        # behind the values, a description with its length before it
+        if end + 1 + raw[end] > (link + step if step else len(raw)):
+            raise IndexError
         if step == 0:
             return
         at = link + step
