@@ -13,7 +13,7 @@ FEWEST = 10
 
 
 def pair_deviations(
-    places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], tail: float = TAIL
+    places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], tail: float | int = TAIL
 ) -> Float[np.ndarray, "M M"]:
     """The range of every pair's distance over the frames in which both are seen, metres.
 
