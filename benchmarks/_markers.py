@@ -18,7 +18,7 @@ from jaxcap.observe import MarkerFrames
 
 #: markers on each bone of the left side or the middle; the right side is as the left
 LAYOUT = {
-    "Hips": 4, "LowerBack": 2, "Spine": 2, "Spine1": 4, "Neck": 2, "Head": 4, "LeftShoulder": 2, "LeftArm": 3,
+    "Hips": 4, "LowerBack": 2, "Spine": 2, "Spine1": 3, "Neck": 2, "Neck1": 2, "Head": 3, "LeftShoulder": 2, "LeftArm": 3,
     "LeftForeArm": 3, "LeftHand": 3, "LeftUpLeg": 3, "LeftLeg": 3, "LeftFoot": 2, "LeftToeBase": 2,
 }  # fmt: skip
 
@@ -92,7 +92,7 @@ def make_scene(
 def scene_of(truth: Subject, motion: jc.Motion, trouble: Trouble, seed: int) -> Scene:
     rng = np.random.default_rng(seed)
     shifts = _skin_motion(truth, motion, trouble.skin, rng)
-    places, joints = (np.asarray(x, float) for x in _pose_all(truth, motion.poses, jnp.asarray(shifts)))
+    places, joints = (np.array(x, float) for x in _pose_all(truth, motion.poses, jnp.asarray(shifts)))
     count, markers = places.shape[:2]
     places += trouble.noise * rng.normal(size=places.shape)
     swapped = np.zeros((count, markers), bool)

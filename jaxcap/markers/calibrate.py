@@ -15,21 +15,21 @@ from jaxtyping import Array, Bool, Float
 
 from ..body.pose import Motion, Pose, retract
 from ..body.symmetry import bones_of, length_differences
-from ..fit.arrow import Arrow, damped, solve_arrow
 from ..observe import MarkerFrames
 from .choose import choose_frames
-from .equations import marker_deviations, normal_equations
+from .eliminate import eliminate, pose_covariances
+from .equations import all_rows, marker_deviations
+from .gauge import gauge_rows
 from .matched import match_markers
 from .null_space import describe_precision, shared_covariance
 from .robust import BOUND, MEDIAN, UNBOUNDED
 from .shared import Trust, followers, prior_precision, shared_between, shift_subject, solved_joints
 from .solve import solve_markers
 from .subject import Subject
+from .turning import Turning, drawn, free_turning, turning_of
 
 #: below this no residual is believed, metres
 EXACT = 2e-5
-#: a fit that lowers its cost by a smaller share has converged
-CONVERGED = 1e-4
 
 
 class Calibration(NamedTuple):
@@ -59,6 +59,7 @@ class _Fit(NamedTuple):
     subject: Subject
     poses: Pose
     deviations: Float[Array, "M"]
+    turning: Turning
     history: tuple[float, ...]
     converged: bool
 
@@ -104,7 +105,7 @@ def calibrate(
     places, seen = matched.places[chosen], jnp.asarray(used[chosen])
     fit = _fit(subject, poses, places, seen, joints, pairs, trust, robust, steps)
     best = eqx.tree_at(lambda s: s.deviations, fit.subject, fit.deviations)
-    known = shared_covariance(best, fit.poses, places, seen, joints, trust, pairs)
+    known = shared_covariance(best, fit.poses, places, seen, joints, trust, pairs, fit.turning)
     solved = solve_markers(best, frames)
     told = tuple(describe_precision(best, known, fit.poses, joints)) + solved.told
     if not fit.converged:
@@ -115,83 +116,85 @@ def calibrate(
 
 
 def _fit(template: Subject, poses, places, seen, joints, pairs, trust, robust, steps) -> _Fit:
-    """Steps at fixed variances until the cost hardly falls, then new variances, until these stay."""
-    precision = jnp.asarray(prior_precision(template, joints, trust), places.dtype)
-    subject, floor = template, jnp.asarray(EXACT, places.dtype)
-    bound = jnp.asarray(BOUND if robust else UNBOUNDED, places.dtype)
+    """Steps at fixed variances until what is left is small beside what is not known anyway, then new
+    variances, until these stay."""
+    dtype, skeleton = places.dtype, template.skeleton
+    precision = prior_precision(template, joints, trust)
+    subject, floor = template, jnp.asarray(EXACT, dtype)
+    bound = jnp.asarray(BOUND if robust else UNBOUNDED, dtype)
     deviations = _first_deviations(subject, poses, places, seen, bound)
-    least = 1e-6 if places.dtype == jnp.float32 else 1e-9
-    state, damping, history = None, 1e-3, []
-    settled = renewed = 0
+    damping, history, renewed, settled = 1e-3, [], 0, 0
+
+    turning = free_turning(skeleton)
+
+    def evaluate(subject, poses):
+        held = drawn(subject.skeleton, turning, poses)
+        rows = all_rows(subject, poses, places, seen, deviations, joints, bound)
+        away = np.asarray(shared_between(template, subject, joints), float)
+        return rows, away, float(rows.cost) + float(away @ precision @ away) + held.cost, held
+
+    state = evaluate(subject, poses)
+    history.append(state[2])
+    reduced = None
     for _ in range(steps):
-        if state is None:
-            state = _evaluate(template, subject, poses, places, seen, deviations, joints, precision, bound)
-            history.append(float(state[1]))
-        share = jnp.asarray(damping, places.dtype)
-        trial = _step(state[0], subject, poses, share, joints, pairs)
-        after = _evaluate(template, *trial, places, seen, deviations, joints, precision, bound)
-        before, value = float(state[1]), float(after[1])
-        fell = value <= before
+        rows, away, value, held = state
+        if reduced is None:
+            reduced = eliminate(rows, held).with_prior(precision, away)
+        constraints, violation = constraint_rows(subject, joints, pairs)
+        shared, by_frame = reduced.step(damping, constraints, violation)
+        trial = _moved(subject, poses, joints, jnp.asarray(shared, dtype), jnp.asarray(by_frame, dtype))
+        after = evaluate(*trial)
+        expected = reduced.decrease(shared, by_frame)
+        fell = after[2] <= value
         if fell:
-            (subject, poses), state, damping = trial, after, max(damping / 10.0, least)
-            history.append(value)
+            (subject, poses), state, damping, reduced = trial, after, damping / 10.0, None
+            damping = damping if damping > 1e-9 else 0.0
+            history.append(after[2])
         else:
-            damping = 10.0 * max(damping, 1e-4)
-        slow = fell and before - value < (1e-2 if renewed < 3 else CONVERGED) * before
-        if slow or damping > 1e3:
+            damping = 10.0 * max(damping, 1e-6)
+        # the first variances are those of the template's errors and only lead to better ones
+        done = expected < (0.5 if renewed > 2 else 1e-2 * value)
+        if done or damping > 1e4:
             renewed += 1
             old, damping = deviations, min(damping, 1e-3)
             deviations = marker_deviations(subject, poses, places, seen, deviations, floor, bound)
-            state = None
-            settled = settled + 1 if float(jnp.max(jnp.abs(deviations / old - 1.0))) < 0.02 else 0
-            if settled and renewed > 3:
-                return _Fit(subject, poses, deviations, tuple(history), True)
-    return _Fit(subject, poses, deviations, tuple(history), False)
+            if renewed >= 2:
+                uncertain = pose_covariances(state[0], state[3])
+                turning = turning_of(skeleton, turning, poses, uncertain)
+            settled = settled + 1 if float(jnp.max(jnp.abs(deviations / old - 1.0))) < 0.05 else 0
+            if settled and renewed > 4:
+                return _Fit(subject, poses, deviations, turning, tuple(history), True)
+            state, reduced = evaluate(subject, poses), None
+            history.append(state[2])
+    return _Fit(subject, poses, deviations, turning, tuple(history), False)
 
 
 def _first_deviations(subject: Subject, poses, places, seen, bound) -> Float[Array, "M"]:
     """One for all markers, by the median of what the template leaves."""
     ones = jnp.ones(subject.num_markers, places.dtype)
-    squared = np.asarray(normal_equations(subject, poses, places, seen, ones, (), bound).squared)
+    squared = np.asarray(all_rows(subject, poses, places, seen, ones, (), bound).squared)
     middle = np.median(squared[np.asarray(seen)])
     return max(float(np.sqrt(middle / MEDIAN)), EXACT) * ones
 
 
-def _evaluate(
-    template, subject, poses, places, seen, deviations, joints, precision, bound
-) -> tuple[Arrow, Float[Array, ""]]:
-    """The equations with the prior, and their cost."""
-    found = normal_equations(subject, poses, places, seen, deviations, joints, bound)
-    return _with_prior(found.arrow, found.cost, template, subject, joints, precision)
-
-
 @eqx.filter_jit
-def _with_prior(arrow, cost, template, subject, joints, precision):
-    away = shared_between(template, subject, joints)
-    pull = precision @ away
-    arrow = eqx.tree_at(
-        lambda a: (a.shared, a.shared_side), arrow, (arrow.shared + precision, arrow.shared_side - pull)
-    )
-    return arrow, cost + away @ pull
-
-
-@eqx.filter_jit
-def _step(arrow: Arrow, subject: Subject, poses: Pose, damping, joints, pairs) -> tuple[Subject, Pose]:
-    rows, violation = constraint_rows(subject, joints, pairs)
-    by_frame, shared = solve_arrow(damped(arrow, damping), rows, violation)
+def _moved(subject: Subject, poses: Pose, joints, shared, by_frame) -> tuple[Subject, Pose]:
     moved = shift_subject(subject, joints, shared)
     return moved, jax.vmap(retract, (None, 0, 0))(subject.skeleton, poses, by_frame)
 
 
 def constraint_rows(
     subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
-) -> tuple[Float[Array, "B S"], Float[Array, "B"]]:
-    """What keeps paired bones equally long: rows over `s`, and what they have to make up for."""
-    skeleton = subject.skeleton
-    differences, slopes = length_differences(skeleton, np.array(pairs, int).reshape(-1, 2))
-    rows = jnp.asarray(followers(skeleton, joints), slopes.dtype)
-    by_centre = jnp.einsum("bja,jk->bka", slopes, rows).reshape(len(differences), 3 * len(joints))
-    return jnp.pad(by_centre, ((0, 0), (0, 3 * subject.num_markers))), -differences
+) -> tuple[Float[np.ndarray, "B S"], Float[np.ndarray, "B"]]:
+    """Rows over `s` and what they have to make up for: paired bones stay equally long, and no bone
+    turns at rest as no marker could tell, which would only send the search along curved valleys."""
+    still = gauge_rows(subject, joints)
+    if not pairs:
+        return still, np.zeros(len(still))
+    differences, slopes = length_differences(subject.skeleton, np.array(pairs, int))
+    by_centre = np.einsum("bja,jk->bka", np.asarray(slopes, float), followers(subject.skeleton, joints))
+    rows = np.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
+    return np.vstack([rows, still]), np.append(-np.asarray(differences, float), np.zeros(len(still)))
 
 
 def _pairs(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple[int, int], ...]:

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 FRAMES = 1200
 #: the share of frames at each end that the robust form leaves out: a marker that wears another's label
 #: in 1 % of the frames spoils 2 % of a pair's
-TAIL = 0.025
+TAIL = 0.04
 #: a pair seen together in fewer frames than this tells nothing
 FEWEST = 10
 

@@ -1,4 +1,4 @@
-"""The normal equations of all frames' poses with what they share, and the markers' variances."""
+"""The residuals of all frames with their derivatives, and the markers' variances."""
 
 from typing import NamedTuple
 
@@ -6,36 +6,31 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..body.pose import Pose
-from ..fit.arrow import Arrow
 from .residuals import linearise
 from .robust import kernel
 from .subject import Subject
 
 
-class Equations(NamedTuple):
-    """Block-arrow normal equations at some poses and subject, without a prior."""
+class Rows(NamedTuple):
+    """Residuals of all frames in standard deviations, with their derivatives, each times the root of
+    its robust weight; not seen is zero."""
 
-    arrow: Arrow
+    residual: Float[Array, "F M 3"]
+    #: by the tangent of the frame's pose, then by the solved centres
+    wide: Float[Array, "F M 3 N"]
+    #: by the marker's own rest place, which enters no other residual
+    own: Float[Array, "F M 3 3"]
     #: robust cost: squared residuals in standard deviations, far ones bounded
     cost: Float[Array, ""]
     #: squared residuals, metres squared
     squared: Float[Array, "F M"]
 
 
-class _Sums(NamedTuple):
-    centres: Float[Array, "C C"]
-    across: Float[Array, "C T"]
-    offsets: Float[Array, "M 3 3"]
-    side: Float[Array, "S"]
-    cost: Float[Array, ""]
-
-
 @eqx.filter_jit
-def normal_equations(
+def all_rows(
     subject: Subject,
     poses: Pose,
     places: Float[Array, "F M 3"],
@@ -43,49 +38,22 @@ def normal_equations(
     deviations: Float[Array, "M"],
     joints: tuple[int, ...],
     bound: Float[Array, ""],
-) -> Equations:
-    """The equations by the tangents of all poses and by `s` of `shared`, in standard deviations.
-
-    A marker's rest place enters its own residual only, so of the shared block the markers' part is
-    made of 3 x 3 blocks; no product runs over all of it.
-    """
-    markers, centres = subject.num_markers, 3 * len(joints)
-    dofs, dtype = subject.skeleton.num_dofs, places.dtype
+) -> Rows:
+    """The least-squares problem of all poses and of `s` of `shared` at a point, one frame after the other."""
     information = subject.weights / deviations**2
 
-    def of_frame(sums: _Sums, frame):
+    def of_frame(frame):
         pose, place, there = frame
         rows = linearise(subject, pose, place, joints)
         squared = jnp.sum(rows.residual**2, 1)
         costs, slopes = kernel(squared * jnp.where(there, information, 0.0), bound)
-        weights = jnp.where(there, slopes * information, 0.0)
-        wide = jnp.concatenate([rows.by_pose, rows.by_centres], 2)
-        weighted = wide * weights[:, None, None]
-        flat = weighted.reshape(3 * markers, -1)
-        gram = flat.T @ wide.reshape(3 * markers, -1)
-        by_offset = jnp.einsum("man,mab->nmb", weighted, rows.by_offset).reshape(dofs + centres, -1)
-        own = jnp.einsum("mab,mac->mbc", rows.by_offset * weights[:, None, None], rows.by_offset)
-        side = -(flat.T @ rows.residual.ravel())
-        own_side = -jnp.einsum("mab,m,ma->mb", rows.by_offset, weights, rows.residual)
-        new = _Sums(
-            gram[dofs:, dofs:],
-            by_offset[dofs:],
-            own,
-            jnp.concatenate([side[dofs:], own_side.ravel()]),
-            jnp.sum(jnp.where(there, costs, 0.0)),
-        )
-        coupling = jnp.concatenate([gram[:dofs, dofs:], by_offset[:dofs]], 1)
-        sums = jax.tree.map(jnp.add, sums, new)
-        return sums, (gram[:dofs, :dofs], coupling, side[:dofs], squared)
+        roots = jnp.sqrt(jnp.where(there, slopes * information, 0.0))[:, None]
+        wide = jnp.concatenate([rows.by_pose, rows.by_centres], 2) * roots[..., None]
+        cost = jnp.sum(jnp.where(there, costs, 0.0))
+        return Rows(rows.residual * roots, wide, rows.by_offset * roots[..., None], cost, squared)
 
-    sizes = (centres, centres), (centres, 3 * markers), (markers, 3, 3), (centres + 3 * markers,), ()
-    start = _Sums(*(jnp.zeros(size, dtype) for size in sizes))
-    sums, (frames, coupling, sides, squared) = jax.lax.scan(of_frame, start, (poses, places, seen))
-    diagonal = jnp.zeros((markers, 3, markers, 3), dtype)
-    diagonal = diagonal.at[np.arange(markers), :, np.arange(markers)].set(sums.offsets)
-    offsets = diagonal.reshape(3 * markers, 3 * markers)
-    shared = jnp.block([[sums.centres, sums.across], [sums.across.T, offsets]])
-    return Equations(Arrow(frames, coupling, shared, sides, sums.side), sums.cost, squared)
+    rows = jax.lax.map(of_frame, (poses, places, seen))
+    return rows._replace(cost=jnp.sum(rows.cost))
 
 
 @eqx.filter_jit

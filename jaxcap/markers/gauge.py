@@ -20,26 +20,32 @@ def gauge_directions(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndar
     second below, a fixed one to each other, as its axes stay where they are at rest.
     """
     skeleton = subject.skeleton
-    turns = _allowed(subject)
+    turns = _allowed(subject).reshape(-1, skeleton.num_joints, 3)
     centres, offsets = np.asarray(skeleton.centres, float), np.asarray(subject.offsets, float)
     bones = np.asarray(subject.bones)
-    columns = []
-    for turn in turns.reshape(-1, skeleton.num_joints, 3):
-        shifts = np.zeros_like(centres)
-        for joint, parent in enumerate(skeleton.parents):
-            if parent >= 0:
-                shifts[joint] = shifts[parent] + np.cross(turn[parent], centres[joint] - centres[parent])
-        columns.append(_column(joints, shifts, shifts[bones] + np.cross(turn[bones], offsets - centres[bones])))
+    shifts = np.zeros_like(turns)
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            arm = centres[joint] - centres[parent]
+            shifts[:, joint] = shifts[:, parent] + np.cross(turns[:, parent], arm)
+    moved = shifts[:, bones] + np.cross(turns[:, bones], offsets - centres[bones])
     if skeleton.kinds[0] in ("free", "translate"):
-        for axis in np.eye(3):
-            columns.append(_column(joints, np.tile(axis, (len(centres), 1)), np.tile(axis, (len(bones), 1))))
-    if not columns:
-        return np.zeros((3 * (len(joints) + len(bones)), 0))
-    return np.stack(columns, 1)
+        shifts, moved = (np.concatenate([x, _along_axes(x.shape[1])]) for x in (shifts, moved))
+    count = len(shifts)
+    columns = np.concatenate([shifts[:, list(joints)].reshape(count, -1), moved.reshape(count, -1)], 1).T
+    return columns
 
 
-def _column(joints, shifts, moved) -> np.ndarray:
-    return np.concatenate([shifts[list(joints)].ravel(), moved.ravel()])
+def gauge_rows(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "G S"]:
+    """Rows that are zero of an `s` under which the markers of no bone have turned or moved on the
+    whole; where a bone has too few, its ends stand in for them."""
+    gauge = gauge_directions(subject, joints)
+    weights = np.append(np.full(3 * len(joints), 1e-3), np.ones(3 * subject.num_markers))
+    return gauge.T * weights
+
+
+def _along_axes(count: int) -> Float[np.ndarray, "3 N 3"]:
+    return np.broadcast_to(np.eye(3)[:, None], (3, count, 3))
 
 
 def _allowed(subject: Subject) -> Float[np.ndarray, "N J3"]:
@@ -76,9 +82,6 @@ def without_gauge(
     """The covariance in the frame of the markers: changes that cannot be told are taken out, so that
     the markers of every bone, by least squares, have not turned or moved (Baarda's S-transformation;
     centres count little, being what is asked for)."""
-    gauge = gauge_directions(subject, joints)
-    weights = np.append(np.full(3 * len(joints), 1e-3), np.ones(3 * subject.num_markers))
-    kept = np.eye(len(weights)) - gauge @ np.linalg.pinv(gauge.T @ (weights[:, None] * gauge), 1e-9) @ (
-        gauge.T * weights
-    )
+    gauge, rows = gauge_directions(subject, joints), gauge_rows(subject, joints)
+    kept = np.eye(len(covariance)) - gauge @ np.linalg.pinv(rows @ gauge, 1e-9) @ rows
     return kept @ covariance @ kept.T

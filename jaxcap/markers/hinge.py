@@ -34,7 +34,7 @@ class Hinge(NamedTuple):
     @property
     def is_hinge(self) -> bool:
         """Whether all but a small share of the turning is about the axis."""
-        return self.turn > LEAST_TURN and self.wobble < min(WOBBLE, SHARE * self.turn)
+        return bool(self.turn > LEAST_TURN and self.wobble < min(WOBBLE, SHARE * self.turn))
 
 
 def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hinge:

@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
@@ -11,11 +9,13 @@ from jaxtyping import Array, Bool, Float
 
 from ..body.pose import Pose
 from ..body.symmetry import length_differences
+from .eliminate import eliminate
+from .equations import all_rows
 from .gauge import without_gauge
-from .residuals import linearise
-from .robust import kernel
+from .robust import BOUND
 from .shared import Trust, followers, prior_precision
 from .subject import Subject
+from .turning import Turning, drawn, free_turning
 
 #: a direction is hardly known with a larger standard deviation, metres
 HARDLY = 0.01
@@ -32,50 +32,6 @@ class Known(NamedTuple):
     prior: Float[np.ndarray, "S S"]
 
 
-@eqx.filter_jit
-def _rows(subject: Subject, poses: Pose, places, seen, joints):
-    information = jnp.where(seen, subject.weights / subject.deviations**2, 0.0)
-
-    def of_frame(frame):
-        pose, place, informed = frame
-        rows = linearise(subject, pose, place, joints)
-        squared = jnp.sum(rows.residual**2, 1) * informed
-        root = jnp.sqrt(kernel(squared)[1] * informed)[:, None, None]
-        wide = jnp.concatenate([rows.by_pose, rows.by_centres], 2) * root
-        return wide, rows.by_offset * root
-
-    return jax.lax.map(of_frame, (poses, places, information))
-
-
-def schur_complement(
-    subject: Subject,
-    poses: Pose,
-    places: Float[Array, "F M 3"],
-    seen: Bool[Array, "F M"],
-    joints: tuple[int, ...],
-) -> Float[np.ndarray, "S S"]:
-    """What all frames tell of `s` when their poses are free: the information matrix, in 1/metres
-    squared. In float64 whatever the input, as directions that are not told are differences of large
-    numbers."""
-    wide, own = (np.asarray(x, float) for x in _rows(subject, poses, places, seen, joints))
-    dofs, markers, centres = subject.skeleton.num_dofs, subject.num_markers, 3 * len(joints)
-    size = centres + 3 * markers
-    total = np.zeros((size, size))
-    block = np.arange(markers)
-    for rows, offsets in zip(wide, own, strict=True):
-        shared = np.zeros((markers, 3, size))
-        shared[:, :, :centres] = rows[:, :, dofs:]
-        shared[:, :, centres:].reshape(markers, 3, markers, 3)[block, :, block] = offsets
-        shared = shared.reshape(3 * markers, size)
-        by_pose = rows[:, :, :dofs].reshape(3 * markers, dofs)
-        # what is left of the shared part beside all that a pose can do
-        left, values, _ = scipy.linalg.svd(by_pose, full_matrices=False)
-        left = left[:, values > 1e-6 * values[0]] if values[0] > 0 else left[:, :0]
-        beside = shared - left @ (left.T @ shared)
-        total += beside.T @ beside
-    return total
-
-
 def shared_covariance(
     subject: Subject,
     poses: Pose,
@@ -84,12 +40,16 @@ def shared_covariance(
     joints: tuple[int, ...],
     trust: Trust = Trust(),  # noqa: B008
     pairs: tuple[tuple[int, int], ...] = (),
+    turning: Turning | None = None,
 ) -> Known:
     """The covariance of `s` at a fitted subject with its markers' deviations: the inverse of the Schur
     complement of all poses with the template's prior; bones that are kept equally long have no
     difference that could be wrong."""
     prior = prior_precision(subject, joints, trust)
-    data = schur_complement(subject, poses, places, seen, joints)
+    bound = jnp.asarray(BOUND, places.dtype)
+    rows = all_rows(subject, poses, places, seen, subject.deviations, joints, bound)
+    turning = free_turning(subject.skeleton) if turning is None else turning
+    data = eliminate(rows, drawn(subject.skeleton, turning, poses)).matrix
     both, alone = _inverse(data + prior), _inverse(prior)
     if pairs:
         slopes = np.asarray(length_differences(subject.skeleton, np.array(pairs, int))[1], float)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .cover import maximal_sets
-from .deviation import median_distances, pair_deviations
+from .deviation import TAIL, median_distances, pair_deviations
 from .segment import Segments, make_segments
 
 #: what a segment of 1, 2, 3 or more markers costs in the description, against the squared deviation of
@@ -48,11 +48,11 @@ def find_partition(
     the biggest set would rob the other side of it.
 
     **Arguments:** `threshold` metres; where not given, the one among those the data suggest whose
-    partition has the shortest description. `robust` ignores the outer 2.5 % of each pair's distances.
+    partition has the shortest description. `robust` ignores the outer 4 % of each pair's distances.
 
     **Raises:** `ValueError` where no two markers keep their distance, or none ever moves.
     """
-    deviations = pair_deviations(places, seen, 0.025 if robust else 0.0)
+    deviations = pair_deviations(places, seen, TAIL if robust else 0)
     known = np.where(np.isnan(deviations), np.inf, deviations)
     if not np.isfinite(known[np.triu_indices(len(known), 1)]).any():
         raise ValueError("No two markers are ever seen together, so none can be told to move as one.")

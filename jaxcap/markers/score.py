@@ -24,7 +24,7 @@ def score_centre(relative: Relative, robust: bool = True) -> Centre:
     middle_child = np.median(np.einsum("fba,fb->fa", r, relative.middle - t), axis=0)
     prior = np.concatenate([relative.middle, middle_child])
     weights = np.ones(count)
-    held = prior_weight(count, 0.0, 1.0, relative.spread)
+    held = prior_weight(float(count), 0.0, 1.0, relative.spread)
     found, variance, share = prior, 0.0, 1.0
     for turn in range(ROUNDS):
         # work about the prior, so that rounding and the hold are small
@@ -42,7 +42,7 @@ def score_centre(relative: Relative, robust: bool = True) -> Centre:
             weights = robust_weights(distances)
         variance = float(weights @ distances**2) / (3 * weights.sum())
         share = independent_share(off)
-        held = prior_weight(weights.sum(), variance, share, relative.spread)
+        held = prior_weight(float(weights.sum()), variance, share, relative.spread)
     covariance = variance / share * np.linalg.inv(_normal(r, weights) + held * np.eye(6))
     if variance == 0:
         covariance = np.zeros((6, 6))

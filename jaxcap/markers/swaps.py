@@ -70,7 +70,7 @@ def _by_distance(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, i
     off = np.where(vouched, np.abs(distances - expected) / np.where(trusted, ranges, 1.0), np.nan)
     scores = _median(off)
     undone = []
-    for frame in np.flatnonzero(((scores > 1) & seen).sum(1) >= 2):
+    for frame in np.flatnonzero(((scores > 1) & seen).sum(1) >= 2).tolist():
         left = np.flatnonzero((scores[frame] > 1) & seen[frame]).tolist()
         while len(left) >= 2:
             at, shown = places[frame], seen[frame]
@@ -87,7 +87,7 @@ def _by_distance(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, i
             if pair is None:
                 break
             places[frame, list(pair)] = places[frame, list(pair[::-1])]
-            undone.append((int(frame), *pair))
+            undone.append((frame, *pair))
             left = [i for i in left if i not in pair and wrong(frame, i, places[frame], shown) > 1]
     return undone
 
