@@ -1,0 +1,160 @@
+"""Rigid segments of markers: found, weighted, corrected; exchanged labels undone."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jaxcap.errors import InputError
+from jaxcap.io.marker_corrections import read_corrections, write_corrections
+from jaxcap.markers.cover import maximal_sets
+from jaxcap.markers.deviation import pair_deviations
+from jaxcap.markers.partition import correct, find_partition
+from jaxcap.markers.segment import make_segments
+from jaxcap.markers.swaps import mend_swaps
+from tests.markers_scene import puppet
+
+
+def everything(places):
+    return np.ones(places.shape[:2], bool)
+
+
+def sets(segments):
+    return {frozenset(members) for members in segments.members}
+
+
+def truth(owner):
+    return {frozenset(np.flatnonzero(owner == k).tolist()) for k in np.unique(owner)}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001])
+def test_segments_are_found(rng, noise):
+    scene = puppet(rng, noise=noise)
+    found = find_partition(scene.places, everything(scene.places)).segments
+    assert sets(found) == truth(scene.owner)
+    assert found.weights.min() > 0.8
+
+
+def test_order_of_markers_and_place_of_the_world_change_nothing(rng):
+    scene = puppet(rng, noise=0.001)
+    order = rng.permutation(len(scene.owner))
+    turn = Rotation.random(random_state=3).as_matrix()
+    moved = scene.places[:, order] @ turn.T + np.array([3.0, -2.0, 1.0])
+    one = find_partition(scene.places, everything(scene.places))
+    other = find_partition(moved, everything(moved))
+    assert other.threshold == pytest.approx(one.threshold, rel=1e-9)
+    assert {frozenset(order[list(m)].tolist()) for m in other.segments.members} == sets(one.segments)
+    np.testing.assert_allclose(other.segments.weights, one.segments.weights[order], atol=1e-9)
+
+
+def test_deviation_is_the_papers_over_frames_that_show_both(rng):
+    places = puppet(rng, frames=60).places[:, :9]
+    seen = rng.random(places.shape[:2]) > 0.3
+    got = pair_deviations(places, seen, tail=0)
+    for i, j in itertools.combinations(range(9), 2):
+        both = seen[:, i] & seen[:, j]
+        distances = np.linalg.norm(places[both, i] - places[both, j], axis=1)
+        assert got[i, j] == pytest.approx(np.ptp(distances), abs=1e-12)
+
+
+def test_cover_is_all_maximal_sets(rng):
+    related = rng.random((9, 9)) > 0.4
+    related = related | related.T | np.eye(9, dtype=bool)
+    # by trying every set
+    cliques = [
+        set(some)
+        for size in range(1, 10)
+        for some in itertools.combinations(range(9), size)
+        if related[np.ix_(some, some)].all()
+    ]
+    maximal = {frozenset(c) for c in cliques if not any(c < other for other in cliques)}
+    found = maximal_sets(related, np.ones((9, 9)))
+    assert {frozenset(c) for c in found} == maximal
+    assert [len(c) for c in found] == sorted((len(c) for c in maximal), reverse=True)
+
+
+def test_gaps_and_exchanged_labels_change_no_segment(rng):
+    scene = puppet(rng, noise=0.001, frames=500)
+    places, seen = scene.places.copy(), everything(scene.places)
+    for marker in range(places.shape[1]):
+        start = rng.integers(0, 450)
+        seen[start : start + 50, marker] = False
+    exchanged = []
+    for frame in rng.choice(500, 60, replace=False):
+        pair = rng.choice(places.shape[1], 2, replace=False)
+        places[frame, pair] = places[frame, pair[::-1]]
+        seen[frame, pair] = seen[frame, pair[::-1]]
+        if seen[frame, pair].all():
+            exchanged.append((int(frame), *sorted(pair.tolist())))
+    places = np.where(seen[..., None], places, 0.0)
+    assert sets(find_partition(places, seen).segments) == truth(scene.owner)
+    labels = tuple(f"m{i}" for i in range(places.shape[1]))
+    mended = mend_swaps(places, seen, labels)
+    undone = {(f, min(i, j), max(i, j)) for f, i, j in mended.exchanges}
+    assert len(undone & set(exchanged)) >= 0.9 * len(exchanged)
+    # nothing that was right is made wrong
+    assert len(undone - set(exchanged)) <= 1
+    frame, i, j = exchanged[0]
+    if (frame, i, j) in undone:
+        assert any(f"'m{i}' and 'm{j}'" in sentence for sentence in mended.told)
+
+
+def test_a_pair_is_untangled_by_its_jumps(rng):
+    scene = puppet(rng, markers=2)
+    places = scene.places.copy()
+    places[100:130, [2, 3]] = places[100:130, [3, 2]]
+    mended = mend_swaps(places, everything(places), tuple("abcdefghijkl"))
+    np.testing.assert_array_equal(mended.places, scene.places)
+    assert mended.told == (
+        "'c' and 'd' wore each other's labels in 30 frames (100 to 129); they were put right.",
+    )
+
+
+def test_clean_markers_are_left_as_they_are(rng):
+    scene = puppet(rng, noise=0.002)
+    labels = tuple(f"m{i}" for i in range(scene.places.shape[1]))
+    assert mend_swaps(scene.places, everything(scene.places), labels).exchanges == ()
+
+
+def test_markers_that_move_apart_are_an_error_and_a_stray_one_is_loose(rng):
+    apart = rng.normal(size=(80, 5, 3))
+    with pytest.raises(ValueError, match="No markers move together"):
+        find_partition(apart, everything(apart), 0.02)
+    scene = puppet(rng)
+    places = np.concatenate([scene.places, rng.normal(size=(300, 1, 3))], 1)
+    assert np.flatnonzero(find_partition(places, everything(places)).segments.loose).tolist() == [24]
+
+
+def test_corrections(tmp_path, rng):
+    segments = make_segments([(0, 1, 2), (3, 4)], 6, names=("trunk", "arm"))
+    labels = ("a", "b", "c", "d", "e", "f")
+    path = tmp_path / "corrections.txt"
+    path.write_text("# marker segment weight\nc arm 0.5\na -\nf hand\n")
+    mended = correct(segments, labels, read_corrections(path))
+    assert dict(zip(mended.names, mended.members, strict=True)) == {
+        "trunk": (1,),
+        "arm": (3, 4, 2),
+        "hand": (5,),
+    }
+    np.testing.assert_allclose(mended.weights, [0, 1, 0.5, 1, 1, 1])
+    write_corrections(path, {"c": ("arm", 0.5), "a": ("-", 0.0)})
+    assert read_corrections(path) == {"c": ("arm", 0.5), "a": ("-", 0.0)}
+    with pytest.raises(ValueError, match="There is no marker 'x'"):
+        correct(segments, labels, {"x": ("arm", 1.0)})
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("a\n", ":1: 'a' has 1 words"),
+        ("a b 2\n", ":1: the weight of 'a' is 2"),
+        ("\na b\na c\n", ":3: the marker 'a' stands twice"),
+        ("a b x", "is not a number"),
+    ],
+)
+def test_corrections_that_are_wrong_say_where(tmp_path, text, match):
+    path = tmp_path / "corrections.txt"
+    path.write_text(text)
+    with pytest.raises(InputError, match=match):
+        read_corrections(path)
