@@ -92,7 +92,7 @@ def make_scene(
 def scene_of(truth: Subject, motion: jc.Motion, trouble: Trouble, seed: int) -> Scene:
     rng = np.random.default_rng(seed)
     shifts = _skin_motion(truth, motion, trouble.skin, rng)
-    places, joints = (np.array(x, float) for x in _pose_all(truth, motion.poses, jnp.asarray(shifts)))
+    places, joints = (np.array(x, float) for x in pose_all(truth, motion.poses, jnp.asarray(shifts)))
     count, markers = places.shape[:2]
     places += trouble.noise * rng.normal(size=places.shape)
     swapped = np.zeros((count, markers), bool)
@@ -166,7 +166,7 @@ def _bursts(count: int, markers: int, trouble: Trouble, rng) -> Bool[np.ndarray,
 
 
 @eqx.filter_jit
-def _pose_all(subject: Subject, poses: jc.Pose, shifts):
+def pose_all(subject: Subject, poses: jc.Pose, shifts):
     def of_frame(frame):
         pose, shift = frame
         transforms = jc.forward_kinematics(subject.skeleton, pose)

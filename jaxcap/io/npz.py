@@ -45,7 +45,7 @@ def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
             f"{path}: a body with a {type(body.skin).__name__} cannot be written; use {', '.join(SKINS)} skins."
         )
     return {
-        **_skeleton_arrays(body.skeleton),
+        **skeleton_arrays(body.skeleton),
         "vertices": body.vertices,
         "faces": body.faces,
         "skin": np.array(kind),
@@ -69,14 +69,14 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
             f"{path}: the skin '{kind}' is not known; this version reads {', '.join(SKINS)} skins."
         )
     cls, names = SKINS[kind]
-    skeleton = _skeleton(arrays, path)
-    vertices, faces = _get(arrays, "vertices", path, (None, 3)), _get(arrays, "faces", path, (None, 3))
+    skeleton = skeleton_of(arrays, path)
+    vertices, faces = get_array(arrays, "vertices", path, (None, 3)), get_array(arrays, "faces", path, (None, 3))
     if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise InputError(
             f"{path}: a face names vertex {faces.max()}, but there are {len(vertices)} vertices."
         )
     count, joints = len(vertices), skeleton.num_joints
-    fields = {name: _get(arrays, f"skin.{name}", path, (count,)) for name in names}
+    fields = {name: get_array(arrays, f"skin.{name}", path, (count,)) for name in names}
     for name, values in fields.items():
         whole = name in ("bones", "bases")
         if whole != (values.dtype.kind in "iu") or values.shape != ((count,) if whole else (count, joints)):
@@ -100,7 +100,7 @@ def save_motion(path: str | Path, motion: Motion, skeleton: Skeleton | None = No
 
     **Raises:** `InputError` where the file cannot be written.
     """
-    names = {} if skeleton is None else _skeleton_arrays(skeleton)
+    names = {} if skeleton is None else skeleton_arrays(skeleton)
     save_arrays(path, "jaxcap motion", {**motion_arrays(motion), **names})
 
 
@@ -132,19 +132,20 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
 
 def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
     """The motion of arrays that `motion_arrays` made. Raises `InputError` where they do not fit together."""
-    rotations = _get(arrays, "rotations", path, (None, None, 4))
+    rotations = get_array(arrays, "rotations", path, (None, None, 4))
     frames, joints = rotations.shape[:2]
-    translations = _get(arrays, "translations", path, (frames, joints, 3))
-    scale, rate = _get(arrays, "scale", path, (frames,)), _get(arrays, "rate", path, ())
+    translations = get_array(arrays, "translations", path, (frames, joints, 3))
+    scale, rate = get_array(arrays, "scale", path, (frames,)), get_array(arrays, "rate", path, ())
     return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), float(rate))
 
 
 def load_skeleton(path: str | Path) -> Skeleton:
-    """The skeleton in a body file, or in a motion file that was written with one."""
-    return _skeleton(load_kind(path, "jaxcap body", "jaxcap motion"), path)
+    """The skeleton in a body or subject file, or in a motion file that was written with one."""
+    return skeleton_of(load_kind(path, "jaxcap body", "jaxcap motion", "jaxcap subject"), path)
 
 
-def _skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
+def skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
+    """What a file says of a skeleton."""
     return {
         "names": np.array(skeleton.names, dtype=str),
         "parents": np.array(skeleton.parents, dtype=np.int64),
@@ -155,12 +156,13 @@ def _skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
     }
 
 
-def _skeleton(arrays: Mapping[str, np.ndarray], path) -> Skeleton:
-    names = _get(arrays, "names", path, (None,)).tolist()
+def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
+    """The skeleton of arrays that `skeleton_arrays` made. Raises `InputError` where they do not fit together."""
+    names = get_array(arrays, "names", path, (None,)).tolist()
     count = len(names)
-    parents, kinds = (_get(arrays, name, path, (count,)).tolist() for name in ("parents", "kinds"))
+    parents, kinds = (get_array(arrays, name, path, (count,)).tolist() for name in ("parents", "kinds"))
     shapes = {"centres": (count, 3), "orientations": (count, 4), "axes": (count, 2, 3)}
-    numbers = {name: _get(arrays, name, path, shape) for name, shape in shapes.items()}
+    numbers = {name: get_array(arrays, name, path, shape) for name, shape in shapes.items()}
     try:
         checked = make_skeleton(names, parents, kinds, numbers["centres"])
     except ValueError as error:
@@ -224,7 +226,9 @@ def load_kind(path: str | Path, *kinds: str) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _get(arrays: Mapping[str, np.ndarray], name: str, path, shape: tuple[int | None, ...]) -> np.ndarray:
+def get_array(
+    arrays: Mapping[str, np.ndarray], name: str, path: str | Path, shape: tuple[int | None, ...]
+) -> np.ndarray:
     """An array of which the first axes must have `shape` (None is any length)."""
     if name not in arrays:
         raise InputError(f"{path}: the array '{name}' is missing; this file is not whole.")

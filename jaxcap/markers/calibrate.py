@@ -153,16 +153,18 @@ def _fit(template: Subject, poses, places, seen, joints, pairs, trust, robust, s
         else:
             damping = 10.0 * max(damping, 1e-6)
         # the first variances are those of the template's errors and only lead to better ones
-        done = expected < (0.5 if renewed > 2 else 1e-2 * value)
+        done = expected < (0.5 if renewed > 1 else 1e-2 * value)
         if done or damping > 1e4:
             renewed += 1
             old, damping = deviations, min(damping, 1e-3)
             deviations = marker_deviations(subject, poses, places, seen, deviations, floor, bound)
-            if renewed >= 2:
-                uncertain = pose_covariances(state[0], state[3])
+            if renewed >= 3:
+                # by now variances are those of the noise, and no longer of the template
+                rows = all_rows(subject, poses, places, seen, deviations, joints, bound)
+                uncertain = pose_covariances(rows, state[3])
                 turning = turning_of(skeleton, turning, poses, uncertain)
             settled = settled + 1 if float(jnp.max(jnp.abs(deviations / old - 1.0))) < 0.05 else 0
-            if settled and renewed > 4:
+            if settled and renewed > 5:
                 return _Fit(subject, poses, deviations, turning, tuple(history), True)
             state, reduced = evaluate(subject, poses), None
             history.append(state[2])

@@ -1,0 +1,89 @@
+"""One frame of markers at a time, for live use."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..body.pose import Pose, rest_pose
+from .frame import Search, solve_frame
+from .guess import guess_poses
+from .solve import DOUBT, FAR, LEAST
+from .subject import Subject
+
+#: iterations of a frame in time
+LIVE = Search(iterations=6)
+
+
+class Streamer(eqx.Module):
+    """A subject, and when the search in each frame ends."""
+
+    subject: Subject
+    search: Search = LIVE
+
+
+class StreamState(NamedTuple):
+    """What one frame leaves for the next."""
+
+    pose: Pose
+    #: standard deviations that residuals are long at their median; infinite before any frame
+    spread: Float[Array, ""]
+    #: frames that were lost one after the other; a search from nothing follows
+    lost: Int[Array, ""]
+
+
+def make_streamer(subject: Subject, search: Search = LIVE) -> tuple[Streamer, StreamState]:
+    """A streamer, already compiled, and the state before the first frame."""
+    streamer = Streamer(subject, search)
+    pose = rest_pose(subject.skeleton)
+    count, dtype = subject.num_markers, subject.offsets.dtype
+    nothing = jnp.zeros((count, 3), dtype), jnp.zeros(count, bool)
+    jax.block_until_ready(_follow(streamer, pose, *nothing))
+    jax.block_until_ready(_find(subject, pose, *nothing))
+    return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), jnp.asarray(0))
+
+
+def stream_frame(
+    streamer: Streamer,
+    state: StreamState,
+    places: Float[np.ndarray, "M 3"] | Float[Array, "M 3"],
+    seen: Bool[np.ndarray, "M"] | Bool[Array, "M"] | None = None,
+) -> tuple[StreamState, Pose]:
+    """The pose of the next frame; the state is for the frame after it.
+
+    **Arguments:** `places (M, 3)` metres in the order of the subject's markers, NaN where not seen, or
+    where `seen` says so.
+
+    A frame with fewer than `LEAST` markers leaves the pose as it was. The first frame, and one that the
+    last pose does not lead to, is searched for from a guess, which takes several times as long.
+    """
+    subject = streamer.subject
+    places = np.asarray(places)
+    there = np.isfinite(places).all(1) & (np.asarray(subject.weights) > 0)
+    there = there if seen is None else there & np.asarray(seen)
+    if there.sum() < LEAST:
+        return state._replace(lost=state.lost + 1), state.pose
+    dtype = subject.offsets.dtype
+    clean, shown = jnp.asarray(np.where(there[:, None], places, 0.0), dtype), jnp.asarray(there)
+    solved, new = None, bool(np.isinf(state.spread))
+    if not new:
+        solved = _follow(streamer, state.pose, clean, shown)
+    if solved is None or not float(solved.spread) < DOUBT:
+        guess = jax.tree.map(lambda leaf: leaf[0], guess_poses(subject, clean[None], shown[None]))
+        other = _find(subject, guess, clean, shown)
+        if solved is None or not float(solved.spread) <= float(other.spread):
+            solved = other
+    return StreamState(solved.pose, solved.spread, jnp.asarray(0)), solved.pose
+
+
+@eqx.filter_jit
+def _follow(streamer: Streamer, pose: Pose, places, seen):
+    return solve_frame(streamer.subject, pose, places, seen, streamer.search)
+
+
+@eqx.filter_jit
+def _find(subject: Subject, pose: Pose, places, seen):
+    return solve_frame(subject, pose, places, seen, FAR)

@@ -1,0 +1,121 @@
+"""Solving for the motion of a known subject, at once and frame by frame."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxcap.body.kinematics import forward_kinematics, joint_positions
+from jaxcap.errors import InputError
+from jaxcap.io.subject import load_subject, save_subject
+from jaxcap.markers.solve import solve_markers
+from jaxcap.markers.stream import make_streamer, stream_frame
+from jaxcap.observe import MarkerFrames
+from tests.markers_limb import moving, seen_by, truth
+
+SUBJECT = truth()
+_joints = jax.jit(
+    jax.vmap(lambda pose: joint_positions(SUBJECT.skeleton, forward_kinematics(SUBJECT.skeleton, pose)))
+)
+
+
+def errors(motion, truly) -> np.ndarray:
+    return np.linalg.norm(np.asarray(_joints(motion.poses) - _joints(truly.poses)), axis=2)
+
+
+def test_exact_markers_give_the_exact_motion(rng):
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng, noise=0.0)
+    solved = solve_markers(SUBJECT, frames)
+    assert errors(solved.motion, motion).max() < 1e-6
+    assert not solved.lost.any() and not solved.told
+    assert solved.motion.rate == frames.rate
+
+
+def test_gaps_and_swapped_labels(rng):
+    """A marker that is not seen is as one that is not there, whatever stands in its place; swapped
+    labels are left out; a frame without markers is told and harms no other."""
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng)
+    places, seen = np.array(frames.places), np.array(frames.seen)
+    places[7, [0, 9]] = places[7, [9, 0]]
+    seen[12:18, 5] = False
+    seen[25] = False
+    zero = solve_markers(SUBJECT, MarkerFrames(np.where(seen[..., None], places, 0), seen, SUBJECT.labels, 100.0))
+    blank = np.where(seen[..., None], places, np.nan)
+    nan = solve_markers(SUBJECT, MarkerFrames(blank, np.ones_like(seen), SUBJECT.labels, 100.0))
+    np.testing.assert_array_equal(zero.motion.poses.rotations, nan.motion.poses.rotations)
+    off = errors(zero.motion, motion)
+    assert np.delete(off, 25, 0).max() < 0.01
+    assert zero.weights[7, [0, 9]].max() < 0.01 and zero.weights[8].min() > 0.1
+    assert zero.lost.tolist() == [frame == 25 for frame in range(40)] and "25" in zero.told[0]
+    np.testing.assert_array_equal(zero.motion.poses.rotations[25], zero.motion.poses.rotations[24])
+    assert np.isnan(zero.residuals).sum() == (~seen).sum()
+
+
+def test_order_of_markers_and_splitting_of_frames_change_nothing(rng):
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng)
+    whole = solve_markers(SUBJECT, frames)
+    order = rng.permutation(len(frames.labels))
+    labels = tuple(frames.labels[i] for i in order) + ("ball",)
+    places = np.concatenate([np.asarray(frames.places)[:, order], np.ones((40, 1, 3))], 1)
+    mixed = solve_markers(SUBJECT, MarkerFrames(places, np.ones((40, 19), bool), labels, 100.0))
+    np.testing.assert_array_equal(mixed.residuals, whole.residuals)
+    assert "ball" in mixed.told[0]
+    halves = [solve_markers(SUBJECT, frames[part]) for part in (slice(0, 23), slice(23, 40))]
+    parts = np.concatenate([np.asarray(_joints(half.motion.poses)) for half in halves])
+    np.testing.assert_allclose(parts, _joints(whole.motion.poses), atol=1e-5)
+
+
+def test_unseen_joints_stay(rng):
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng)
+    seen = np.array(frames.seen)
+    seen[10:, SUBJECT.bones == 2] = False
+    solved = solve_markers(SUBJECT, MarkerFrames(frames.places, seen, SUBJECT.labels, 100.0))
+    rotations = np.asarray(solved.motion.poses.rotations)
+    np.testing.assert_allclose(rotations[10:, 2], np.broadcast_to(rotations[9, 2], (30, 4)), atol=1e-12)
+    assert errors(solved.motion, motion)[:, [0, 1, 3, 4]].max() < 0.01
+
+
+def test_a_guess_needs_no_start(rng):
+    """Any place and direction in the world, and bones turned by up to two radians."""
+    motion = moving(rng, size=2.0)
+    frames = seen_by(SUBJECT, motion, rng, noise=0.0)
+    assert errors(solve_markers(SUBJECT, frames).motion, motion).max() < 1e-4
+
+
+def test_streaming_is_solving(rng):
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng)
+    whole = solve_markers(SUBJECT, frames)
+    streamer, state = make_streamer(SUBJECT)
+    places = np.array(frames.places)
+    places[30] = np.nan
+    poses = []
+    for place in places:
+        state, pose = stream_frame(streamer, state, place)
+        poses.append(pose)
+    live = np.asarray(_joints(jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses)))
+    off = np.linalg.norm(live - np.asarray(_joints(whole.motion.poses)), axis=2)
+    assert np.delete(off, 30, 0).max() < 1e-4
+    np.testing.assert_array_equal(live[30], live[29])
+
+
+def test_strangers_are_refused(rng):
+    frames = seen_by(SUBJECT, moving(rng, 3), rng)
+    with pytest.raises(ValueError, match="None of the frames' markers"):
+        solve_markers(SUBJECT, MarkerFrames(frames.places, frames.seen, tuple(map(str, range(18))), 100.0))
+
+
+def test_subjects_come_back_from_files(tmp_path):
+    path = tmp_path / "subject.npz"
+    save_subject(path, SUBJECT)
+    back = load_subject(path)
+    assert back.labels == SUBJECT.labels and back.models == SUBJECT.models
+    same = jax.tree.map(lambda a, b: bool((a == b).all()), back, SUBJECT)
+    assert all(jax.tree.leaves(same))
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(InputError, match="not a whole"):
+        load_subject(path)
