@@ -2,10 +2,13 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..body.pose import Pose, project
 from ..body.skeleton import Skeleton, make_skeleton
 from ..geometry import rotation
 from ..geometry.procrustes import nearest_rotation
@@ -21,6 +24,9 @@ class Assembled(NamedTuple):
     bones: Int[np.ndarray, "M"]
     #: (M, 3) place of each marker in the world at rest, metres
     offsets: Float[np.ndarray, "M 3"]
+    #: (J, 3, 3) and (J, 3): the segments' frames at rest
+    turns: Float[np.ndarray, "J 3 3"]
+    origins: Float[np.ndarray, "J 3"]
 
 
 def assemble(tree: Tree, root: int, num_markers: int, lengths: dict[tuple[int, int], float]) -> Assembled:
@@ -72,7 +78,53 @@ def assemble(tree: Tree, root: int, num_markers: int, lengths: dict[tuple[int, i
     skeleton = make_skeleton(
         names, parents, kinds, np.array(centres), _towards(np.array(centres), ends), np.array(axes)
     )
-    return Assembled(skeleton, tuple(order), bones, offsets)
+    rest = np.stack([turns[k] for k in order]), np.stack([origins[k] for k in order])
+    return Assembled(skeleton, tuple(order), bones, offsets, *rest)
+
+
+def pose_segments(made: Assembled, tree: Tree) -> Pose:
+    """Poses, stacked over the frames, in which each bone is turned as its segment is and the root is where
+    its segment is. A segment that is not known in a frame keeps its turn in its parent from the nearest
+    frame in which it is."""
+    frames, skeleton = tree.markers.frames, made.skeleton
+    count = len(frames.known)
+    local = np.zeros((count, len(made.order), 3, 3))
+    shifts = np.zeros((count, len(made.order), 3))
+    for bone, segment in enumerate(made.order):
+        turned = frames.rotations[:, segment] @ made.turns[bone].T
+        known = frames.known[:, segment]
+        parent = skeleton.parents[bone]
+        if parent >= 0:
+            above = made.order[parent]
+            known = known & frames.known[:, above]
+            turned = (frames.rotations[:, above] @ made.turns[parent].T).swapaxes(-1, -2) @ turned
+        nearest = _nearest(known)
+        local[:, bone] = turned[nearest] if known.any() else np.eye(3)
+        if parent < 0:
+            centre = np.asarray(skeleton.centres[bone], float)
+            moved = np.einsum("fab,b->fa", local[:, bone], made.origins[bone] - centre)
+            shifts[:, bone] = (frames.origins[:, segment] - centre)[nearest] - moved
+    dtype = skeleton.centres.dtype
+    poses = Pose(
+        jnp.asarray(shifts, dtype), rotation.from_matrix(jnp.asarray(local, dtype)), jnp.ones(count, dtype)
+    )
+    return _project(skeleton, poses)
+
+
+@eqx.filter_jit
+def _project(skeleton: Skeleton, poses: Pose) -> Pose:
+    return jax.vmap(project, (None, 0))(skeleton, poses)
+
+
+def _nearest(known: np.ndarray) -> np.ndarray:
+    """Of each frame the nearest one that is known."""
+    there = np.flatnonzero(known)
+    if len(there) == 0:
+        return np.arange(len(known))
+    after = np.minimum(np.searchsorted(there, np.arange(len(known))), len(there) - 1)
+    before = np.maximum(after - 1, 0)
+    now = np.arange(len(known))
+    return np.where(np.abs(there[before] - now) < np.abs(there[after] - now), there[before], there[after])
 
 
 def _below(tree: Tree, root: int) -> list[int]:

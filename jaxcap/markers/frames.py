@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..geometry.procrustes import nearest_rotation
+from .common import robust_weights
 from .segment import Segments
 
 #: sweeps in which the shape of a segment settles
@@ -131,12 +132,16 @@ def mean_shape(
             return None
         back = np.einsum("fba,fnb->fna", r[ok], x[ok] - o[ok, None])
         s = seen[ok]
-        # medians stand swapped labels
         had = have
         have = s.any(0)
         new = shape.copy()
         for n in np.flatnonzero(have):
-            new[n] = np.median(back[s[:, n], n], axis=0)
+            # robust by distance, not by coordinate, which would depend on how the world is turned
+            mine = back[s[:, n], n]
+            about = shape[n] if had[n] else mine.mean(0)
+            for _ in range(3):
+                about = np.average(mine, axis=0, weights=robust_weights(np.linalg.norm(mine - about, axis=1)))
+            new[n] = about
         moved = np.abs(new - shape).max()
         shape = new
         if had.all() and moved < 1e-9:

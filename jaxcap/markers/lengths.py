@@ -9,7 +9,7 @@ from .tree import Tree
 
 LengthMethod = Literal["mean", "least_squares", "global"]
 #: rounds in which directions and lengths settle
-ROUNDS = 20
+ROUNDS = 40
 #: variance of a joint that is not known in a frame, against the others', times
 UNKNOWN = 1e6
 

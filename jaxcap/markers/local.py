@@ -10,10 +10,9 @@ from jaxtyping import Float, Int
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..observe import MarkerFrames
-from .assemble import Assembled, assemble
+from .assemble import Assembled, assemble, pose_segments
 from .centres import Method
 from .gaps import is_still
-from .guess import guess_poses
 from .joint import Joint
 from .lengths import LengthMethod, bone_lengths, bones, joint_places
 from .partition import correct, find_partition
@@ -105,7 +104,7 @@ def fit_local(
     told += _precisions(tree, made, segments)
     told += _left_out(tree, made, segments, labels)
     subject = _subject(made, segments, labels, frames.places.dtype)
-    poses = guess_poses(subject, jnp.asarray(places, frames.places.dtype), jnp.asarray(seen))
+    poses = pose_segments(made, tree)
     return LocalFit(
         segments,
         tree.joints,

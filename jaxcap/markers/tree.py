@@ -20,8 +20,9 @@ FAR = 0.03
 #: no joint is believed that costs more than this share of the markers' usual distance, and more than
 #: this many times the tree's usual joint: there is another body behind it
 BREAK, TIMES = 0.08, 3.0
-#: rounds in which segments with few markers come by their frames
-ROUNDS = 4
+#: segments with few markers come by their frames in rounds, each by the joints that cost at most this
+#: many times the round's cheapest
+SURE = 2.0
 
 
 #: a joint of each pair of segments that was looked at, the lesser first, and its cost, metres
@@ -67,13 +68,18 @@ def find_tree(
     now = Augmented(places, seen, segments, frames)
     found: Found = {}
     used: dict[tuple[int, int], float] = {}
-    for _ in range(ROUNDS):
+    for _ in range(2 * segments.num_segments):
         _look(now, found, used, pairs, "score")
         bare = _bare(now)
         links: dict[int, Joint] = {}
-        for pair in _least(found, segments.num_segments):
+        open_ = [
+            p for p in _least(found, segments.num_segments) if found[p][0].child in bare and p not in used
+        ]
+        # a far neighbour may be the nearest one that has a frame yet: the surest first
+        most = SURE * min((found[pair][1] for pair in open_), default=0.0)
+        for pair in open_:
             joint = found[pair][0]
-            if joint.child in bare and joint.child not in links and pair not in used:
+            if found[pair][1] <= most and joint.child not in links:
                 links[joint.child] = joint
                 used[pair] = found[pair][1]
         if not links:
@@ -138,11 +144,13 @@ def _look(now: Augmented, found: Found, used: dict[tuple[int, int], float], pair
     noise = now.frames.noise(now.places, now.seen, now.segments)
     known = np.asarray(now.frames.known.any(0))
     count = now.segments.num_segments
+    size = [float(np.sum(now.frames.template[list(some)] ** 2)) for some in now.segments.members]
     asked = pairs if pairs is not None else [(a, b) for a in range(count) for b in range(a + 1, count)]
     for a, b in asked:
         key = (min(a, b), max(a, b))
-        # the parent is the one with a frame
-        parent, child = (a, b) if known[a] else (b, a)
+        # the parent is the one with a frame; of two the larger one, so that their order does not matter
+        first = known[a] and (not known[b] or size[a] >= size[b])
+        parent, child = (a, b) if first else (b, a)
         if key in found or not known[parent]:
             continue
         between = relative(now.places, now.seen, now.segments, now.frames, parent, child, noise)
