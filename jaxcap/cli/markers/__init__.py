@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-DESCRIPTION = """Optical markers: what is in a file of them.
+DESCRIPTION = """Optical markers: what is in a file of them, a subject from takes, its motion through trials.
 
 `jaxcap markers VERB --help` explains a verb. Results are in metres."""
 
@@ -20,9 +20,11 @@ def run_markers(arguments: Sequence[str]) -> None:
     """Run one verb of `jaxcap markers`."""
     import tyro
 
+    from .fit import Fit
     from .info import Info
+    from .solve import Solve
 
-    verbs = {"info": Info}
+    verbs = {"info": Info, "fit": Fit, "solve": Solve}
     command = tyro.extras.subcommand_cli_from_dict(
         verbs,
         prog="jaxcap markers",

@@ -1,0 +1,213 @@
+"""`jaxcap markers fit`: a subject, its skeleton and where markers sit on it, from takes alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...io.marker_corrections import read_corrections, write_corrections
+from ...io.registry import read_skeleton
+from ...io.subject import save_subject
+from ...markers.calibrate import Calibration, calibrate
+from ...markers.centres import Method
+from ...markers.local import LocalFit, fit_local
+from ...markers.solve import MarkerSolution, solve_markers
+from ...markers.unite import unite_takes
+from ...report.markers import held_residuals, report_markers, total_residuals
+from ..fit import check_out, make_folder
+from ..options import Flag, OptionalFile, OptionalUnit, Up, arg
+from ..say import say
+from .found import tell_bones, tell_joints, tell_segments
+from .takes import (
+    Files,
+    OptionalFolder,
+    OptionalSubject,
+    Pieces,
+    TakesSpec,
+    check_points,
+    read_take,
+    write_joints,
+)
+
+OptionalThreshold = Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")]
+OptionalUp = Annotated[Up | None, arg(help_behavior_hint="")]
+SamePairs = Annotated[tuple[str, ...], arg(metavar="LEFT:RIGHT", help_behavior_hint="")]
+
+
+@dataclass
+class Fit:
+    """From takes of one performer to a subject: segments, joints, lengths of bones, and where on its bone each
+    marker sits. Give a take in which every joint turns; a static pose may come with it.
+
+    Nobody has to say which marker sits where. What the takes do not tell is said in sentences."""
+
+    files: TakesSpec
+    """.c3d, .trc or .csv files of one performer; equal labels are the same marker."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("subject.npz")
+    """The subject to write."""
+    method: Method = "score"
+    """How centres of rotation are found: spheres about them, symmetrically (SCoRE, SARA), or Gamage and Lasenby's."""
+    threshold: OptionalThreshold = None
+    """How much the distance of two markers on one segment may vary; chosen from the data where not given."""
+    segments: OptionalFile = None
+    """Corrections: lines of marker, segment and weight; the segment - makes a marker loose. The report has
+    segments.txt to begin with."""
+    template: OptionalFile = None
+    """A skeleton (.skl, .bvh, .asf, .npz) that says which segments are joined; --segments names them as its joints."""
+    symmetry: SamePairs = ()
+    """Segments whose bones are equally long, such as lthigh:rthigh."""
+    local: Flag = False
+    """Stop after joints one by one, without the fit of all frames, lengths and placements together."""
+    frames: Annotated[int, arg(metavar="N")] = 100
+    """Frames that the fit of all together chooses, as different as can be."""
+    unit: OptionalUnit = None
+    """Unit of the files' lengths, in place of what they say: m, dm, cm, mm, in or ft."""
+    subject: OptionalSubject = None
+    """One subject of several, by the prefix of its labels."""
+    up: OptionalUp = None
+    """What is up in the files; the subject then has y up. As in the files where not given."""
+    pieces: Pieces = "refuse"
+    """What is done with trajectories that go on under new names after gaps."""
+    joints: Files = ()
+    """Joint centres in every frame, as .trc, .c3d or .csv."""
+    report: OptionalFolder = None
+    """Folder for report.json, segments.txt, and pictures of the skeleton in its markers and of residuals."""
+    overwrite: Flag = False
+    """Replace the subject where it is there."""
+
+    def run(self) -> None:
+        pairs = self.check()
+        takes = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.files]
+        united = unite_takes(takes)
+        corrections = None if self.segments is None else read_corrections(self.segments)
+        if self.report is not None:
+            make_folder(self.report)
+        found = fit_local(
+            united,
+            threshold=self.threshold,
+            method=self.method,
+            template=None
+            if self.template is None
+            else self.named(read_skeleton(self.template), corrections or {}),
+            symmetry=pairs,
+            corrections=corrections,
+        )
+        tell_segments(found)
+        tell_joints(found)
+        fitted: Calibration | MarkerSolution
+        if self.local:
+            subject = found.subject
+            fitted = solve_markers(subject, found.markers)
+        else:
+            known = [pair for pair in pairs if set(pair) <= set(found.skeleton.names)]
+            fitted = calibrate(found.markers, found.subject, symmetry=known, count=self.frames)
+            subject = fitted.subject
+        lost = fitted.lost if isinstance(fitted, MarkerSolution) else None
+        tell_bones(found, fitted if isinstance(fitted, Calibration) else None)
+        totals = total_residuals(held_residuals(subject, fitted.residuals, lost))
+        say(
+            f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, "
+            f"95 % within {1e3 * totals['p95']:.2f} mm"
+        )
+        told = tuple(dict.fromkeys((*found.told, *fitted.told)))
+        if told:
+            say("what to know of it:")
+        for sentence in told:
+            say(f"- {sentence}")
+        save_subject(self.out, subject)
+        say(
+            f"{self.out}: {int((np.asarray(subject.weights) > 0).sum())} markers on {subject.skeleton.num_joints} bones"
+        )
+        write_joints(self.joints, subject.skeleton, fitted.motion, lost)
+        if self.report is not None:
+            self.write_report(self.report, found, subject, fitted, told, lost)
+
+    def write_report(self, folder: Path, found: LocalFit, subject, fitted, told: Sequence[str], lost) -> None:
+        owner, names = found.segments.of_marker, found.segments.names
+        write_corrections(
+            folder / "segments.txt",
+            {
+                label: ("-", 0.0) if owner[m] < 0 else (names[owner[m]], float(found.segments.weights[m]))
+                for m, label in enumerate(found.markers.labels)
+            },
+        )
+        report_markers(
+            folder,
+            subject,
+            fitted.motion,
+            found.markers,
+            fitted.residuals,
+            title=f"{self.out.stem}: " + ", ".join(Path(path).name for path in self.files),
+            told=told,
+            lost=lost,
+            more={"local_joints": joint_figures(found)},
+        )
+        say(f"report.json, segments.txt and pictures are in {folder}")
+
+    def check(self) -> tuple[tuple[str, str], ...]:
+        """That options are in their ranges and go together; the pairs of `--symmetry`. Raises `InputError`."""
+        if not self.files:
+            raise InputError(
+                "There are no files to fit to; give takes of one performer, such as static.c3d rom.c3d."
+            )
+        if self.threshold is not None and not 0 < self.threshold < np.inf:
+            raise InputError(f"--threshold is {self.threshold:g}; give a distance above 0, in metres.")
+        if self.frames < 3:
+            raise InputError(f"--frames is {self.frames}; give at least 3.")
+        if self.template is not None and self.segments is None:
+            raise InputError(
+                "--template needs --segments, a file that gives segments the names of the template's joints; "
+                "segments.txt of --report is one to begin with."
+            )
+        check_out(self.out, self.overwrite, "a subject")
+        check_points(self.joints, "joint centres")
+        return read_symmetry(self.symmetry)
+
+    def named(
+        self, template: Skeleton, corrections: dict[str, tuple[str, float]]
+    ) -> tuple[Skeleton, dict[str, str]]:
+        """The template with which segment is which of its bones: the one of its name. Raises `InputError`."""
+        given = dict.fromkeys(segment for segment, weight in corrections.values() if weight > 0)
+        bones = {name: name for name in given if name in template.names}
+        if len(bones) < 2:
+            raise InputError(
+                f"{self.segments}: {len(bones)} of its segments have the name of a joint of {self.template}, which has "
+                f"{', '.join(template.names[:12])}{', ...' if len(template.names) > 12 else ''}; name at least two."
+            )
+        return template, bones
+
+
+def read_symmetry(words: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Pairs of names from `left:right`, also several with commas between. Raises `InputError`."""
+    pairs = []
+    for word in (part for words_ in words for part in words_.split(",")):
+        left, colon, right = (side.strip() for side in word.partition(":"))
+        if not colon or not left or not right or left == right:
+            raise InputError(
+                f"--symmetry has '{word}'; give two segments as left:right, such as lthigh:rthigh."
+            )
+        pairs.append((left, right))
+    return tuple(pairs)
+
+
+def joint_figures(found: LocalFit) -> list[dict[str, object]]:
+    """What joints one by one tell, for `report.json`; metres and radians."""
+    names = found.segments.names
+    return [
+        {
+            "joint": names[joint.child],
+            "parent": names[joint.parent],
+            "hinge": joint.axis_in_parent is not None,
+            "residual": joint.residual,
+            "precision": joint.precision.tolist(),
+            "bound": joint.bound,
+            "swept": joint.swept,
+            "method": joint.method,
+        }
+        for joint in found.joints
+        if joint is not None
+    ]

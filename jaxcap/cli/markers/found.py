@@ -1,0 +1,86 @@
+"""Tables of what was found: segments with their markers, joints, bones."""
+
+import numpy as np
+
+from ...markers.calibrate import Calibration
+from ...markers.local import LocalFit
+from ...markers.null_space import length_deviations
+from ...report.markers import bones_between
+from ..say import say, table
+
+
+def tell_segments(found: LocalFit) -> None:
+    """A line for each segment: its markers with their weights of attachment; then the loose ones."""
+    labels, weights = found.markers.labels, found.segments.weights
+    seen = np.asarray(found.markers.seen).any(0)
+    loose = [labels[m] for m in np.flatnonzero(found.segments.loose) if seen[m]]
+    say(
+        f"segments: {found.segments.num_segments}, of {len(labels) - len(loose)} markers; {len(loose)} are loose"
+    )
+    rows = []
+    for segment, (name, members) in enumerate(zip(found.segments.names, found.segments.members, strict=True)):
+        parent = found.tree.parents[segment]
+        above = found.segments.names[parent] if parent >= 0 else "-"
+        if name not in found.skeleton.names:
+            above = "no bone"
+        rows.append([name, above, ", ".join(f"{labels[m]} {weights[m]:.2f}" for m in members)])
+    widths = [max([len(row[column]) for row in rows] + [4]) for column in (1, 2)]
+    table(
+        ["segment", "on".ljust(widths[0]), "markers with their weights".ljust(widths[1])],
+        [[name, above.ljust(widths[0]), some.ljust(widths[1])] for name, above, some in rows],
+    )
+    if loose:
+        say(f"loose markers: {', '.join(loose)}")
+
+
+def tell_joints(found: LocalFit) -> None:
+    """A line for each joint: how far apart its two segments carry it, and how well its place is known."""
+    names, rows = found.segments.names, []
+    for joint in found.joints:
+        if joint is None or names[joint.child] not in found.skeleton.names:
+            continue
+        hinge = joint.axis_in_parent is not None
+        # along a hinge's axis the centre is a matter of convention
+        across = joint.precision[:-1] if hinge else joint.precision
+        rows.append(
+            [
+                f"{names[joint.parent]} - {names[joint.child]}",
+                "hinge" if hinge else "ball",
+                f"{1e3 * joint.residual:.1f} mm",
+                f"{1e3 * across[-1]:.1f} mm",
+                f"{np.degrees(joint.swept):.0f}°",
+            ]
+        )
+    say(f"joints: {len(rows)}")
+    table(["joint", "kind", "residual", "precision", "turns"], rows)
+
+
+def tell_bones(found: LocalFit, calibrated: Calibration | None) -> None:
+    """A line for each bone between two joints: its length joint by joint, and by all together."""
+    rows = []
+    bones = bones_between(found.skeleton)
+    if calibrated is None:
+        rows = [[f"{bone.start} - {bone.end}", f"{1e3 * bone.length:.1f} mm"] for bone in bones]
+        table_of(rows, ["bone", "length"])
+        return
+    deviations = length_deviations(calibrated.subject, calibrated.joints, calibrated.covariance)
+    after = {(bone.start, bone.end): bone.length for bone in bones_between(calibrated.subject.skeleton)}
+    for bone in bones:
+        deviation = deviations[calibrated.subject.skeleton.index(bone.end)]
+        known = "" if np.isnan(deviation) else f"± {1e3 * deviation:.1f} mm"
+        rows.append(
+            [
+                f"{bone.start} - {bone.end}",
+                f"{1e3 * bone.length:.1f} mm",
+                f"{1e3 * after[bone.start, bone.end]:.1f} mm",
+                known,
+            ]
+        )
+    table_of(rows, ["bone", "one by one", "together", "known to"])
+
+
+def table_of(rows: list[list[str]], head: list[str]) -> None:
+    """A table where there are rows."""
+    if rows:
+        say(f"bones between joints: {len(rows)}")
+        table(head, rows)

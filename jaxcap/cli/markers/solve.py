@@ -1,0 +1,209 @@
+"""`jaxcap markers solve`: the motion of a known subject through trials."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ...errors import InputError
+from ...io.registry import MOTION_WRITERS, write_markers, write_motion
+from ...io.subject import load_subject
+from ...markers.fill import fill_gaps
+from ...markers.solve import MarkerSolution, solve_markers
+from ...markers.subject import Subject
+from ...observe import MarkerFrames
+from ...report.markers import held_residuals, report_markers, score_markers, total_residuals
+from ..fit import make_folder
+from ..options import Flag, OptionalUnit, Up, arg
+from ..say import say, table, warn
+from .streamed import Latency, solve_streamed
+from .takes import (
+    Files,
+    OptionalFolder,
+    OptionalSubject,
+    Pieces,
+    check_points,
+    check_there,
+    read_take,
+    write_joints,
+)
+
+TrialsSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="TRIALS...", help_behavior_hint="")]]
+OptionalUp = Annotated[Up | None, arg(help_behavior_hint="")]
+#: markers that are listed, the worst first
+LISTED = 10
+
+
+@dataclass
+class Solve:
+    """The motion of a subject through trials: as BVH or .npz, with joint centres, markers without gaps and a report.
+
+    Frames with too few markers, or that no pose explains, keep the pose before and are told by number."""
+
+    subject: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
+    """The subject that `jaxcap markers fit` wrote."""
+    trials: TrialsSpec
+    """.c3d, .trc or .csv files; markers are known by their labels."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """The motion, .bvh or .npz; or a folder, which gets both for each trial."""
+    joints: Files = ()
+    """Joint centres, as .trc, .c3d or .csv; into a folder with the trial's name before theirs where OUT is one."""
+    filled: Files = ()
+    """Markers without gaps, as .trc, .c3d or .csv; named as --joints are."""
+    stream: Flag = False
+    """Solve frame by frame, each as if no other were to come, and say how long a frame takes."""
+    report: OptionalFolder = None
+    """Folder for report.json and pictures of the skeleton in its markers and of residuals."""
+    unit: OptionalUnit = None
+    """Unit of the trials' lengths, in place of what they say: m, dm, cm, mm, in or ft."""
+    performer: OptionalSubject = None
+    """One subject of several in a trial, by the prefix of its labels."""
+    up: OptionalUp = None
+    """What is up in the trials; results then have y up. As in the trials where not given."""
+    pieces: Pieces = "refuse"
+    """What is done with trajectories that go on under new names after gaps."""
+    overwrite: Flag = False
+    """Replace results where they are there."""
+
+    def run(self) -> None:
+        self.check()
+        subject = load_subject(self.subject)
+        for path in self.trials:
+            self.solve(subject, path)
+
+    @property
+    def into_folder(self) -> bool:
+        """Whether results go into a folder, for one trial or several."""
+        return len(self.trials) > 1 or self.out.suffix.lower() not in MOTION_WRITERS
+
+    def check(self) -> None:
+        """That options go together and results can be written. Raises `InputError`."""
+        if not self.trials:
+            raise InputError("There are no trials to solve; give .c3d, .trc or .csv files.")
+        if len(self.trials) > 1 and self.out.suffix:
+            raise InputError(f"{self.out}: {len(self.trials)} trials do not go into one file; give a folder.")
+        if self.into_folder and self.out.suffix and not self.out.is_dir():
+            raise InputError(
+                f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}, or "
+                "give a folder."
+            )
+        stems = [Path(path).stem for path in self.trials]
+        twice = [stem for stem in stems if stems.count(stem) > 1]
+        if twice:
+            raise InputError(
+                f"There are {stems.count(twice[0])} trials called '{twice[0]}'; results would be one file."
+            )
+        if self.into_folder:
+            make_folder(self.out)
+            for path in (*self.joints, *self.filled):
+                if path.parent != Path("."):
+                    raise InputError(
+                        f"{path}: with several trials, or a folder for OUT, give a name without a folder."
+                    )
+        else:
+            check_there(self.out)
+        check_points(self.joints, "joint centres")
+        check_points(self.filled, "markers")
+        results = [file for path in self.trials for file in (*self.motions(path), *self.named(self.joints, path),
+                                                             *self.named(self.filled, path))]  # fmt: skip
+        there = [file for file in results if file.exists()]
+        if there and not self.overwrite:
+            raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+        if len(set(results)) < len(results):
+            raise InputError("Two results would be the same file; give each its own name.")
+
+    def motions(self, trial: str) -> tuple[Path, ...]:
+        """The files of a trial's motion."""
+        stem = Path(trial).stem
+        return (self.out / f"{stem}.bvh", self.out / f"{stem}.npz") if self.into_folder else (self.out,)
+
+    def named(self, files: tuple[Path, ...], trial: str) -> tuple[Path, ...]:
+        """Files for one trial, in the folder of all where there is one."""
+        if not self.into_folder:
+            return files
+        return tuple(self.out / f"{Path(trial).stem}-{file.name}" for file in files)
+
+    def solve(self, subject: Subject, path: str) -> None:
+        frames = read_take(path, self.unit, self.performer, self.up, self.pieces)
+        latency: Latency | None = None
+        if self.stream:
+            solution, latency = solve_streamed(subject, frames)
+        else:
+            solution = solve_markers(subject, frames)
+        if solution.lost.all():
+            raise InputError(
+                f"{path}: none of its {len(frames)} frames shows enough markers that the subject explains; is it the same "
+                "performer, with the markers at the same places?"
+            )
+        for file in self.motions(path):
+            write_motion(file, subject.skeleton, solution.motion)
+            say(f"motion: {file}")
+        write_joints(self.named(self.joints, path), subject.skeleton, solution.motion, solution.lost)
+        for file in self.named(self.filled, path):
+            whole = fill_gaps(subject, solution.motion, frames, weights=solution.weights, lost=solution.lost)
+            write_markers(file, whole)
+            say(f"markers without gaps: {file}")
+        _tell(subject, solution)
+        if latency is not None:
+            say(latency.sentence())
+        for sentence in solution.told:
+            warn(f"{Path(path).name}: {sentence}")
+        if self.report is not None:
+            self.write_report(subject, frames, solution, path, latency)
+
+    def write_report(
+        self,
+        subject: Subject,
+        frames: MarkerFrames,
+        solution: MarkerSolution,
+        path: str,
+        latency: Latency | None,
+    ) -> None:
+        assert self.report is not None
+        folder = self.report / Path(path).stem if len(self.trials) > 1 else self.report
+        make_folder(folder)
+        more = None if latency is None else {"latency": latency.report()}
+        report_markers(
+            folder,
+            subject,
+            solution.motion,
+            frames,
+            solution.residuals,
+            title=Path(path).name,
+            told=solution.told,
+            lost=solution.lost,
+            more=more,
+        )
+        say(f"report.json and pictures are in {folder}")
+
+
+def _tell(subject: Subject, solution: MarkerSolution) -> None:
+    """Residuals over all, and the markers with the largest."""
+    kept = held_residuals(subject, solution.residuals, solution.lost)
+    totals = total_residuals(kept)
+    out = np.isfinite(kept) & (solution.weights < 0.5)
+    wrong = f"; {int(out.sum())} places count for little, as if swapped or moved" if out.any() else ""
+    say(
+        f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, 95 % within "
+        f"{1e3 * totals['p95']:.2f} mm{wrong}"
+    )
+    scores = [
+        score for score in score_markers(subject, solution.residuals, solution.lost) if np.isfinite(score.rms)
+    ]
+    scores.sort(key=lambda score: -score.rms)
+    table(
+        ["marker", "bone", "seen", "rms", "median", "worst"],
+        [
+            [
+                score.label,
+                score.bone,
+                f"{100 * score.seen:.1f} %",
+                *(f"{1e3 * value:.1f} mm" for value in (score.rms, score.median, score.worst)),
+            ]
+            for score in scores[:LISTED]
+        ],
+    )
+    if len(scores) > LISTED:
+        say(f"... and {len(scores) - LISTED} more with less; --report has all")

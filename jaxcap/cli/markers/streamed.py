@@ -1,0 +1,79 @@
+"""A trial solved frame by frame as live use would, with the time that each frame takes."""
+
+import time
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...body.pose import Pose, stack_poses
+from ...markers.matched import match_markers
+from ...markers.residuals import marker_residuals
+from ...markers.solve import MarkerSolution
+from ...markers.stream import make_streamer, stream_frame
+from ...markers.subject import Subject
+from ...observe import MarkerFrames
+
+
+class Latency(NamedTuple):
+    """Seconds from a frame's markers to its pose; compilation comes before the first."""
+
+    seconds: Float[np.ndarray, "F"]
+
+    def report(self) -> dict[str, float]:
+        """For JSON, seconds."""
+        median, late, worst = self._figures()
+        return {"median": median, "p99": late, "worst": worst, "frames": len(self.seconds)}
+
+    def sentence(self) -> str:
+        """One line of it."""
+        median, late, worst = (1e3 * figure for figure in self._figures())
+        return (
+            f"latency: median {median:.2f} ms a frame, 99 % within {late:.2f} ms, the slowest {worst:.2f} ms "
+            f"({len(self.seconds)} frames, one by one)"
+        )
+
+    def _figures(self) -> tuple[float, float, float]:
+        return (
+            float(np.median(self.seconds)),
+            float(np.percentile(self.seconds, 99)),
+            float(self.seconds.max()),
+        )
+
+
+def solve_streamed(subject: Subject, frames: MarkerFrames) -> tuple[MarkerSolution, Latency]:
+    """The motion through frames that come one by one, and how long each took.
+
+    **Raises:** `ValueError` where frames and subject share no label.
+    """
+    matched = match_markers(subject, frames)
+    places, seen = np.asarray(matched.places), np.asarray(matched.seen)
+    streamer, state = make_streamer(subject)
+    poses: list[Pose] = []
+    seconds, lost = np.zeros(len(places)), np.zeros(len(places), bool)
+    for frame in range(len(places)):
+        start = time.perf_counter()
+        state, pose = stream_frame(streamer, state, places[frame], seen[frame])
+        jax.block_until_ready(pose)
+        seconds[frame] = time.perf_counter() - start
+        lost[frame] = int(state.lost) > 0
+        poses.append(pose)
+    motion = stack_poses(poses, frames.rate)
+    lengths = np.asarray(_lengths(subject, motion.poses, matched.places))
+    residuals = np.where(seen, lengths, np.nan)
+    told = (
+        ()
+        if not lost.any()
+        else (f"{int(lost.sum())} of {len(lost)} frames are lost and keep the pose before.",)
+    )
+    return MarkerSolution(motion, residuals, 1.0 * (seen & ~lost[:, None]), lost, told), Latency(seconds)
+
+
+@eqx.filter_jit
+def _lengths(subject: Subject, poses: Pose, places: Float[Array, "F M 3"]) -> Float[Array, "F M"]:
+    return jax.lax.map(
+        lambda frame: jnp.linalg.norm(marker_residuals(subject, *frame), axis=1), (poses, places)
+    )

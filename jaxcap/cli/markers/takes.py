@@ -1,0 +1,91 @@
+"""Takes of markers as verbs read them: options they share, pieces of trajectories, and what is up."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...io.registry import MARKER_WRITERS, read_markers, write_markers
+from ...markers.fill import joint_frames
+from ...markers.gaps import find_pieces, join_pieces, split_unlabelled
+from ...observe import MarkerFrames
+from ..options import arg
+from ..say import say, warn
+from ..sources import Up, up_rotation
+
+TakesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES...", help_behavior_hint="")]]
+OptionalSubject = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
+OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+Files = Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]
+#: what is done with trajectories that look like one under several names
+Pieces = Literal["refuse", "join", "keep"]
+
+
+def read_take(
+    path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces
+) -> MarkerFrames:
+    """The markers of a file, turned so that y is up where `up` says what was.
+
+    **Raises:** `InputError` where the file is wrong, or has trajectories in pieces that are to be refused.
+    """
+    frames = read_markers(path, unit, subject=subject)
+    if pieces != "keep":
+        frames = _whole(frames, path, pieces == "join")
+    if up is not None:
+        turn = up_rotation(up).astype(np.asarray(frames.places).dtype)
+        frames = MarkerFrames(np.asarray(frames.places) @ turn.T, frames.seen, frames.labels, frames.rate)
+    shown = 100 * np.asarray(frames.seen).mean()
+    say(
+        f"{Path(path).name}: {len(frames)} frames at {frames.rate:g} a second, {len(frames.labels)} markers, "
+        f"{shown:.{1 if shown < 99.9 else 3}f} % seen"
+    )
+    return frames
+
+
+def _whole(frames: MarkerFrames, path: str, join: bool) -> MarkerFrames:
+    parts = split_unlabelled(frames)
+    chains = find_pieces(parts)
+    if not chains:
+        return frames
+    names = [", ".join(parts.labels[i] for i in chain) for chain in chains]
+    if not join:
+        more = f", and {len(chains) - 1} more are" if len(chains) > 1 else ""
+        raise InputError(
+            f"{path}: {names[0]} look like one trajectory in {len(chains[0])} pieces{more}; give --pieces join to make "
+            "each one marker, or --pieces keep if they are markers of their own."
+        )
+    for name in names:
+        warn(f"{Path(path).name}: {name} are joined to one marker.")
+    return join_pieces(parts, chains)
+
+
+def check_points(paths: Sequence[Path], what: str) -> None:
+    """That files of points can be written. Raises `InputError`."""
+    for path in paths:
+        if path.suffix.lower() not in MARKER_WRITERS:
+            raise InputError(
+                f"{path}: {what} are not written as '{path.suffix}' files; use {', '.join(MARKER_WRITERS)}."
+            )
+        check_there(path)
+
+
+def check_there(path: Path) -> None:
+    """That a file's folder is there. Raises `InputError`."""
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{path}: its folder is not there; make it first.")
+
+
+def write_joints(
+    paths: Sequence[Path], skeleton: Skeleton, motion: Motion, lost: np.ndarray | None = None
+) -> None:
+    """The joints' centres, as points with the joints' names."""
+    if paths:
+        centres = joint_frames(skeleton, motion, lost)
+        for path in paths:
+            write_markers(path, centres)
+            say(f"joint centres: {path}")
