@@ -17,7 +17,7 @@ from ..body.pose import Motion, Pose, retract
 from ..body.symmetry import bones_of, length_differences
 from ..observe import MarkerFrames
 from .choose import choose_frames
-from .eliminate import eliminate, pose_covariances
+from .eliminate import eliminate, pose_covariances, pose_steps
 from .equations import all_rows, marker_deviations
 from .gauge import gauge_rows
 from .matched import match_markers
@@ -73,7 +73,7 @@ def calibrate(
     symmetry: Sequence[tuple[str, str]] = (),
     count: int = 100,
     trust: Trust = Trust(),  # noqa: B008
-    steps: int = 60,
+    steps: int = 80,
 ) -> Calibration:
     """The performer's skeleton and the places of the markers on it, from a template.
 
@@ -123,7 +123,7 @@ def _fit(template: Subject, poses, places, seen, joints, pairs, trust, robust, s
     subject, floor = template, jnp.asarray(EXACT, dtype)
     bound = jnp.asarray(BOUND if robust else UNBOUNDED, dtype)
     deviations = _first_deviations(subject, poses, places, seen, bound)
-    damping, history, renewed, settled = 1e-3, [], 0, 0
+    damping, growth, history, renewed, settled = 1e-3, 4.0, [], 0, 0
 
     turning = free_turning(skeleton)
 
@@ -143,22 +143,31 @@ def _fit(template: Subject, poses, places, seen, joints, pairs, trust, robust, s
         constraints, violation = constraint_rows(subject, joints, pairs)
         shared, by_frame = reduced.step(damping, constraints, violation)
         trial = _moved(subject, poses, joints, jnp.asarray(shared, dtype), jnp.asarray(by_frame, dtype))
+        # poses follow once more for themselves: valleys are curved, and steps along them longer
         after = evaluate(*trial)
-        expected = reduced.decrease(shared, by_frame)
-        fell = after[2] <= value
-        if fell:
-            (subject, poses), state, damping, reduced = trial, after, damping / 10.0, None
+        nearer = _posed(*trial, jnp.asarray(pose_steps(after[0], after[3]), dtype))
+        closer = evaluate(trial[0], nearer)
+        trial, after = ((trial[0], nearer), closer) if closer[2] < after[2] else (trial, after)
+        expected = reduced.decrease(shared)
+        if after[2] <= value:
+            gain = (value - after[2]) / max(expected, 1e-12)
+            (subject, poses), state, reduced, growth = trial, after, None, 4.0
+            # Nielsen's rule (1999): less damping the better the problem is linear
+            damping *= max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
             damping = damping if damping > 1e-9 else 0.0
             history.append(after[2])
         else:
-            damping = 10.0 * max(damping, 1e-6)
+            damping, growth = growth * max(damping, 1e-6), 2.0 * growth
         # the first variances are those of the template's errors and only lead to better ones
-        done = expected < (0.5 if renewed > 1 else 1e-2 * value)
+        done = expected < (1.0 if renewed > 1 else 1e-2 * value)
         if done or damping > 1e4:
             renewed += 1
             old, damping = deviations, min(damping, 1e-3)
             deviations = marker_deviations(subject, poses, places, seen, deviations, floor, bound)
-            if renewed >= 3:
+            if renewed < 3:
+                # one for all, so that no marker is let go for what its bone's length still lacks
+                deviations = jnp.full_like(deviations, jnp.median(deviations))
+            else:
                 # by now variances are those of the noise, and no longer of the template
                 rows = all_rows(subject, poses, places, seen, deviations, joints, bound)
                 uncertain = pose_covariances(rows, state[3])
@@ -183,6 +192,11 @@ def _first_deviations(subject: Subject, poses, places, seen, bound) -> Float[Arr
 def _moved(subject: Subject, poses: Pose, joints, shared, by_frame) -> tuple[Subject, Pose]:
     moved = shift_subject(subject, joints, shared)
     return moved, jax.vmap(retract, (None, 0, 0))(subject.skeleton, poses, by_frame)
+
+
+@eqx.filter_jit
+def _posed(subject: Subject, poses: Pose, by_frame) -> Pose:
+    return jax.vmap(retract, (None, 0, 0))(subject.skeleton, poses, by_frame)
 
 
 def constraint_rows(

@@ -40,9 +40,8 @@ class Reduced(NamedTuple):
         shared = constrained(self.matrix, self.side, damping, constraints, violation)
         return shared, self.offsets - self.slopes @ shared
 
-    def decrease(self, shared: Float[np.ndarray, "S"], by_frame: Float[np.ndarray, "F D"]) -> float:
+    def decrease(self, shared: Float[np.ndarray, "S"]) -> float:
         """By how much the squares fall with a step if the problem is linear."""
-        del by_frame
         return float(self.gain + 2 * self.side @ shared - shared @ self.matrix @ shared)
 
 
@@ -86,12 +85,24 @@ def eliminate(rows: Rows, poses: Drawn) -> Reduced:
     return Reduced(upper, side, slopes, offsets, gain)
 
 
+def pose_steps(rows: Rows, poses: Drawn) -> Float[np.ndarray, "F D"]:
+    """The step of each frame's pose where nothing shared moves."""
+    flat, matrix = _of_poses(rows, poses)
+    tall = np.asarray(rows.residual, float).reshape(len(flat), -1)
+    side = poses.side - np.einsum("frd,fr->fd", flat, tall)
+    return np.linalg.solve(matrix, side[..., None])[..., 0]
+
+
 def pose_covariances(rows: Rows, poses: Drawn) -> Float[np.ndarray, "F D D"]:
     """The covariance of each frame's pose where what is shared is known."""
+    return np.linalg.inv(_of_poses(rows, poses)[1])
+
+
+def _of_poses(rows: Rows, poses: Drawn) -> tuple[np.ndarray, np.ndarray]:
     dofs = poses.side.shape[1]
     flat = np.asarray(rows.wide)[..., :dofs].astype(float)
     flat = flat.reshape(len(flat), -1, dofs)
-    return np.linalg.inv(np.swapaxes(flat, 1, 2) @ flat + poses.matrix + RIDGE * np.eye(dofs))
+    return flat, np.swapaxes(flat, 1, 2) @ flat + poses.matrix + RIDGE * np.eye(dofs)
 
 
 def constrained(
