@@ -43,6 +43,7 @@ def make_streamer(subject: Subject, search: Search = LIVE) -> tuple[Streamer, St
     nothing = jnp.zeros((count, 3), dtype), jnp.zeros(count, bool)
     jax.block_until_ready(_follow(streamer, pose, *nothing))
     jax.block_until_ready(_find(subject, pose, *nothing))
+    jax.block_until_ready(guess_poses(subject, nothing[0][None], nothing[1][None]))
     return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), jnp.asarray(0))
 
 
