@@ -133,7 +133,7 @@ def wrong(truth: Subject, rng: np.random.Generator, bones: float = 0.08, placeme
 def turns(motion: jc.Motion) -> Float[np.ndarray, "J"]:
     """How far each joint turns, radians: twice the standard deviation of its rotation about its mean."""
     q = np.asarray(motion.poses.rotations, float)
-    values, vectors = np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))
+    _, vectors = np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))
     middle = vectors[..., -1]
     apart = 2 * np.arccos(np.clip(np.abs(np.einsum("fja,ja->fj", q, middle)), 0, 1))
     return 2 * np.sqrt((apart**2).mean(0))

@@ -23,7 +23,9 @@ from jaxcap.markers.stream import make_streamer, stream_frame
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.markers_speed", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.markers_speed", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--take", default="02_05")
     parser.add_argument("--frames", type=int)
     parser.add_argument("--repeats", type=int, default=5)
@@ -47,7 +49,9 @@ def main() -> None:
         state, pose = stream_frame(streamer, state, place, there)
         jax.block_until_ready(pose)
         latencies.append(1000 * (time.perf_counter() - start))
-    progress(f"streaming: median {np.median(latencies):.2f} ms, 99th percentile {np.percentile(latencies, 99):.2f} ms")
+    progress(
+        f"streaming: median {np.median(latencies):.2f} ms, 99th percentile {np.percentile(latencies, 99):.2f} ms"
+    )
 
     chosen = np.linspace(0, count - 1, min(100, count)).round().astype(int)
     calibrating = []

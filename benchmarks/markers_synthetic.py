@@ -9,18 +9,18 @@ hardly known left out; `full` has it in. Run it from the root of the checkout.
 import argparse
 import time
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+import jaxcap as jc
 from benchmarks._markers import Scene, Trouble, make_scene, pose_all, turns
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
+from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.markers.calibrate import Calibration, calibrate
 from jaxcap.markers.null_space import HARDLY, centre_covariances, length_deviations
-from jaxcap.body.kinematics import forward_kinematics
-import jaxcap as jc
-import equinox as eqx
-import jax
 
 TAKES = ("02_05", "02_01", "01_01")
 CASES = {"noise": Trouble(), "gaps": Trouble(gaps=0.1, swaps=0.01), "skin": Trouble(skin=0.015)}

@@ -67,7 +67,10 @@ def test_a_marker_may_go_where_its_model_lets_it(rng):
     line = (end - start) / np.linalg.norm(end - start)
     arm = np.asarray(subject.offsets[1]) - start
     turned = (
-        arm * np.cos(2.0) + np.cross(line, arm) * np.sin(2.0) + line * (line @ arm) * (1 - np.cos(2.0)) + start
+        arm * np.cos(2.0)
+        + np.cross(line, arm) * np.sin(2.0)
+        + line * (line @ arm) * (1 - np.cos(2.0))
+        + start
     )
     places = subject.offsets.at[1].set(turned)
     for models in (("circle",) * 9, ("sphere",) * 9, ("rigid",) * 9):

@@ -41,7 +41,9 @@ def test_gaps_and_swapped_labels(rng):
     places[7, [0, 9]] = places[7, [9, 0]]
     seen[12:18, 5] = False
     seen[25] = False
-    zero = solve_markers(SUBJECT, MarkerFrames(np.where(seen[..., None], places, 0), seen, SUBJECT.labels, 100.0))
+    zero = solve_markers(
+        SUBJECT, MarkerFrames(np.where(seen[..., None], places, 0), seen, SUBJECT.labels, 100.0)
+    )
     blank = np.where(seen[..., None], places, np.nan)
     nan = solve_markers(SUBJECT, MarkerFrames(blank, np.ones_like(seen), SUBJECT.labels, 100.0))
     np.testing.assert_array_equal(zero.motion.poses.rotations, nan.motion.poses.rotations)

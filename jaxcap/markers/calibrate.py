@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..body.pose import Motion, Pose, retract
 from ..body.symmetry import bones_of, length_differences
@@ -100,7 +100,7 @@ def calibrate(
     else:
         usable = used.sum(1) >= 3
     chosen = choose_frames(subject, motion.poses, used, usable, count)
-    joints = solved_joints(subject, used[chosen].any(0))
+    joints = solved_joints(subject, np.asarray(used[chosen].any(0)))
     poses = jax.tree.map(lambda leaf: leaf[chosen], motion.poses)
     places, seen = matched.places[chosen], jnp.asarray(used[chosen])
     fit = _fit(subject, poses, places, seen, joints, pairs, trust, robust, steps)
@@ -111,7 +111,15 @@ def calibrate(
     if not fit.converged:
         told += (f"The fit had not converged after {steps} steps; allow more.",)
     return Calibration(
-        best, solved.motion, solved.residuals, known.covariance, told, fit.history, joints, chosen, fit.converged
+        best,
+        solved.motion,
+        solved.residuals,
+        known.covariance,
+        told,
+        fit.history,
+        joints,
+        chosen,
+        fit.converged,
     )
 
 

@@ -7,7 +7,6 @@ from ..body.pose import Pose
 from .subject import Subject
 
 
-
 def choose_frames(
     subject: Subject,
     poses: Pose,

@@ -78,7 +78,7 @@ def eliminate(rows: Rows, poses: Drawn) -> Reduced:
         upper -= half[:, :-1].T @ half[:, :-1]
         side -= half[:, :-1].T @ half[:, -1]
         gain += float(half[:, -1] @ half[:, -1])
-        whole = scipy.linalg.solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
+        whole = scipy.linalg.solve_triangular(factor, half, lower=True, trans=1, check_finite=False)
         slopes[frame], offsets[frame] = whole[:, :-1], whole[:, -1]
     lower = np.tril_indices(size, -1)
     upper[lower] = upper.T[lower]
@@ -122,5 +122,5 @@ def constrained(
         return scale * free
     rows = constraints * scale
     answers = scipy.linalg.cho_solve(factor, rows.T, check_finite=False)
-    multipliers = scipy.linalg.lstsq(rows @ answers, rows @ free - violation, cond=1e-11)[0]
+    multipliers = np.linalg.lstsq(rows @ answers, rows @ free - violation, rcond=1e-11)[0]
     return scale * (free - answers @ multipliers)

@@ -8,7 +8,6 @@ and covariances are told after these changes are taken out.
 import numpy as np
 from jaxtyping import Float
 
-from .shared import followers
 from .subject import Subject
 
 
@@ -32,8 +31,7 @@ def gauge_directions(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndar
     if skeleton.kinds[0] in ("free", "translate"):
         shifts, moved = (np.concatenate([x, _along_axes(x.shape[1])]) for x in (shifts, moved))
     count = len(shifts)
-    columns = np.concatenate([shifts[:, list(joints)].reshape(count, -1), moved.reshape(count, -1)], 1).T
-    return columns
+    return np.concatenate([shifts[:, list(joints)].reshape(count, -1), moved.reshape(count, -1)], 1).T
 
 
 def gauge_rows(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "G S"]:

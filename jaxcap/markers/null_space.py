@@ -188,4 +188,6 @@ def _size_deviation(subject: Subject, joints: tuple[int, ...], covariance) -> fl
         length = np.linalg.norm(along)
         slope += np.kron(rows[joint] - rows[parent], along / max(length, 1e-12))
         total += float(length)
-    return float(np.sqrt(max(slope @ covariance[: len(slope), : len(slope)] @ slope, 0.0)) / max(total, 1e-12))
+    return float(
+        np.sqrt(max(slope @ covariance[: len(slope), : len(slope)] @ slope, 0.0)) / max(total, 1e-12)
+    )

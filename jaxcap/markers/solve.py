@@ -14,6 +14,7 @@ from ..observe import MarkerFrames
 from .frame import Search, SolvedFrame, solve_frame
 from .guess import guess_poses
 from .matched import match_markers
+from .residuals import marker_residuals
 from .subject import Subject
 
 #: markers that a frame must show; fewer leave the whole body's place open
@@ -93,7 +94,7 @@ def _solve_chunk(subject: Subject, start: Pose, places, seen, search: Search) ->
     far = solve_frame(subject, start, places[0], seen[0], FAR)
 
     def follow(pose, frame):
-        solved = solve_frame(subject, pose, *frame, search)
+        solved = solve_frame(subject, pose, frame[0], frame[1], search)
         return solved.pose, solved
 
     return jax.lax.scan(follow, far.pose, (places, seen))[1]
@@ -108,7 +109,9 @@ def _again(subject: Subject, places, used, enough, solved: SolvedFrame) -> Solve
     padded = np.pad(doubtful, (0, size - len(doubtful)), mode="edge")
     starts = guess_poses(subject, places[padded], jnp.asarray(used[padded]))
     other = _solve_each(subject, starts, places[padded], jnp.asarray(used[padded]))
-    better = np.flatnonzero(~(np.asarray(solved.spread)[doubtful] <= np.asarray(other.spread)[: len(doubtful)]))
+    better = np.flatnonzero(
+        ~(np.asarray(solved.spread)[doubtful] <= np.asarray(other.spread)[: len(doubtful)])
+    )
     if not len(better):
         return solved
     return jax.tree.map(lambda old, new: old.at[doubtful[better]].set(new[better]), solved, other)
@@ -116,13 +119,13 @@ def _again(subject: Subject, places, used, enough, solved: SolvedFrame) -> Solve
 
 @eqx.filter_jit
 def _solve_each(subject: Subject, starts: Pose, places, seen) -> SolvedFrame:
-    return jax.lax.map(lambda frame: solve_frame(subject, *frame, FAR), (starts, places, seen))
+    return jax.lax.map(
+        lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], FAR), (starts, places, seen)
+    )
 
 
 @eqx.filter_jit
 def _lengths(subject: Subject, poses: Pose, places) -> Float[Array, "F M"]:
-    from .residuals import marker_residuals
-
     def of_frame(frame):
         return jnp.linalg.norm(marker_residuals(subject, *frame), axis=1)
 
@@ -145,7 +148,9 @@ def _sentences(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str,
         said.append(f"{len(never)} of the subject's markers never appear: {', '.join(never[:10])}.")
     others = [label for label in frames.labels if label not in subject.labels]
     if others:
-        said.append(f"{len(others)} markers are not the subject's and are left out: {', '.join(others[:10])}.")
+        said.append(
+            f"{len(others)} markers are not the subject's and are left out: {', '.join(others[:10])}."
+        )
     if lost.any():
         numbers = ", ".join(map(str, np.flatnonzero(lost)[:20]))
         said.append(

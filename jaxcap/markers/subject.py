@@ -86,8 +86,8 @@ def make_subject(
                 f"Marker '{label}' has the weight {weights[marker]} and the deviation {deviations[marker]}; "
                 "weights are from 0 to 1, deviations above 0 metres."
             )
-    arrays = (jnp.asarray(values, dtype) for values in (offsets, weights, deviations))
-    return Subject(skeleton, jnp.asarray(bones, jnp.int32), *arrays, labels, models)
+    offsets, weights, deviations = (jnp.asarray(values, dtype) for values in (offsets, weights, deviations))
+    return Subject(skeleton, jnp.asarray(bones, jnp.int32), offsets, weights, deviations, labels, models)
 
 
 def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
