@@ -8,6 +8,7 @@ import pytest
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.errors import InputError
 from jaxcap.io.subject import load_subject, save_subject
+from jaxcap.markers.frame import Search
 from jaxcap.markers.solve import solve_markers
 from jaxcap.markers.stream import make_streamer, stream_frame
 from jaxcap.observe import MarkerFrames
@@ -58,14 +59,15 @@ def test_gaps_and_swapped_labels(rng):
 def test_order_of_markers_and_splitting_of_frames_change_nothing(rng):
     motion = moving(rng)
     frames = seen_by(SUBJECT, motion, rng)
-    whole = solve_markers(SUBJECT, frames)
+    fine = Search(iterations=40, tolerance=1e-7)
+    whole = solve_markers(SUBJECT, frames, fine)
     order = rng.permutation(len(frames.labels))
     labels = tuple(frames.labels[i] for i in order) + ("ball",)
     places = np.concatenate([np.asarray(frames.places)[:, order], np.ones((40, 1, 3))], 1)
-    mixed = solve_markers(SUBJECT, MarkerFrames(places, np.ones((40, 19), bool), labels, 100.0))
+    mixed = solve_markers(SUBJECT, MarkerFrames(places, np.ones((40, 19), bool), labels, 100.0), fine)
     np.testing.assert_array_equal(mixed.residuals, whole.residuals)
     assert "ball" in mixed.told[0]
-    halves = [solve_markers(SUBJECT, frames[part]) for part in (slice(0, 23), slice(23, 40))]
+    halves = [solve_markers(SUBJECT, frames[part], fine) for part in (slice(0, 23), slice(23, 40))]
     parts = np.concatenate([np.asarray(_joints(half.motion.poses)) for half in halves])
     np.testing.assert_allclose(parts, _joints(whole.motion.poses), atol=1e-5)
 
@@ -101,7 +103,7 @@ def test_streaming_is_solving(rng):
         poses.append(pose)
     live = np.asarray(_joints(jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses)))
     off = np.linalg.norm(live - np.asarray(_joints(whole.motion.poses)), axis=2)
-    assert np.delete(off, 30, 0).max() < 1e-4
+    assert np.delete(off, 30, 0).max() < 5e-4
     np.testing.assert_array_equal(live[30], live[29])
 
 

@@ -19,7 +19,7 @@ class Search(eqx.Module):
 
     iterations: int = eqx.field(static=True, default=12)
     #: radians and metres: no number of the last step was larger
-    tolerance: float = eqx.field(static=True, default=1e-4)
+    tolerance: float = eqx.field(static=True, default=1e-3)
 
 
 class SolvedFrame(NamedTuple):

@@ -24,7 +24,7 @@ DOUBT = 3.0
 #: frames solved one after the other in one call; sequences are padded to whole lengths
 CHUNK = 256
 #: of a frame from a start that is a guess
-FAR = Search(iterations=40)
+FAR = Search(iterations=40, tolerance=1e-4)
 
 
 class MarkerSolution(NamedTuple):
