@@ -16,6 +16,8 @@ from .sphere import sphere_centre
 
 #: `sphere` is the paper's, `score` Ehrig's symmetrical one, `gamage` the closed form of common spheres
 Method = Literal["sphere", "score", "gamage"]
+#: a centre is not this many times as far from between the nearest markers as those are from each other
+FAR = 1.5
 METHODS: dict[str, Callable[[Relative], Centre]] = {
     "sphere": sphere_centre,
     "score": score_centre,
@@ -103,6 +105,9 @@ def _without_noise(centre: Centre, relative: Relative) -> Centre:
     if np.linalg.norm(shift) < 1e-9:
         shift = np.zeros(3)
     in_parent = centre.in_parent + shift
+    if relative.rotations is None and np.linalg.norm(in_parent - relative.middle) > FAR * relative.spread:
+        # spheres of single markers that are nearly flat have their centres anywhere: they tell nothing
+        return Centre(relative.middle, None, relative.spread**2 * np.eye(3))
     in_child = centre.in_child
     if in_child is not None and relative.rotations is not None and relative.translations is not None:
         carried = np.einsum("fba,fb->fa", relative.rotations, in_parent - relative.translations)

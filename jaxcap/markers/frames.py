@@ -53,7 +53,7 @@ class SegmentFrames(NamedTuple):
             p = self.template[list(members)]
             p = p - p.mean(0)
             inertia = np.sum(p * p) * np.eye(3) - p.T @ p
-            turn[k] = own[k] * float(np.trace(np.linalg.inv(inertia))) / 3
+            turn[k] = own[k] * float(np.trace(np.linalg.pinv(inertia, hermitian=True))) / 3
         return own, turn
 
 
@@ -116,9 +116,10 @@ def mean_shape(
     if x.shape[1] < 3 or not (seen.sum(1) >= 3).any():
         return None
     some = np.unique(np.linspace(0, len(x) - 1, min(SHAPE_FRAMES, len(x))).round().astype(int))
-    if (seen[some].sum(1) == seen.sum(1).max()).any():
+    if (np.asarray(seen[some].sum(1)) == seen.sum(1).max()).any():
         x, seen = x[some], seen[some]
-    full = np.flatnonzero(seen.sum(1) == seen.sum(1).max())
+    counts = np.asarray(seen.sum(1))
+    full = np.flatnonzero(counts == counts.max())
     # the start is the frame that is most like the others in its distances
     distances = np.linalg.norm(x[full][:, :, None] - x[full][:, None], axis=-1)
     both = seen[full][:, :, None] & seen[full][:, None]

@@ -78,7 +78,8 @@ def fit_local(
             f"All {len(frames)} frames are equal: nothing moves, so neither segments nor joints can be told. "
             "Give a take in which every joint turns."
         )
-    lost = [label for label, some in zip(labels, seen.any(0), strict=True) if not some]
+    ever = np.asarray(seen.any(0)).tolist()
+    lost = [label for label, some in zip(labels, ever, strict=True) if not some]
     if lost:
         told.append(f"{_listed(lost)} never seen and left out.")
     mended = mend_swaps(places, seen, labels)

@@ -12,6 +12,7 @@ from .frames import fit_frames
 from .joint import Joint
 from .relative import Relative, relative
 from .segment import Segments
+from .settle import settle_hinges
 from .virtual import Augmented, augment, hinge_assumed
 
 #: what a metre between a centre and the nearest marker of either segment costs against a metre of
@@ -67,7 +68,7 @@ def find_tree(
     frames = fit_frames(places, seen, segments)
     now = Augmented(places, seen, segments, frames)
     found: Found = {}
-    used: dict[tuple[int, int], float] = {}
+    used: Found = {}
     for _ in range(2 * segments.num_segments):
         _look(now, found, used, pairs, "score")
         bare = _bare(now)
@@ -81,7 +82,7 @@ def find_tree(
             joint = found[pair][0]
             if found[pair][1] <= most and joint.child not in links:
                 links[joint.child] = joint
-                used[pair] = found[pair][1]
+                used[pair] = found[pair]
         if not links:
             break
         now = augment(now.places, now.seen, now.segments, now.frames, list(links.items()))
@@ -138,9 +139,9 @@ def joint_cost(joint: Joint, between: Relative) -> float:
     return joint.residual + FAR * (float(to_base) + to_child)
 
 
-def _look(now: Augmented, found: Found, used: dict[tuple[int, int], float], pairs, method: Method) -> None:
-    """Fill in the joints that are not found yet. A joint that gave a segment its frame cannot vouch for
-    itself and keeps the cost it had before (`used`)."""
+def _look(now: Augmented, found: Found, used: Found, pairs, method: Method) -> None:
+    """Fill in the joints that are not found yet. A joint that gave a segment its frame (`used`) cannot
+    vouch for itself: it stays where it was, as well known as it was, at the cost it had."""
     noise = now.frames.noise(now.places, now.seen, now.segments)
     known = np.asarray(now.frames.known.any(0))
     count = now.segments.num_segments
@@ -151,12 +152,29 @@ def _look(now: Augmented, found: Found, used: dict[tuple[int, int], float], pair
         # the parent is the one with a frame; of two the larger one, so that their order does not matter
         first = known[a] and (not known[b] or size[a] >= size[b])
         parent, child = (a, b) if first else (b, a)
+        if key in used:
+            parent, child = used[key][0].parent, used[key][0].child
         if key in found or not known[parent]:
             continue
         between = relative(now.places, now.seen, now.segments, now.frames, parent, child, noise)
-        if between is not None:
-            joint = find_joint(between, parent, child, method)
-            found[key] = joint, max(joint_cost(joint, between), used.get(key, 0.0))
+        if between is None:
+            continue
+        joint, old = find_joint(between, parent, child, method), used.get(key)
+        found[key] = (
+            (joint, joint_cost(joint, between)) if old is None else (_kept(old[0], joint, between), old[1])
+        )
+
+
+def _kept(old: Joint, new: Joint, between: Relative) -> Joint:
+    """A joint as it was when the child had no frame, with its place in the child."""
+    if between.rotations is None or between.translations is None:
+        return old
+    back = np.einsum("fba,fb->fa", between.rotations, old.in_parent - between.translations)
+    return old._replace(
+        in_child=np.median(back, axis=0),
+        axis_in_parent=new.axis_in_parent,
+        axis_in_child=new.axis_in_child,
+    )
 
 
 def _bare(now: Augmented) -> set[int]:
@@ -212,7 +230,7 @@ def _rooted(now: Augmented, pairs: list[tuple[int, int]], found) -> Tree:
                 parents[segment], costs[segment] = above, cost
                 joints[segment] = joint if joint.parent == above else _turned(now, joint)
                 stack.append(segment)
-    return Tree(tuple(parents), tuple(joints), costs, now)
+    return Tree(tuple(parents), settle_hinges(tuple(parents), tuple(joints)), costs, now)
 
 
 def _is_middle(root: int, around: list[list[int]], heaviest: list[float]) -> bool:
