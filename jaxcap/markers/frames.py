@@ -134,7 +134,7 @@ def mean_shape(
         back = np.einsum("fba,fnb->fna", r[ok], x[ok] - o[ok, None])
         s = seen[ok]
         had = have
-        have = s.any(0)
+        have = np.asarray(s.any(0))
         new = shape.copy()
         for n in np.flatnonzero(have):
             # robust by distance, not by coordinate, which would depend on how the world is turned
