@@ -76,6 +76,7 @@ def main() -> None:
     parser.add_argument("--takes", nargs="+", default=TAKES)
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--count", type=int, default=100, help="frames that each calibration is made of")
     parser.add_argument("--frames", type=int, help="only so many frames of each take")
     options = parser.parse_args()
     shared, figures, seconds = shared_folder(), {}, {}
@@ -85,7 +86,7 @@ def main() -> None:
             take = options.takes[seed % len(options.takes)]
             scene = make_scene(shared, take, CASES[case], seed, rate=60.0, frames=options.frames)
             start = time.perf_counter()
-            found = calibrate(scene.frames, scene.template)
+            found = calibrate(scene.frames, scene.template, count=options.count)
             taken.append(time.perf_counter() - start)
             rows.append(errors(scene, found))
             good = found.converged and rows[-1]["told_mm"] < (15.0 if case == "skin" else 5.0)
