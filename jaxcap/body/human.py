@@ -98,24 +98,35 @@ def human(
     where the asset is missing.
     """
     traits = _traits(sex, age, weight, muscle)
+    if height is not None:
+        traits = reach_height(_load().morphs, traits, float(height))
+    return body_of(traits, resolution, joints)
+
+
+def body_of(traits: Traits, resolution: str | int = "full", joints: str = "full") -> Body:
+    """The embedded human with given traits, which are within their ranges; see `human`."""
     if isinstance(resolution, str) and resolution not in RESOLUTIONS:
         raise ValueError(
             f"The resolution '{resolution}' is unknown; give 'full', 'medium', 'low' or a number of vertices."
         )
     if joints not in ("full", "tracking"):
         raise ValueError(f"The set of joints '{joints}' is unknown; give 'full' or 'tracking'.")
-    asset = _load()
-    if height is not None:
-        traits = reach_height(asset.morphs, traits, float(height))
-    vertices, ends = apply_morphs(asset.morphs, traits)
-    faces, weights, hold = asset.surfaces[resolution if isinstance(resolution, str) else "full"]
-    body = Body(
-        _skeleton(asset, ends, joints),
-        LinearSkin(jnp.asarray(weights)),
-        jnp.asarray(vertices if hold is None else follow(hold, vertices)),
-        jnp.asarray(faces),
-    )
+    asset, named = _load(), resolution if isinstance(resolution, str) else "full"
+    vertices, ends = shape_of(traits, named)
+    faces, weights, _ = asset.surfaces[named]
+    skeleton, skin = _skeleton(asset, ends, joints), LinearSkin(jnp.asarray(weights))
+    body = Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
     return body if isinstance(resolution, str) else reduce_body(body, resolution)
+
+
+def shape_of(
+    traits: Traits, resolution: str = "full"
+) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 2 3"]]:
+    """Vertices of a named resolution and both ends of the bones at rest, metres, of given traits."""
+    asset = _load()
+    vertices, ends = apply_morphs(asset.morphs, traits)
+    hold = asset.surfaces[resolution][2]
+    return (vertices if hold is None else follow(hold, vertices)), ends
 
 
 def _traits(sex: str | float | int, age: float | int, weight: float | int, muscle: float | int) -> Traits:
