@@ -36,17 +36,16 @@ def exchange(
     targets: Float[Array, "F V 3"],
     improve: Callable[[LearnState, Graft], LearnState],
     step: str = "exchange",
-    tries: int = 3,
+    tries: int = 2,
     free: bool = False,
 ) -> LearnState:
     """Exchange joints as long as Q falls.
 
-    The body first grows the joints that promise most, and is improved; then it loses as many, those
-    that are missed least, which may be new ones, too; and is improved again. What comes out is kept
-    where Q is lower than before by more than a share `KEEP`. Where it is not, fewer are exchanged.
-    Where the number is `free`, only those go that are hardly missed, and each joint more has to be
-    `WORTH` it. The history gets one entry of Q for each trial, named `step`; one, too, where
-    nothing is worth a trial.
+    The body grows the joints that promise most and loses as many, those that are missed least. What
+    comes out is improved, and kept where Q is lower than before by more than a share `KEEP`; where it
+    is not, fewer are exchanged. Where the number is `free`, only those go that are hardly missed, and
+    each joint more has to be `WORTH` it; at last, joints go without which Q is no higher. The history
+    gets one entry of Q for each trial, named `step`; one, too, where nothing is worth a trial.
 
     **Arguments:** `targets` the meshes of the state's body; `improve` puts a grafted body in the
     place of the state's and makes it better by a few rounds; `tries` at most.
@@ -60,18 +59,37 @@ def exchange(
         if not splits:
             break
         before = state.history[-1][1]
-        trial = improve(state, grown(state.body, state.motion.poses, state.pairs, splits))
-        removals = spare(trial.body, trial.motion.poses, targets, len(splits), free)
-        if removals:
-            trial = improve(trial, pruned(trial.body, trial.motion.poses, trial.pairs, removals))
+        made = grown(state.body, state.motion.poses, state.pairs, splits)
+        removals = spare(made.body, made.poses, targets, len(splits), free)
+        trial = improve(state, pruned(*made, removals))
         after, more = trial.history[-1][1], len(splits) - len(removals)
         if (free or more == 0) and after < (1 - KEEP - WORTH * max(more, 0)) * before:
             state, most, splits = trial._replace(history=(*state.history, (step, after))), None, None
         else:
             state, most = state._replace(history=(*state.history, (step, before))), len(splits) // 3
+    if free and exchangeable(state.body):
+        state = _thin_out(state, targets, improve, step)
     if len(state.history) == begun:
         state = state._replace(history=(*state.history, (step, state.history[-1][1])))
     return state
+
+
+def _thin_out(
+    state: LearnState,
+    targets: Float[Array, "F V 3"],
+    improve: Callable[[LearnState, Graft], LearnState],
+    step: str,
+) -> LearnState:
+    """Joints that are not missed once all else has adapted go, where Q is no higher than before."""
+    body, poses, before = state.body, state.motion.poses, state.history[-1][1]
+    count = max(1, round(AT_ONCE / 2 * body.skeleton.num_joints))
+    removals = spare(body, poses, targets, count, idle=False)
+    if not removals:
+        return state
+    trial = improve(state, pruned(body, poses, state.pairs, removals))
+    after = trial.history[-1][1]
+    history = (*state.history, (step, min(after, before)))
+    return (trial if after <= before else state)._replace(history=history)
 
 
 def exchangeable(body: Body) -> bool:
