@@ -61,7 +61,9 @@ def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hi
         if robust:
             weights = robust_weights(np.linalg.norm(rotations @ child - parent, axis=1))
     off = np.linalg.norm(rotations @ child - parent, axis=1)
-    wobble = 2 * np.arcsin(np.clip(0.5 * np.sqrt(weights @ off**2 / weights.sum()), 0, 1))
+    # a part of the take in which it turns otherwise is no outlier; the worst 5 % of the frames may be
+    kept = np.sort(off)[: max(1, round(0.95 * len(off)))] if robust else off
+    wobble = 2 * np.arcsin(np.clip(0.5 * np.sqrt(np.mean(kept**2)), 0, 1))
     angles = turn_angles(rotations, parent)
     singular = np.sqrt(np.maximum(values[:2], 0.0))
     return Hinge(

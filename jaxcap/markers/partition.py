@@ -18,6 +18,8 @@ TRIED = 24
 #: skin moves by at least this share of the body's size where its limbs move at all; limbs that are at
 #: rest, which most are when one joint is exercised, would have the moving one's markers all loose
 SKIN = 0.006
+#: and no body's markers deviate by this share of its size where they sit on the same limb
+ADRIFT = 0.1
 
 
 class Partition(NamedTuple):
@@ -61,7 +63,13 @@ def find_partition(
             raise ValueError(f"The threshold is {threshold}; give a distance above zero, in metres.")
         options, unit = [float(threshold)], 0.6 * float(threshold)
     else:
-        unit = usual_deviation(known, float(np.nanmax(median_distances(places, seen))))
+        size = float(np.nanmax(median_distances(places, seen)))
+        unit = usual_deviation(known, size)
+        if unit > ADRIFT * size:
+            raise ValueError(
+                f"No markers move together: most change their distance from every other by more than {1e3 * unit:.0f} mm. "
+                "Is it one body, and the unit right? Give a threshold if so."
+            )
         options = np.geomspace(0.5 * unit, 3.0 * unit, TRIED).tolist()
     best: tuple[float, float, list[tuple[int, ...]], list[tuple[int, ...]]] | None = None
     for option in options:
