@@ -103,10 +103,17 @@ class Fit:
             subject = found.subject
             fitted = solve_markers(subject, found.markers)
         else:
+            say(
+                f"fitting poses, lengths and placements together in {min(self.frames, len(united))} of {len(united)} frames"
+            )
             known = [pair for pair in pairs if set(pair) <= set(found.skeleton.names)]
             fitted = calibrate(found.markers, found.subject, symmetry=known, count=self.frames)
             subject = fitted.subject
         lost = fitted.lost if isinstance(fitted, MarkerSolution) else None
+        if not np.isfinite(held_residuals(subject, fitted.residuals, lost)).any():
+            raise InputError(
+                f"{', '.join(self.files)}: no pose of what was found explains any frame; is it one body, and the unit right?"
+            )
         tell_bones(found, fitted if isinstance(fitted, Calibration) else None)
         totals = total_residuals(held_residuals(subject, fitted.residuals, lost))
         say(
