@@ -17,6 +17,8 @@ from ..io.meshes import KIND as MESHES
 from ..io.meshes import read_meshes
 from ..io.npz import load_arrays, load_body
 from ..io.registry import MOTION_READERS, SKELETON_READERS, read_motion, read_skeleton
+from ..io.subject import KIND as SUBJECT
+from ..io.subject import load_subject
 from .options import OptionalUnit, arg
 from .say import say
 from .sources import load_body as load_any_body
@@ -24,7 +26,7 @@ from .sources import load_body as load_any_body
 
 @dataclass
 class Info:
-    """Say what is in a file: a mesh, a body, a skeleton, a motion, or clouds."""
+    """Say what is in a file: a mesh, a body, a skeleton, a motion, a subject, or clouds."""
 
     file: tyro.conf.Positional[Annotated[str, arg(metavar="FILE")]]
     """A file, a printf pattern or a folder of clouds, or `human`."""
@@ -61,6 +63,11 @@ class Info:
             skeleton, motion = read_motion(path)
             _motion(motion)
             _skeleton(skeleton)
+        elif kind == SUBJECT:
+            subject = load_subject(path)
+            held = int((np.asarray(subject.weights) > 0).sum())
+            say(f"subject: {subject.num_markers} markers, {held} of them on its bones")
+            _skeleton(subject.skeleton)
         elif kind == MESHES:
             sequence = read_meshes(path, self.unit or "m")
             say(
