@@ -1,0 +1,256 @@
+"""Calibration and solve against others' programs: `python -m benchmarks.markers_rivals --venvs FOLDER`.
+
+The embedded human under a take of CMU's, some 60 markers with a millimetre of noise, from a template with bones 8 %
+and markers 14 mm off: 100 of 300 frames to calibrate, all to solve. Each rival runs in a virtual environment of
+its own, which is made under FOLDER where it is not there, in a process of its own, one after the other; one that
+does not install is told and left out. Momentum calibrates and solves; OpenSim solves with the subject that we
+calibrated, as its scaling has no joint centres of its own. Errors are those of the centres of joints that turn (20 degrees or more), in
+the world, over all frames; seconds are those after compilation. Run it with nothing else beside.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks._markers import Scene, Trouble, performer, pose_all, scene_of, turns, wrong
+from benchmarks._scenes import cmu_motion, shared_folder
+from benchmarks.report import finish, progress
+from jaxcap.edit.retarget import retarget
+from jaxcap.markers.calibrate import calibrate
+from jaxcap.markers.solve import solve_markers
+from jaxcap.markers.subject import Subject
+
+TURNS = np.radians(20.0)
+BONES, PLACEMENT = 0.08, 0.014
+
+
+class Rival(NamedTuple):
+    """What is installed where, and how it is run."""
+
+    #: the first of these interpreters that is found
+    pythons: tuple[str, ...]
+    packages: tuple[str, ...]
+    #: libraries of the system that have to be loaded first
+    preload: tuple[str, ...] = ()
+
+
+RIVALS = {
+    "momentum": Rival(("3.12", "3.13"), ("torch==2.8.*", "pymomentum-cpu==0.1.114.post0", "numpy", "scipy"), ("libstdc++.so.6",)),
+    "opensim": Rival(("3.11",), ("opensim==4.6", "numpy")),
+}  # fmt: skip
+
+
+def interpreter(versions: tuple[str, ...]) -> str | None:
+    """A Python of one of these versions: on the path, or of pyenv."""
+    roots = sorted(
+        Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/*"), reverse=True
+    )
+    for version in versions:
+        for root in roots:
+            if root.name.startswith(f"{version}."):
+                return str(root / "bin" / "python")
+        if found := shutil.which(f"python{version}"):
+            return found
+    return None
+
+
+def environment(name: str, folder: Path) -> Path | None:
+    """The Python of a rival's own environment; None where it cannot be had, which is told."""
+    rival, home = RIVALS[name], folder / name
+    python, done = home / "bin" / "python", home / "complete"
+    if done.exists():
+        return python
+    base = interpreter(rival.pythons)
+    if base is None:
+        progress(f"{name} is left out: there is no Python {' or '.join(rival.pythons)} here")
+        return None
+    progress(f"{name}: installing {', '.join(rival.packages)} with {base}")
+    for command in (
+        [base, "-m", "venv", str(home)],
+        [str(python), "-m", "pip", "install", "-q", *rival.packages],
+    ):
+        outcome = subprocess.run(command, capture_output=True, text=True)
+        if outcome.returncode:
+            said = (outcome.stderr.strip() or "nothing said").splitlines()[-1]
+            progress(f"{name} is left out, it does not install: {said}")
+            return None
+    done.touch()
+    return python
+
+
+def library(name: str) -> str | None:
+    folders = ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/lib")
+    return next((str(Path(folder) / name) for folder in folders if (Path(folder) / name).exists()), None)
+
+
+def run_rival(name: str, python: Path, given: Path, limit: float) -> dict[str, np.ndarray] | None:
+    result = given.with_name(f"{name}.npz")
+    script = Path(__file__).with_name("_rivals") / f"run_{name}.py"
+    preload = ":".join(found for one in RIVALS[name].preload if (found := library(one)))
+    surroundings = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    surroundings |= {"LD_PRELOAD": preload} if preload else {}
+    try:
+        command = [str(python), str(script), str(given), str(result)]
+        outcome = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=limit)
+    except subprocess.TimeoutExpired:
+        progress(f"{name} is left out: not done after {limit:.0f} s")
+        return None
+    # they say much, and draw bars; what the script itself says begins with the rival's name
+    for line in outcome.stderr.splitlines():
+        if line.startswith(f"{name} "):
+            progress(line)
+    if outcome.returncode or not result.exists():
+        said = ([line for line in outcome.stderr.splitlines() if line.strip()] or ["nothing said"])[-1][-200:]
+        progress(f"{name} is left out: it ended with code {outcome.returncode}: {said}")
+        return None
+    with np.load(result, allow_pickle=False) as file:
+        return dict(file)
+
+
+def the_scene(shared: Path, take: str, frames: int, seed: int) -> Scene:
+    """Frames spread over the take, close enough for each to start at the one before."""
+    truth = performer()
+    motion, skeleton = cmu_motion(shared, take)
+    step = max(1, len(motion) // frames)
+    motion = retarget(motion.slice(slice(None, None, step)).slice(slice(frames)), skeleton, truth.skeleton)
+    scene = scene_of(truth, jax.tree.map(lambda leaf: leaf.astype(jnp.float32), motion), Trouble(), seed)
+    return scene._replace(template=wrong(truth, np.random.default_rng(seed), BONES, PLACEMENT))
+
+
+def mirrored(names: tuple[str, ...]) -> np.ndarray:
+    """(J,) the joint of the other side, itself in the middle."""
+    swap = {
+        "Left": "Right",
+        "Right": "Left",
+        "LHip": "RHip",
+        "RHip": "LHip",
+        "LThumb": "RThumb",
+        "RThumb": "LThumb",
+    }
+    other = []
+    for name in names:
+        start = next((one for one in swap if name.startswith(one)), None)
+        other.append(names.index(name.replace(start, swap[start], 1)) if start else names.index(name))
+    return np.array(other)
+
+
+def pairs(names: tuple[str, ...]) -> list[tuple[str, str]]:
+    other = mirrored(names)
+    return [(name, names[other[joint]]) for joint, name in enumerate(names) if other[joint] > joint]
+
+
+def write_scene(path: Path, scene: Scene, chosen: np.ndarray, own: Subject) -> None:
+    """The template, what was seen, and the subject that we calibrated, for those that only solve."""
+    template, skeleton = scene.template, scene.template.skeleton
+    np.savez(
+        path,
+        names=np.array(skeleton.names),
+        parents=np.array(skeleton.parents),
+        turns=np.array([kind in ("ball", "free") for kind in skeleton.kinds]),
+        mirror=mirrored(skeleton.names),
+        centres=np.asarray(skeleton.centres, float),
+        bones=np.asarray(template.bones),
+        offsets=np.asarray(template.offsets, float),
+        labels=np.array(template.labels),
+        places=np.asarray(scene.frames.places, float),
+        seen=np.asarray(scene.frames.seen),
+        rate=scene.frames.rate,
+        chosen=chosen,
+        own_centres=np.asarray(own.skeleton.centres, float),
+        own_offsets=np.asarray(own.offsets, float),
+    )
+
+
+def ours(scene: Scene, chosen: np.ndarray, repeats: int = 3) -> tuple[Subject, dict[str, float | np.ndarray]]:
+    symmetry = pairs(scene.template.skeleton.names)
+    taken, each = [], []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        found = calibrate(scene.frames[chosen], scene.template, symmetry=symmetry)
+        taken.append(time.perf_counter() - start)
+    for _ in range(repeats + 1):
+        start = time.perf_counter()
+        solved = solve_markers(found.subject, scene.frames)
+        jax.block_until_ready(solved.motion)
+        each.append((time.perf_counter() - start) / len(scene.frames))
+    _, joints = pose_all(found.subject, solved.motion.poses, jnp.zeros_like(scene.frames.places))
+    return found.subject, {
+        "joints": np.asarray(joints, float),
+        "calibrate_seconds": float(np.median(taken[1:])),
+        "solve_seconds": float(np.median(each[1:])),
+        "markers_mm": 1000 * float(np.sqrt(np.nanmean(np.asarray(solved.residuals) ** 2))),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.markers_rivals", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("--venvs", type=Path, default=Path.home() / ".cache" / "jaxcap" / "rivals")
+    parser.add_argument("--rivals", nargs="+", choices=list(RIVALS), default=list(RIVALS))
+    parser.add_argument("--take", default="02_05")
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--limit", type=float, default=1200.0, help="seconds that a rival may take")
+    options = parser.parse_args()
+    scene = the_scene(shared_folder(), options.take, options.frames, options.seed)
+    chosen = np.linspace(0, len(scene.frames) - 1, options.count).round().astype(int)
+    turning = np.flatnonzero(turns(scene.motion) >= TURNS)
+    turning = turning[turning > 0]
+    begun = {}
+    figures: dict[str, float] = {}
+    limits: dict[str, tuple[str, float]] = {}
+
+    def judge(name: str, outcome) -> None:
+        away = np.linalg.norm(np.asarray(outcome["joints"], float) - scene.joints, axis=-1)
+        reached = {
+            "solve_joints_mm": 1000 * float(away[:, turning].mean()),
+            "solve_markers_mm": float(outcome["markers_mm"]),
+            "solve_ms": 1000 * float(outcome["solve_seconds"]),
+        }
+        if "calibrate_seconds" in outcome:
+            reached["calibrate_joints_mm"] = 1000 * float(away[chosen][:, turning].mean())
+            reached["calibrate_seconds"] = float(outcome["calibrate_seconds"])
+        figures.update({f"{name}_{figure}": value for figure, value in reached.items()})
+        progress(f"{name}: " + ", ".join(f"{figure} {value:.4g}" for figure, value in reached.items()))
+
+    own, outcome = ours(scene, chosen)
+    judge("jaxcap", outcome)
+    with tempfile.TemporaryDirectory() as folder:
+        given = Path(folder) / "scene.npz"
+        write_scene(given, scene, chosen, own)
+        for name in options.rivals:
+            python = environment(name, options.venvs)
+            start = time.perf_counter()
+            outcome = None if python is None else run_rival(name, python, given, options.limit)
+            begun[name] = time.perf_counter() - start
+            if outcome is None:
+                continue
+            judge(name, outcome)
+            for figure in ("calibrate_joints_mm", "calibrate_seconds", "solve_joints_mm", "solve_ms"):
+                if f"{name}_{figure}" not in figures:
+                    continue
+                share = figures[f"jaxcap_{figure}"] / figures[f"{name}_{figure}"]
+                figures[f"{name}_{figure}_share"] = share
+                limits[f"{name}_{figure}_share"] = ("<", 1.0)
+    sizes = {
+        "frames": len(scene.frames),
+        "chosen": len(chosen),
+        "markers": scene.truth.num_markers,
+        "joints": len(turning),
+    }
+    finish("markers_rivals", figures, limits, sizes, begun)
+
+
+if __name__ == "__main__":
+    main()
