@@ -36,7 +36,7 @@ def exchange(
     targets: Float[Array, "F V 3"],
     improve: Callable[[LearnState, Graft], LearnState],
     step: str = "exchange",
-    tries: int = 2,
+    tries: int = 3,
     free: bool = False,
 ) -> LearnState:
     """Exchange joints as long as Q falls.
@@ -59,9 +59,14 @@ def exchange(
         if not splits:
             break
         before = state.history[-1][1]
-        made = grown(state.body, state.motion.poses, state.pairs, splits)
+        made, trial = grown(state.body, state.motion.poses, state.pairs, splits), state
+        if free:
+            # what grew shows by then whether it is idle
+            trial = improve(state, made)
+            made = Graft(trial.body, trial.motion.poses, trial.pairs)
         removals = spare(made.body, made.poses, targets, len(splits), free)
-        trial = improve(state, pruned(*made, removals))
+        if removals:
+            trial = improve(trial, pruned(*made, removals))
         after, more = trial.history[-1][1], len(splits) - len(removals)
         if (free or more == 0) and after < (1 - KEEP - WORTH * max(more, 0)) * before:
             state, most, splits = trial._replace(history=(*state.history, (step, after))), None, None

@@ -36,7 +36,7 @@ FIRST_DAMPING = 1e-3
 #: steps of Gauss-Newton on joints and poses, before the first round and in each
 FIRST_STEPS, STEPS = 4, 2
 #: rounds after which joints are exchanged, rounds of each trial, and how many of these
-EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 2
+EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 3
 #: sweeps over the weights, at most, in the first round on a mesh and in others
 FIRST_SWEEPS, SWEEPS = 8, 4
 #: what steps on the coarse mesh are called by in the history
@@ -221,7 +221,7 @@ def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
             after = _round(after, stage, far=number == 0)
         return after
 
-    return exchange(state, targets, improve, stage.prefix + "exchange", TRIALS, free)
+    return exchange(state, targets, improve, stage.prefix + "exchange", TRIALS if free else TRIALS - 1, free)
 
 
 def _has(state: LearnState, stage: _Stage, step: str) -> bool:
