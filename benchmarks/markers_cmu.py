@@ -71,7 +71,7 @@ def joints_between(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.markers_cmu", description=__doc__.splitlines()[0]
+        prog="python -m benchmarks.markers_cmu", description="From 41 markers without labels to the tree."
     )
     parser.add_argument("--frames", type=int, help="take only so many frames")
     parser.add_argument("--local", action="store_true", help="stop after the local technique")

@@ -12,7 +12,7 @@ from ..say import say, table
 def tell_segments(found: LocalFit) -> None:
     """A line for each segment: its markers with their weights of attachment; then the loose ones."""
     labels, weights = found.markers.labels, found.segments.weights
-    seen = np.asarray(found.markers.seen).any(0)
+    seen = np.any(np.asarray(found.markers.seen), axis=0)
     loose = [labels[m] for m in np.flatnonzero(found.segments.loose) if seen[m]]
     say(
         f"segments: {found.segments.num_segments}, of {len(labels) - len(loose)} markers; {len(loose)} are loose"

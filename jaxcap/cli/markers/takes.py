@@ -50,13 +50,13 @@ def read_take(
 def _whole(frames: MarkerFrames, path: str, join: bool) -> MarkerFrames:
     parts = split_unlabelled(frames)
     chains = find_pieces(parts)
-    if not chains:
+    if len(chains) == 0:
         return frames
     names = [", ".join(parts.labels[i] for i in chain) for chain in chains]
     if not join:
         more = f", and {len(chains) - 1} more are" if len(chains) > 1 else ""
         raise InputError(
-            f"{path}: {names[0]} look like one trajectory in {len(chains[0])} pieces{more}; give --pieces join to make "
+            f"{path}: {names[0]} look like one trajectory in {names[0].count(', ') + 1} pieces{more}; give --pieces join to make "
             "each one marker, or --pieces keep if they are markers of their own."
         )
     for name in names:
