@@ -59,10 +59,10 @@ def write_trc(path, scene):
 
 
 def solved(scene, path, accuracy):
-    model = model_of(scene)
+    model, labels = model_of(scene), [str(label) for label in scene["labels"]]
     weights = opensim.SetMarkerWeights()
-    for label in scene["labels"]:
-        weights.cloneAndAppend(opensim.MarkerWeight(str(label), 1.0))
+    for label in labels:
+        weights.cloneAndAppend(opensim.MarkerWeight(label, 1.0))
     state = model.initSystem()
     markers = opensim.MarkersReference(path, weights)
     solver = opensim.InverseKinematicsSolver(model, markers, opensim.SimTKArrayCoordinateReference())
@@ -80,7 +80,7 @@ def solved(scene, path, accuracy):
         seconds.append(time.perf_counter() - start)
         model.realizePosition(state)
         joints[frame] = [body.getPositionInGround(state).to_numpy() for body in bodies]
-        left.append([solver.computeCurrentSquaredMarkerError(m) for m in range(solver.getNumMarkersInUse())])
+        left.append([solver.computeCurrentSquaredMarkerError(label) for label in labels])
     return joints, float(np.median(seconds[1:])), 1000 * float(np.sqrt(np.mean(left)))
 
 
