@@ -196,7 +196,7 @@ def main() -> None:
         prog="python -m benchmarks.markers_rivals", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--venvs", type=Path, default=Path.home() / ".cache" / "jaxcap" / "rivals")
-    parser.add_argument("--rivals", nargs="+", choices=list(RIVALS), default=list(RIVALS))
+    parser.add_argument("--rivals", nargs="*", choices=list(RIVALS), default=list(RIVALS))
     parser.add_argument("--take", default="02_05")
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--count", type=int, default=100)

@@ -14,8 +14,8 @@ import pymomentum.marker_tracking as tracking
 import pymomentum.solver2 as solver
 
 CM = 100.0
-#: of its calibration: what its damping is, the default first, and how often it goes round
-REGULARIZATIONS, MAJOR = (0.05, 0.1, 0.02), (3, 10)
+#: of its calibration: its damping, the default first (less gives no numbers at all), and its rounds
+REGULARIZATIONS, MAJOR = (0.05, 0.02, 0.01, 0.005), (3, 10)
 
 
 def character_of(scene):
