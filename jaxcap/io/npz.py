@@ -70,7 +70,10 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
         )
     cls, names = SKINS[kind]
     skeleton = skeleton_of(arrays, path)
-    vertices, faces = get_array(arrays, "vertices", path, (None, 3)), get_array(arrays, "faces", path, (None, 3))
+    vertices, faces = (
+        get_array(arrays, "vertices", path, (None, 3)),
+        get_array(arrays, "faces", path, (None, 3)),
+    )
     if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise InputError(
             f"{path}: a face names vertex {faces.max()}, but there are {len(vertices)} vertices."
