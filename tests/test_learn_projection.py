@@ -10,7 +10,8 @@ import jaxcap as jc
 from jaxcap.body.body import deform_all
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn import projection
-from jaxcap.learn.adapt import adapt_vertices, all_bones
+from jaxcap.learn.adapt import adapt_vertices
+from jaxcap.learn.hang import all_bones
 from jaxcap.learn.joints import improve_joints, make_curvature, shared_slots
 from jaxcap.learn.projection import improve_all, spread_vertices
 from jaxcap.learn.vertices import VertexSolver

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from .errors import told
+from .verbs import run_verb
 
 DESCRIPTION = """Fit articulated bodies to point clouds and meshes.
 
@@ -18,8 +19,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if arguments == ["--version"]:
             sys.stdout.write(f"jaxcap {_version()}\n")
             return
-        import tyro
-
         from .convert import Convert
         from .demo import Demo
         from .evaluate import Evaluate
@@ -44,14 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "info": Info,
             "convert": Convert,
         }
-        command = tyro.extras.subcommand_cli_from_dict(
-            verbs,
-            prog="jaxcap",
-            description=DESCRIPTION,
-            args=arguments,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
-        command.run()
+        run_verb(verbs, "jaxcap", DESCRIPTION, arguments)
 
 
 def _version() -> str:

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
-from ..body.kinematics import Transforms, forward_kinematics
+from ..body.kinematics import Transforms
 from ..body.pose import Pose
-from ..body.skeleton import Skeleton
 from ..body.skin import LinearSkin
+from .hang import all_bones
 from .simplex import simplex_least_squares
 
 #: steps at most; the share of the squares below which a step is the last; lengths that are tried
@@ -29,12 +29,6 @@ def adapt_vertices(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> B
     """The weights and the rest place that serve each vertex best, by Gauss-Newton on both at once:
     with the place eliminated, weights are least squares over the simplex."""
     return adapt(body, all_bones(body.skeleton, poses), targets)[0]
-
-
-@eqx.filter_jit
-def all_bones(skeleton: Skeleton, poses: Pose) -> Transforms:
-    """The bones of all poses, one frame after the other."""
-    return jax.lax.map(lambda pose: forward_kinematics(skeleton, pose), poses)
 
 
 def adapt(

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..body.kinematics import forward_kinematics
+from ..body.kinematics import Transforms, forward_kinematics
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from .centres import Seams, find_centres, find_seams
@@ -30,7 +30,7 @@ class Bones(NamedTuple):
 
 def bone_motions(skeleton: Skeleton, poses: Pose) -> Bones:
     """Where the bones are in every frame."""
-    bones = _transforms(skeleton, poses)
+    bones = all_bones(skeleton, poses)
     scale = np.asarray(poses.scale, float)[:, None]
     rotations = np.asarray(bones.rotations, float) / scale[..., None, None]
     return Bones(rotations, np.asarray(bones.translations, float) / scale[..., None])
@@ -60,17 +60,10 @@ def hang_children(
     ]
     points, gaps = common_points(rows, bones, size)
     edges = least_tree(gaps, np.array(picked), len(ends))
-    hung: dict[int, tuple[int, np.ndarray, float]] = {}
-    reached = [0]
-    while reached:
-        here = reached.pop()
-        for edge in edges:
-            a, b = picked[edge]
-            other = b if a == here else a if b == here else 0
-            if other and ends[other] not in hung:
-                hung[ends[other]] = (ends[here], points[edge], float(gaps[edge]))
-                reached.append(other)
-    return hung
+    return {
+        ends[child]: (ends[above], points[edge], float(gaps[edge]))
+        for child, above, edge in _outwards(edges, picked)
+    }
 
 
 def hang_joint(
@@ -102,21 +95,27 @@ def hang_joint(
     points, gaps = common_points(rows, bones, size)
     costs = np.where(np.arange(len(rows)) < len(old), CLEARLY * gaps, gaps)
     edges = least_tree(costs, np.array([row[:2] for row in rows]), count + 1)
-    hung, reached = [], [0]
-    above = {0}
+    # a joint that only turned round stays where it was
+    return tuple(
+        (child, above, points[edge] if edge >= len(old) else rows[edge][2])
+        for child, above, edge in _outwards(edges, [row[:2] for row in rows])
+        if edge >= len(old) or skeleton.parents[child] != above
+    )
+
+
+def _outwards(edges: Sequence[int], pairs: Sequence[tuple]) -> list[tuple[int, int, int]]:
+    """Child, parent and edge, from node 0 on along the edges of a tree."""
+    found, reached, seen = [], [0], {0}
     while reached:
         here = reached.pop()
         for edge in edges:
-            first, second = rows[edge][:2]
+            first, second = pairs[edge]
             other = second if first == here else first if second == here else 0
-            if other and other not in above:
-                above.add(other)
+            if other not in seen:
+                seen.add(other)
                 reached.append(other)
-                if edge >= len(old) or skeleton.parents[other] != here:
-                    # a joint that only turned round stays where it was
-                    centre = points[edge] if edge >= len(old) else rows[edge][2]
-                    hung.append((other, here, centre))
-    return tuple(hung)
+                found.append((other, here, edge))
+    return found
 
 
 def common_points(rows: Sequence[tuple], bones: Bones, size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -129,5 +128,6 @@ def common_points(rows: Sequence[tuple], bones: Bones, size: float) -> tuple[np.
 
 
 @eqx.filter_jit
-def _transforms(skeleton: Skeleton, poses: Pose):
+def all_bones(skeleton: Skeleton, poses: Pose) -> Transforms:
+    """The bones of all poses, with the poses' scale."""
     return jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)

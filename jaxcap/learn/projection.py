@@ -33,7 +33,8 @@ from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from ..body.skeleton import Skeleton, dof_layout
 from ..body.skin import LinearSkin
 from ..body.symmetry import length_differences
-from .adapt import adapt, all_bones, images
+from .adapt import adapt, images
+from .hang import all_bones
 from .joints import move_joints, shared_slots
 
 #: vertices on which steps rest, about, and of each part at least

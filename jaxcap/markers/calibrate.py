@@ -198,8 +198,7 @@ def _first_deviations(subject: Subject, poses, places, seen, bound) -> Float[Arr
 
 @eqx.filter_jit
 def _moved(subject: Subject, poses: Pose, joints, shared, by_frame) -> tuple[Subject, Pose]:
-    moved = shift_subject(subject, joints, shared)
-    return moved, jax.vmap(retract, (None, 0, 0))(subject.skeleton, poses, by_frame)
+    return shift_subject(subject, joints, shared), _posed(subject, poses, by_frame)
 
 
 @eqx.filter_jit

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
+from ..geometry.procrustes import rigid_fit
 from ..observe import MarkerFrames
 
 #: markers that carry another through a gap, and frames that are compared to choose them
@@ -225,11 +226,8 @@ def _carried(
     chosen = np.argsort(doubt)[:CARRIERS]
     weights = 1 / doubt[chosen] ** 2
     weights /= weights.sum()
-    here, there = places[old, others[chosen]], places[new, others[chosen]]
-    middle, middle_then = weights @ here, weights @ there
-    u, _, vt = np.linalg.svd((here - middle).T @ (weights[:, None] * (there - middle_then)))
-    turn = (u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T
-    return middle_then + turn @ (places[old, marker] - middle)
+    turn, shift = rigid_fit(places[old, others[chosen]], places[new, others[chosen]], weights)
+    return turn @ places[old, marker] + shift
 
 
 def _coasted(

@@ -19,6 +19,7 @@ from ..body.pose import Pose, rest_pose
 from ..body.skeleton import Skeleton
 from ..energy.prior import RestPrior
 from ..geometry import rotation
+from ..geometry.procrustes import rigid_fit
 from ..observe import MarkerFrames
 from .anatomical import anatomical_markers
 from .shape_search import HIGHEST, LOWEST, SPREAD, USUAL, Measured, descend
@@ -157,11 +158,9 @@ def _stood(body: Body, held: SurfaceMarkers, places: np.ndarray, seen: np.ndarra
     """The rest pose turned and moved as a whole to where the markers are (Kabsch 1976)."""
     pose = rest_pose(body.skeleton)
     source, target = np.asarray(_places(held, body, pose), float)[seen], places[seen]
-    centre, middle = source.mean(0), target.mean(0)
-    u, _, vt = np.linalg.svd((target - middle).T @ (source - centre))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    turn, shift = rigid_fit(source, target)
     root = np.asarray(body.skeleton.centres[0], float)
-    shift = turn @ (root - centre) + middle - root
+    shift = turn @ root + shift - root
     dtype = pose.rotations.dtype
     return Pose(
         pose.translations.at[0].set(jnp.asarray(shift, dtype)),

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..verbs import run_verb
+
 DESCRIPTION = """Optical markers: what is in a file of them, a subject from takes, its motion through trials.
 
 `jaxcap markers VERB --help` explains a verb. Results are in metres."""
@@ -18,18 +20,8 @@ class Markers:
 
 def run_markers(arguments: Sequence[str]) -> None:
     """Run one verb of `jaxcap markers`."""
-    import tyro
-
     from .fit import Fit
     from .info import Info
     from .solve import Solve
 
-    verbs = {"info": Info, "fit": Fit, "solve": Solve}
-    command = tyro.extras.subcommand_cli_from_dict(
-        verbs,
-        prog="jaxcap markers",
-        description=DESCRIPTION,
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
-    command.run()
+    run_verb({"info": Info, "fit": Fit, "solve": Solve}, "jaxcap markers", DESCRIPTION, arguments)
