@@ -38,7 +38,7 @@ def blend_grams(
     flat = bones.rotations[:, columns].transpose(3, 1, 0, 2).reshape(3, -1)
     images = (rest @ flat).reshape(len(rest), count, frames, 3)
     apart = images + (bones.translations[:, columns].swapaxes(0, 1) - goals.swapaxes(0, 1)[:, None])
-    apart = apart.reshape(len(rest), count, -1)
+    apart = apart.reshape(len(rest), count, 3 * frames)
     room = width - count
     return np.pad(apart @ apart.swapaxes(1, 2), ((0, 0), (0, room), (0, room)))
 

@@ -16,6 +16,8 @@ from .turning import Drawn
 
 #: information on every number of a pose, 1/radian^2 and 1/metre^2: what no marker shows stays
 RIDGE = 1.0
+#: frames that are eliminated at once
+BATCH = 16
 
 
 class Reduced(NamedTuple):
@@ -45,44 +47,58 @@ class Reduced(NamedTuple):
         return float(self.gain + 2 * self.side @ shared - shared @ self.matrix @ shared)
 
 
-def eliminate(rows: Rows, poses: Drawn) -> Reduced:
-    """The reduced equations: `C - sum_f B_f^T A_f^-1 B_f`, by one Cholesky factor a frame; `poses`
-    is a prior of theirs."""
-    wide, own, residual = (np.asarray(x) for x in (rows.wide, rows.own, rows.residual))
-    frames, markers, _, numbers = wide.shape
-    dofs = poses.side.shape[1]
+def eliminate(rows: Rows, poses: Drawn, features: Float[np.ndarray, "F M K"]) -> Reduced:
+    """The reduced equations: `C - sum_f B_f^T A_f^-1 B_f`; `poses` is a prior of theirs.
+
+    By K `features` each marker has as many more triples of unknowns, behind all rest places, by which
+    its rest place shifts with the frame's features (`jaxcap.markers.skin`)."""
+    frames, markers, _, numbers = rows.wide.shape
+    dofs, triples = poses.side.shape[1], 1 + features.shape[2]
     centres = numbers - dofs
-    size = centres + 3 * markers
-    upper = np.zeros((size, size))
-    side, gain = np.zeros(size), 0.0
+    size = centres + 3 * markers * triples
+    matrix, side, gain = np.zeros((size, size)), np.zeros(size), 0.0
     slopes, offsets = np.zeros((frames, dofs, size)), np.zeros((frames, dofs))
-    block = np.arange(markers)
-    for frame in range(frames):
-        flat = wide[frame].reshape(3 * markers, numbers).astype(float)
-        tall, ends = residual[frame].ravel().astype(float), own[frame].astype(float)
-        gram = flat.T @ flat
-        # (N, M, 3): every row times the 3 x 3 block of its marker
-        across = np.matmul(flat.T.reshape(numbers, markers, 1, 3).transpose(1, 0, 2, 3)[:, :, 0], ends)
-        across = across.transpose(1, 0, 2).reshape(numbers, -1)
-        upper[:centres, :centres] += gram[dofs:, dofs:]
-        upper[:centres, centres:] += across[dofs:]
-        diagonal = upper[centres:, centres:].reshape(markers, 3, markers, 3)
-        diagonal[block, :, block] += np.matmul(ends.transpose(0, 2, 1), ends)
-        pull = -(flat.T @ tall)
-        pull[:dofs] += poses.side[frame]
-        side[:centres] += pull[dofs:]
-        side[centres:] -= np.matmul(ends.transpose(0, 2, 1), tall.reshape(markers, 3, 1)).ravel()
-        factor = np.linalg.cholesky(gram[:dofs, :dofs] + poses.matrix[frame] + RIDGE * np.eye(dofs))
-        coupling = np.hstack([gram[:dofs, dofs:], across[:dofs], pull[:dofs, None]])
-        half = scipy.linalg.solve_triangular(factor, coupling, lower=True, check_finite=False)
-        upper -= half[:, :-1].T @ half[:, :-1]
+    wide, own, residual = (np.asarray(x) for x in (rows.wide, rows.own, rows.residual))
+    for first in range(0, frames, BATCH):
+        some = slice(first, first + BATCH)
+        flat = wide[some].reshape(-1, 3 * markers, numbers).astype(float)
+        tall, ends = residual[some].astype(float), own[some].astype(float)
+        shares = np.concatenate([np.ones((len(flat), markers, 1)), features[some]], 2)
+        turned = np.swapaxes(flat, 1, 2)
+        gram = turned @ flat
+        # (f, m, N, 3): every row times the 3 x 3 block of its marker
+        blocks = np.swapaxes(turned.reshape(len(flat), numbers, markers, 3), 1, 2) @ ends
+        across = np.einsum("fmna,fmt->fntma", blocks, shares).reshape(len(flat), numbers, -1)
+        pull = -(turned @ tall.reshape(len(flat), -1, 1))[..., 0]
+        pull[:, :dofs] += poses.side[some]
+        matrix[:centres, :centres] += gram[:, dofs:, dofs:].sum(0)
+        matrix[:centres, centres:] += across[:, dofs:].sum(0)
+        _add_own(matrix[centres:, centres:], ends, shares)
+        side[:centres] += pull[:, dofs:].sum(0)
+        by_own = (np.swapaxes(ends, 2, 3) @ tall[..., None])[..., 0]
+        side[centres:] -= np.einsum("fma,fmt->tma", by_own, shares).ravel()
+        held = gram[:, :dofs, :dofs] + poses.matrix[some] + RIDGE * np.eye(dofs)
+        inverse = np.linalg.inv(np.linalg.cholesky(held))
+        coupling = np.concatenate([gram[:, :dofs, dofs:], across[:, :dofs], pull[:, :dofs, None]], 2)
+        half = inverse @ coupling
+        whole = np.swapaxes(inverse, 1, 2) @ half
+        half = half.reshape(-1, size + 1)
+        matrix -= half[:, :-1].T @ half[:, :-1]
         side -= half[:, :-1].T @ half[:, -1]
         gain += float(half[:, -1] @ half[:, -1])
-        whole = scipy.linalg.solve_triangular(factor, half, lower=True, trans=1, check_finite=False)
-        slopes[frame], offsets[frame] = whole[:, :-1], whole[:, -1]
+        slopes[some], offsets[some] = whole[..., :-1], whole[..., -1]
     lower = np.tril_indices(size, -1)
-    upper[lower] = upper.T[lower]
-    return Reduced(upper, side, slopes, offsets, gain)
+    matrix[lower] = matrix.T[lower]
+    return Reduced(matrix, side, slopes, offsets, gain)
+
+
+def _add_own(corner: Float[np.ndarray, "O O"], ends, shares) -> None:
+    """The squares of what is a marker's own, which no other marker shares."""
+    markers, triples = shares.shape[1:]
+    block, view = np.arange(markers), corner.reshape(triples, markers, 3, triples, markers, 3)
+    squares = np.swapaxes(ends, 2, 3) @ ends
+    # NumPy puts the one index of both picked axes first
+    view[:, block, :, :, block, :] += np.einsum("fmab,fmt,fmu->mtaub", squares, shares, shares, optimize=True)
 
 
 def pose_steps(rows: Rows, poses: Drawn) -> Float[np.ndarray, "F D"]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from ..body.pose import Pose
 from .residuals import linearise
 from .robust import kernel
-from .subject import Subject
+from .subject import Subject, shifted
 
 
 class Rows(NamedTuple):
@@ -38,13 +38,15 @@ def all_rows(
     deviations: Float[Array, "M"],
     joints: tuple[int, ...],
     bound: Float[Array, ""],
+    shifts: Float[Array, "F M 3"],
 ) -> Rows:
-    """The least-squares problem of all poses and of `s` of `shared` at a point, one frame after the other."""
+    """The least-squares problem of all poses and of `s` of `shared` at a point, one frame after the
+    other, with markers shifted from their rest places by `shifts`, metres."""
     information = subject.weights / deviations**2
 
     def of_frame(frame):
-        pose, place, there = frame
-        rows = linearise(subject, pose, place, joints)
+        pose, place, there, shift = frame
+        rows = linearise(shifted(subject, shift), pose, place, joints)
         squared = jnp.sum(rows.residual**2, 1)
         costs, slopes = kernel(squared * jnp.where(there, information, 0.0), bound)
         roots = jnp.sqrt(jnp.where(there, slopes * information, 0.0))[:, None]
@@ -52,7 +54,7 @@ def all_rows(
         cost = jnp.sum(jnp.where(there, costs, 0.0))
         return Rows(rows.residual * roots, wide, rows.by_offset * roots[..., None], cost, squared)
 
-    rows = jax.lax.map(of_frame, (poses, places, seen))
+    rows = jax.lax.map(of_frame, (poses, places, seen, shifts))
     return rows._replace(cost=jnp.sum(rows.cost))
 
 
@@ -65,11 +67,14 @@ def marker_deviations(
     deviations: Float[Array, "M"],
     least: Float[Array, ""],
     bound: Float[Array, ""],
+    shifts: Float[Array, "F M 3"],
+    held: Float[Array, "F D D"],
 ) -> Float[Array, "M"]:
     """The standard deviation of every marker by its own residuals, metres, not below `least`.
 
     Residuals are shorter than the noise, as poses give way to it: a marker's three numbers a frame
-    count less by its leverage on the frame's pose, and by three for its own place. Few numbers lean
+    count less by its leverage on the frame's pose, which `held` has a prior on, and by three for its
+    own place. Few numbers lean
     on what all markers show; none is taken for better than a third or worse than ten times that, so
     that no bone hangs on one marker alone.
     """
@@ -77,12 +82,12 @@ def marker_deviations(
     used = seen & (subject.weights > 0)
 
     def of_frame(sums, frame):
-        pose, place, there = frame
-        rows = linearise(subject, pose, place)
+        pose, place, there, shift, firm = frame
+        rows = linearise(shifted(subject, shift), pose, place)
         squared = jnp.sum(rows.residual**2, 1)
         slopes = jnp.where(there, kernel(squared * information, bound)[1], 0.0)
         flat = (rows.by_pose * jnp.sqrt(slopes * information)[:, None, None]).reshape(3 * len(slopes), -1)
-        gram = flat.T @ flat
+        gram = flat.T @ flat + firm
         scale = 1.0 / jnp.sqrt(jnp.maximum(jnp.diag(gram), 1.0))
         even = gram * scale[:, None] * scale[None, :]
         even = even + (10 * len(even) * jnp.finfo(even.dtype).eps) * jnp.eye(len(even), dtype=even.dtype)
@@ -94,7 +99,7 @@ def marker_deviations(
         return (sums[0] + slopes * squared, sums[1] + left), None
 
     none = jnp.zeros_like(deviations)
-    (squares, left), _ = jax.lax.scan(of_frame, (none, none), (poses, places, used))
+    (squares, left), _ = jax.lax.scan(of_frame, (none, none), (poses, places, used, shifts, held))
     left = jnp.maximum(left - 3.0, 0.0)
     common = jnp.sum(squares) / jnp.maximum(jnp.sum(left), 1.0)
     lean = 10.0

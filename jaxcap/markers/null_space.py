@@ -14,6 +14,7 @@ from .equations import all_rows
 from .gauge import without_gauge
 from .robust import BOUND
 from .shared import Trust, followers, prior_precision
+from .skin import Skin, still
 from .subject import Subject
 from .turning import Turning, drawn, free_turning
 
@@ -41,16 +42,20 @@ def shared_covariance(
     trust: Trust = Trust(),  # noqa: B008
     pairs: tuple[tuple[int, int], ...] = (),
     turning: Turning | None = None,
+    skin: Skin | None = None,
 ) -> Known:
     """The covariance of `s` at a fitted subject with its markers' deviations: the inverse of the Schur
     complement of all poses with the template's prior; bones that are kept equally long have no
     difference that could be wrong."""
     prior = prior_precision(subject, joints, trust)
     bound = jnp.asarray(BOUND, places.dtype)
-    rows = all_rows(subject, poses, places, seen, subject.deviations, joints, bound)
+    skin = still(poses, subject) if skin is None else skin
+    shifts = jnp.asarray(skin.shifts(), places.dtype)
+    rows = all_rows(subject, poses, places, seen, subject.deviations, joints, bound, shifts)
     turning = free_turning(subject.skeleton) if turning is None else turning
-    data = eliminate(rows, drawn(subject.skeleton, turning, poses)).matrix
-    both, alone = _inverse(data + prior), _inverse(prior)
+    data = eliminate(rows, drawn(subject.skeleton, turning, poses), skin.features)
+    told, size = data.with_prior(*skin.widened(prior, np.zeros(len(prior)))).matrix, len(prior)
+    both, alone = inverse(told)[:size, :size], inverse(prior)
     if pairs:
         slopes = np.asarray(length_differences(subject.skeleton, np.array(pairs, int))[1], float)
         by_centre = np.einsum("bja,jk->bka", slopes, followers(subject.skeleton, joints))
@@ -60,7 +65,8 @@ def shared_covariance(
     return Known(both, alone)
 
 
-def _inverse(matrix: Float[np.ndarray, "S S"]) -> Float[np.ndarray, "S S"]:
+def inverse(matrix: Float[np.ndarray, "S S"]) -> Float[np.ndarray, "S S"]:
+    """Of a positive definite matrix in mixed units."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     factor = scipy.linalg.cho_factor(matrix * scale[:, None] * scale, lower=True)
     inverse = scipy.linalg.cho_solve(factor, np.eye(len(matrix)))

@@ -97,6 +97,11 @@ def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
     return jnp.einsum("mab,mb->ma", r, subject.offsets) + t
 
 
+def shifted(subject: Subject, shifts: Float[Array, "M 3"]) -> Subject:
+    """The subject with its markers elsewhere, metres at rest."""
+    return eqx.tree_at(lambda s: s.offsets, subject, subject.offsets + shifts)
+
+
 def scaled(subject: Subject, scale: float | Float[Array, ""]) -> Subject:
     """The subject `scale` times as large, about the root's centre at rest."""
     root = subject.skeleton.centres[0]

@@ -16,6 +16,12 @@ from ..body.skeleton import Skeleton, dof_layout
 
 #: radians: no joint is held more firmly
 STIFFEST = 1e-3
+#: times the variance that noise gives a turn, from where on it stays free
+MUCH = 2.0
+#: the variance left to turns about all other axes, in that of noise
+STIFF = 1e-3
+#: how many times what is usual a frame's own variance may be, to count
+CLEAR = 3.0
 
 
 class Turning(NamedTuple):
@@ -41,33 +47,35 @@ def free_turning(skeleton: Skeleton) -> Turning:
     return Turning(joints, np.tile([1.0, 0, 0, 0], (len(joints), 1)), np.zeros((len(joints), 3, 3)))
 
 
-def turning_of(
-    skeleton: Skeleton, turning: Turning, poses: Pose, covariances: Float[np.ndarray, "F D D"]
-) -> Turning:
-    """The distribution by poses that were found with `turning`, with their covariances: what they vary
-    less what noise makes them vary where they were free; else one step of expectation maximisation,
-    what they vary and what they may."""
-    free = not turning.precision.any()
-    slots = dof_layout(skeleton).rotations[turning.joints]
-    q = np.asarray(poses.rotations, float)[:, turning.joints]
-    means = np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))[1][..., -1]
+def mean_turns(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
+    """Rotation vectors from each joint's mean rotation, in the bones' own frames, radians."""
+    return _turns(_means(q), q)
+
+
+def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[np.ndarray, "F D D"]) -> Turning:
+    """The distribution by poses that were found without one, with their covariances: what they vary less
+    what noise makes them vary. Axes about which a joint turns `MUCH` more than that stay free, as turns
+    are not normal and those of several joints go together."""
+    joints = free_turning(skeleton).joints
+    slots = dof_layout(skeleton).rotations[joints]
+    q = np.asarray(poses.rotations, float)[:, joints]
+    means = _means(q)
     turns = _turns(means, q)
-    second = np.einsum("fja,fjb->jab", turns, turns) / len(turns)
-    noise = covariances.mean(0)[slots[:, :, None], slots[:, None, :]]
-    if free:
-        # measured in noise, so that directions are told apart by what they show
-        floor = noise + STIFFEST**2 * np.eye(3)
-        root = np.linalg.cholesky(floor)
-        even = np.linalg.solve(root, np.swapaxes(np.linalg.solve(root, second), 1, 2))
-        values, vectors = np.linalg.eigh(even)
-        # a variance by F turns is known to a share of sqrt(2 / F) only
-        doubt = np.sqrt(2.0 / len(turns))
-        kept = np.where(values > 1.0 + 3.0 * doubt, values - 1.0, 0.02)
-        spread = root @ (vectors * kept[:, None]) @ np.swapaxes(vectors, 1, 2) @ np.swapaxes(root, 1, 2)
-    else:
-        spread = second + noise
-    precision = np.linalg.inv(spread + STIFFEST**2 * np.eye(3))
-    return Turning(turning.joints, means, (precision + np.swapaxes(precision, 1, 2)) / 2)
+    each = covariances[:, slots[:, :, None], slots[:, None, :]]
+    # frames that show a bone badly tell nothing of how far it turns
+    doubt = np.trace(each, axis1=2, axis2=3)
+    shown = (doubt <= CLEAR * np.median(doubt, 0)).astype(float)
+    shown /= shown.sum(0)
+    second = np.einsum("fj,fja,fjb->jab", shown, turns, turns)
+    noise = np.einsum("fj,fjab->jab", shown, each)
+    # measured in noise, so that directions are told apart by what they show
+    root = np.linalg.cholesky(noise + STIFFEST**2 * np.eye(3))
+    even = np.linalg.solve(root, np.swapaxes(np.linalg.solve(root, second), 1, 2))
+    values, vectors = np.linalg.eigh(even)
+    share = np.where(values > MUCH, 0.0, 1.0 / STIFF)
+    back = np.linalg.solve(np.swapaxes(root, 1, 2), vectors)
+    precision = (back * share[:, None]) @ np.swapaxes(back, 1, 2)
+    return Turning(joints, means, (precision + np.swapaxes(precision, 1, 2)) / 2)
 
 
 def drawn(skeleton: Skeleton, turning: Turning, poses: Pose) -> Drawn:
@@ -84,6 +92,10 @@ def drawn(skeleton: Skeleton, turning: Turning, poses: Pose) -> Drawn:
     matrix[:, slots[:, :, None], slots[:, None, :]] = blocks
     side[:, slots] = -np.einsum("fjba,fjb->fja", slope, pull)
     return Drawn(float(np.sum(pull * turns)), matrix, side)
+
+
+def _means(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:
+    return np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))[1][..., -1]
 
 
 def _turns(means: Float[np.ndarray, "T 4"], q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "F T 3"]:

@@ -1,0 +1,121 @@
+"""Skin that slides on its bone as the joints beside it turn, which no rigid bone explains.
+
+Each marker's rest place shifts linearly with the turns of the joints at both ends of its bone, as
+soft tissue mostly does (Camomilla, Cereatti, Cutti and others 2013; Bonci and others 2014):
+
+    o_m(f) = o_m + sum_k phi_mk(f) d_mk
+
+with `phi` the turns about their means, along the few directions in which they vary most, radians.
+A shift that follows a joint looks much like a centre elsewhere. Left out, it is taken for one, all
+the more firmly the more frames there are; with `d` unknown, drawn to zero as far as the markers of
+all bones say that skin slides, what cannot be told apart counts as unknown.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Bool, Float
+
+from ..body.pose import Pose
+from .subject import Subject
+from .turning import mean_turns
+
+#: directions of turns that count, at most
+DIRECTIONS = 4
+#: how many times what chance alone explains of the residuals, turns have to
+TELLING = 6.0
+#: metres a radian that skin slides, at least and at most: less is none
+LEAST, MOST = 2e-4, 0.05
+
+
+class Skin(NamedTuple):
+    """How markers slide over the chosen frames."""
+
+    #: radians
+    features: Float[np.ndarray, "F M K"]
+    #: metres a radian, along the axes of the world at rest
+    slides: Float[np.ndarray, "K M 3"]
+    #: standard deviation of every number of `slides`
+    deviation: float
+
+    def shifts(self) -> Float[np.ndarray, "F M 3"]:
+        """Metres that each marker is from its rest place."""
+        return np.einsum("fmk,kma->fma", self.features, self.slides)
+
+    def variances(self) -> Float[np.ndarray, "M"]:
+        """Mean squares of the shifts along each axis, metres squared."""
+        return np.mean(self.shifts() ** 2, (0, 2))
+
+    def widened(
+        self, precision: Float[np.ndarray, "S S"], away: Float[np.ndarray, "S"]
+    ) -> tuple[Float[np.ndarray, "T T"], Float[np.ndarray, "T"]]:
+        """The prior of all that is shared with that of the slides behind it, and how far both are off."""
+        own = np.eye(self.slides.size) * self.deviation**-2
+        return np.asarray(scipy.linalg.block_diag(precision, own)), np.append(away, self.slides.ravel())
+
+    def moved(self, step: Float[np.ndarray, "O"]) -> "Skin":
+        """After a step of all slides."""
+        return self._replace(slides=self.slides + step.reshape(self.slides.shape))
+
+
+def still(poses: Pose, subject: Subject) -> Skin:
+    """Skin that does not slide."""
+    count, markers = len(poses.rotations), subject.num_markers
+    return Skin(np.zeros((count, markers, 0)), np.zeros((0, markers, 3)), LEAST)
+
+
+def sliding(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
+    """The features of every marker: turns of the joints at both ends of its bone, radians."""
+    skeleton, bones = subject.skeleton, np.asarray(subject.bones)
+    rotations = np.asarray(poses.rotations, float)
+    angles = 2 * np.arccos(np.clip(np.abs(rotations[..., :1]), 0, 1))
+    turns = np.concatenate([mean_turns(rotations), angles], 2)
+    features = np.zeros((len(turns), len(bones), DIRECTIONS))
+    for bone in np.unique(bones):
+        ends = [joint for joint, parent in enumerate(skeleton.parents) if parent == bone]
+        beside = ends + ([bone] if skeleton.parents[bone] >= 0 else [])
+        if not beside:
+            continue
+        wide = turns[:, beside].reshape(len(turns), -1)
+        wide = wide - wide.mean(0)
+        _, _, directions = np.linalg.svd(wide, full_matrices=False)
+        found = wide @ directions[:DIRECTIONS].T
+        features[:, bones == bone, : found.shape[1]] = found[:, None]
+    return features
+
+
+def find_skin(
+    features: Float[np.ndarray, "F M K"],
+    residuals: Float[np.ndarray, "F M 3"],
+    counted: Bool[np.ndarray, "F M"],
+) -> Skin | None:
+    """Skin to begin with, where residuals follow the joints by more than chance; else none."""
+    explained = whole = chance = squares = 0.0
+    for marker in range(residuals.shape[1]):
+        some = counted[:, marker]
+        phi, left = features[some, marker], residuals[some, marker]
+        phi = phi[:, (phi**2).sum(0) > 1e-9]
+        if len(left) <= 2 * phi.shape[1] or not phi.size:
+            continue
+        phi, left = phi - phi.mean(0), left - left.mean(0)
+        slides = np.linalg.lstsq(phi, left, rcond=1e-6)[0]
+        told = float(np.sum((phi @ slides) ** 2))
+        explained, whole = explained + told, whole + float(np.sum(left**2))
+        chance += phi.shape[1] / len(left) * float(np.sum(left**2))
+        squares += float(np.sum(phi**2)) * 3
+    if whole == 0.0 or explained < TELLING * chance:
+        return None
+    deviation = float(np.clip(np.sqrt(explained / squares), LEAST, MOST))
+    return Skin(features, np.zeros((features.shape[2], residuals.shape[1], 3)), deviation)
+
+
+def renewed(skin: Skin, variances: Float[np.ndarray, "O"]) -> Skin:
+    """With the deviation that makes the slides likeliest: their squares over the number of them that is
+    told (MacKay 1992)."""
+    told = np.any(skin.features != 0, 0).T.astype(float)
+    told = np.broadcast_to(told[:, :, None], skin.slides.shape)
+    known = told.ravel() * (1.0 - np.minimum(variances * skin.deviation**-2, 1.0))
+    squares = float(np.sum(skin.slides**2))
+    deviation = float(np.clip(np.sqrt(squares / max(known.sum(), 1.0)), LEAST, MOST))
+    return skin._replace(deviation=deviation)

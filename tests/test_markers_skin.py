@@ -1,0 +1,73 @@
+"""Skin that slides with the joints: found where it is, not where it is not, and told from other centres."""
+
+import jax
+import numpy as np
+
+import jaxcap as jc
+from jaxcap.markers.calibrate import calibrate
+from jaxcap.markers.skin import Skin, find_skin, renewed, sliding
+from jaxcap.observe import MarkerFrames
+from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
+
+SUBJECT = truth()
+
+
+def slid(motion, rng, size):
+    """Markers that slide with their bone's joints, and by how much, metres."""
+    features = sliding(SUBJECT, motion.poses)
+    slides = size * rng.normal(size=(features.shape[2], SUBJECT.num_markers, 3))
+    frames = seen_by(SUBJECT, motion, rng)
+    shifts = Skin(features, slides, size).shifts()
+    turns = jax.vmap(lambda pose: jc.forward_kinematics(SUBJECT.skeleton, pose).rotations)(motion.poses)
+    seen = np.einsum("fmab,fmb->fma", np.asarray(turns)[:, np.asarray(SUBJECT.bones)], shifts)
+    return MarkerFrames(frames.places + seen, frames.seen, frames.labels, frames.rate), shifts
+
+
+def test_turns_of_both_ends_of_a_bone_are_features(rng):
+    motion = moving(rng, 50)
+    features = sliding(SUBJECT, motion.poses)
+    bones = np.asarray(SUBJECT.bones)
+    assert features.shape[:2] == (50, 18)
+    np.testing.assert_allclose(features.mean(0), 0, atol=1e-12)
+    # markers of one bone have the same, those of others have others
+    np.testing.assert_array_equal(features[:, bones == 1], np.repeat(features[:, 4:5], 4, 1))
+    assert not np.allclose(features[:, 0], features[:, 4])
+    # a hand's joint alone moves its skin, by three numbers and its angle
+    assert np.linalg.matrix_rank(features[:, bones == 2][:, 0], tol=1e-6) <= 4
+
+
+def test_skin_is_found_where_residuals_follow_the_joints(rng):
+    motion = moving(rng, 60)
+    features = sliding(SUBJECT, motion.poses)
+    noise = 1e-3 * rng.normal(size=(60, 18, 3))
+    seen = np.ones((60, 18), bool)
+    assert find_skin(features, noise, seen) is None
+    slides = 0.01 * rng.normal(size=(features.shape[2], 18, 3))
+    found = find_skin(features, noise + Skin(features, slides, 0.01).shifts(), seen)
+    assert found is not None and 0.005 < found.deviation < 0.02
+    # of slides that are known the deviation is their own, of unknown ones nothing is learned
+    known = renewed(found._replace(slides=slides), np.zeros(slides.size))
+    assert abs(known.deviation / np.sqrt(np.mean(slides**2)) - 1) < 0.2
+    assert find_skin(features, noise, np.zeros_like(seen)) is None
+
+
+def test_slides_are_not_taken_for_longer_bones():
+    """Much of what slides would do to bones is taken off it."""
+    off, without = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        frames, shifts = slid(moving(rng, 60), rng, 0.006)
+        template = wrong(SUBJECT, rng)
+        found = calibrate(frames, template)
+        true = np.sqrt(np.mean(np.sum(shifts**2, -1)))
+        assert 0.6 * true < np.sqrt(np.mean(found.slides**2)) < 1.4 * true
+        off.append(np.abs(bone_lengths(found.subject) - 0.3))
+        plain = calibrate(frames, template, skin=False)
+        assert not plain.slides.any()
+        without.append(np.abs(bone_lengths(plain.subject) - 0.3))
+    assert np.mean(off) < 0.7 * np.mean(without)
+
+
+def test_noise_alone_slides_nothing(rng):
+    found = calibrate(seen_by(SUBJECT, moving(rng, 60), rng), wrong(SUBJECT, rng))
+    assert not found.slides.any()
