@@ -20,7 +20,7 @@ from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.markers.calibrate import Calibration, calibrate
-from jaxcap.markers.null_space import HARDLY, centre_covariances, length_deviations
+from jaxcap.markers.null_space import length_deviations
 
 TAKES = ("02_05", "02_01", "01_01")
 CASES = {"noise": Trouble(), "gaps": Trouble(gaps=0.1, swaps=0.01), "skin": Trouble(skin=0.015)}
@@ -33,15 +33,14 @@ def errors(scene: Scene, found: Calibration) -> dict[str, np.ndarray | float]:
     subject, skeleton = found.subject, found.subject.skeleton
     _, joints = pose_all(subject, found.motion.poses, jnp.zeros_like(scene.frames.places))
     away = np.asarray(joints) - scene.joints
-    covariances = centre_covariances(subject, found.joints, found.covariance)
     turned = turns(scene.motion)
     rotations = np.asarray(_rotations(skeleton, found.motion.poses))
     told, full, between = [], [], []
-    for joint, covariance in zip(found.joints, covariances, strict=True):
+    for joint in found.joints:
         if turned[joint] < TURNS:
             continue
-        values, vectors = np.linalg.eigh(covariance)
-        kept = vectors[:, np.sqrt(np.maximum(values, 0)) < HARDLY]
+        left_out = np.array([one.direction for one in found.hardly if one.joint == joint]).reshape(-1, 3)
+        kept = np.eye(3) - left_out.T @ left_out
         # directions are at rest, in the bone that the joint is the end of
         local = np.einsum("fba,fb->fa", rotations[:, skeleton.parents[joint]], away[:, joint])
         told.append(np.linalg.norm(local @ kept, axis=1).mean())

@@ -15,7 +15,7 @@ from ..observe import MarkerFrames
 from .adjust import Fit, Problem, adjust
 from .choose import choose_frames
 from .matched import match_markers
-from .null_space import describe_precision, shared_covariance
+from .null_space import Hardly, describe_precision, hardly_known, shared_covariance
 from .shared import Trust, solved_joints
 from .solve import solve_markers
 from .subject import Subject
@@ -38,6 +38,8 @@ class Calibration(NamedTuple):
     covariance: Float[np.ndarray, "S S"]
     #: root mean square of how far each marker slides on its bone as joints turn, metres
     slides: Float[np.ndarray, "M"]
+    #: directions in which centres are hardly known, or known by the template alone
+    hardly: tuple[Hardly, ...]
     #: what the data do not tell, or hardly, in sentences
     told: tuple[str, ...]
     #: robust cost after every step, in squared standard deviations; a rise marks new variances
@@ -109,6 +111,7 @@ def calibrate(
         solved.residuals,
         known.covariance,
         np.sqrt(3.0 * slid.variances()),
+        tuple(hardly_known(best, known, joints)),
         told,
         fit.history,
         joints,

@@ -20,8 +20,11 @@ from .turning import Turning, drawn, free_turning
 
 #: a direction is hardly known with a larger standard deviation, metres
 HARDLY = 0.01
-#: and not told by the data at all where it is this share of what the template alone would have it
-UNTOLD = 0.7
+#: and told by the template more than by the data where it rises by so much when the template is trusted
+#: with twice its deviations; that it could rise twofold, at most
+UNTOLD = 1.4
+#: nothing is said of smaller deviations, metres
+SMALL = 0.003
 
 
 class Known(NamedTuple):
@@ -29,8 +32,19 @@ class Known(NamedTuple):
 
     #: by the data and what the template was trusted
     covariance: Float[np.ndarray, "S S"]
-    #: by the template alone
-    prior: Float[np.ndarray, "S S"]
+    #: where the template is trusted half as much
+    loose: Float[np.ndarray, "S S"]
+
+
+class Hardly(NamedTuple):
+    """A direction, at rest, along which a joint's centre is hardly known."""
+
+    joint: int
+    direction: Float[np.ndarray, "3"]
+    #: metres
+    deviation: float
+    #: whether the data tell more of it than the template
+    told: bool
 
 
 def shared_covariance(
@@ -54,15 +68,23 @@ def shared_covariance(
     rows = all_rows(subject, poses, places, seen, subject.deviations, joints, bound, shifts)
     turning = free_turning(subject.skeleton) if turning is None else turning
     data = eliminate(rows, drawn(subject.skeleton, turning, poses), skin.features)
-    told, size = data.with_prior(*skin.widened(prior, np.zeros(len(prior)))).matrix, len(prior)
-    both, alone = inverse(told)[:size, :size], inverse(prior)
+    size, none = len(prior), np.zeros(len(prior))
+    both, loose = (
+        inverse(data.with_prior(*skin.widened(share * prior, none)).matrix)[:size, :size]
+        for share in (1.0, 0.25)
+    )
     if pairs:
         slopes = np.asarray(length_differences(subject.skeleton, np.array(pairs, int))[1], float)
         by_centre = np.einsum("bja,jk->bka", slopes, followers(subject.skeleton, joints))
         rows = np.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
-        across = both @ rows.T
-        both = both - across @ np.linalg.pinv(rows @ across) @ across.T
-    return Known(both, alone)
+        both, loose = (given(covariance, rows) for covariance in (both, loose))
+    return Known(both, loose)
+
+
+def given(covariance: Float[np.ndarray, "S S"], rows: Float[np.ndarray, "C S"]) -> Float[np.ndarray, "S S"]:
+    """The covariance where `rows` of what it is of are known exactly."""
+    across = covariance @ rows.T
+    return covariance - across @ np.linalg.pinv(rows @ across) @ across.T
 
 
 def inverse(matrix: Float[np.ndarray, "S S"]) -> Float[np.ndarray, "S S"]:
@@ -116,6 +138,20 @@ def centre_covariances(
     return result
 
 
+def hardly_known(subject: Subject, known: Known, joints: tuple[int, ...]) -> list[Hardly]:
+    """The directions in which centres have a deviation of `HARDLY` or more, or that the template tells."""
+    found = []
+    covariances = (centre_covariances(subject, joints, each) for each in known)
+    for joint, covariance, loose in zip(joints, *covariances, strict=True):
+        values, vectors = np.linalg.eigh(covariance)
+        for value, direction in zip(values[::-1], vectors.T[::-1], strict=True):
+            deviation = float(np.sqrt(max(value, 0.0)))
+            told = float(np.sqrt(direction @ loose @ direction)) < UNTOLD * deviation
+            if deviation >= HARDLY or (not told and deviation > SMALL):
+                found.append(Hardly(joint, direction, deviation, told))
+    return found
+
+
 def describe_precision(subject: Subject, known: Known, poses: Pose, joints: tuple[int, ...]) -> list[str]:
     """A sentence for each direction that is hardly known: of joints' centres, and of the size of all."""
     skeleton = subject.skeleton
@@ -130,25 +166,17 @@ def describe_precision(subject: Subject, known: Known, poses: Pose, joints: tupl
             f"No markers tell where the centres of {', '.join(silent)} are; their bones stay as long as the "
             "template's."
         )
-    posterior = centre_covariances(subject, joints, known.covariance)
-    before = centre_covariances(subject, joints, known.prior)
-    for joint, covariance, prior in zip(joints, posterior, before, strict=True):
-        values, vectors = np.linalg.eigh(covariance)
-        for value, direction in zip(values[::-1], vectors.T[::-1], strict=True):
-            deviation = float(np.sqrt(max(value, 0.0)))
-            if deviation < HARDLY:
-                break
-            alone = float(np.sqrt(direction @ prior @ direction))
-            where = _in_words(subject, poses, joint, direction)
-            if deviation > UNTOLD * alone:
-                said.append(
-                    f"{where}, the data do not tell the centre of {skeleton.names[joint]}: it is where the "
-                    f"template has it, known to {1000 * deviation:.0f} mm only."
-                )
-            else:
-                said.append(
-                    f"{where}, the centre of {skeleton.names[joint]} is known to {1000 * deviation:.0f} mm only."
-                )
+    for joint, direction, deviation, told in hardly_known(subject, known, joints):
+        where = _in_words(subject, poses, joint, direction)
+        if told:
+            said.append(
+                f"{where}, the centre of {skeleton.names[joint]} is known to {1000 * deviation:.0f} mm only."
+            )
+        else:
+            said.append(
+                f"{where}, the data do not tell the centre of {skeleton.names[joint]}: it is where the "
+                f"template has it, known to {1000 * deviation:.0f} mm only."
+            )
     size = _size_deviation(subject, joints, known.covariance)
     if size > 0.01:
         said.append(
