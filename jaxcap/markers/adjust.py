@@ -17,7 +17,6 @@ from ..body.pose import Pose, retract
 from ..body.symmetry import length_differences
 from .eliminate import eliminate, pose_covariances, pose_steps
 from .equations import Rows, all_rows, marker_deviations
-from .null_space import inverse
 from .robust import BOUND, MEDIAN, UNBOUNDED
 from .shared import Trust, followers, prior_precision, shared_between, shift_subject
 from .skin import Skin, find_skin, renewed, sliding, still
@@ -148,7 +147,7 @@ def adjust(problem: Problem, subject: Subject, poses: Pose) -> Fit:
                 deviations = jnp.full_like(deviations, jnp.median(deviations))
             rows, slid = rows_of(state), False
             if skin and renewals >= FIRM:
-                state, slid = _slid(problem, state, rows, value, deviations, first=renewals == FIRM)
+                state, slid = _slid(problem, state, rows, deviations, first=renewals == FIRM)
                 settled = 0 if slid else settled
             if not state.skin.slides.size:
                 none = drawn(skeleton, free_turning(skeleton), state.poses)
@@ -162,9 +161,7 @@ def adjust(problem: Problem, subject: Subject, poses: Pose) -> Fit:
     return Fit(state, deviations, turning, tuple(history), False)
 
 
-def _slid(
-    problem: Problem, state: State, rows: Rows, value: _Value, deviations, first: bool
-) -> tuple[State, bool]:
+def _slid(problem: Problem, state: State, rows: Rows, deviations, first: bool) -> tuple[State, bool]:
     """The state with skin as its residuals have it, looked for at `first`, and whether that has changed."""
     subject, poses, skin = state
     if first:
@@ -174,8 +171,7 @@ def _slid(
         return (state, False) if found is None else (state._replace(skin=found), True)
     if not skin.slides.size:
         return state, False
-    reduced = eliminate(rows, value.held, skin.features).with_prior(*value.prior)
-    after = renewed(skin, np.diag(inverse(reduced.matrix))[-skin.slides.size :])
+    after = renewed(skin, subject)
     return state._replace(skin=after), abs(after.deviation / skin.deviation - 1.0) > 0.1
 
 

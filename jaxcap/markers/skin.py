@@ -21,12 +21,14 @@ from ..body.pose import Pose
 from .subject import Subject
 from .turning import mean_turns
 
-#: directions of turns that count, at most
-DIRECTIONS = 4
+#: directions of turns that count: more take for skin what the segments lack in joints
+DIRECTIONS = 2
 #: how many times what chance alone explains of the residuals, turns have to
 TELLING = 6.0
 #: metres a radian that skin slides, at least and at most: less is none
 LEAST, MOST = 2e-4, 0.05
+#: metres that markers are from the middle of their bone, about
+LEVER = 0.05
 
 
 class Skin(NamedTuple):
@@ -110,12 +112,26 @@ def find_skin(
     return Skin(features, np.zeros((features.shape[2], residuals.shape[1], 3)), deviation)
 
 
-def renewed(skin: Skin, variances: Float[np.ndarray, "O"]) -> Skin:
-    """With the deviation that makes the slides likeliest: their squares over the number of them that is
-    told (MacKay 1992)."""
-    told = np.any(skin.features != 0, 0).T.astype(float)
-    told = np.broadcast_to(told[:, :, None], skin.slides.shape)
-    known = told.ravel() * (1.0 - np.minimum(variances * skin.deviation**-2, 1.0))
-    squares = float(np.sum(skin.slides**2))
-    deviation = float(np.clip(np.sqrt(squares / max(known.sum(), 1.0)), LEAST, MOST))
+def renewed(skin: Skin, subject: Subject) -> Skin:
+    """With the deviation that slides have by which the markers of a bone move among each other.
+
+    By what is left of them the bone itself would seem to move, which only joints contradict: were they
+    counted, ever larger slides would take the place of poses.
+    """
+    bones, offsets = np.asarray(subject.bones), np.asarray(subject.offsets, float)
+    squares = numbers = 0.0
+    for bone in np.unique(bones):
+        own = np.flatnonzero(bones == bone)
+        arms = offsets[own] - offsets[own].mean(0)
+        turns = np.cross(np.eye(3)[:, None], arms).reshape(3, -1)
+        shifts = np.tile(np.eye(3), (1, len(own)))
+        _, sizes, basis = np.linalg.svd(np.concatenate([turns / LEVER, shifts]), full_matrices=False)
+        rigid = basis[sizes > 1e-3]
+        for slides, phi in zip(
+            skin.slides[:, own].reshape(-1, 3 * len(own)), skin.features[:, own[0]].T, strict=True
+        ):
+            if phi.any():
+                squares += float(slides @ slides - np.sum((rigid @ slides) ** 2))
+                numbers += slides.size - len(rigid)
+    deviation = float(np.clip(np.sqrt(squares / max(numbers, 1.0)), LEAST, MOST))
     return skin._replace(deviation=deviation)
