@@ -143,6 +143,16 @@ def test_what_is_lost_and_gained(wrong):
     np.testing.assert_allclose(removals[0].shares.sum(1), 1.0)
 
 
+def test_a_bone_that_moves_nothing_costs_nothing(wrong):
+    body, poses, targets, _ = wrong("lbs")
+    weights = jnp.asarray(body.skin.influence(body.skeleton.num_joints)).at[:, 2].set(0.0)
+    weights = weights.at[:, 0].add(1.0 - weights.sum(1))
+    idle = Body(body.skeleton, LinearSkin(weights), body.vertices, body.faces)
+    removals = find_removals(idle, poses, targets)
+    assert {removal.joint for removal in removals} == set(range(1, body.skeleton.num_joints))
+    assert next(removal for removal in removals if removal.joint == 2).cost == 0.0
+
+
 def test_other_bones_move_as_before(wrong, rng):
     body, poses, _, _ = wrong("lbs")
     along = np.asarray(body.vertices)[:, 0]

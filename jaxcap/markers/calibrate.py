@@ -17,11 +17,14 @@ from .choose import choose_frames
 from .matched import match_markers
 from .null_space import Hardly, describe_precision, hardly_known, shared_covariance
 from .shared import Trust, solved_joints
+from .skin import Skin
 from .solve import solve_markers
 from .subject import Subject
 
 #: what a marker counts, of one, that no pose explains
 FAR = 0.05
+#: metres that a marker slides to be told
+SLIDING = 0.005
 
 
 class Calibration(NamedTuple):
@@ -102,7 +105,7 @@ def calibrate(
     known = shared_covariance(best, poses, places, seen, joints, trust, pairs, fit.turning, slid)
     best = _measured(fit)
     solved = solve_markers(best, frames)
-    told = tuple(describe_precision(best, known, poses, joints)) + solved.told
+    told = (*describe_precision(best, known, poses, joints), *_on_skin(best, slid), *solved.told)
     if not fit.converged:
         told += (f"The fit had not converged after {steps} steps; allow more.",)
     return Calibration(
@@ -118,6 +121,16 @@ def calibrate(
         chosen,
         fit.converged,
     )
+
+
+def _on_skin(subject: Subject, skin: Skin) -> list[str]:
+    """A sentence about the markers that slide furthest."""
+    far = 3.0 * np.sqrt(3.0 * skin.variances())
+    most = [marker for marker in np.argsort(-far)[:5] if far[marker] > SLIDING]
+    if not most:
+        return []
+    each = ", ".join(f"{subject.labels[marker]} by {1000 * far[marker]:.0f} mm" for marker in most)
+    return [f"Skin slides on its bones as the joints turn, the most under {each}."]
 
 
 def _followed(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"]):

@@ -64,6 +64,8 @@ class Fit:
     """Stop after joints one by one, without the fit of all frames, lengths and placements together."""
     frames: Annotated[int, arg(metavar="N")] = 100
     """Frames that the fit of all together chooses, as different as can be."""
+    rigid: Flag = False
+    """Markers stay where they are on their bones; without it they may slide as joints turn, where they seem to."""
     unit: OptionalUnit = None
     """Unit of the files' lengths, in place of what they say: m, dm, cm, mm, in or ft."""
     subject: OptionalSubject = None
@@ -107,7 +109,9 @@ class Fit:
                 f"fitting poses, lengths and placements together in {min(self.frames, len(united))} of {len(united)} frames"
             )
             known = [pair for pair in pairs if set(pair) <= set(found.skeleton.names)]
-            fitted = calibrate(found.markers, found.subject, symmetry=known, count=self.frames)
+            fitted = calibrate(
+                found.markers, found.subject, symmetry=known, count=self.frames, skin=not self.rigid
+            )
             subject = fitted.subject
         lost = fitted.lost if isinstance(fitted, MarkerSolution) else None
         if not np.isfinite(held_residuals(subject, fitted.residuals, lost)).any():
