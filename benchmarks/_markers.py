@@ -13,6 +13,7 @@ import jaxcap as jc
 from benchmarks._scenes import cmu_motion
 from jaxcap.body.kinematics import joint_positions
 from jaxcap.geometry import rotation
+from jaxcap.markers.calibrate import Calibration
 from jaxcap.markers.subject import Subject, make_subject
 from jaxcap.observe import MarkerFrames
 
@@ -128,6 +129,13 @@ def wrong(truth: Subject, rng: np.random.Generator, bones: float = 0.08, placeme
         truth,
         (jnp.asarray(centres, dtype), jnp.asarray(places, dtype), jnp.full(len(off), 0.01, dtype)),
     )
+
+
+def known_part(found: Calibration, joint: int) -> Float[np.ndarray, "3 3"]:
+    """What takes off an error of a joint, at rest, all that is along directions that the calibration tells to be hardly
+    known, such as the axis of a hinge."""
+    hardly = np.array([one.direction for one in found.hardly if one.joint == joint]).reshape(-1, 3)
+    return np.eye(3) - hardly.T @ hardly
 
 
 def turns(motion: jc.Motion) -> Float[np.ndarray, "J"]:

@@ -22,13 +22,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks._markers import Scene, Trouble, performer, pose_all, scene_of, turns, wrong
+from benchmarks._markers import Scene, Trouble, known_part, performer, pose_all, scene_of, turns, wrong
 from benchmarks._scenes import cmu_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.edit.retarget import retarget
 from jaxcap.markers.calibrate import Calibration, calibrate
-from jaxcap.markers.null_space import HARDLY, centre_covariances
 from jaxcap.markers.solve import solve_markers
 from jaxcap.markers.subject import Subject
 
@@ -156,17 +155,11 @@ def told_errors(scene: Scene, found: Calibration, joints: np.ndarray, turning: n
     of a hinge, as our calibration has them."""
     away, skeleton = joints - scene.joints, scene.truth.skeleton
     turned = jax.lax.map(lambda pose: forward_kinematics(skeleton, pose).rotations, scene.motion.poses)
-    turned, covariances = (
-        np.asarray(turned, float),
-        centre_covariances(found.subject, found.joints, found.covariance),
-    )
-    errors = []
-    for joint, covariance in zip(found.joints, covariances, strict=True):
+    turned, errors = np.asarray(turned, float), []
+    for joint in found.joints:
         if joint in turning:
-            values, vectors = np.linalg.eigh(covariance)
-            kept = vectors[:, np.sqrt(np.maximum(values, 0)) < HARDLY]
             local = np.einsum("fba,fb->fa", turned[:, skeleton.parents[joint]], away[:, joint])
-            errors.append(np.linalg.norm(local @ kept, axis=1))
+            errors.append(np.linalg.norm(local @ known_part(found, joint), axis=1))
     return np.array(errors).T
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
-from benchmarks._markers import Scene, Trouble, make_scene, pose_all, turns
+from benchmarks._markers import Scene, Trouble, known_part, make_scene, pose_all, turns
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
@@ -39,11 +39,9 @@ def errors(scene: Scene, found: Calibration) -> dict[str, np.ndarray | float]:
     for joint in found.joints:
         if turned[joint] < TURNS:
             continue
-        left_out = np.array([one.direction for one in found.hardly if one.joint == joint]).reshape(-1, 3)
-        kept = np.eye(3) - left_out.T @ left_out
         # directions are at rest, in the bone that the joint is the end of
         local = np.einsum("fba,fb->fa", rotations[:, skeleton.parents[joint]], away[:, joint])
-        told.append(np.linalg.norm(local @ kept, axis=1).mean())
+        told.append(np.linalg.norm(local @ known_part(found, joint), axis=1).mean())
         full.append(np.linalg.norm(away[:, joint], axis=1).mean())
     ends = np.array([joint for joint in found.joints if skeleton.parents[joint] in found.joints])
     starts = np.array(skeleton.parents)[ends]
