@@ -26,7 +26,10 @@ from .turning import Drawn, Turning, drawn, free_turning, turning_of
 #: below this no residual is believed, metres
 EXACT = 2e-5
 #: from which renewal of variances on these are those of the noise, and no longer of the template
+FIRST_DAMPING = 1e-3
 FIRM = 4
+#: and after which the fit may end
+SETTLED = 5
 #: the share of the cost that may be left to gain, before and after the first renewals
 ROUGH, TOLERANCE = 1e-2, 1e-4
 
@@ -57,7 +60,14 @@ class State(NamedTuple):
     skin: Skin
 
 
-class _Value(NamedTuple):
+class Terms(NamedTuple):
+    """What is renewed between steps: how far markers may be off, and which axes joints turn about."""
+
+    deviations: Float[Array, "M"]
+    turning: Turning
+
+
+class Value(NamedTuple):
     """A state's residuals with derivatives, how far what is shared is from the template, and the cost."""
 
     rows: Rows
@@ -70,54 +80,75 @@ class Fit(NamedTuple):
     """Where the steps ended."""
 
     state: State
-    deviations: Float[Array, "M"]
-    turning: Turning
+    terms: Terms
     history: tuple[float, ...]
     converged: bool
 
 
 def adjust(problem: Problem, subject: Subject, poses: Pose) -> Fit:
     """Steps at fixed variances until little is left to gain, then new variances, until these stay."""
-    template, places, seen, joints, pairs, trust, robust, skin, steps = problem
-    dtype, skeleton = places.dtype, template.skeleton
-    precision = prior_precision(template, joints, trust)
-    floor = jnp.asarray(EXACT, dtype)
-    bound = jnp.asarray(BOUND if robust else UNBOUNDED, dtype)
-    deviations = _first_deviations(subject, poses, places, seen, bound)
-    damping, growth, history, renewals, settled = 1e-3, 4.0, [], 0, 0
-    turning = free_turning(skeleton)
-
-    def rows_of(state: State) -> Rows:
-        shifts = jnp.asarray(state.skin.shifts(), dtype)
-        return all_rows(state.subject, state.poses, places, seen, deviations, joints, bound, shifts)
-
-    def evaluate(state: State) -> _Value:
-        rows, held = rows_of(state), drawn(skeleton, turning, state.poses)
-        away = np.asarray(shared_between(template, state.subject, joints), float)
-        prior = state.skin.widened(precision, away)
-        return _Value(rows, prior, held, float(rows.cost) + float(prior[1] @ prior[0] @ prior[1]) + held.cost)
-
+    deviations = _first_deviations(problem, subject, poses)
+    terms = Terms(deviations, free_turning(subject.skeleton))
     state = State(subject, poses, still(poses, subject))
-    value, reduced = evaluate(state), None
+    value, history, settled, damping = evaluate(problem, terms, state), [], 0, FIRST_DAMPING
     history.append(value.cost)
-    for _ in range(steps):
+    for renewal in range(1, problem.steps):
+        # the first variances are those of the template's errors and only lead to better ones
+        enough = TOLERANCE if renewal > 2 else ROUGH
+        state, value, damping = descend(problem, terms, state, value, damping, enough, history)
+        damping = min(damping, FIRST_DAMPING)
+        if len(history) > problem.steps:
+            break
+        old, (terms, state, slid) = terms, _renewed(problem, terms, state, value, renewal)
+        change = float(jnp.max(jnp.abs(terms.deviations / old.deviations - 1.0)))
+        settled = settled + 1 if change < 0.05 and not slid else 0
+        if settled and renewal > SETTLED:
+            return Fit(state, terms, tuple(history), True)
+        value = evaluate(problem, terms, state)
+        history.append(value.cost)
+    return Fit(state, terms, tuple(history), False)
+
+
+def evaluate(problem: Problem, terms: Terms, state: State) -> Value:
+    """Residuals, priors and the cost."""
+    rows = _rows(problem, terms, state)
+    held = drawn(state.subject.skeleton, terms.turning, state.poses)
+    away = np.asarray(shared_between(problem.template, state.subject, problem.joints), float)
+    precision = prior_precision(problem.template, problem.joints, problem.trust)
+    matrix, away = state.skin.widened(precision, away)
+    return Value(rows, (matrix, away), held, float(rows.cost) + float(away @ matrix @ away) + held.cost)
+
+
+def descend(
+    problem: Problem,
+    terms: Terms,
+    state: State,
+    value: Value,
+    damping: float,
+    enough: float,
+    history: list[float],
+) -> tuple[State, Value, float]:
+    """Damped steps until a share `enough` of the cost is left to gain, or no step gains anything; every
+    one that does adds to `history`."""
+    growth, reduced = 4.0, None
+    dtype = problem.places.dtype
+    while damping <= 1e4 and len(history) <= problem.steps:
         if reduced is None:
             reduced = eliminate(value.rows, value.held, state.skin.features).with_prior(*value.prior)
-            constraints, violation = constraint_rows(state.subject, joints, pairs)
+            constraints, violation = constraint_rows(state.subject, problem.joints, problem.pairs)
             constraints = np.pad(constraints, ((0, 0), (0, state.skin.slides.size)))
             # what could be gained in all: a damped step gains little along flat valleys
             left = reduced.decrease(reduced.step(0.0, constraints, violation)[0])
         shared, by_frame = reduced.step(damping, constraints, violation)
-        trial = _moved(state, joints, shared, by_frame)
+        trial = _moved(state, problem.joints, shared, by_frame)
         # poses follow once more for themselves: valleys are curved, and steps along them longer
-        after = evaluate(trial)
+        after = evaluate(problem, terms, trial)
         nearer = trial._replace(poses=_posed(trial, jnp.asarray(pose_steps(after.rows, after.held), dtype)))
-        closer = evaluate(nearer)
+        closer = evaluate(problem, terms, nearer)
         trial, after = (nearer, closer) if closer.cost < after.cost else (trial, after)
-        expected = reduced.decrease(shared)
-        if after.cost <= value.cost:
-            gain = (value.cost - after.cost) / max(expected, 1e-12)
-            gained = value.cost - after.cost
+        gained = value.cost - after.cost
+        if gained >= 0:
+            gain = gained / max(reduced.decrease(shared), 1e-12)
             state, value, reduced, growth = trial, after, None, 4.0
             # Nielsen's rule (1999): less damping the better the problem is linear
             damping *= max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
@@ -125,40 +156,59 @@ def adjust(problem: Problem, subject: Subject, poses: Pose) -> Fit:
             history.append(after.cost)
         else:
             gained, damping, growth = np.inf, growth * max(damping, 1e-6), 2.0 * growth
-        # the first variances are those of the template's errors and only lead to better ones
-        done = min(left, 3 * gained) < (TOLERANCE if renewals > 1 else ROUGH) * value.cost
-        if done or damping > 1e4:
-            renewals += 1
-            old, damping = deviations, min(damping, 1e-3)
-            shifts = jnp.asarray(state.skin.shifts(), dtype)
-            deviations = marker_deviations(
-                state.subject,
-                state.poses,
-                places,
-                seen,
-                deviations,
-                floor,
-                bound,
-                shifts,
-                jnp.asarray(value.held.matrix, dtype),
-            )
-            if renewals < 3:
-                # one for all, so that no marker is let go for what its bone's length still lacks
-                deviations = jnp.full_like(deviations, jnp.median(deviations))
-            rows, slid = rows_of(state), False
-            if skin and renewals >= FIRM:
-                state, slid = _slid(problem, state, rows, deviations, first=renewals == FIRM)
-                settled = 0 if slid else settled
-            if not state.skin.slides.size:
-                none = drawn(skeleton, free_turning(skeleton), state.poses)
-                free = _posed(state, jnp.asarray(pose_steps(rows, none), dtype))
-                turning = turning_of(skeleton, free, pose_covariances(rows, none))
-            settled = settled + 1 if float(jnp.max(jnp.abs(deviations / old - 1.0))) < 0.05 else 0
-            if settled and renewals > 5:
-                return Fit(state, deviations, turning, tuple(history), True)
-            value, reduced = evaluate(state), None
-            history.append(value.cost)
-    return Fit(state, deviations, turning, tuple(history), False)
+        if min(left, 3 * gained) < enough * value.cost:
+            break
+    return state, value, damping
+
+
+def _rows(problem: Problem, terms: Terms, state: State) -> Rows:
+    dtype = problem.places.dtype
+    shifts, bound = jnp.asarray(state.skin.shifts(), dtype), _bound(problem)
+    return all_rows(
+        state.subject,
+        state.poses,
+        problem.places,
+        problem.seen,
+        terms.deviations,
+        problem.joints,
+        bound,
+        shifts,
+    )
+
+
+def _bound(problem: Problem) -> Float[Array, ""]:
+    return jnp.asarray(BOUND if problem.robust else UNBOUNDED, problem.places.dtype)
+
+
+def _renewed(
+    problem: Problem, terms: Terms, state: State, value: Value, renewal: int
+) -> tuple[Terms, State, bool]:
+    """Variances, stiff axes and skin as the state shows them, and whether skin has changed."""
+    dtype = problem.places.dtype
+    deviations = marker_deviations(
+        state.subject,
+        state.poses,
+        problem.places,
+        problem.seen,
+        terms.deviations,
+        jnp.asarray(EXACT, dtype),
+        _bound(problem),
+        jnp.asarray(state.skin.shifts(), dtype),
+        jnp.asarray(value.held.matrix, dtype),
+    )
+    if renewal < 3:
+        # one for all, so that no marker is let go for what its bone's length still lacks
+        deviations = jnp.full_like(deviations, jnp.median(deviations))
+    terms, slid = terms._replace(deviations=deviations), False
+    rows = _rows(problem, terms, state)
+    if problem.skin and renewal >= FIRM:
+        state, slid = _slid(problem, state, rows, deviations, first=renewal == FIRM)
+    if not state.skin.slides.size:
+        skeleton = state.subject.skeleton
+        none = drawn(skeleton, free_turning(skeleton), state.poses)
+        free = _posed(state, jnp.asarray(pose_steps(rows, none), dtype))
+        terms = terms._replace(turning=turning_of(skeleton, free, pose_covariances(rows, none)))
+    return terms, state, slid
 
 
 def _slid(problem: Problem, state: State, rows: Rows, deviations, first: bool) -> tuple[State, bool]:
@@ -175,12 +225,12 @@ def _slid(problem: Problem, state: State, rows: Rows, deviations, first: bool) -
     return state._replace(skin=after), abs(after.deviation / skin.deviation - 1.0) > 0.1
 
 
-def _first_deviations(subject: Subject, poses, places, seen, bound) -> Float[Array, "M"]:
+def _first_deviations(problem: Problem, subject: Subject, poses: Pose) -> Float[Array, "M"]:
     """One for all markers, by the median of what the template leaves."""
-    ones = jnp.ones(subject.num_markers, places.dtype)
-    none = jnp.zeros_like(places)
-    squared = np.asarray(all_rows(subject, poses, places, seen, ones, (), bound, none).squared)
-    middle = np.median(squared[np.asarray(seen)])
+    ones = jnp.ones(subject.num_markers, problem.places.dtype)
+    terms = Terms(ones, free_turning(subject.skeleton))
+    rows = _rows(problem._replace(joints=()), terms, State(subject, poses, still(poses, subject)))
+    middle = np.median(np.asarray(rows.squared)[np.asarray(problem.seen)])
     return max(float(np.sqrt(middle / MEDIAN)), EXACT) * ones
 
 

@@ -101,8 +101,8 @@ def calibrate(
             break
         # of whom the markers are is known better now, and so is which of them were exchanged
         motion, usable, explained = _followed(_measured(fit), frames, used)
-    best = eqx.tree_at(lambda s: s.deviations, subject, fit.deviations)
-    known = shared_covariance(best, poses, places, seen, joints, trust, pairs, fit.turning, slid)
+    best = eqx.tree_at(lambda s: s.deviations, subject, fit.terms.deviations)
+    known = shared_covariance(best, poses, places, seen, joints, trust, pairs, fit.terms.turning, slid)
     best = _measured(fit)
     solved = solve_markers(best, frames)
     told = (*describe_precision(best, known, poses, joints), *_on_skin(best, slid), *solved.told)
@@ -147,7 +147,7 @@ def _picked(poses: Pose, frames: Int[np.ndarray, "C"]) -> Pose:
 def _measured(fit: Fit) -> Subject:
     """With the deviations of markers on skin, as nobody knows of other frames how it slides there."""
     subject, _, skin = fit.state
-    deviations = jnp.sqrt(fit.deviations**2 + jnp.asarray(skin.variances(), fit.deviations.dtype))
+    deviations = jnp.sqrt(fit.terms.deviations**2 + jnp.asarray(skin.variances(), fit.terms.deviations.dtype))
     return eqx.tree_at(lambda s: s.deviations, subject, deviations)
 
 
