@@ -25,8 +25,11 @@ from .turning import Drawn, Turning, drawn, free_turning, turning_of
 
 #: below this no residual is believed, metres
 EXACT = 2e-5
-#: from which renewal of variances on these are those of the noise, and no longer of the template
+#: Marquardt's damping of the first step
 FIRST_DAMPING = 1e-3
+#: the share of what was expected of a step that shows that there is no valley
+STRAIGHT = 0.95
+#: from which renewal of variances on these are those of the noise, and no longer of the template
 FIRM = 4
 #: and after which the fit may end
 SETTLED = 5
@@ -65,6 +68,8 @@ class Terms(NamedTuple):
 
     deviations: Float[Array, "M"]
     turning: Turning
+    #: of what is shared, about the template; not renewed
+    prior: Float[np.ndarray, "S S"]
 
 
 class Value(NamedTuple):
@@ -87,8 +92,9 @@ class Fit(NamedTuple):
 
 def adjust(problem: Problem, subject: Subject, poses: Pose) -> Fit:
     """Steps at fixed variances until little is left to gain, then new variances, until these stay."""
+    prior = prior_precision(problem.template, problem.joints, problem.trust)
     deviations = _first_deviations(problem, subject, poses)
-    terms = Terms(deviations, free_turning(subject.skeleton))
+    terms = Terms(deviations, free_turning(subject.skeleton), prior)
     state = State(subject, poses, still(poses, subject))
     value, history, settled, damping = evaluate(problem, terms, state), [], 0, FIRST_DAMPING
     history.append(value.cost)
@@ -114,8 +120,7 @@ def evaluate(problem: Problem, terms: Terms, state: State) -> Value:
     rows = _rows(problem, terms, state)
     held = drawn(state.subject.skeleton, terms.turning, state.poses)
     away = np.asarray(shared_between(problem.template, state.subject, problem.joints), float)
-    precision = prior_precision(problem.template, problem.joints, problem.trust)
-    matrix, away = state.skin.widened(precision, away)
+    matrix, away = state.skin.widened(terms.prior, away)
     return Value(rows, (matrix, away), held, float(rows.cost) + float(away @ matrix @ away) + held.cost)
 
 
@@ -143,9 +148,12 @@ def descend(
         trial = _moved(state, problem.joints, shared, by_frame)
         # poses follow once more for themselves: valleys are curved, and steps along them longer
         after = evaluate(problem, terms, trial)
-        nearer = trial._replace(poses=_posed(trial, jnp.asarray(pose_steps(after.rows, after.held), dtype)))
-        closer = evaluate(problem, terms, nearer)
-        trial, after = (nearer, closer) if closer.cost < after.cost else (trial, after)
+        if value.cost - after.cost < STRAIGHT * reduced.decrease(shared):
+            nearer = trial._replace(
+                poses=_posed(trial, jnp.asarray(pose_steps(after.rows, after.held), dtype))
+            )
+            closer = evaluate(problem, terms, nearer)
+            trial, after = (nearer, closer) if closer.cost < after.cost else (trial, after)
         gained = value.cost - after.cost
         if gained >= 0:
             gain = gained / max(reduced.decrease(shared), 1e-12)
@@ -228,7 +236,7 @@ def _slid(problem: Problem, state: State, rows: Rows, deviations, first: bool) -
 def _first_deviations(problem: Problem, subject: Subject, poses: Pose) -> Float[Array, "M"]:
     """One for all markers, by the median of what the template leaves."""
     ones = jnp.ones(subject.num_markers, problem.places.dtype)
-    terms = Terms(ones, free_turning(subject.skeleton))
+    terms = Terms(ones, free_turning(subject.skeleton), np.zeros((0, 0)))
     rows = _rows(problem._replace(joints=()), terms, State(subject, poses, still(poses, subject)))
     middle = np.median(np.asarray(rows.squared)[np.asarray(problem.seen)])
     return max(float(np.sqrt(middle / MEDIAN)), EXACT) * ones

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from threadpoolctl import threadpool_limits
 
 from ..body.pose import Motion, Pose
 from ..body.symmetry import bones_of
@@ -23,6 +24,8 @@ from .subject import Subject
 
 #: what a marker counts, of one, that no pose explains
 FAR = 0.05
+#: steps that are enough to find them
+ROUGHLY = 24
 #: metres that a marker slides to be told
 SLIDING = 0.005
 
@@ -64,7 +67,7 @@ def calibrate(
     symmetry: Sequence[tuple[str, str]] = (),
     count: int = 100,
     trust: Trust = Trust(),  # noqa: B008
-    steps: int = 80,
+    steps: int = 120,
 ) -> Calibration:
     """The performer's skeleton and the places of the markers on it, from a template.
 
@@ -93,9 +96,13 @@ def calibrate(
         chosen = choose_frames(subject, motion.poses, explained, usable, count)
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
         places, seen = matched.places[chosen], jnp.asarray(explained[chosen])
-        problem = Problem(template, places, seen, joints, pairs, trust, robust, skin, steps)
-        fit = adjust(problem, subject, _picked(motion.poses, chosen))
         again = subject is template and not explained[used].all()
+        # to find exchanged labels a rough fit will do
+        effort = (False, min(steps, ROUGHLY)) if again else (skin, steps)
+        problem = Problem(template, places, seen, joints, pairs, trust, robust, *effort)
+        # threads of BLAS and those of XLA wait for each other, and matrices of frames are small
+        with threadpool_limits(1, "blas"):
+            fit = adjust(problem, subject, _picked(motion.poses, chosen))
         subject, poses, slid = fit.state
         if not again:
             break
