@@ -14,11 +14,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..body.pose import Pose, retract
-from ..body.symmetry import length_differences
 from .eliminate import eliminate, pose_covariances, pose_steps
 from .equations import Rows, all_rows, marker_deviations
 from .robust import BOUND, MEDIAN, UNBOUNDED
-from .shared import Trust, followers, prior_precision, shared_between, shift_subject
+from .shared import Trust, constraint_rows, prior_precision, shared_between, shift_subject
 from .skin import Skin, find_skin, renewed, sliding, still
 from .subject import Subject
 from .turning import Drawn, Turning, drawn, free_turning, turning_of
@@ -207,30 +206,26 @@ def _renewed(
     if renewal < 3:
         # one for all, so that no marker is let go for what its bone's length still lacks
         deviations = jnp.full_like(deviations, jnp.median(deviations))
-    terms, slid = terms._replace(deviations=deviations), False
+    terms = terms._replace(deviations=deviations)
+    if state.skin.slides.size:
+        after = renewed(state.skin, state.subject)
+        changed = abs(after.deviation / state.skin.deviation - 1.0) > 0.1
+        return terms, state._replace(skin=after), changed
     rows = _rows(problem, terms, state)
-    if problem.skin and renewal >= FIRM:
-        state, slid = _slid(problem, state, rows, deviations, first=renewal == FIRM)
-    if not state.skin.slides.size:
-        skeleton = state.subject.skeleton
-        none = drawn(skeleton, free_turning(skeleton), state.poses)
-        free = _posed(state, jnp.asarray(pose_steps(rows, none), dtype))
-        terms = terms._replace(turning=turning_of(skeleton, free, pose_covariances(rows, none)))
-    return terms, state, slid
+    found = _look_for_skin(problem, state, rows, deviations) if problem.skin and renewal == FIRM else None
+    if found is not None:
+        return terms, state._replace(skin=found), True
+    skeleton = state.subject.skeleton
+    none = drawn(skeleton, free_turning(skeleton), state.poses)
+    free = _posed(state, jnp.asarray(pose_steps(rows, none), dtype))
+    turning = turning_of(skeleton, free, pose_covariances(rows, none))
+    return terms._replace(turning=turning), state, False
 
 
-def _slid(problem: Problem, state: State, rows: Rows, deviations, first: bool) -> tuple[State, bool]:
-    """The state with skin as its residuals have it, looked for at `first`, and whether that has changed."""
-    subject, poses, skin = state
-    if first:
-        scale = np.asarray(deviations) / np.sqrt(np.maximum(np.asarray(subject.weights), 1e-9))
-        residuals = np.asarray(rows.residual, float) * scale[:, None]
-        found = find_skin(sliding(subject, poses), residuals, np.asarray(problem.seen))
-        return (state, False) if found is None else (state._replace(skin=found), True)
-    if not skin.slides.size:
-        return state, False
-    after = renewed(skin, subject)
-    return state._replace(skin=after), abs(after.deviation / skin.deviation - 1.0) > 0.1
+def _look_for_skin(problem: Problem, state: State, rows: Rows, deviations) -> Skin | None:
+    scale = np.asarray(deviations) / np.sqrt(np.maximum(np.asarray(state.subject.weights), 1e-9))
+    residuals = np.asarray(rows.residual, float) * scale[:, None]
+    return find_skin(sliding(state.subject, state.poses), residuals, np.asarray(problem.seen))
 
 
 def _first_deviations(problem: Problem, subject: Subject, poses: Pose) -> Float[Array, "M"]:
@@ -258,16 +253,3 @@ def _posed(state: State, by_frame: Float[Array, "F D"]) -> Pose:
 @eqx.filter_jit
 def _retracted(subject: Subject, poses: Pose, by_frame: Float[Array, "F D"]) -> Pose:
     return jax.vmap(retract, (None, 0, 0))(subject.skeleton, poses, by_frame)
-
-
-def constraint_rows(
-    subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
-) -> tuple[Float[np.ndarray, "B S"], Float[np.ndarray, "B"]]:
-    """Rows over `s` and what they have to make up for: paired bones stay equally long."""
-    size = 3 * (len(joints) + subject.num_markers)
-    if not pairs:
-        return np.zeros((0, size)), np.zeros(0)
-    differences, slopes = length_differences(subject.skeleton, np.array(pairs, int))
-    by_centre = np.einsum("bja,jk->bka", np.asarray(slopes, float), followers(subject.skeleton, joints))
-    rows = np.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
-    return rows, -np.asarray(differences, float)

@@ -112,7 +112,8 @@ def calibrate(
     known = shared_covariance(best, poses, places, seen, joints, trust, pairs, fit.terms.turning, slid)
     best = _measured(fit)
     solved = solve_markers(best, frames)
-    told = (*describe_precision(best, known, poses, joints), *_on_skin(best, slid), *solved.told)
+    hardly = hardly_known(best, known, joints)
+    told = (*describe_precision(best, known, poses, joints, hardly), *_on_skin(best, slid), *solved.told)
     if not fit.converged:
         told += (f"The fit had not converged after {steps} steps; allow more.",)
     return Calibration(
@@ -121,7 +122,7 @@ def calibrate(
         solved.residuals,
         known.covariance,
         np.sqrt(3.0 * slid.variances()),
-        tuple(hardly_known(best, known, joints)),
+        tuple(hardly),
         told,
         fit.history,
         joints,

@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float
 
 from ..body.pose import Pose
 from .subject import Subject
+from .turning import mean_rotations
 
 
 def choose_frames(
@@ -53,8 +54,7 @@ def _features(subject: Subject, poses: Pose, used, frames) -> Float[np.ndarray, 
     rotations = np.asarray(poses.rotations, float)[frames][:, inner]
     below = skeleton.descent[:, np.asarray(subject.bones)].T.astype(float)[:, inner]
     told = used[frames].astype(float) @ below > 0
-    _, vectors = np.linalg.eigh(np.einsum("fja,fjb->jab", rotations, rotations))
-    means = vectors[..., -1]
+    means = mean_rotations(rotations)
     signs = np.sign(np.einsum("fja,ja->fj", rotations, means))[..., None]
     away = (np.where(signs == 0, 1, signs) * rotations - means) * told[..., None]
     return away.reshape(len(frames), -1)

@@ -1,5 +1,6 @@
 """How well joint centres and marker places are known, and what the data do not tell, in words."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -8,12 +9,11 @@ import scipy.linalg
 from jaxtyping import Array, Bool, Float
 
 from ..body.pose import Pose
-from ..body.symmetry import length_differences
 from .eliminate import eliminate
 from .equations import all_rows
 from .gauge import without_gauge
 from .robust import BOUND
-from .shared import Trust, followers, prior_precision
+from .shared import Trust, constraint_rows, followers, prior_precision
 from .skin import Skin, still
 from .subject import Subject
 from .turning import Turning, drawn, free_turning
@@ -70,24 +70,22 @@ def shared_covariance(
     data = eliminate(rows, drawn(subject.skeleton, turning, poses), skin.features)
     size, none = len(prior), np.zeros(len(prior))
     both, loose = (
-        inverse(data.with_prior(*skin.widened(share * prior, none)).matrix)[:size, :size]
+        _inverse(data.with_prior(*skin.widened(share * prior, none)).matrix)[:size, :size]
         for share in (1.0, 0.25)
     )
     if pairs:
-        slopes = np.asarray(length_differences(subject.skeleton, np.array(pairs, int))[1], float)
-        by_centre = np.einsum("bja,jk->bka", slopes, followers(subject.skeleton, joints))
-        rows = np.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
-        both, loose = (given(covariance, rows) for covariance in (both, loose))
+        rows, _ = constraint_rows(subject, joints, pairs)
+        both, loose = (_given(covariance, rows) for covariance in (both, loose))
     return Known(both, loose)
 
 
-def given(covariance: Float[np.ndarray, "S S"], rows: Float[np.ndarray, "C S"]) -> Float[np.ndarray, "S S"]:
+def _given(covariance: Float[np.ndarray, "S S"], rows: Float[np.ndarray, "C S"]) -> Float[np.ndarray, "S S"]:
     """The covariance where `rows` of what it is of are known exactly."""
     across = covariance @ rows.T
     return covariance - across @ np.linalg.pinv(rows @ across) @ across.T
 
 
-def inverse(matrix: Float[np.ndarray, "S S"]) -> Float[np.ndarray, "S S"]:
+def _inverse(matrix: Float[np.ndarray, "S S"]) -> Float[np.ndarray, "S S"]:
     """Of a positive definite matrix in mixed units."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     factor = scipy.linalg.cho_factor(matrix * scale[:, None] * scale, lower=True)
@@ -152,7 +150,9 @@ def hardly_known(subject: Subject, known: Known, joints: tuple[int, ...]) -> lis
     return found
 
 
-def describe_precision(subject: Subject, known: Known, poses: Pose, joints: tuple[int, ...]) -> list[str]:
+def describe_precision(
+    subject: Subject, known: Known, poses: Pose, joints: tuple[int, ...], hardly: Sequence[Hardly]
+) -> list[str]:
     """A sentence for each direction that is hardly known: of joints' centres, and of the size of all."""
     skeleton = subject.skeleton
     said = []
@@ -166,7 +166,7 @@ def describe_precision(subject: Subject, known: Known, poses: Pose, joints: tupl
             f"No markers tell where the centres of {', '.join(silent)} are; their bones stay as long as the "
             "template's."
         )
-    for joint, direction, deviation, told in hardly_known(subject, known, joints):
+    for joint, direction, deviation, told in hardly:
         where = _in_words(subject, poses, joint, direction)
         if told:
             said.append(

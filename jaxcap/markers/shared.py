@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..body.skeleton import Skeleton
+from ..body.symmetry import length_differences
 from .subject import Subject
 
 
@@ -84,3 +85,16 @@ def prior_precision(
     )
     scaled = np.vstack([by_joint, by_marker]) / deviations[:, None]
     return np.kron(scaled.T @ scaled, np.eye(3))
+
+
+def constraint_rows(
+    subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
+) -> tuple[Float[np.ndarray, "B S"], Float[np.ndarray, "B"]]:
+    """Rows over `s` and what they have to make up for: paired bones stay equally long."""
+    size = 3 * (len(joints) + subject.num_markers)
+    if not pairs:
+        return np.zeros((0, size)), np.zeros(0)
+    differences, slopes = length_differences(subject.skeleton, np.array(pairs, int))
+    by_centre = np.einsum("bja,jk->bka", np.asarray(slopes, float), followers(subject.skeleton, joints))
+    rows = np.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
+    return rows, -np.asarray(differences, float)

@@ -2,8 +2,8 @@
 
 Where a joint hardly turns about an axis, or not at all, noise alone makes its bone seem to turn, and
 every seeming turn would tell a little of where the centre is: wrongly, and the more frames the more
-firmly (Neyman and Scott 1948). Poses are therefore drawn towards each joint's own mean as far as
-the joint's turning, beyond what noise makes of it, allows: not at all along axes that it uses.
+firmly (Neyman and Scott 1948). Poses are therefore held at each joint's own mean about axes about
+which it turns by no more than noise makes of it, and not at all about those that it uses.
 """
 
 from typing import NamedTuple
@@ -49,7 +49,7 @@ def free_turning(skeleton: Skeleton) -> Turning:
 
 def mean_turns(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
     """Rotation vectors from each joint's mean rotation, in the bones' own frames, radians."""
-    return _turns(_means(q), q)
+    return _turns(mean_rotations(q), q)
 
 
 def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[np.ndarray, "F D D"]) -> Turning:
@@ -59,7 +59,7 @@ def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[np.ndarray, "
     joints = free_turning(skeleton).joints
     slots = dof_layout(skeleton).rotations[joints]
     q = np.asarray(poses.rotations, float)[:, joints]
-    means = _means(q)
+    means = mean_rotations(q)
     turns = _turns(means, q)
     each = covariances[:, slots[:, :, None], slots[:, None, :]]
     # frames that show a bone badly tell nothing of how far it turns
@@ -94,7 +94,8 @@ def drawn(skeleton: Skeleton, turning: Turning, poses: Pose) -> Drawn:
     return Drawn(float(np.sum(pull * turns)), matrix, side)
 
 
-def _means(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:
+def mean_rotations(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:
+    """The quaternions nearest to all of each joint's, whatever their signs."""
     return np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))[1][..., -1]
 
 
