@@ -56,7 +56,7 @@ def _whole(frames: MarkerFrames, path: str, join: bool) -> MarkerFrames:
     if not join:
         more = f", and {len(chains) - 1} more are" if len(chains) > 1 else ""
         raise InputError(
-            f"{path}: {names[0]} look like one trajectory in {names[0].count(', ') + 1} pieces{more}; give --pieces join to make "
+            f"{path}: {names[0]} look like one trajectory in {len(chains[0])} pieces{more}; give --pieces join to make "
             "each one marker, or --pieces keep if they are markers of their own."
         )
     for name in names:
