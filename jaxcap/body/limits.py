@@ -1,18 +1,72 @@
-"""How far joints may turn, as data: ranges of single angles and cones about axes.
+"""How far joints may turn: what all limits answer to, and ranges of single angles and cones.
 
-The energies that hold a pose to them are elsewhere; `.cst` and `.asf` files are read
-into these arrays, and `.npz` bodies carry them.
+Energies that hold a pose to limits are elsewhere; `.cst` and `.asf` files are read into
+these arrays.
 """
 
+import abc
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from ..geometry import rotation
+from .pose import Pose, revolute_angles, universal_angles
 from .skeleton import KINDS, Skeleton
+
+#: a joint is allowed where no residual of it is larger than this, about radians
+TOLERANCE = 1e-6
+#: turns from one cone to the other until a rotation is within both
+ALTERNATIONS = 20
+
+
+class AbstractLimits(eqx.Module):
+    """Which rotations of joints are allowed, for one pose of a skeleton.
+
+    Boxes, cones and learned surfaces answer to the same three verbs, so that energies, checks
+    and projections take any of them.
+    """
+
+    @abc.abstractmethod
+    def residual(self, skeleton: Skeleton, pose: Pose) -> Float[Array, "C"]:
+        """How far a pose is beyond each limit: zero where it is allowed, and else about
+        radians, in cosines for cones, of either sign."""
+
+    @abc.abstractmethod
+    def owners(self, skeleton: Skeleton) -> Int[Array, "C"]:
+        """The joint that each residual is of."""
+
+    @abc.abstractmethod
+    def nearest(self, skeleton: Skeleton, pose: Pose) -> Pose:
+        """The pose with every limited joint turned back to the nearest rotation that is
+        allowed; joints that are allowed stay where they are."""
+
+
+def allowed(limits: AbstractLimits, skeleton: Skeleton, pose: Pose) -> Bool[Array, "J"]:
+    """Whether each joint is within its limits; joints without limits are."""
+    beyond = jnp.abs(limits.residual(skeleton, pose))
+    worst = jnp.zeros(skeleton.num_joints, beyond.dtype).at[limits.owners(skeleton)].max(beyond)
+    return worst <= TOLERANCE
+
+
+class AllLimits(AbstractLimits):
+    """Several limits together; the nearest pose is sought for one after the other."""
+
+    parts: tuple[AbstractLimits, ...]
+
+    def residual(self, skeleton: Skeleton, pose: Pose):
+        return jnp.concatenate([part.residual(skeleton, pose) for part in self.parts])
+
+    def owners(self, skeleton: Skeleton):
+        return jnp.concatenate([part.owners(skeleton) for part in self.parts])
+
+    def nearest(self, skeleton: Skeleton, pose: Pose):
+        for part in self.parts:
+            pose = part.nearest(skeleton, pose)
+        return pose
 
 
 class Cone(NamedTuple):
@@ -26,7 +80,7 @@ class Cone(NamedTuple):
     bank_angle: float
 
 
-class JointRanges(eqx.Module):
+class JointRanges(AbstractLimits):
     """Limits of a skeleton's joints; arrays of any length, zero included.
 
     A range holds one rotation number of a revolute or universal joint (Kineben, eq. 14);
@@ -48,6 +102,70 @@ class JointRanges(eqx.Module):
     #: unit axes, rest frame of the world
     bank: Float[Array, "B 3"]
     bank_angle: Float[Array, "B"]
+
+    def residual(self, skeleton: Skeleton, pose: Pose):
+        """Angles beyond their range (Kineben, eq. 14), in radians, below it negative; then turned
+        axes beyond their cone (eqs. 15 and 42), in cosines: `x_B . R x_B - t` where it is negative,
+        with `t` the cosine of the cone's angle, for the heading and the bank axis."""
+        angles = self._angles(skeleton, pose)
+        beyond = jnp.minimum(angles - self.lower, 0.0) + jnp.maximum(angles - self.upper, 0.0)
+        turned = pose.rotations[self.ball_joints]
+        heading = cone_residual(turned, self.heading, self.heading_angle)
+        return jnp.concatenate([beyond, heading, cone_residual(turned, self.bank, self.bank_angle)])
+
+    def owners(self, skeleton: Skeleton):
+        return jnp.concatenate([self.joints, self.ball_joints, self.ball_joints])
+
+    def nearest(self, skeleton: Skeleton, pose: Pose):
+        """Angles at the end of their range, each by itself; cones in turn until both hold."""
+        angles = self._angles(skeleton, pose)
+        clamped = jnp.clip(angles, self.lower, self.upper)
+        # only what is beyond moves, so that what is allowed stays to the last bit
+        table = jnp.stack([revolute_angles(skeleton, pose), jnp.zeros(skeleton.num_joints)], -1)
+        table = jnp.where(_universal(skeleton)[:, None], universal_angles(skeleton, pose), table)
+        table = table.at[self.joints, self.numbers].set(clamped.astype(table.dtype))
+        moved = jnp.zeros(skeleton.num_joints, bool).at[self.joints].max(clamped != angles)
+        first, second = (rotation.about_axis(skeleton.axes[:, i], table[:, i]) for i in range(2))
+        boxed = jnp.where(_universal(skeleton)[:, None], rotation.multiply(first, second), first)
+        rotations = jnp.where(moved[:, None], boxed, pose.rotations)
+        turned = rotations[self.ball_joints]
+        for _ in range(ALTERNATIONS):
+            for axis, angle in ((self.heading, self.heading_angle), (self.bank, self.bank_angle)):
+                turned = _into_cone(turned, axis, angle)
+        rotations = rotations.at[self.ball_joints].set(turned)
+        return Pose(pose.translations, rotations, pose.scale)
+
+    def _angles(self, skeleton: Skeleton, pose: Pose) -> Float[Array, "R"]:
+        """The angle of each range: of those a turn apart the one nearest to the middle."""
+        first, pairs = revolute_angles(skeleton, pose), universal_angles(skeleton, pose)
+        universal = _universal(skeleton)[self.joints]
+        angles = jnp.where(universal, pairs[self.joints, self.numbers], first[self.joints])
+        middle = (self.lower + self.upper) / 2
+        return middle + (angles - middle + jnp.pi) % (2 * jnp.pi) - jnp.pi
+
+
+def cone_residual(
+    turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
+) -> Float[Array, "B"]:
+    """`min(x_B . R x_B - cos(angle), 0)` (Kineben, eq. 15)."""
+    return jnp.minimum(jnp.sum(axis * rotation.rotate(turned, axis), -1) - jnp.cos(angle), 0.0)
+
+
+def _into_cone(
+    turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
+) -> Float[Array, "B 4"]:
+    """Turned back by the shortest way until the axis is within its cone."""
+    there = rotation.rotate(turned, axis)
+    across = jnp.cross(there, axis)
+    sine = jnp.sqrt(jnp.maximum(jnp.sum(across**2, -1), 1e-30))
+    beyond = jnp.arctan2(sine, jnp.sum(there * axis, -1)) - angle
+    # a hair more than to the edge, so that rounding does not leave it outside
+    back = rotation.about_axis(across / sine[:, None], beyond + 1e-6)
+    return jnp.where((beyond > 0)[:, None], rotation.multiply(back, turned), turned)
+
+
+def _universal(skeleton: Skeleton) -> Bool[Array, "J"]:
+    return jnp.array([kind == "universal" for kind in skeleton.kinds])
 
 
 def make_joint_ranges(
@@ -78,7 +196,8 @@ def make_joint_ranges(
                 raise ValueError(
                     f"The range of joint '{name}' goes from {lower:g} down to {upper:g}; swap them."
                 )
-            rows.append((joint, number, lower, upper))
+            # a bound at infinity would leave a range without a middle
+            rows.append((joint, number, max(lower, -2 * np.pi), min(upper, 2 * np.pi)))
     for name, cone in (cones or {}).items():
         joint = _joint(skeleton, name, ("ball", "free"), "cone")
         axes = np.asarray([cone.heading, cone.bank], float)

@@ -23,14 +23,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from .demo import Demo
         from .evaluate import Evaluate
         from .fit import Fit
+        from .groups import GROUPS, Limits, Markers
         from .info import Info
         from .learn import Learn
-        from .markers import Markers, run_markers
         from .rig import Rig
         from .track import Track
 
-        if arguments[:1] == ["markers"]:
-            run_markers(arguments[1:])
+        if arguments[:1] and arguments[0] in GROUPS:
+            GROUPS[arguments[0]](arguments[1:])
             return
         verbs = {
             "demo": Demo,
@@ -40,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "track": Track,
             "evaluate": Evaluate,
             "markers": Markers,
+            "limits": Limits,
             "info": Info,
             "convert": Convert,
         }

@@ -1,46 +1,15 @@
-"""Joint limits: nothing inside the range, a residual that grows outside of it."""
-
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+"""Joint limits: nothing inside of them, a residual that grows outside."""
 
 from ..body.body import Posed
-from ..body.limits import JointRanges
-from ..body.pose import revolute_angles, universal_angles
-from ..geometry import rotation
+from ..body.limits import AbstractLimits
 from .term import AbstractEnergy
 
 
 class JointLimits(AbstractEnergy):
-    """Penalty of angles beyond their range (Kineben, eq. 14), in radians, and of turned
-    axes beyond their cone (eqs. 15 and 42), in cosines: `x_B . R x_B - t` where it is
-    negative, with `t` the cosine of the cone's angle, for the heading and the bank axis.
-    """
+    """Penalty of joints beyond their limits, in about radians: ranges of angles, cones
+    (Kineben, eqs. 14, 15 and 42), boxes, or learned surfaces (Limits, section 5.2)."""
 
-    ranges: JointRanges
+    limits: AbstractLimits
 
     def residual(self, posed: Posed):
-        limits, pose, skeleton = self.ranges, posed.pose, posed.body.skeleton
-        first = jnp.asarray(revolute_angles(skeleton, pose))
-        pairs = universal_angles(skeleton, pose)
-        universal = jnp.array([kind == "universal" for kind in skeleton.kinds])[limits.joints]
-        angles = jnp.where(universal, pairs[limits.joints, limits.numbers], first[limits.joints])
-        # angles are known up to a turn: the one nearest to the middle of the range counts
-        middle = (limits.lower + limits.upper) / 2
-        angles = middle + (angles - middle + jnp.pi) % (2 * jnp.pi) - jnp.pi
-        beyond = jnp.minimum(angles - limits.lower, 0.0) + jnp.maximum(angles - limits.upper, 0.0)
-        turned = pose.rotations[limits.ball_joints]
-        cones = [
-            cone_residual(turned, axis, angle)
-            for axis, angle in (
-                (limits.heading, limits.heading_angle),
-                (limits.bank, limits.bank_angle),
-            )
-        ]
-        return jnp.concatenate([beyond, *cones])
-
-
-def cone_residual(
-    turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
-) -> Float[Array, "B"]:
-    """`min(x_B . R x_B - cos(angle), 0)` (Kineben, eq. 15)."""
-    return jnp.minimum(jnp.sum(axis * rotation.rotate(turned, axis), -1) - jnp.cos(angle), 0.0)
+        return self.limits.residual(posed.body.skeleton, posed.pose)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..body.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
 from ..body.limits import JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton, make_skeleton
 from ..errors import InputError
@@ -34,8 +35,9 @@ class Asf(NamedTuple):
     lengths: dict[str, float]
     #: (dofs, 2) lower and upper of each dof, in the bone's own frame; not all bones have one
     limits: dict[str, np.ndarray]
-    #: the limits of revolute and universal joints (those of ball joints are Euler boxes)
+    #: the limits of revolute and universal joints, and those of ball joints
     ranges: JointRanges
+    boxes: EulerBoxes
     #: metres in one unit of the file
     metres: float
     #: whether angles of the motions are in degrees
@@ -133,7 +135,29 @@ def read_asf(path: str | Path) -> Asf:
         for name, kind in zip(names, kinds, strict=True)
         if kind in ("revolute", "universal") and name in limits
     }
-    return Asf(skeleton, dofs, frames, lengths, limits, make_joint_ranges(skeleton, ranges), metres, degrees)
+    boxes = {
+        name: _box(dofs[name], frames[name], limits[name])
+        for name, kind in zip(names, kinds, strict=True)
+        if kind == "ball" and name in limits
+    }
+    return Asf(
+        skeleton,
+        dofs,
+        frames,
+        lengths,
+        limits,
+        make_joint_ranges(skeleton, ranges),
+        make_euler_boxes(skeleton, boxes),
+        metres,
+        degrees,
+    )
+
+
+def _box(dofs: tuple[str, ...], frame: np.ndarray, limits: np.ndarray) -> EulerBox:
+    """The first dof is applied first, as a box's first axis is."""
+    axes = frame[:, ["xyz".index(dof[1]) for dof in dofs]]
+    bounds = np.clip(limits, -2 * np.pi, 2 * np.pi)
+    return EulerBox(bounds[:, 0], bounds[:, 1], axes)
 
 
 def _fields(lines: list[tuple[int, str]], path) -> dict[str, tuple[int, list[str]]]:

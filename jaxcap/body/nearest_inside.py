@@ -1,0 +1,67 @@
+"""The point of an implicit surface that is nearest to one outside."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .chart import Chart
+from .primitives import Primitives, field, radii
+
+#: rounds of going straight for the point and then aside along the surface; halvings of a stretch
+ROUNDS, HALVINGS = 4, 6
+#: how far above the level a point is left, so that rounding does not take it out again
+ABOVE = 0.02
+
+
+def nearest_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
+    """The allowed place nearest to a forbidden one, as rotations go.
+
+    Every primitive holds a ball that is inside by itself, so the nearest point of these balls is
+    allowed and no further than the nearest sample. From there the surface, which blends the balls,
+    is met on the straight way to the point, and followed to where that way leaves it at right
+    angles.
+    """
+    inside = lambda x: field(primitives, x) >= primitives.level + ABOVE / 2  # noqa: E731
+    ball = lambda x: _nearest_ball(primitives, chart, x)  # noqa: E731
+    apart = lambda x: chart.squared_distance(x, point)  # noqa: E731
+
+    def improve(_, place):
+        edge = _furthest(inside, place, point)
+        normal = _unit(jax.grad(lambda x: field(primitives, x))(edge))
+        down = -jax.grad(apart)(edge) / 2
+        aside = edge + down - jnp.sum(down * normal) * normal
+        aside = jnp.where(inside(aside), aside, ball(aside))
+        best = jnp.where(apart(edge) < apart(place), edge, place)
+        return jnp.where(inside(aside) & (apart(aside) < apart(best)), aside, best)
+
+    return jax.lax.fori_loop(0, ROUNDS, improve, ball(point))
+
+
+def _nearest_ball(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
+    """The nearest point of the balls, each by the way to it as rotations go."""
+    apart = jax.vmap(chart.squared_distance, (0, None))(primitives.centres, point)
+    reach = radii(primitives) - ABOVE * primitives.unit / primitives.stiffness
+    nearest = jnp.argmin(jnp.sqrt(jnp.maximum(apart, 0.0)) - reach)
+    centre, radius = primitives.centres[nearest], reach[nearest]
+    towards = -jax.grad(chart.squared_distance)(centre, point)
+    return centre + jnp.minimum(radius, jnp.linalg.norm(point - centre)) * _unit(towards)
+
+
+def _furthest(inside, start: Float[Array, "3"], end: Float[Array, "3"]) -> Float[Array, "3"]:
+    """How far one gets from an allowed start towards a forbidden end."""
+
+    def halve(_, shares):
+        low, high = shares
+        middle = (low + high) / 2
+        there: Bool[Array, ""] = inside(start + middle * (end - start))
+        return jnp.where(there, middle, low), jnp.where(there, high, middle)
+
+    zero = jnp.zeros((), start.dtype)
+    low, _ = jax.lax.fori_loop(0, HALVINGS, halve, (zero, zero + 1.0))
+    return start + low * (end - start)
+
+
+def _unit(x: Float[Array, "3"]) -> Float[Array, "3"]:
+    squared = jnp.sum(x**2)
+    some = squared > 1e-24
+    return jnp.where(some, x / jnp.sqrt(jnp.where(some, squared, 1.0)), 0.0)

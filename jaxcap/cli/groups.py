@@ -1,0 +1,53 @@
+"""Verbs that come in groups: `jaxcap markers fit`, `jaxcap limits learn`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .verbs import run_verb
+
+MARKERS = """Optical markers: what is in a file of them, a subject from takes, its motion through trials.
+
+`jaxcap markers VERB --help` explains a verb. Results are in metres."""
+LIMITS = """Joint limits: learned from motions, what of a motion is beyond them, a motion turned back into them.
+
+`jaxcap limits VERB --help` explains a verb. Angles are in degrees."""
+
+
+@dataclass
+class Markers:
+    """Optical markers; `jaxcap markers --help` tells its verbs."""
+
+    def run(self) -> None:
+        run_markers(["--help"])
+
+
+@dataclass
+class Limits:
+    """Joint limits; `jaxcap limits --help` tells its verbs."""
+
+    def run(self) -> None:
+        run_limits(["--help"])
+
+
+def run_markers(arguments: Sequence[str]) -> None:
+    """Run one verb of `jaxcap markers`."""
+    from .markers.fit import Fit
+    from .markers.info import Info
+    from .markers.solve import Solve
+
+    run_verb({"info": Info, "fit": Fit, "solve": Solve}, "jaxcap markers", MARKERS, arguments)
+
+
+def run_limits(arguments: Sequence[str]) -> None:
+    """Run one verb of `jaxcap limits`."""
+    from .limits.check import Check
+    from .limits.compare import Compare
+    from .limits.learn import Learn
+    from .limits.project import Project
+
+    verbs = {"learn": Learn, "check": Check, "project": Project, "compare": Compare}
+    run_verb(verbs, "jaxcap limits", LIMITS, arguments)
+
+
+#: what takes the words behind a group's name
+GROUPS = {"markers": run_markers, "limits": run_limits}

@@ -1,0 +1,1 @@
+"""`jaxcap limits`: what is done with joint limits, one file a verb."""

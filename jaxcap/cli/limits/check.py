@@ -1,0 +1,89 @@
+"""`jaxcap limits check`: what of a motion is beyond limits."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ...body.limit_surface import SurfaceLimits
+from ...errors import InputError
+from ...io.table import write_json
+from ...limits.check import comfort_frames
+from ..options import Flag, OptionalUnit, arg
+from ..say import say, table
+from .held import Held, LimitsFile, read_held, runs_of
+
+
+@dataclass
+class Check:
+    """Say which joints of a motion are beyond limits, in which frames, by how much, and how comfortable they are."""
+
+    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    limits: LimitsFile
+    """Limits that `jaxcap limits learn` wrote, or a .cst or .asf file."""
+    out: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
+    """The same, and every frame, as .json."""
+    unit: OptionalUnit = None
+    """Unit of the motion's lengths, in place of what it says."""
+    overwrite: Flag = False
+    """Replace the report where it is there."""
+
+    def run(self) -> None:
+        if self.out is not None and self.out.exists() and not self.overwrite:
+            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+        held = read_held(self.motion, self.limits, self.unit)
+        comforts = comfort_of(held)
+        say(summary(self.motion.name, held))
+        limited = sorted(set(np.asarray(held.limits.owners(held.skeleton)).tolist()))
+        names = held.skeleton.names
+        table(
+            ["joint", "beyond", "worst", "comfort", "frames"],
+            [
+                [
+                    names[joint],
+                    f"{100 * held.beyond[:, joint].mean():.2f} %",
+                    f"{held.degrees[:, joint].max():.1f}°",
+                    f"{np.median(comforts[names[joint]]):.2f}" if names[joint] in comforts else "-",
+                    runs_of(held.beyond[:, joint]),
+                ]
+                for joint in limited
+            ],
+        )
+        if self.out is not None:
+            write_json(self.out, report(held, comforts, limited))
+            say(f"written: {self.out}")
+
+
+def summary(name: str, held: Held) -> str:
+    frames = np.any(held.beyond, axis=1)
+    return (
+        f"{name}: {len(held.beyond)} frames, {int(frames.sum())} with a joint beyond its limits "
+        f"({100 * frames.mean():.2f} %)"
+    )
+
+
+def comfort_of(held: Held) -> dict[str, np.ndarray]:
+    """The comfort of every frame by joint, where limits were learned."""
+    if not isinstance(held.limits, SurfaceLimits):
+        return {}
+    found = np.asarray(comfort_frames(held.limits, held.skeleton, held.motion), float)
+    return {s.joint: found[:, column] for column, s in enumerate(held.limits.surfaces)}
+
+
+def report(held: Held, comforts: dict[str, np.ndarray], limited: list[int]) -> dict:
+    """What is written as JSON: angles in degrees, comfort as a share of the samples."""
+    joints = {}
+    for joint in limited:
+        name = held.skeleton.names[joint]
+        joints[name] = {
+            "beyond_share": float(held.beyond[:, joint].mean()),
+            "worst_degrees": float(held.degrees[:, joint].max()),
+            "frames_beyond": np.flatnonzero(held.beyond[:, joint]).tolist(),
+            "degrees": np.round(held.degrees[:, joint], 3).tolist(),
+        }
+        if name in comforts:
+            joints[name]["comfort"] = np.round(comforts[name], 4).tolist()
+    return {"frames": len(held.beyond), "joints": joints}

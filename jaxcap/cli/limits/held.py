@@ -1,0 +1,57 @@
+"""A motion and the limits that it is held to, as the verbs read them."""
+
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from ...body.limits import AbstractLimits
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...io.limits import read_limits
+from ...io.registry import read_motion
+from ...limits.check import allowed_frames, residual_frames
+from ..options import arg
+
+LimitsFile = Annotated[Path, arg(aliases=("-l",), metavar="FILE")]
+
+
+class Held(NamedTuple):
+    """A motion, its limits, and what of it is beyond them."""
+
+    skeleton: Skeleton
+    motion: Motion
+    limits: AbstractLimits
+    #: (F, J) joints beyond their limits; (F, J) by how much, about degrees
+    beyond: np.ndarray
+    degrees: np.ndarray
+
+
+def read_held(motion: Path, limits: Path, unit: str | None) -> Held:
+    """Raises `InputError` where a file is wrong, or the limits are of another skeleton."""
+    if not limits.is_file():
+        raise InputError(f"{limits}: there is no such file; learn limits with `jaxcap limits learn`.")
+    skeleton, moving = read_motion(motion, unit)
+    return judge(skeleton, moving, read_limits(limits, skeleton))
+
+
+def judge(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> Held:
+    """What of a motion is beyond limits."""
+    beyond = ~np.asarray(allowed_frames(limits, skeleton, motion))
+    amounts = np.abs(np.asarray(residual_frames(limits, skeleton, motion)))
+    degrees = np.zeros(beyond.shape)
+    for column, joint in enumerate(np.asarray(limits.owners(skeleton))):
+        degrees[:, joint] = np.maximum(degrees[:, joint], np.degrees(amounts[:, column]))
+    return Held(skeleton, motion, limits, beyond, degrees)
+
+
+def runs_of(frames: np.ndarray, most: int = 4) -> str:
+    """Marked frames as runs, the longest first: `12-40, 3`."""
+    numbers = np.flatnonzero(frames)
+    if not len(numbers):
+        return "-"
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    runs.sort(key=len, reverse=True)
+    text = ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs[:most])
+    return text + (", ..." if len(runs) > most else "")

@@ -1,0 +1,172 @@
+"""`jaxcap limits learn`: limits of joints from motions in which they go where they can."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ...body.limit_surface import LimitSurface, SurfaceLimits
+from ...errors import InputError
+from ...io.limits import save_limits
+from ...io.registry import MARKER_READERS, read_markers, read_motion
+from ...limits.charts import chart_places
+from ...limits.learn import COVERAGE, learn_limits
+from ...limits.marker_frames import arm_samples
+from ...limits.samples import JointSamples, gather_samples, parse_joints, spans
+from ..fit import make_folder
+from ..options import Flag, OptionalUnit, arg
+from ..say import say, table, warn
+
+#: a joint that turns through less than so many degrees tells little of its limits
+HARDLY = 5.0
+
+
+MotionsSpec = tyro.conf.Positional[
+    Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
+]
+
+
+@dataclass
+class Learn:
+    """Limits of joints, from motions in which they go where they can; a child's coupled to its parent's pose.
+
+    Left and right are learned apart. Give motions that show the whole range: what was never seen is forbidden."""
+
+    motions: MotionsSpec
+    """.bvh, .amc (with its .asf beside it) or .npz motions of one kind of skeleton; or .c3d, .trc or .csv markers."""
+    joints: Annotated[str, arg(metavar="NAMES")]
+    """Joints, after commas; behind a colon one whose limits depend on the joint before: LeftArm:LeftForeArm,Head."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """The limits, .npz."""
+    markers: Annotated[str | None, arg(metavar="LABELS", help_behavior_hint="")] = None
+    """Of markers: those of shoulder, upper arm, elbow and forearm, after commas."""
+    trunk: Annotated[str | None, arg(metavar="LABELS", help_behavior_hint="")] = None
+    """Of markers: three of what the shoulder hangs on."""
+    voxel: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
+    """Width of the smallest voxels. As fine as some of the motion still foretells the rest where not given."""
+    keyframe: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
+    """Width of the parents' voxels, each of which has limits of the child of its own; chosen as --voxel is."""
+    threshold: Annotated[int, arg(metavar="N")] = 1
+    """Samples that keep a smallest voxel."""
+    coverage: float = COVERAGE
+    """Share of motion not learned from that --voxel and --keyframe are to allow."""
+    report: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """Folder for pictures of samples, voxels and surfaces."""
+    unit: OptionalUnit = None
+    """Unit of the files' lengths, in place of what they say."""
+    overwrite: Flag = False
+    """Replace the limits where they are there."""
+
+    def run(self) -> None:
+        self.check()
+        samples = self.samples()
+        try:
+            limits = learn_limits(
+                samples,
+                voxel=None if self.voxel is None else float(np.radians(self.voxel)),
+                keyframe=None if self.keyframe is None else float(np.radians(self.keyframe)),
+                least=self.threshold,
+                coverage=self.coverage,
+            )
+        except ValueError as error:
+            raise InputError(str(error)) from None
+        save_limits(self.out, limits)
+        tell(limits, samples)
+        say(f"written: {self.out}")
+        if self.report is not None:
+            self.draw(limits, samples)
+
+    def check(self) -> None:
+        """That options are in their ranges and go together. Raises `InputError`."""
+        if not self.motions:
+            raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
+        if self.out.suffix.lower() != ".npz":
+            raise InputError(f"{self.out}: limits are written as .npz; give a name that ends in it.")
+        if self.out.exists() and not self.overwrite:
+            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+        for name, width in (("--voxel", self.voxel), ("--keyframe", self.keyframe)):
+            if width is not None and not 0.1 <= width <= 90:
+                raise InputError(f"{name} is {width:g}; it must be between 0.1 and 90 degrees.")
+        if self.threshold < 1:
+            raise InputError(f"--threshold is {self.threshold}; a voxel is kept by one sample at least.")
+        if not 0 < self.coverage <= 1:
+            raise InputError(f"--coverage is {self.coverage:g}; it is a share, above 0 and at most 1.")
+        if self.report is not None:
+            make_folder(self.report)
+
+    def samples(self) -> dict[str, JointSamples]:
+        """What the joints did in all files, by joint."""
+        pairs = parse_joints(self.joints)
+        suffixes = {Path(path).suffix.lower() for path in self.motions}
+        if suffixes & set(MARKER_READERS):
+            return self.marker_samples(pairs)
+        if self.markers is not None or self.trunk is not None:
+            raise InputError("--markers and --trunk are for files of markers; these are motions.")
+        motions = [read_motion(path, self.unit) for path in self.motions]
+        try:
+            return {joint: gather_samples(motions, joint, parent, self.motions) for joint, parent in pairs}
+        except ValueError as error:
+            raise InputError(str(error)) from None
+
+    def marker_samples(self, pairs) -> dict[str, JointSamples]:
+        if self.markers is None or self.trunk is None:
+            raise InputError(
+                f"{', '.join(self.motions)}: say which markers are an arm's, by --markers SHOULDER,UPPER,ELBOW,FOREARM and "
+                "--trunk with three more; or solve the markers first, by `jaxcap markers`."
+            )
+        if len(self.motions) > 1 or len(pairs) != 2 or pairs[1][1] != pairs[0][0]:
+            raise InputError(
+                "Of markers, one file and one pair of joints is learned from, such as --joints shoulder:elbow."
+            )
+        (path,) = self.motions
+        frames = read_markers(path, self.unit)
+        names = [[word.strip() for word in text.split(",")] for text in (self.markers, self.trunk)]
+        upper, lower = arm_samples(frames, *names, names=(pairs[0][0], pairs[1][0]))
+        say(
+            f"{Path(path).name}: {len(upper.rotations)} of {len(frames)} frames show the whole arm"
+        )
+        return {upper.joint: upper, lower.joint: lower}
+
+    def draw(self, limits: SurfaceLimits, samples: dict[str, JointSamples]) -> None:
+        from ...report.limit_pictures import draw_limits
+
+        assert self.report is not None
+        for surface in limits.surfaces:
+            one = samples[surface.joint]
+            places = chart_places(surface.chart, one.rotations)
+            parents = None
+            if surface.parent_chart is not None and one.parent is not None:
+                parents = chart_places(surface.parent_chart, one.parent.rotations)
+            path = self.report / f"{surface.joint}.png"
+            draw_limits(path, surface, places, parents)
+            say(f"written: {path}")
+
+
+def tell(limits: SurfaceLimits, samples: dict[str, JointSamples]) -> None:
+    """A line for each joint: its angles and range, its voxels, its parent's keyframes."""
+    table(
+        ["joint", "depends on", "angles", "samples", "range", "voxels", "from", "keyframes"],
+        [_row(surface, samples[surface.joint]) for surface in limits.surfaces],
+    )
+    for one in samples.values():
+        turned = np.degrees(spans(one.rotations))
+        if turned < HARDLY:
+            warn(
+                f"'{one.joint}' turns by {turned:.1f} degrees only; what it could do besides is not known, and forbidden"
+            )
+
+
+def _row(surface: LimitSurface, samples: JointSamples) -> list[str]:
+    keyframes, primitives = surface.centres.shape[:2]
+    return [
+        surface.joint,
+        surface.parent or "-",
+        str(surface.chart.dimension),
+        str(len(samples.rotations)),
+        f"{np.degrees(spans(samples.rotations)):.0f}°",
+        str(primitives),
+        f"{np.degrees(4 * float(surface.unit)):.2g}°",
+        "-" if surface.parent is None else str(keyframes),
+    ]

@@ -1,0 +1,65 @@
+"""`jaxcap limits project`: a motion turned back into limits."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ...errors import InputError
+from ...io.registry import MOTION_WRITERS, write_motion
+from ...limits.project import project_motion
+from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..say import say, warn
+from .check import summary
+from .held import LimitsFile, judge, read_held
+
+
+@dataclass
+class Project:
+    """Turn the joints of a motion that are beyond limits back into them, by the shortest way and smoothly.
+
+    Joints and frames that are allowed stay as they are."""
+
+    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    limits: LimitsFile
+    """Limits that `jaxcap limits learn` wrote, or a .cst or .asf file."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """The motion, .bvh or .npz."""
+    smoothness: Annotated[float, arg(metavar="SECONDS")] = 0.02
+    """Over which turns back are drawn together; 0 treats every frame by itself."""
+    picture: OptionalFile = None
+    """A PNG file with frames before and after."""
+    unit: OptionalUnit = None
+    """Unit of the motion's lengths, in place of what it says."""
+    overwrite: Flag = False
+    """Replace results where they are there."""
+
+    def run(self) -> None:
+        if self.out.suffix.lower() not in MOTION_WRITERS:
+            raise InputError(
+                f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}."
+            )
+        if not 0 <= self.smoothness < np.inf:
+            raise InputError(f"--smoothness is {self.smoothness:g}; it must be at least 0 seconds.")
+        if self.picture is not None and self.picture.suffix.lower() != ".png":
+            raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
+        for path in (self.out, self.picture):
+            if path is not None and path.exists() and not self.overwrite:
+                raise InputError(f"{path}: this file is there already; give --overwrite to replace it.")
+        held = read_held(self.motion, self.limits, self.unit)
+        say(summary(self.motion.name, held))
+        fixed = project_motion(held.limits, held.skeleton, held.motion, self.smoothness)
+        write_motion(self.out, held.skeleton, fixed)
+        after = judge(held.skeleton, fixed, held.limits)
+        say(f"written: {self.out}; joints are turned back by {held.degrees[held.beyond].mean() if held.beyond.any() else 0:.1f}° on average, {held.degrees.max():.1f}° at most")  # fmt: skip
+        if after.beyond.any():
+            warn(summary(self.out.name, after))
+        if self.picture is not None:
+            from ...report.motion_strip import draw_strip
+
+            title = f"{self.motion.name}: above as it was, in red what is beyond limits; below within them"
+            draw_strip(self.picture, held.skeleton, held.motion, fixed, held.beyond, title)
+            say(f"written: {self.picture}")

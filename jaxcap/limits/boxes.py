@@ -1,0 +1,53 @@
+"""Boxes around what joints did: the usual limits, which couple nothing."""
+
+from collections.abc import Iterable
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..body.euler_boxes import EulerBox, EulerBoxes, euler_angles, make_euler_boxes
+from ..body.limits import JointRanges, make_joint_ranges
+from ..body.pose import Pose, revolute_angles, universal_angles
+from ..body.skeleton import Skeleton
+from ..geometry import rotation
+from .samples import JointSamples
+
+
+def learn_boxes(skeleton: Skeleton, samples: Iterable[JointSamples]) -> tuple[JointRanges, EulerBoxes]:
+    """The least and the largest of every angle: ranges of joints with one angle or two, and boxes of
+    Euler angles about each other joint's own axes, the twist first.
+
+    **Raises:** `ValueError` where the skeleton lacks a joint.
+    """
+    ranges, boxes = {}, {}
+    for one in samples:
+        if one.kind == "ball":
+            frame = skeleton.orientations[skeleton.index(one.joint)]
+            boxes[one.joint] = _box(one, np.asarray(rotation.to_matrix(frame), float))
+        else:
+            angles = _angles(skeleton, one)
+            ranges[one.joint] = np.stack([angles.min(0), angles.max(0)], -1).tolist()
+    return make_joint_ranges(skeleton, ranges), make_euler_boxes(skeleton, boxes)
+
+
+def _box(samples: JointSamples, frame: np.ndarray) -> EulerBox:
+    everywhere = jnp.full(3, np.pi)
+    frames = jnp.tile(rotation.from_matrix(jnp.asarray(frame)), (len(samples.rotations), 1))
+    middle = jnp.zeros(3)
+    angles = np.asarray(
+        euler_angles(jnp.asarray(samples.rotations), frames, middle, -everywhere, everywhere), float
+    )
+    # each angle from its circular mean, so that a range may pass half a turn
+    mean = np.angle(np.exp(1j * angles).mean(0))
+    angles = mean + (angles - mean + np.pi) % (2 * np.pi) - np.pi
+    return EulerBox(angles.min(0), angles.max(0), frame)
+
+
+def _angles(skeleton: Skeleton, samples: JointSamples) -> np.ndarray:
+    joint = skeleton.index(samples.joint)
+    still = jnp.tile(rotation.identity(), (skeleton.num_joints, 1))
+    rotations = jnp.tile(still, (len(samples.rotations), 1, 1)).at[:, joint].set(samples.rotations)
+    poses = Pose(jnp.zeros((*rotations.shape[:2], 3)), rotations, jnp.ones(len(rotations)))
+    if samples.kind == "revolute":
+        return np.asarray([revolute_angles(skeleton, poses)[:, joint]]).T
+    return np.asarray(universal_angles(skeleton, poses)[:, joint])

@@ -1,0 +1,144 @@
+"""The chart that fits what a joint did: how many angles, about which axes, from which middle."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ..body.chart import Chart
+from .samples import JointSamples
+
+#: a joint has fewer angles than three where rotations stray by less than this, radians
+STRAY = np.radians(1.0)
+#: no rotation may be further than this from the middle, radians: half a turn away they wrap
+FURTHEST = np.radians(170.0)
+#: steps to the middle of a range; starts of the search for two axes, and its turns
+STEPS, STARTS, TURNS = 300, 8, 60
+
+
+def find_chart(samples: JointSamples) -> Chart:
+    """One angle, two or a quaternion, by the joint's kind or, of joints that may turn freely, by what
+    they did; centred on the middle of it.
+
+    **Raises:** `ValueError` where rotations reach half a turn from every middle.
+    """
+    axes, kind = samples.axes, {"revolute": "hinge", "universal": "universal"}.get(samples.kind, "ball")
+    if kind == "ball":
+        kind, axes = _angles(samples.rotations)
+    still = np.array([1.0, 0.0, 0.0, 0.0])
+    if kind == "ball":
+        middle = middle_rotation(samples.rotations)
+        furthest = _angle(samples.rotations, middle).max()
+        if furthest > FURTHEST:
+            raise ValueError(_wraps(samples.joint, 2 * furthest))
+        return Chart(jnp.asarray(middle), jnp.asarray(axes), "ball")
+    raw = Chart(jnp.asarray(still), jnp.asarray(axes), "hinge" if kind == "hinge" else "universal")
+    angles = 2 * chart_places(raw, samples.rotations)
+    middles = [_middle_angle(angles[:, i], samples.joint) for i in range(raw.dimension)]
+    if kind == "hinge":
+        middle = _about(axes[0], middles[0])
+    else:
+        # the second axis turns with the first angle, so the first middle stands before both, and the
+        # second one moves into the axis of the first
+        second = _about(axes[1], middles[1])
+        middle = (_rotation(_about(axes[0], middles[0])) * _rotation(second)).as_quat(scalar_first=True)
+        axes = np.stack([_rotation(second).inv().apply(axes[0]), axes[1]])
+    return Chart(jnp.asarray(middle), jnp.asarray(axes), raw.kind)
+
+
+def chart_places(chart: Chart, rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "F 3"]:
+    """The places of rotations in a chart, in double precision where JAX has it."""
+    return np.asarray(_places(chart, jnp.asarray(rotations)), float)
+
+
+@jax.jit
+def _places(chart: Chart, rotations):
+    return jax.vmap(chart.coordinates)(rotations)
+
+
+def middle_rotation(rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "4"]:
+    """The rotation whose furthest sample is nearest: steps towards the furthest one that grow
+    shorter (Badoiu and Clarkson 2003), from the mean."""
+    middle = _rotation(rotations).mean().as_quat(scalar_first=True)
+    for step in range(2, STEPS):
+        cosines = rotations @ middle
+        furthest = int(np.argmin(np.abs(cosines)))
+        towards = rotations[furthest] * (1.0 if cosines[furthest] >= 0 else -1.0)
+        middle = middle + (towards - middle) / step
+        middle /= np.linalg.norm(middle)
+    return middle
+
+
+def _angles(rotations: Float[np.ndarray, "F 4"]) -> tuple[str, Float[np.ndarray, "2 3"]]:
+    """How many angles a joint uses that could turn freely, and their axes."""
+    turns = _rotation(rotations)
+    vectors = (turns.mean().inv() * turns).as_rotvec()
+    # the direction of most motion first
+    directions = np.linalg.eigh(vectors.T @ vectors)[1].T[::-1]
+    across = directions[1]
+    if np.abs(vectors @ directions[1:].T).max() < STRAY:
+        # from rest, not from the mean: a hinge that never is at rest turns about its axis all the same
+        axis = directions[0]
+        rest = turns.as_rotvec()
+        if np.abs(rest - (rest @ axis)[:, None] * axis).max() < STRAY:
+            return "hinge", np.stack([axis, across])
+        return "ball", np.eye(3)[:2]
+    axes, stray = two_axes(turns.as_matrix())
+    return ("universal", axes) if stray < STRAY else ("ball", np.eye(3)[:2])
+
+
+def two_axes(matrices: Float[np.ndarray, "F 3 3"]) -> tuple[Float[np.ndarray, "2 3"], float]:
+    """The axes of `R = Rot(a, s) Rot(b, t)` at right angles, and how far rotations stray from it, radians.
+
+    Such a rotation leaves `a . R b = a . b = 0`, which is linear in either axis: each is found in turn
+    from the other, as the direction across it that the samples deny least.
+    """
+    best, least = np.eye(3)[:2], np.inf
+    for start in np.random.default_rng(0).normal(size=(STARTS, 3)):
+        b = start / np.linalg.norm(start)
+        a = b
+        for _ in range(TURNS):
+            a = _least_along(matrices @ b, b)
+            b = _least_along(matrices.transpose(0, 2, 1) @ a, a)
+        stray = float(np.abs(np.einsum("a,fab,b->f", a, matrices, b)).max())
+        if stray < least:
+            best, least = np.stack([a, b]), stray
+    return best, least
+
+
+def _least_along(vectors: Float[np.ndarray, "F 3"], across: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    plane = np.linalg.svd(across[None])[2][1:]
+    _, basis = np.linalg.eigh(plane @ (vectors.T @ vectors) @ plane.T)
+    return basis[:, 0] @ plane
+
+
+def _middle_angle(angles: Float[np.ndarray, "F"], joint: str) -> float:
+    """The middle of a range on the circle: opposite to its widest gap."""
+    ordered = np.sort(angles)
+    gaps = np.diff(np.append(ordered, ordered[0] + 2 * np.pi))
+    widest = int(np.argmax(gaps))
+    if 2 * np.pi - gaps[widest] > 2 * FURTHEST:
+        raise ValueError(_wraps(joint, 2 * np.pi - gaps[widest]))
+    start = ordered[(widest + 1) % len(ordered)]
+    middle = start + (2 * np.pi - gaps[widest]) / 2
+    return float((middle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _wraps(joint: str, span: float) -> str:
+    return (
+        f"Joint '{joint}' turns through {np.degrees(span):.0f} degrees, so that no middle keeps its range within "
+        "half a turn; its rotations wrap, and limits cannot be learned from them."
+    )
+
+
+def _rotation(quaternions: Float[np.ndarray, "*shape 4"]) -> Rotation:
+    return Rotation.from_quat(quaternions, scalar_first=True)
+
+
+def _about(axis: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "4"]:
+    return np.append(np.cos(angle / 2), np.sin(angle / 2) * axis)
+
+
+def _angle(rotations: Float[np.ndarray, "F 4"], middle: Float[np.ndarray, "4"]) -> Float[np.ndarray, "F"]:
+    return 2 * np.arccos(np.clip(np.abs(rotations @ middle), 0.0, 1.0))

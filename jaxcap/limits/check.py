@@ -1,0 +1,42 @@
+"""Which joints of which frames of a motion are beyond limits."""
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Bool, Float
+
+from ..body.limit_surface import SurfaceLimits, comfort
+from ..body.limits import AbstractLimits, allowed
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton
+
+#: frames at a time: more do not fit into the cache
+BATCH = 64
+
+
+@eqx.filter_jit
+def allowed_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Bool[Array, "F J"]:
+    """Whether each joint is within its limits in each frame; joints without limits are."""
+    return _over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
+
+
+@eqx.filter_jit
+def residual_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F C"]:
+    """How far each frame is beyond each limit, about radians; `limits.owners` tells whose they are."""
+    return _over_frames(lambda pose: limits.residual(skeleton, pose), motion)
+
+
+@eqx.filter_jit
+def comfort_frames(limits: SurfaceLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F S"]:
+    """The comfort of each frame by each learned surface: see `comfort`."""
+    return _over_frames(lambda pose: comfort(limits, skeleton, pose), motion)
+
+
+@eqx.filter_jit
+def nearest_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Motion:
+    """Every frame by itself turned back to the nearest pose that is allowed."""
+    return Motion(_over_frames(lambda pose: limits.nearest(skeleton, pose), motion), motion.rate)
+
+
+def _over_frames(function, motion: Motion):
+    poses: Pose = motion.poses
+    return jax.lax.map(function, poses, batch_size=BATCH)

@@ -1,0 +1,169 @@
+"""Limits of joints from what they did: a surface each, coupled to a parent where asked."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from ..body.chart import Chart
+from ..body.limit_surface import LimitSurface, SurfaceLimits, density
+from ..body.primitives import LEVEL, STIFFNESS
+from .charts import chart_places, find_chart
+from .match import match_primitives
+from .samples import JointSamples
+from .voxels import Voxels, voxelise
+from .widths import choose_keyframes, choose_width
+
+#: share of a motion that was not learned from which is to be allowed
+COVERAGE = 0.98
+#: a keyframe's reach in its width: neighbours share what is between them, and no more
+REACH = 1 / 3
+#: samples whose densities are kept, and how many of these
+SAMPLED, KEPT = 4000, 256
+
+
+def learn_limits(
+    samples: Mapping[str, JointSamples],
+    *,
+    voxel: float | None = None,
+    keyframe: float | None = None,
+    least: float = 1.0,
+    coverage: float = COVERAGE,
+) -> SurfaceLimits:
+    """Limits of some joints, by name, parents before their children.
+
+    **Arguments:** `voxel` and `keyframe` are the widths of the smallest voxels of a joint and of the
+    keyframes of its parent in radians of rotation; where not given, the smallest with which a share
+    `coverage` of each half of the samples is allowed by the other half. `least` samples keep a
+    smallest voxel: the threshold of density.
+
+    **Raises:** `ValueError` where a joint's rotations wrap, or no voxel has `least` samples.
+    """
+    return SurfaceLimits(
+        tuple(learn_surface(one, voxel, keyframe, least, coverage) for one in samples.values())
+    )
+
+
+def learn_surface(
+    samples: JointSamples,
+    voxel: float | None = None,
+    keyframe: float | None = None,
+    least: float = 1.0,
+    coverage: float = COVERAGE,
+) -> LimitSurface:
+    """The limits of one joint; arguments and errors as in `learn_limits`, widths in radians."""
+    chart = find_chart(samples)
+    places = chart_places(chart, samples.rotations)
+    if samples.parent is None:
+        width = (voxel or 0.0) / 2 or choose_width(places, chart.dimension, samples.blocks, least, coverage)
+        voxels = voxelise(places, chart.dimension, width, least)
+        return _own_surface(samples.joint, chart, places, voxels, width)
+    parent_chart = find_chart(samples.parent)
+    parents = chart_places(parent_chart, samples.parent.rotations)
+    width, key_width = (voxel or 0.0) / 2, (keyframe or 0.0) / 2
+    if not (voxel and keyframe):
+        dimensions = chart.dimension, parent_chart.dimension
+        chosen = choose_keyframes(places, parents, dimensions, samples.blocks, coverage)
+        width, key_width = width or chosen[0], key_width or chosen[1]
+    # voxels of one size, so that those of a keyframe are among those of all
+    voxels = voxelise(places, chart.dimension, width, least, levels=0)
+    keys, keyed = _keyframes(places, parents, voxels, parent_chart.dimension, key_width)
+    matched = [np.arange(len(voxels.counts)) if seen.all() else _match(voxels, seen) for seen in keyed]
+    home = _nearest(keys, parents), _nearest(voxels.centres, places)
+    counts = np.zeros((len(keys), len(voxels.counts)))
+    np.add.at(counts, home, 1.0)
+    surface = LimitSurface(
+        joint=samples.joint,
+        parent=samples.parent.joint,
+        chart=chart,
+        parent_chart=parent_chart,
+        keys=jnp.asarray(keys),
+        reach=jnp.asarray(REACH * key_width),
+        centres=jnp.asarray(np.stack([voxels.centres[rows] for rows in matched])),
+        thickness=jnp.asarray(np.tile(_thickness(voxels.widths, chart, width), (len(keys), 1))),
+        unit=jnp.asarray(width / 2),
+        level=jnp.asarray(LEVEL),
+        stiffness=jnp.asarray(STIFFNESS),
+        # counts lie with the voxels themselves, which for a keyframe without them are elsewhere
+        counts=jnp.asarray(_gathered(counts, matched)),
+        densities=jnp.zeros(0),
+    )
+    return _with_densities(surface, places, parents)
+
+
+def _own_surface(joint: str, chart: Chart, places, voxels: Voxels, width: float) -> LimitSurface:
+    surface = LimitSurface(
+        joint=joint,
+        parent=None,
+        chart=chart,
+        parent_chart=None,
+        keys=jnp.zeros((1, 3)),
+        reach=jnp.asarray(1.0),
+        centres=jnp.asarray(voxels.centres[None]),
+        thickness=jnp.asarray(_thickness(voxels.widths, chart, width)[None]),
+        unit=jnp.asarray(width / 2),
+        level=jnp.asarray(LEVEL),
+        stiffness=jnp.asarray(STIFFNESS),
+        counts=jnp.asarray(voxels.counts[None]),
+        densities=jnp.zeros(0),
+    )
+    return _with_densities(surface, places, None)
+
+
+def _thickness(widths: Float[np.ndarray, "N"], chart: Chart, width: float) -> Float[np.ndarray, "N"]:
+    """With which each primitive alone holds the whole of its voxel within the level.
+
+    The paper lets influence end at half a voxel's width; then no corner of a voxel is within, and
+    samples that the surface was made of are forbidden.
+    """
+    return np.sqrt(chart.dimension) * widths / 2 + (LEVEL - 1) / STIFFNESS * width / 2
+
+
+def _keyframes(places, parents, voxels: Voxels, dimension: int, width: float):
+    """Voxels of the parent, and `(V, N)` which of the child's were seen there or half a width around."""
+    keyframes = voxelise(parents, dimension, width, levels=0)
+    home = _nearest(voxels.centres, places)
+    keyed = np.zeros((len(keyframes.counts), len(voxels.counts)), bool)
+    for row, key in enumerate(keyframes.centres):
+        keyed[row, home[np.abs(parents - key).max(1) <= width]] = True
+    return keyframes.centres, keyed
+
+
+def _match(voxels: Voxels, seen: np.ndarray) -> np.ndarray:
+    """For each voxel of all the one of a keyframe's that it becomes there."""
+    chosen = match_primitives(
+        voxels.centres, voxels.widths / 2, voxels.centres[seen], voxels.widths[seen] / 2
+    )
+    return np.flatnonzero(seen)[chosen]
+
+
+def _gathered(counts: np.ndarray, matched: list[np.ndarray]) -> np.ndarray:
+    """Each voxel's count, shared by all primitives that lie on it at a keyframe."""
+    rows = []
+    for count, chosen in zip(counts, matched, strict=True):
+        rows.append(count[chosen] / np.bincount(chosen, minlength=len(count))[chosen])
+    return np.stack(rows)
+
+
+def _nearest(centres: np.ndarray, places: np.ndarray) -> np.ndarray:
+    return np.asarray(KDTree(centres).query(places)[1])
+
+
+def _with_densities(surface: LimitSurface, places, parents) -> LimitSurface:
+    """What comfort is measured against: densities where samples are, sorted."""
+    chosen = np.random.default_rng(0).permutation(len(places))[:SAMPLED]
+    found = _densities(
+        surface, jnp.asarray(places[chosen]), None if parents is None else jnp.asarray(parents[chosen])
+    )
+    ranks = np.linspace(0, len(chosen) - 1, min(KEPT, len(chosen))).round().astype(int)
+    return eqx.tree_at(lambda s: s.densities, surface, jnp.sort(found)[ranks])
+
+
+@jax.jit
+def _densities(surface: LimitSurface, places, parents):
+    one = lambda at: density(surface, at[0], at[1])  # noqa: E731
+    return jax.lax.map(one, (places, parents))

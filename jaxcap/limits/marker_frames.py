@@ -1,0 +1,78 @@
+"""Shoulder and elbow from four markers of an arm, without a skeleton (Limits, section 3.2)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ..errors import InputError
+from ..observe import MarkerFrames
+from .samples import BLOCK, JointSamples
+
+#: markers nearer to one line than this show no plane, as the sine of their angle
+FLAT = 0.05
+
+
+def arm_samples(
+    frames: MarkerFrames,
+    markers: Sequence[str],
+    trunk: Sequence[str],
+    names: tuple[str, str] = ("shoulder", "elbow"),
+) -> tuple[JointSamples, JointSamples]:
+    """A shoulder's rotations, and an elbow's coupled to it, in the frames that show all markers.
+
+    **Arguments:** `markers` are the labels of shoulder, upper arm, elbow and forearm; `trunk` three
+    markers of what the shoulder hangs on. The shoulder's first axis goes from shoulder to upper arm, its
+    second is the normal of the triangle of upper arm, elbow and forearm; in that frame the elbow's
+    two angles point the forearm. Its twist takes a fifth marker, which the paper's arm has not.
+
+    **Raises:** `InputError` where a label is missing, or no frame shows all of them with the elbow bent.
+    """
+    if len(markers) != 4 or len(trunk) != 3:
+        raise InputError(
+            f"{len(markers)} markers of the arm and {len(trunk)} of the trunk; give shoulder, upper arm, elbow, "
+            "forearm, and three of the trunk."
+        )
+    for label in (*markers, *trunk):
+        if label not in frames.labels:
+            raise InputError(f"There is no marker '{label}'; the file has {', '.join(frames.labels)}.")
+    columns = [frames.labels.index(label) for label in (*markers, *trunk)]
+    places = np.asarray(frames.places, float)[:, columns]
+    first = _unit(places[:, 1] - places[:, 0])
+    normal = np.cross(places[:, 2] - places[:, 1], places[:, 3] - places[:, 2])
+    sides = np.linalg.norm(places[:, 2] - places[:, 1], axis=1) * np.linalg.norm(
+        places[:, 3] - places[:, 2], axis=1
+    )
+    bent = np.linalg.norm(normal, axis=1) > FLAT * np.maximum(sides, 1e-12)
+    good = np.asarray(frames.seen)[:, columns].all(1) & bent
+    if not good.any():
+        raise InputError(
+            f"No frame shows {', '.join((*markers, *trunk))} at once with the elbow bent, which its plane is read off."
+        )
+    places, first, normal = places[good], first[good], normal[good]
+    arm = _frame(first, normal)
+    body = _frame(
+        _unit(places[:, 5] - places[:, 4]), np.cross(places[:, 5] - places[:, 4], places[:, 6] - places[:, 4])
+    )
+    shoulder = body.inv() * arm
+    pointing = arm.inv().apply(_unit(places[:, 3] - places[:, 2]))
+    # about the normal, then up out of the plane
+    flexion = np.arctan2(pointing[:, 2], pointing[:, 0])
+    lift = np.arcsin(np.clip(pointing[:, 1], -1, 1))
+    axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+    elbow = Rotation.from_rotvec(flexion[:, None] * axes[0]) * Rotation.from_rotvec(lift[:, None] * axes[1])
+    blocks = (np.flatnonzero(good) / (BLOCK * frames.rate)).astype(int)
+    upper = JointSamples(names[0], "ball", np.eye(3)[:2], shoulder.as_quat(scalar_first=True), blocks)
+    lower = JointSamples(names[1], "universal", axes, elbow.as_quat(scalar_first=True), blocks, upper)
+    return upper, lower
+
+
+def _frame(first: Float[np.ndarray, "F 3"], second: Float[np.ndarray, "F 3"]) -> Rotation:
+    """Right-handed frames: the first axis as given, the second as near to it as can be."""
+    second = _unit(second - np.sum(second * first, -1, keepdims=True) * first)
+    return Rotation.from_matrix(np.stack([first, second, np.cross(first, second)], -1))
+
+
+def _unit(x: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3"]:
+    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-12)

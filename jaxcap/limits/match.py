@@ -1,0 +1,41 @@
+"""Which primitive of one shape becomes which of another when one turns into the other."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
+
+
+def match_primitives(
+    centres: Float[np.ndarray, "N 3"],
+    thickness: Float[np.ndarray, "N"],
+    other_centres: Float[np.ndarray, "M 3"],
+    other_thickness: Float[np.ndarray, "M"],
+) -> Int[np.ndarray, "N"]:
+    """For each of N primitives one of M others, M at most N: first each of the fewer gets one of its
+    own, so that the sum of distances is least; what is left takes the closest (Limits, section 4.2).
+
+    The distance is that of eq. 3 with the difference of thickness squared, too: as printed it has a
+    sign, and would take a primitive for close because it is thinner.
+
+    **Raises:** `ValueError` where there are more others than primitives.
+    """
+    if len(other_centres) > len(centres):
+        raise ValueError(
+            f"{len(centres)} primitives cannot take one each of {len(other_centres)}; match the other way."
+        )
+    mine = np.column_stack([centres, thickness])
+    others = np.column_stack([other_centres, other_thickness])
+    apart, closest = KDTree(others).query(mine)
+    chosen = np.asarray(closest, int)
+    # where primitives coincide, as on one grid, nothing is to be chosen
+    same = np.flatnonzero(np.asarray(apart) == 0.0)
+    _, first = np.unique(chosen[same], return_index=True)
+    taken = same[first]
+    rest = np.setdiff1d(np.arange(len(others)), chosen[taken])
+    free = np.setdiff1d(np.arange(len(mine)), taken)
+    if len(rest):
+        distances = np.sum((mine[free][:, None] - others[rest][None]) ** 2, -1)
+        rows, columns = linear_sum_assignment(distances)
+        chosen[free[rows]] = rest[columns]
+    return chosen

@@ -1,0 +1,66 @@
+"""Motions turned back into their limits, frame to frame smooth."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..body.limits import AbstractLimits, allowed
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton
+from ..geometry import rotation
+from .check import BATCH
+
+#: rounds of smoothing what is turned back, each followed by turning back what is still beyond
+ROUNDS = 4
+
+
+@eqx.filter_jit
+def project_motion(
+    limits: AbstractLimits, skeleton: Skeleton, motion: Motion, smoothness: float = 0.02, rounds: int = ROUNDS
+) -> Motion:
+    """The nearest motion within limits: orthogonal projection of every frame (Limits, section 4.2), and
+    what it turns joints by made smooth over the frames that are beyond.
+
+    The nearest place may be on one side of the limits in one frame and on the other in the next.
+    So the turns back, `c_f`, are drawn together, by the least of `sum |c_f - c'_f|^2 + s |c_f+1 - c_f|^2`,
+    and frames projected again from there. Frames that are allowed stay as they are, and hold the
+    turns beside them to none.
+
+    **Arguments:** `smoothness` in seconds, over which turns back are drawn together; 0 projects
+    every frame by itself.
+    """
+    poses = motion.poses
+    within = _each(lambda pose: allowed(limits, skeleton, pose), poses)
+    nearest = _each(lambda pose: limits.nearest(skeleton, pose), poses)
+    if smoothness <= 0 or rounds <= 0 or len(motion) < 2:
+        return Motion(nearest, motion.rate)
+    weight = (smoothness * motion.rate) ** 2
+
+    def again(_, found: Pose):
+        turns = rotation.log(rotation.multiply(rotation.conjugate(poses.rotations), found.rotations))
+        turns = jax.vmap(_smooth, (1, 1, None), 1)(turns, within, weight)
+        moved = rotation.multiply(poses.rotations, rotation.exp(turns))
+        kept = jnp.where(within[..., None], poses.rotations, rotation.normalise(moved))
+        drawn = Pose(poses.translations, kept, poses.scale)
+        return _each(lambda pose: limits.nearest(skeleton, pose), drawn)
+
+    return Motion(jax.lax.fori_loop(0, rounds, again, nearest), motion.rate)
+
+
+def _each(function, poses: Pose):
+    return jax.lax.map(function, poses, batch_size=BATCH)
+
+
+def _smooth(
+    turns: Float[Array, "F 3"], held: Bool[Array, "F"], weight: Float[Array, ""] | float
+) -> Float[Array, "F 3"]:
+    """The smoothed turns of one joint: a tridiagonal system with held frames at zero."""
+    count = len(turns)
+    sides = jnp.full(count, 2.0, turns.dtype).at[0].set(1.0).at[-1].set(1.0)
+    diagonal = jnp.where(held, 1.0, 1.0 + weight * sides)
+    couple = jnp.where(held, 0.0, -weight) * jnp.ones(count, turns.dtype)
+    lower = couple.at[0].set(0.0)
+    upper = couple.at[-1].set(0.0)
+    right = jnp.where(held[:, None], 0.0, turns)
+    return jax.lax.linalg.tridiagonal_solve(lower, diagonal, upper, right)

@@ -1,0 +1,103 @@
+"""What joints did: their rotations, with those of the joints that they are coupled to."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..body.pose import Motion
+from ..body.skeleton import Skeleton
+from ..errors import InputError
+
+#: seconds of a motion that are held out together: neighbouring frames are alike
+BLOCK = 10.0
+
+
+class JointSamples(NamedTuple):
+    """Rotations of one joint from rest, frame by frame, and those of the joint that limits it."""
+
+    joint: str
+    kind: str
+    #: unit axes of revolute and universal joints
+    axes: Float[np.ndarray, "2 3"]
+    rotations: Float[np.ndarray, "F 4"]
+    #: samples of one block were made close together in time
+    blocks: Int[np.ndarray, "F"]
+    parent: "JointSamples | None" = None
+
+    def take(self, chosen: np.ndarray) -> "JointSamples":
+        """Some of the frames, of the parent too."""
+        parent = None if self.parent is None else self.parent.take(chosen)
+        return self._replace(rotations=self.rotations[chosen], blocks=self.blocks[chosen], parent=parent)
+
+
+def parse_joints(text: str) -> tuple[tuple[str, str | None], ...]:
+    """Joints with their parents, `(joint, parent)`, of `LeftArm:LeftForeArm,Head`: a chain couples
+    every joint to the one before it. Parents come before their children, each joint once.
+
+    **Raises:** `InputError` where a name is empty or a joint is coupled to two parents.
+    """
+    found: dict[str, str | None] = {}
+    for chain in text.split(","):
+        names = [name.strip() for name in chain.split(":")]
+        if not all(names):
+            raise InputError(f"--joints {text}: a joint's name is empty; write 'shoulder:elbow,head'.")
+        for parent, joint in zip([None, *names], names, strict=False):
+            if parent is not None and found.get(joint) not in (None, parent):
+                raise InputError(
+                    f"--joints {text}: '{joint}' is coupled to '{found[joint]}' and to '{parent}'; choose one."
+                )
+            found[joint] = parent or found.get(joint)
+    ordered: list[str] = []
+    while len(ordered) < len(found):
+        ready = [n for n, p in found.items() if n not in ordered and (p is None or p in ordered)]
+        if not ready:
+            raise InputError(f"--joints {text}: the joints are coupled in a circle; leave one out.")
+        ordered += ready
+    return tuple((name, found[name]) for name in ordered)
+
+
+def gather_samples(
+    motions: Sequence[tuple[Skeleton, Motion]],
+    joint: str,
+    parent: str | None = None,
+    names: Sequence[str] | None = None,
+) -> JointSamples:
+    """The rotations of a joint in all frames of some motions, whose skeletons agree in it; `names` are
+    what errors call the motions.
+
+    **Raises:** `ValueError` where a joint is missing, does not turn at all, or is of another kind in
+    another motion.
+    """
+    above = None if parent is None else gather_samples(motions, parent, None, names)
+    kinds, rotations, blocks, start = set(), [], [], 0
+    axes = np.eye(3)[:2]
+    for number, (skeleton, motion) in enumerate(motions):
+        if joint not in skeleton.names:
+            motion_name = f"motion {number + 1}" if names is None else names[number]
+            raise ValueError(
+                f"{motion_name}: there is no joint '{joint}'; it has {', '.join(skeleton.names)}."
+            )
+        j = skeleton.index(joint)
+        kinds.add("ball" if skeleton.kinds[j] == "free" else skeleton.kinds[j])
+        axes = np.asarray(skeleton.axes[j], float)
+        turned = np.asarray(motion.poses.rotations[:, j], float)
+        rotations.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+        blocks.append(start + (np.arange(len(turned)) / (BLOCK * motion.rate)).astype(int))
+        start = blocks[-1][-1] + 1
+    if len(kinds) > 1:
+        raise ValueError(
+            f"Joint '{joint}' is {' and '.join(sorted(kinds))}; learn from motions of one kind of skeleton."
+        )
+    kind = kinds.pop()
+    if kind in ("fixed", "translate"):
+        raise ValueError(f"Joint '{joint}' is {kind} and does not turn; name one that does.")
+    return JointSamples(joint, kind, axes, np.concatenate(rotations), np.concatenate(blocks), above)
+
+
+def spans(rotations: Float[np.ndarray, "F 4"]) -> float:
+    """The largest angle between a rotation and the one furthest from the first, radians: about the
+    length of the range."""
+    end = rotations[np.argmin(np.abs(rotations @ rotations[0]))]
+    return float(2 * np.arccos(np.clip(np.abs(rotations @ end).min(), 0.0, 1.0)))

@@ -1,0 +1,102 @@
+"""How fine voxels may be: as fine as most of a capture still foretells the rest."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+#: degrees of rotation, tried from the finest
+WIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)
+#: of a child's voxels and of its parent's keyframes, tried together
+CHILD_WIDTHS = (2.0, 4.0, 8.0, 12.0, 20.0)
+KEYFRAMES = (10.0, 15.0, 20.0, 30.0, 40.0, 60.0)
+#: frames that keyframes are chosen on at most
+TRIED = 10000
+#: parts of a capture, each of which the others are to foretell
+FOLDS = 5
+
+
+def choose_width(
+    places: Float[np.ndarray, "F 3"],
+    dimension: int,
+    blocks: Int[np.ndarray, "F"],
+    least: float,
+    coverage: float,
+) -> float:
+    """The width in the chart, half of that in rotation, of the finest voxels with which a share
+    `coverage` of blocks that were held out lies near samples of the others; the widest where none has."""
+    for degrees in WIDTHS:
+        width = np.radians(degrees) / 2
+        shares = [
+            _near(places[test], _cells(places[train], dimension, width, least), dimension, width).mean()
+            for train, test in _folds(blocks)
+        ]
+        if np.mean(shares) >= coverage:
+            return width
+    return np.radians(WIDTHS[-1]) / 2
+
+
+def choose_keyframes(
+    places: Float[np.ndarray, "F 3"],
+    parents: Float[np.ndarray, "F 3"],
+    dimensions: tuple[int, int],
+    blocks: Int[np.ndarray, "F"],
+    coverage: float,
+) -> tuple[float, float]:
+    """Widths of a child's voxels and of its parent's keyframes: of those pairs with which the share
+    `coverage` of what was held out is allowed, the one that allows least of children and parents of
+    different frames, which is the tightest; the loosest where none has that share."""
+    some = np.linspace(0, len(places) - 1, min(len(places), TRIED)).astype(int)
+    places, parents, blocks = places[some], parents[some], blocks[some]
+    best, least = (np.radians(CHILD_WIDTHS[-1]) / 2, np.radians(KEYFRAMES[-1]) / 2), np.inf
+    for key_width in np.radians(KEYFRAMES) / 2:
+        tries = [
+            _conditional(places, parents, train, test, dimensions, key_width)
+            for train, test in _folds(blocks)
+        ]
+        seen, shuffled = (np.mean([one[i] for one in tries], axis=0) for i in range(2))
+        for number, degrees in enumerate(CHILD_WIDTHS):
+            if seen[number] >= coverage and shuffled[number] < least:
+                best, least = (np.radians(degrees) / 2, float(key_width)), shuffled[number]
+    return best
+
+
+def _conditional(places, parents, train, test, dimensions: tuple[int, int], key_width: float):
+    """For each of a child's widths the share allowed of the test's frames, and of the same children
+    with other frames' parents: near samples of which the parents were within a width of a keyframe."""
+    keys = _cells(parents[train], dimensions[1], key_width, 1.0)
+    nearest = np.asarray(KDTree(keys).query(parents[test])[1])
+    shuffled = np.random.default_rng(0).permutation(len(test))
+    shares = np.zeros((2, len(CHILD_WIDTHS)))
+    for key in np.unique(nearest):
+        around = np.abs(parents[train] - keys[key]).max(1) <= key_width
+        here = nearest == key
+        for number, degrees in enumerate(CHILD_WIDTHS):
+            width = np.radians(degrees) / 2
+            cells = _cells(places[train][around], dimensions[0], width, 1.0)
+            for row, children in enumerate((places[test], places[test][shuffled])):
+                shares[row, number] += _near(children[here], cells, dimensions[0], width).sum()
+    return shares / len(test)
+
+
+def _folds(blocks: Int[np.ndarray, "F"]):
+    """Frames to learn from and to test on, every fifth block held out in turn; a capture of fewer
+    blocks is cut into five."""
+    order = np.unique(blocks, return_inverse=True)[1]
+    if order.max() + 1 < FOLDS:
+        order = np.arange(len(blocks)) * FOLDS // len(blocks)
+    held_out = [order % FOLDS == fold for fold in range(FOLDS)]
+    return [(np.flatnonzero(~out), np.flatnonzero(out)) for out in held_out]
+
+
+def _cells(places, dimension: int, width: float, least: float) -> np.ndarray:
+    cells, counts = np.unique(np.floor(places[:, :dimension] / width), axis=0, return_counts=True)
+    centres = np.zeros((int((counts >= least).sum()), 3))
+    centres[:, :dimension] = (cells[counts >= least] + 0.5) * width
+    return centres
+
+
+def _near(places, centres, dimension: int, width: float) -> np.ndarray:
+    """Whether places are in a ball that holds a voxel."""
+    if not len(centres) or not len(places):
+        return np.zeros(len(places), bool)
+    return KDTree(centres).query(places)[0] <= np.sqrt(dimension) * width / 2

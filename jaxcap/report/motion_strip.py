@@ -1,0 +1,60 @@
+"""A strip of frames: a motion before and after it was changed (Limits, figures 9 and 10)."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from ..body.kinematics import forward_kinematics, joint_positions
+from ..body.pose import Motion
+from ..body.skeleton import Skeleton
+from ..io.atomic import replacing
+from .pictures import new_figure
+from .render import INK, frame, view_axes
+
+#: frames in a strip; colours of bones, and of bones below joints that are marked
+SHOWN, BONE, MARKED = 8, "#5b6770", "#c81d25"
+
+
+def draw_strip(
+    path: str | Path,
+    skeleton: Skeleton,
+    before: Motion,
+    after: Motion,
+    marked: np.ndarray,
+    title: str = "",
+) -> None:
+    """Write a PNG: above, frames of a motion with the joints that `marked (F, J)` names in red; below, the
+    same frames after. Shown are frames spread over those in which something is marked.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    chosen = np.flatnonzero(marked.any(1))
+    chosen = chosen if len(chosen) else np.arange(len(before))
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(SHOWN, len(chosen))).astype(int))]
+    rows = [np.asarray(_joints(skeleton, motion), float)[chosen] for motion in (before, after)]
+    axes = view_axes(rows[0][0])
+    canvas, figure = new_figure(1.7 * len(chosen) + 0.3, 5.4)
+    plots = figure.subplots(2, len(chosen), squeeze=False)
+    for row, joints in enumerate(rows):
+        for column, number in enumerate(chosen):
+            seen = (joints[column] - rows[0][column].mean(0)) @ axes.T
+            plot = plots[row, column]
+            for child, parent in enumerate(skeleton.parents):
+                if parent < 0:
+                    continue
+                red = row == 0 and marked[number, parent]
+                plot.plot(*seen[[parent, child], :2].T, color=MARKED if red else BONE, lw=2.6 if red else 1.6,
+                          solid_capstyle="round")  # fmt: skip
+            reach = (rows[0] - rows[0].mean(1, keepdims=True)) @ axes.T
+            frame(plot, reach.min((0, 1))[:2], reach.max((0, 1))[:2], f"frame {number}" if row == 0 else "")
+    figure.suptitle(title, fontsize=11, color=INK)
+    figure.subplots_adjust(left=0.01, right=0.99, top=0.88, bottom=0.02, wspace=0.02, hspace=0.04)
+    with replacing(Path(path)) as beside:
+        canvas.print_png(beside)
+
+
+@jax.jit
+def _joints(skeleton: Skeleton, motion: Motion):
+    one = lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose))  # noqa: E731
+    return jax.lax.map(one, motion.poses)
