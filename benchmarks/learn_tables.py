@@ -14,6 +14,7 @@ import argparse
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from benchmarks._learning import (
@@ -109,6 +110,8 @@ def main() -> None:
             if long not in kept:
                 progress(key)
                 kept[long] = learned_row(training, held_out, settings, extra)
+                # compiled functions stay mapped into memory, and a process may map only so many pieces
+                jax.clear_caches()
                 if options.keep:
                     options.keep.write_text(json.dumps(kept, indent=1))
             rows[key] = kept[long]

@@ -67,10 +67,16 @@ class Chart(eqx.Module):
         """How far two places are apart as rotations: about the square of half the angle between
         them; for quaternions `sin^2` of it, the chord's, which knows no antipode."""
         if self.kind != "ball":
-            return jnp.sum((a - b) ** 2)
+            return jnp.sum((a - self.image(b, a)) ** 2)
         scalars = jnp.sqrt(jnp.maximum(1.0 - jnp.sum(a**2), 1e-12)) * jnp.sqrt(
             jnp.maximum(1.0 - jnp.sum(b**2), 1e-12)
         )
         # |a - b|^2 on the sphere, with less cancellation than 1 - (a . b)^2
         cosine = scalars + jnp.sum(a * b)
         return 1.0 - cosine**2
+
+    def image(self, place: Float[Array, "3"], near: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The same rotation as `place`, whole turns of its angles away, that is closest to `near`."""
+        if self.kind == "ball":
+            return place
+        return near + (place - near + jnp.pi / 2) % jnp.pi - jnp.pi / 2

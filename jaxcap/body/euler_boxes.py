@@ -56,19 +56,17 @@ class EulerBoxes(AbstractLimits):
 
     def _angles(self, pose: Pose) -> Float[Array, "E 3"]:
         """Of the two triples that make a rotation, the one that is less beyond its box."""
-        return euler_angles(
-            pose.rotations[self.joints], self.frames, (self.lower + self.upper) / 2, self.lower, self.upper
-        )
+        return euler_angles(pose.rotations[self.joints], self.frames, self.lower, self.upper)
 
 
 def euler_angles(
     rotations: Float[Array, "E 4"],
     frames: Float[Array, "E 4"],
-    middle: Float[Array, "E 3"],
-    lower: Float[Array, "E 3"],
-    upper: Float[Array, "E 3"],
+    lower: Float[Array, "#E 3"],
+    upper: Float[Array, "#E 3"],
 ) -> Float[Array, "E 3"]:
-    """Angles about the axes of `frames`, within half a turn of `middle`, nearest to the box."""
+    """Angles about the axes of `frames`, within half a turn of a box's middle, nearest to the box."""
+    middle = (lower + upper) / 2
     m = rotation.to_matrix(
         rotation.multiply(rotation.conjugate(frames), rotation.multiply(rotations, frames))
     )

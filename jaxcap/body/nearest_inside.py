@@ -8,7 +8,7 @@ from .chart import Chart
 from .primitives import Primitives, field, radii
 
 #: rounds of going straight for the point and then aside along the surface; halvings of a stretch
-ROUNDS, HALVINGS = 4, 6
+ROUNDS, HALVINGS = 3, 5
 #: how far above the level a point is left, so that rounding does not take it out again
 ABOVE = 0.02
 
@@ -26,7 +26,7 @@ def nearest_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"
     apart = lambda x: chart.squared_distance(x, point)  # noqa: E731
 
     def improve(_, place):
-        edge = _furthest(inside, place, point)
+        edge = _furthest(inside, place, chart.image(point, place))
         normal = _unit(jax.grad(lambda x: field(primitives, x))(edge))
         down = -jax.grad(apart)(edge) / 2
         aside = edge + down - jnp.sum(down * normal) * normal
@@ -34,7 +34,9 @@ def nearest_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"
         best = jnp.where(apart(edge) < apart(place), edge, place)
         return jnp.where(inside(aside) & (apart(aside) < apart(best)), aside, best)
 
-    return jax.lax.fori_loop(0, ROUNDS, improve, ball(point))
+    # on a line there is no way aside
+    rounds = 1 if chart.dimension == 1 else ROUNDS
+    return jax.lax.fori_loop(0, rounds, improve, ball(point))
 
 
 def _nearest_ball(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -44,7 +46,8 @@ def _nearest_ball(primitives: Primitives, chart: Chart, point: Float[Array, "3"]
     nearest = jnp.argmin(jnp.sqrt(jnp.maximum(apart, 0.0)) - reach)
     centre, radius = primitives.centres[nearest], reach[nearest]
     towards = -jax.grad(chart.squared_distance)(centre, point)
-    return centre + jnp.minimum(radius, jnp.linalg.norm(point - centre)) * _unit(towards)
+    away = jnp.linalg.norm(chart.image(point, centre) - centre)
+    return centre + jnp.minimum(radius, away) * _unit(towards)
 
 
 def _furthest(inside, start: Float[Array, "3"], end: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -31,12 +32,9 @@ def learn_boxes(skeleton: Skeleton, samples: Iterable[JointSamples]) -> tuple[Jo
 
 
 def _box(samples: JointSamples, frame: np.ndarray) -> EulerBox:
-    everywhere = jnp.full(3, np.pi)
+    everywhere = jnp.full((1, 3), np.pi)
     frames = jnp.tile(rotation.from_matrix(jnp.asarray(frame)), (len(samples.rotations), 1))
-    middle = jnp.zeros(3)
-    angles = np.asarray(
-        euler_angles(jnp.asarray(samples.rotations), frames, middle, -everywhere, everywhere), float
-    )
+    angles = np.asarray(euler_angles(jnp.asarray(samples.rotations), frames, -everywhere, everywhere), float)
     # each angle from its circular mean, so that a range may pass half a turn
     mean = np.angle(np.exp(1j * angles).mean(0))
     angles = mean + (angles - mean + np.pi) % (2 * np.pi) - np.pi
@@ -46,8 +44,11 @@ def _box(samples: JointSamples, frame: np.ndarray) -> EulerBox:
 def _angles(skeleton: Skeleton, samples: JointSamples) -> np.ndarray:
     joint = skeleton.index(samples.joint)
     still = jnp.tile(rotation.identity(), (skeleton.num_joints, 1))
-    rotations = jnp.tile(still, (len(samples.rotations), 1, 1)).at[:, joint].set(samples.rotations)
-    poses = Pose(jnp.zeros((*rotations.shape[:2], 3)), rotations, jnp.ones(len(rotations)))
-    if samples.kind == "revolute":
-        return np.asarray([revolute_angles(skeleton, poses)[:, joint]]).T
-    return np.asarray(universal_angles(skeleton, poses)[:, joint])
+
+    def angles(turned):
+        pose = Pose(jnp.zeros((skeleton.num_joints, 3)), still.at[joint].set(turned), jnp.ones(()))
+        if samples.kind == "revolute":
+            return revolute_angles(skeleton, pose)[joint, None]
+        return universal_angles(skeleton, pose)[joint]
+
+    return np.asarray(jax.vmap(angles)(jnp.asarray(samples.rotations)))

@@ -13,8 +13,8 @@ from .samples import JointSamples
 STRAY = np.radians(1.0)
 #: no rotation may be further than this from the middle, radians: half a turn away they wrap
 FURTHEST = np.radians(170.0)
-#: steps to the middle of a range; starts of the search for two axes, and its turns
-STEPS, STARTS, TURNS = 300, 8, 60
+#: steps to the middle of a range
+STEPS = 300
 
 
 def find_chart(samples: JointSamples) -> Chart:
@@ -91,26 +91,17 @@ def _angles(rotations: Float[np.ndarray, "F 4"]) -> tuple[str, Float[np.ndarray,
 def two_axes(matrices: Float[np.ndarray, "F 3 3"]) -> tuple[Float[np.ndarray, "2 3"], float]:
     """The axes of `R = Rot(a, s) Rot(b, t)` at right angles, and how far rotations stray from it, radians.
 
-    Such a rotation leaves `a . R b = a . b = 0`, which is linear in either axis: each is found in turn
-    from the other, as the direction across it that the samples deny least.
+    Such rotations leave `a . R b = 0`, which is linear in `a b^T`, and no other matrix is across all of
+    them: the axes are the two factors of the one that samples deny least.
     """
-    best, least = np.eye(3)[:2], np.inf
-    for start in np.random.default_rng(0).normal(size=(STARTS, 3)):
-        b = start / np.linalg.norm(start)
-        a = b
-        for _ in range(TURNS):
-            a = _least_along(matrices @ b, b)
-            b = _least_along(matrices.transpose(0, 2, 1) @ a, a)
-        stray = float(np.abs(np.einsum("a,fab,b->f", a, matrices, b)).max())
-        if stray < least:
-            best, least = np.stack([a, b]), stray
-    return best, least
-
-
-def _least_along(vectors: Float[np.ndarray, "F 3"], across: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    plane = np.linalg.svd(across[None])[2][1:]
-    _, basis = np.linalg.eigh(plane @ (vectors.T @ vectors) @ plane.T)
-    return basis[:, 0] @ plane
+    flat = matrices.reshape(len(matrices), 9)
+    least = np.linalg.eigh(flat.T @ flat)[1][:, 0].reshape(3, 3)
+    left, _, right = np.linalg.svd(least)
+    a, b = left[:, 0], right[0]
+    stray = float(np.abs(np.einsum("a,fab,b->f", a, matrices, b)).max())
+    # noise leaves the axes a little off their right angle
+    b = b - (a @ b) * a
+    return np.stack([a, b / np.linalg.norm(b)]), stray
 
 
 def _middle_angle(angles: Float[np.ndarray, "F"], joint: str) -> float:

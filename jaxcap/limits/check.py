@@ -10,7 +10,7 @@ from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 
 #: frames at a time: more do not fit into the cache
-BATCH = 64
+BATCH = 256
 
 
 @eqx.filter_jit

@@ -46,7 +46,8 @@ def draw_limits(
     flat = surface.chart.dimension < 3
     columns = 1 if flat else 3
     canvas, figure = new_figure(
-        4.2 * columns + 0.3, (1.6 if surface.chart.dimension == 1 else 3.9) * len(shown) + 1.1
+        4.2 * columns + (2.2 if flat else 0.3),
+        (1.6 if surface.chart.dimension == 1 else 3.9) * len(shown) + 1.1,
     )
     plots = figure.subplots(len(shown), columns, squeeze=False)
     for row, (key, samples) in enumerate(zip(shown, near, strict=True)):
@@ -62,14 +63,14 @@ def draw_limits(
     coupled = "" if surface.parent is None else f", coupled to {surface.parent}"
     count = surface.centres.shape[1]
     figure.suptitle(
-        f"{surface.joint}{coupled}: {len(places)} samples, {count} primitives, voxels from "
+        f"{surface.joint}{coupled}\n{len(places)} samples, {count} primitives, voxels from "
         f"{np.degrees(4 * float(surface.unit)):.2g} degrees",
-        fontsize=11,
+        fontsize=10,
         color=INK,
     )
     total = figure.get_figheight()
     figure.subplots_adjust(
-        left=0.06, right=0.97, top=1 - 0.75 / total, bottom=0.45 / total, wspace=0.08, hspace=0.45
+        left=0.06, right=0.97, top=1 - 0.85 / total, bottom=0.5 / total, wspace=0.08, hspace=0.6
     )
     with replacing(Path(path)) as beside:
         canvas.print_png(beside)

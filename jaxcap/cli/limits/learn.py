@@ -120,13 +120,11 @@ class Learn:
             raise InputError(
                 "Of markers, one file and one pair of joints is learned from, such as --joints shoulder:elbow."
             )
-        (path,) = self.motions
+        path = next(iter(self.motions))
         frames = read_markers(path, self.unit)
         names = [[word.strip() for word in text.split(",")] for text in (self.markers, self.trunk)]
         upper, lower = arm_samples(frames, *names, names=(pairs[0][0], pairs[1][0]))
-        say(
-            f"{Path(path).name}: {len(upper.rotations)} of {len(frames)} frames show the whole arm"
-        )
+        say(f"{Path(path).name}: {len(upper.rotations)} of {len(frames)} frames show the whole arm")
         return {upper.joint: upper, lower.joint: lower}
 
     def draw(self, limits: SurfaceLimits, samples: dict[str, JointSamples]) -> None:
