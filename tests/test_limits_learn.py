@@ -137,9 +137,9 @@ def test_voxels_hold_all_samples_and_join_only_within(rng):
 
 def test_a_threshold_leaves_out_what_is_thin_and_says_when_nothing_is_left(rng):
     places = np.concatenate([rng.uniform(0, 0.1, (1000, 3)), [[0.45, 0.45, 0.45]]])
-    assert (voxelise(places, 3, 0.1, least=5.0).counts >= 5).all()
+    assert (voxelise(places, 3, 0.1, least=5).counts >= 5).all()
     with pytest.raises(ValueError, match="No voxel has 5000 samples"):
-        voxelise(places, 3, 0.1, least=5000.0)
+        voxelise(places, 3, 0.1, least=5000)
 
 
 def test_matches_are_the_best_one_to_one_and_then_the_closest(rng):
@@ -181,7 +181,7 @@ def test_learned_limits_know_the_analytic_ones(learned, rng):
 
 
 def test_all_samples_are_allowed(learned):
-    limits, samples = learned
+    limits, _samples = learned
     told = allowed_frames(limits, SHOULDER, coupled(np.random.default_rng(0)))
     assert float(told[:, 0].mean()) == 1.0
     assert float(told[:, 1].mean()) > 0.995

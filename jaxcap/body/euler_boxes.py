@@ -45,10 +45,9 @@ class EulerBoxes(AbstractLimits):
         """Every angle at the end of its range."""
         angles = self._angles(pose)
         clamped = jnp.clip(angles, self.lower, self.upper)
-        turned = rotation.identity(angles.dtype)
-        for i in range(3):
-            about = rotation.about_axis(jnp.eye(3, dtype=angles.dtype)[i], clamped[:, i])
-            turned = rotation.multiply(about, turned)
+        axes = jnp.broadcast_to(jnp.eye(3, dtype=angles.dtype), (len(angles), 3, 3))
+        x, y, z = (rotation.about_axis(axes[:, i], clamped[:, i]) for i in range(3))
+        turned = rotation.multiply(z, rotation.multiply(y, x))
         turned = rotation.multiply(self.frames, rotation.multiply(turned, rotation.conjugate(self.frames)))
         moved = jnp.any(clamped != angles, -1, keepdims=True)
         turned = jnp.where(moved, rotation.normalise(turned), pose.rotations[self.joints])

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from ..body.body import Body
-from ..body.limits import JointRanges
+from ..body.limits import AbstractLimits
 from ..energy.limits import JointLimits
 from ..errors import InputError
 from ..fit.em import make_mixture
@@ -17,6 +17,7 @@ from ..fit.sequence import track_frames
 from ..fit.track import Tracker, make_tracker
 from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
+from ..io.limits import read_limits
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
 from .results import check_folder, fingerprint, pack, record_width, unpack, write_results
 from .say import progress, say, warn
@@ -43,7 +44,9 @@ class Track:
     vj: OptionalFile = None
     """Joint of each vertex of a mesh; beside it where not given."""
     cst: OptionalFile = None
-    """Joint limits to keep."""
+    """Joint limits to keep, of a mesh's skeleton."""
+    limits: OptionalFile = None
+    """Joint limits to keep: those that `jaxcap limits learn` wrote, or a .cst or .asf file."""
     limit_weight: float = 100.0
     """How strongly limits hold, per squared radian."""
     first: OptionalCount = None
@@ -79,9 +82,11 @@ class Track:
 
     def run(self) -> None:
         self.check()
-        body, limits = load_body(
+        body, ranges = load_body(
             self.body, self.skl, self.vj, self.cst, vertices=self.vertices, unit=self.unit, up=self.up
         )
+        learned = None if self.limits is None else read_limits(self.limits, body.skeleton)
+        limits = tuple(part for part in (ranges, learned) if part is not None)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         # the first cloud shows most of what may be wrong, before anything is written
         load_cloud(scans, 0, body, self.up)
@@ -134,14 +139,14 @@ class Track:
         choices = ("vertices", "unit", "up", "estimate_priors", "initialise")
         return {name: getattr(self, name) for name in (*numbers, *choices)}
 
-    def tracker(self, body: Body, limits: JointRanges | None) -> Tracker:
+    def tracker(self, body: Body, limits: tuple[AbstractLimits, ...]) -> Tracker:
         mixture = make_mixture(
             normal_threshold=float(np.cos(np.radians(self.normal_angle))),
             outlier=self.outlier,
             damping=self.damping,
             estimate_priors=self.estimate_priors,
         )
-        terms = () if limits is None else (self.limit_weight * JointLimits(limits),)
+        terms = tuple(self.limit_weight * JointLimits(part) for part in limits)
         return make_tracker(body, mixture, terms, iterations=self.iterations)
 
     def follow(

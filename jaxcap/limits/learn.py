@@ -31,7 +31,7 @@ def learn_limits(
     *,
     voxel: float | None = None,
     keyframe: float | None = None,
-    least: float = 1.0,
+    least: int = 1,
     coverage: float = COVERAGE,
 ) -> SurfaceLimits:
     """Limits of some joints, by name, parents before their children.
@@ -52,7 +52,7 @@ def learn_surface(
     samples: JointSamples,
     voxel: float | None = None,
     keyframe: float | None = None,
-    least: float = 1.0,
+    least: int = 1,
     coverage: float = COVERAGE,
 ) -> LimitSurface:
     """The limits of one joint; arguments and errors as in `learn_limits`, widths in radians."""

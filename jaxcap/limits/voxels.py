@@ -19,7 +19,7 @@ class Voxels(NamedTuple):
 
 
 def voxelise(
-    places: Float[np.ndarray, "F 3"], dimension: int, width: float, least: float = 1.0, levels: int = LEVELS
+    places: Float[np.ndarray, "F 3"], dimension: int, width: float, least: int = 1, levels: int = LEVELS
 ) -> Voxels:
     """The cubes of `width` with at least `least` samples, which is the threshold of density, joined
     into larger ones (Limits, section 4.1, from below: what splits no further there joins here).

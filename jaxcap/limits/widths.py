@@ -19,7 +19,7 @@ def choose_width(
     places: Float[np.ndarray, "F 3"],
     dimension: int,
     blocks: Int[np.ndarray, "F"],
-    least: float,
+    least: int,
     coverage: float,
 ) -> float:
     """The width in the chart, half of that in rotation, of the finest voxels with which a share
@@ -63,7 +63,7 @@ def choose_keyframes(
 def _conditional(places, parents, train, test, dimensions: tuple[int, int], key_width: float):
     """For each of a child's widths the share allowed of the test's frames, and of the same children
     with other frames' parents: near samples of which the parents were within a width of a keyframe."""
-    keys = _cells(parents[train], dimensions[1], key_width, 1.0)
+    keys = _cells(parents[train], dimensions[1], key_width, 1)
     nearest = np.asarray(KDTree(keys).query(parents[test])[1])
     shuffled = np.random.default_rng(0).permutation(len(test))
     shares = np.zeros((2, len(CHILD_WIDTHS)))
@@ -72,7 +72,7 @@ def _conditional(places, parents, train, test, dimensions: tuple[int, int], key_
         here = nearest == key
         for number, degrees in enumerate(CHILD_WIDTHS):
             width = np.radians(degrees) / 2
-            cells = _cells(places[train][around], dimensions[0], width, 1.0)
+            cells = _cells(places[train][around], dimensions[0], width, 1)
             for row, children in enumerate((places[test], places[test][shuffled])):
                 shares[row, number] += _near(children[here], cells, dimensions[0], width).sum()
     return shares / len(test)
@@ -88,7 +88,7 @@ def _folds(blocks: Int[np.ndarray, "F"]):
     return [(np.flatnonzero(~out), np.flatnonzero(out)) for out in held_out]
 
 
-def _cells(places, dimension: int, width: float, least: float) -> np.ndarray:
+def _cells(places, dimension: int, width: float, least: int) -> np.ndarray:
     cells, counts = np.unique(np.floor(places[:, :dimension] / width), axis=0, return_counts=True)
     centres = np.zeros((int((counts >= least).sum()), 3))
     centres[:, :dimension] = (cells[counts >= least] + 0.5) * width
