@@ -1,4 +1,4 @@
-"""The README's Python runs as it stands."""
+"""The Python of the README and of the pages runs as it stands."""
 
 import re
 
@@ -14,3 +14,11 @@ def test_snippets_run(checkout):
     assert names["motion"].num_frames == 3
     pulled = names["solution"].energies["VertexLandmarks"]
     assert float(pulled) < 0.1 * 20 * 3 * 0.05**2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["limits"])
+def test_snippets_of_pages_run(checkout, page):
+    snippets = re.findall(r"```python\n(.*?)```", (checkout / "docs" / f"{page}.md").read_text(), re.DOTALL)
+    assert snippets
+    exec(compile("\n".join(snippets), f"{page}.md", "exec"), {})

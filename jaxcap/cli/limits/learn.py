@@ -44,6 +44,8 @@ class Learn:
     """Of markers: those of shoulder, upper arm, elbow and forearm, after commas."""
     trunk: Annotated[str | None, arg(metavar="LABELS", help_behavior_hint="")] = None
     """Of markers: three of what the shoulder hangs on."""
+    subject: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
+    """Of markers: one subject of several, by the prefix of its labels."""
     voxel: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
     """Width of the smallest voxels. As fine as some of the motion still foretells the rest where not given."""
     keyframe: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
@@ -121,7 +123,7 @@ class Learn:
                 "Of markers, one file and one pair of joints is learned from, such as --joints shoulder:elbow."
             )
         path = next(iter(self.motions))
-        frames = read_markers(path, self.unit)
+        frames = read_markers(path, self.unit, subject=self.subject)
         names = [[word.strip() for word in text.split(",")] for text in (self.markers, self.trunk)]
         upper, lower = arm_samples(frames, *names, names=(pairs[0][0], pairs[1][0]))
         say(f"{Path(path).name}: {len(upper.rotations)} of {len(frames)} frames show the whole arm")
