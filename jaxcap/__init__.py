@@ -1,5 +1,9 @@
 """Fit articulated bodies to what sensors saw: poses, motions and their energies in JAX."""
 
+from .adapt.pose_prior import learn_pair_prior as learn_pair_prior
+from .adapt.pose_prior import learn_ranges as learn_ranges
+from .adapt.shape_prior import LaplacianVectors as LaplacianVectors
+from .adapt.shape_prior import laplacian_vectors as laplacian_vectors
 from .body.body import Body as Body
 from .body.body import Posed as Posed
 from .body.body import pose_body as pose_body
@@ -18,6 +22,9 @@ from .body.limits import Cone as Cone
 from .body.limits import JointRanges as JointRanges
 from .body.limits import allowed as allowed
 from .body.limits import make_joint_ranges as make_joint_ranges
+from .body.pair_prior import PairPrior as PairPrior
+from .body.pair_prior import likelihood as likelihood
+from .body.pair_prior import make_pair_prior as make_pair_prior
 from .body.pose import Motion as Motion
 from .body.pose import Pose as Pose
 from .body.pose import difference as difference
@@ -25,6 +32,8 @@ from .body.pose import project as project
 from .body.pose import rest_pose as rest_pose
 from .body.pose import retract as retract
 from .body.pose import stack_poses as stack_poses
+from .body.pose_boxes import PoseBoxes as PoseBoxes
+from .body.pose_boxes import make_pose_boxes as make_pose_boxes
 from .body.reduce import reduce_body as reduce_body
 from .body.skeleton import Skeleton as Skeleton
 from .body.skeleton import make_skeleton as make_skeleton
@@ -48,6 +57,8 @@ from .energy.landmarks import joint_landmarks as joint_landmarks
 from .energy.limits import JointLimits as JointLimits
 from .energy.moments import RigidMoments as RigidMoments
 from .energy.moments import rigid_moments as rigid_moments
+from .energy.pair_prior import LikelihoodPrior as LikelihoodPrior
+from .energy.pair_prior import MahalanobisPrior as MahalanobisPrior
 from .energy.points import PointToPlane as PointToPlane
 from .energy.points import PointToPoint as PointToPoint
 from .energy.prior import PosePrior as PosePrior
@@ -88,10 +99,16 @@ from .fit.track import track_frame as track_frame
 from .fit.uncertainty import Uncertainty as Uncertainty
 from .fit.uncertainty import describe_unobservable as describe_unobservable
 from .fit.uncertainty import uncertainty as uncertainty
+from .fit.visible import visible_vertices as visible_vertices
+from .geometry.camera import Camera as Camera
+from .geometry.camera import look_at as look_at
+from .geometry.camera import ring_of_cameras as ring_of_cameras
 from .io.amc import read_amc as read_amc
 from .io.asf import read_asf as read_asf
 from .io.bvh import read_bvh as read_bvh
 from .io.bvh import write_bvh as write_bvh
+from .io.cameras import read_cameras as read_cameras
+from .io.cameras import write_cameras as write_cameras
 from .io.clouds import read_clouds as read_clouds
 from .io.gltf import write_gltf as write_gltf
 from .io.gltf_reader import read_gltf as read_gltf
@@ -106,6 +123,8 @@ from .io.npz import load_body as load_body
 from .io.npz import load_motion as load_motion
 from .io.npz import save_body as save_body
 from .io.npz import save_motion as save_motion
+from .io.prior import load_prior as load_prior
+from .io.prior import save_prior as save_prior
 from .io.registry import read_markers as read_markers
 from .io.registry import write_markers as write_markers
 from .io.subject import load_subject as load_subject
@@ -149,3 +168,5 @@ from .observe import make_cloud as make_cloud
 from .observe import make_markers as make_markers
 from .observe import stack_clouds as stack_clouds
 from .rig.rig import rig_mesh as rig_mesh
+from .scanner.scan import scan_frame as scan_frame
+from .scanner.settings import Scanner as Scanner

@@ -77,17 +77,18 @@ def _nearer(
 
     tree, best = KDTree(middles), best.copy()
     left = np.flatnonzero(tree.query(points)[0] < best + reach)
-    tried, count = 0, min(4, len(triangles))
+    count = min(4, len(triangles))
     while left.size:
-        apart, near = tree.query(points[left], list(range(tried + 1, count + 1)))  # pyright: ignore[reportArgumentType]
-        asked = np.repeat(points[left], count - tried, axis=0)
+        # from the nearest on each time: middles as near as each other change ranks from query to query
+        apart, near = tree.query(points[left], list(range(1, count + 1)))  # pyright: ignore[reportArgumentType]
+        asked = np.repeat(points[left], count, axis=0)
         nearest = closest_point(triangles[near.reshape(-1)], asked)
         distances = np.linalg.norm(nearest - asked, axis=1).reshape(len(left), -1)
         best[left] = np.minimum(best[left], distances.min(1))
         if count == len(triangles):
             break
         left = left[apart[:, -1] < best[left] + reach]
-        tried, count = count, min(2 * count, len(triangles))
+        count = min(2 * count, len(triangles))
     return best
 
 

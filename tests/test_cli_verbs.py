@@ -18,7 +18,7 @@ from jaxcap.io.mesh import Mesh, read_mesh, write_mesh
 from jaxcap.io.npz import load_body, load_motion, load_skeleton
 from jaxcap.io.skl import read_skl, write_skl
 
-VERBS = ("demo", "rig", "learn", "fit", "track", "evaluate", "info", "convert")
+VERBS = ("demo", "rig", "learn", "fit", "track", "scan", "evaluate", "info", "convert")
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,16 @@ def test_summary_leaves_out_what_is_not_finite():
         distance_summary(np.array([np.nan]))
 
 
+def test_points_on_triangles_with_one_middle_are_on_the_surface(rng):
+    """The halves of squares have boxes with the same middle, and which is nearer is a tie."""
+    grid = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0), indexing="ij"), -1).reshape(-1, 2)
+    vertices = np.pad(grid, ((0, 0), (0, 1)))
+    corner = np.array([i * 12 + j for i in range(11) for j in range(11)])
+    faces = np.concatenate([corner[:, None] + [0, 12, 13], corner[:, None] + [0, 13, 1]])
+    points = np.pad(rng.uniform(0, 11, (3000, 2)), ((0, 0), (0, 1)))
+    np.testing.assert_allclose(scan_to_surface(points, vertices, faces), 0.0, atol=1e-12)
+
+
 def test_distance_to_a_box(rng):
     """Outside: the distance to the clipped point; inside: the distance to the nearest side."""
     box = trimesh.creation.box((2.0, 2.0, 2.0))

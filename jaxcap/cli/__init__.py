@@ -19,14 +19,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if arguments == ["--version"]:
             sys.stdout.write(f"jaxcap {_version()}\n")
             return
+        from .adapt import Adapt
         from .convert import Convert
         from .demo import Demo
         from .evaluate import Evaluate
         from .fit import Fit
-        from .groups import GROUPS, Limits, Markers
+        from .groups import GROUPS, Limits, Markers, Prior
         from .info import Info
         from .learn import Learn
         from .rig import Rig
+        from .scan import Scan
         from .track import Track
 
         if arguments[:1] and arguments[0] in GROUPS:
@@ -37,10 +39,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "rig": Rig,
             "learn": Learn,
             "fit": Fit,
+            "adapt": Adapt,
             "track": Track,
             "evaluate": Evaluate,
+            "scan": Scan,
             "markers": Markers,
             "limits": Limits,
+            "prior": Prior,
             "info": Info,
             "convert": Convert,
         }

@@ -12,6 +12,10 @@ LIMITS = """Joint limits: learned from motions, what of a motion is beyond them,
 
 `jaxcap limits VERB --help` explains a verb. Angles are in degrees."""
 
+PRIOR = """Pose priors: how likely joints turn together, learned from motions.
+
+`jaxcap prior VERB --help` explains a verb. Angles are in degrees."""
+
 
 @dataclass
 class Markers:
@@ -27,6 +31,14 @@ class Limits:
 
     def run(self) -> None:
         run_limits(["--help"])
+
+
+@dataclass
+class Prior:
+    """Pose priors; `jaxcap prior --help` tells its verbs."""
+
+    def run(self) -> None:
+        run_prior(["--help"])
 
 
 def run_markers(arguments: Sequence[str]) -> None:
@@ -49,5 +61,13 @@ def run_limits(arguments: Sequence[str]) -> None:
     run_verb(verbs, "jaxcap limits", LIMITS, arguments)
 
 
+def run_prior(arguments: Sequence[str]) -> None:
+    """Run one verb of `jaxcap prior`."""
+    from .prior.info import Info
+    from .prior.learn import Learn
+
+    run_verb({"learn": Learn, "info": Info}, "jaxcap prior", PRIOR, arguments)
+
+
 #: what takes the words behind a group's name
-GROUPS = {"markers": run_markers, "limits": run_limits}
+GROUPS = {"markers": run_markers, "limits": run_limits, "prior": run_prior}

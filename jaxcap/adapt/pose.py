@@ -1,0 +1,142 @@
+"""The pose of one frame: pairs, a damped step, and again (Adaptation, 4.1.4)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..body.body import Body, pose_body
+from ..body.pose import Pose, retract
+from ..energy.term import AbstractEnergy
+from ..fit.correspond import Matching, Pairs, Scan, find_pairs
+from ..fit.problem import linearise
+from .equations import pair_energy, pose_equations
+
+#: shares of a step that are tried: further than it says, as it says, and shorter
+SHARES = (1.5, 1.0, 0.5, 0.25, 0.1)
+#: steps that may raise Q before the best pose is returned to
+UPHILL = 2
+
+
+class PoseFit(NamedTuple):
+    """A pose and how well it meets its scan."""
+
+    pose: Pose
+    #: mean weighed squared distance of a pair, metres squared, and that of the priors beside it
+    data: float
+    prior: float
+    #: the last pairs
+    pairs: Pairs
+
+
+def fit_pose(
+    body: Body,
+    scan: Scan,
+    start: Pose,
+    prior: AbstractEnergy,
+    matching: Matching = Matching(),  # noqa: B008
+    *,
+    weight: float = 1e-6,
+    steps: int = 10,
+    damping: float = 1e-3,
+    visible: Bool[np.ndarray, "V"] | None = None,
+) -> PoseFit:
+    """The pose of a frame from one near it: Q_data + weight Q_prior, with Q_data the mean over pairs.
+
+    Each step finds pairs anew, solves the damped normal equations, and takes the best of some lengths of
+    the step for these pairs (Adaptation: Levenberg-Marquardt for the direction, a search along it for the
+    length). New pairs may raise Q; some such steps are gone on from, and the best pose is kept.
+    """
+    faces = np.asarray(body.faces)
+    pose, best, worse = start, None, 0
+    for _ in range(steps):
+        pairs = _pairs(body, pose, faces, scan, matching, visible)
+        data, beside = (float(value) for value in _values(body, pose, pairs, prior))
+        total = data + weight * beside
+        if best is None or total < best[0] * (1 - 1e-3):
+            best, worse = (total, PoseFit(pose, data, beside, pairs)), 0
+        else:
+            worse += 1
+            if worse > UPHILL:
+                break
+        pose = _improve(body, pose, pairs, prior, jnp.asarray(weight, float), jnp.asarray(damping, float))
+    else:
+        pairs = _pairs(body, pose, faces, scan, matching, visible)
+        data, beside = (float(value) for value in _values(body, pose, pairs, prior))
+        if best is None or data + weight * beside < best[0]:
+            return PoseFit(pose, data, beside, pairs)
+    assert best is not None
+    return best[1]
+
+
+def pairs_of(
+    body: Body,
+    pose: Pose,
+    scan: Scan,
+    matching: Matching,
+    visible: Bool[np.ndarray, "V"] | None = None,
+) -> Pairs:
+    """The pairs of a posed body with a scan."""
+    return _pairs(body, pose, np.asarray(body.faces), scan, matching, visible)
+
+
+def mean_square(body: Body, pose: Pose, pairs: Pairs) -> float:
+    """The mean weighed squared distance of a pair, metres squared."""
+    return float(_mean_square(body, pose, pairs))
+
+
+@eqx.filter_jit
+def _mean_square(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, ""]:
+    return pair_energy(body, pose, pairs) / _count(pairs)
+
+
+def _pairs(body, pose, faces, scan, matching, visible) -> Pairs:
+    vertices, normals = (np.asarray(part, float) for part in _surface(body, pose))
+    return find_pairs(vertices, normals, faces, scan, matching, visible)
+
+
+@eqx.filter_jit
+def _surface(body: Body, pose: Pose):
+    posed = pose_body(body, pose)
+    return posed.vertices, posed.normals
+
+
+@eqx.filter_jit
+def _values(body: Body, pose: Pose, pairs: Pairs, prior: AbstractEnergy):
+    beside = prior.residual(pose_body(body, pose))
+    return pair_energy(body, pose, pairs) / _count(pairs), beside @ beside
+
+
+@eqx.filter_jit
+def _improve(
+    body: Body,
+    pose: Pose,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    weight: Float[Array, ""],
+    damping: Float[Array, ""],
+) -> Pose:
+    skeleton, count = body.skeleton, _count(pairs)
+    matrix, side, _ = pose_equations(body, pose, pairs)
+    residual, jacobian = linearise(prior, body, pose)
+    matrix = matrix / count + weight * jacobian.T @ jacobian
+    side = side / count - weight * jacobian.T @ residual
+    diagonal = jnp.diag(matrix)
+    floor = 1e-6 * jnp.max(diagonal)
+    step = jnp.linalg.solve(matrix + jnp.diag(damping * diagonal + floor), side)
+
+    def value(share):
+        moved = retract(skeleton, pose, share * step)
+        beside = prior.residual(pose_body(body, moved))
+        return pair_energy(body, moved, pairs) / count + weight * beside @ beside
+
+    shares = jnp.asarray([*SHARES, 0.0], step.dtype)
+    values = jnp.stack([value(share) for share in shares])
+    return retract(skeleton, pose, shares[jnp.argmin(values)] * step)
+
+
+def _count(pairs: Pairs) -> Float[Array, ""]:
+    """How many pairs there are, by their weights."""
+    return jnp.maximum(jnp.sum(pairs.weights > 0), 1)

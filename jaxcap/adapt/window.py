@@ -1,0 +1,119 @@
+"""Smooth motion: the poses of some frames at once, coupled by their second differences (Adaptation, 4.1.4)."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..body.body import Body
+from ..body.pose import Pose, retract
+from ..body.skeleton import Skeleton
+from ..energy.term import AbstractEnergy
+from ..fit.correspond import Pairs
+from ..fit.problem import linearise
+from ..geometry import rotation
+from .equations import pose_equations
+from .size import stack
+
+#: frames of a window, and by how many the next one is further on
+FRAMES, STRIDE = 11, 5
+
+
+def smooth_poses(
+    body: Body,
+    poses: list[Pose],
+    pairs_at: Callable[[int, Pose], Pairs],
+    prior: AbstractEnergy,
+    weight: float,
+    temporal: float,
+    *,
+    frames: int = FRAMES,
+    stride: int = STRIDE,
+    steps: int = 2,
+) -> list[Pose]:
+    """Poses of a whole sequence by windows that overlap, each with its first frame held where the window
+    before left it; memory is that of one window.
+
+    **Arguments:** `pairs_at(frame, pose)` gives the pairs of a frame; `weight` of the prior and `temporal` of the
+    second differences, against the mean squared distance of a pair (eqs. 4.3, 4.9).
+    """
+    poses = list(poses)
+    for start in range(0, max(len(poses) - 2, 1), stride):
+        stop = min(start + frames, len(poses))
+        # a window of another length would be compiled anew, so the last one begins earlier
+        start = max(stop - frames, 0)
+        if stop - start < 3:
+            break
+        window = poses[start:stop]
+        for _ in range(steps):
+            pairs = stack([pairs_at(start + i, pose) for i, pose in enumerate(window)])
+            moved = _improve(
+                body,
+                stack(window),
+                pairs,
+                prior,
+                jnp.asarray(weight, float),
+                jnp.asarray(temporal, float),
+                jnp.asarray(start > 0),
+            )
+            window = [jax.tree.map(lambda leaf, i=i: leaf[i], moved) for i in range(stop - start)]
+        poses[start:stop] = window
+        if stop == len(poses):
+            break
+    return poses
+
+
+def temporal_energy(skeleton: Skeleton, poses: Pose) -> Float[Array, ""]:
+    """`Q_temp` (eqs. 4.9 and 4.10): the mean over inner frames and joints of the squared difference of a
+    rotation vector from the mean of its neighbours', radians squared."""
+    r = _second_differences(skeleton, poses, jnp.zeros((len(poses.scale), skeleton.num_dofs)))
+    return jnp.sum(r**2)
+
+
+@eqx.filter_jit
+def _improve(body, poses, pairs, prior, weight, temporal, held) -> Pose:
+    skeleton, dofs = body.skeleton, body.skeleton.num_dofs
+    frames = poses.scale.shape[0]
+
+    def of_frame(frame):
+        pose, pairs = frame
+        count = jnp.maximum(jnp.sum(pairs.weights > 0), 1)
+        matrix, side, _ = pose_equations(body, pose, pairs)
+        residual, jacobian = linearise(prior, body, pose)
+        return (
+            matrix / count + weight * jacobian.T @ jacobian,
+            side / count - weight * jacobian.T @ residual,
+        )
+
+    blocks, sides = jax.lax.map(of_frame, (poses, pairs))
+    matrix = jnp.zeros((frames, dofs, frames, dofs), sides.dtype)
+    every = jnp.arange(frames)
+    matrix = matrix.at[every, :, every].set(blocks / frames).reshape(frames * dofs, frames * dofs)
+    side = sides.reshape(-1) / frames
+
+    def rough(d):
+        r = _second_differences(skeleton, poses, d.reshape(frames, dofs))
+        return r, r
+
+    slope, r = jax.jacfwd(rough, has_aux=True)(jnp.zeros(frames * dofs, sides.dtype))
+    matrix = matrix + temporal * slope.T @ slope
+    side = side - temporal * slope.T @ r
+    # the held frame does not move
+    free = jnp.where(held & (jnp.arange(frames * dofs) < dofs), 0.0, 1.0)
+    diagonal = jnp.diag(matrix)
+    ridge = 1e-4 * diagonal + 1e-7 * jnp.max(diagonal)
+    matrix = matrix * free[:, None] * free + jnp.diag(jnp.where(free > 0, ridge, 1.0))
+    step = jax.scipy.linalg.solve(matrix, free * side, assume_a="pos").reshape(frames, dofs)
+    return jax.vmap(retract, (None, 0, 0))(skeleton, poses, step)
+
+
+def _second_differences(skeleton: Skeleton, poses: Pose, d: Float[Array, "F D"]) -> Float[Array, "R"]:
+    """Rotation vectors from the window's middle pose, so that none is near half a turn, less the mean of
+    those before and after."""
+    moved = jax.vmap(retract, (None, 0, 0))(skeleton, poses, d.astype(poses.rotations.dtype))
+    middle = rotation.conjugate(poses.rotations[len(poses.scale) // 2])
+    turned = rotation.log(rotation.multiply(jnp.broadcast_to(middle, moved.rotations.shape), moved.rotations))
+    inner = turned[1:-1] - (turned[:-2] + turned[2:]) / 2
+    return inner.reshape(-1) / jnp.sqrt(inner.shape[0] * inner.shape[1])

@@ -1,0 +1,220 @@
+"""How likely the turns of two successive joints are together: a Gaussian mixture for each pair.
+
+Poses as a whole have too many numbers to be learned, neighbouring joints do not: a pair has six
+(Adaptation, section 4.1.1).
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..geometry import rotation
+from .pose import Pose
+from .pose_boxes import own_vectors, turning_joints
+from .skeleton import Skeleton
+
+#: a joint whose own frame is turned by more than this, radians, is at rest in another pose
+TURNED = np.radians(20.0)
+#: steps up to a mixture's highest place
+ASCENT = 200
+
+
+class PairPrior(eqx.Module):
+    """Mixtures of Gaussians over the turns `x = (r_parent, r_child)` of P pairs of joints (Adaptation,
+    eq. 4.1), `r` being the exponential map of a joint's turn from rest, in the joint's own frame:
+    twist, flexion, sideways, radians.
+
+    Mixtures of fewer than K components are padded with ones of weight zero.
+    """
+
+    #: names of each pair, the joint nearer to the root first
+    pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
+    #: orientations at rest of the joints that it was learned on, unit quaternions
+    frames: Float[Array, "P 2 4"]
+    #: mixing weights, which sum to one
+    weights: Float[Array, "P K"]
+    means: Float[Array, "P K 6"]
+    #: lower triangular `L`, with `L L^T` the inverse of the covariance
+    factors: Float[Array, "P K 6 6"]
+    #: where each mixture is highest, and the logarithm of its density there
+    modes: Float[Array, "P 6"]
+    log_peaks: Float[Array, "P"]
+    #: `B` with `-B B^T` the second derivative of the log-density at the mode
+    bends: Float[Array, "P 6 6"]
+
+    @property
+    def precisions(self) -> Float[Array, "P K 6 6"]:
+        """The inverse covariances."""
+        return self.factors @ jnp.swapaxes(self.factors, -1, -2)
+
+    @property
+    def log_norms(self) -> Float[Array, "P K"]:
+        """Logarithm of each component's own density at its mean."""
+        return jnp.sum(jnp.log(jnp.diagonal(self.factors, axis1=-2, axis2=-1)), -1) - 3 * jnp.log(2 * jnp.pi)
+
+
+def pair_indices(prior: PairPrior, skeleton: Skeleton) -> Int[np.ndarray, "P 2"]:
+    """Where the pairs stand in a skeleton. Raises `KeyError` where it lacks a joint."""
+    return np.array([[skeleton.index(name) for name in pair] for pair in prior.pairs], int).reshape(-1, 2)
+
+
+def pair_vectors(prior: PairPrior, skeleton: Skeleton, pose: Pose) -> Float[Array, "P 6"]:
+    """The turns of every pair in a pose: the parent's rotation vector, then the child's."""
+    return own_vectors(skeleton, pose)[pair_indices(prior, skeleton)].reshape(-1, 6)
+
+
+def component_offsets(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P K 6"]:
+    """`L^T (x - mu)` to every component: in its own deviations, uncorrelated."""
+    return jnp.einsum("pkji,pkj->pki", prior.factors, x[:, None] - prior.means)
+
+
+def log_components(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P K"]:
+    """Logarithm of weight times density of each component; padded ones have minus infinity."""
+    present = prior.weights > 0
+    weights = jnp.where(present, jnp.log(jnp.where(present, prior.weights, 1.0)), -jnp.inf)
+    return weights + prior.log_norms - 0.5 * jnp.sum(component_offsets(prior, x) ** 2, -1)
+
+
+def log_density(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P"]:
+    """Logarithm of the mixtures (eq. 4.1), of a density by radians to the sixth."""
+    return jax.nn.logsumexp(log_components(prior, x), axis=-1)
+
+
+def likelihood(prior: PairPrior, skeleton: Skeleton, pose: Pose) -> Float[Array, "P"]:
+    """How likely each pair is as it is turned, as a share of the likeliest turn there is: one at the
+    mixture's peak, towards zero far from all that was learned."""
+    x = pair_vectors(prior, skeleton, pose)
+    return jnp.exp(jnp.minimum(log_density(prior, x) - prior.log_peaks, 0.0))
+
+
+def successive_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
+    """Every turning joint with the nearest one above it that turns; joints that do not turn are passed
+    over, and roots, which say where the whole body is headed, are in no pair."""
+    turning = set(turning_joints(skeleton))
+    pairs = []
+    for joint in sorted(turning):
+        above = skeleton.parents[joint]
+        while above >= 0 and above not in turning:
+            above = skeleton.parents[above]
+        if above >= 0:
+            pairs.append((skeleton.names[above], skeleton.names[joint]))
+    return tuple(pairs)
+
+
+def misfit(prior: PairPrior, skeleton: Skeleton) -> str | None:
+    """Why a prior is of another skeleton than this one, as half a sentence; None where it fits. Frames
+    are compared too, as turns from another rest pose mean something else."""
+    there = set(successive_pairs(skeleton))
+    for pair, frames in zip(prior.pairs, np.asarray(prior.frames), strict=True):
+        for name, frame in zip(pair, frames, strict=True):
+            if name not in skeleton.names:
+                return f"there is no joint '{name}' among {', '.join(skeleton.names)}"
+            own = skeleton.orientations[skeleton.index(name)]
+            turned = float(rotation.distance(jnp.asarray(frame, own.dtype), own))
+            if turned > TURNED:
+                return f"the frame of '{name}' at rest is turned by {np.degrees(turned):.0f}°"
+        if pair not in there:
+            return f"'{pair[1]}' does not follow on '{pair[0]}'"
+    return None
+
+
+def make_pair_prior(
+    pairs: Sequence[tuple[str, str]],
+    frames: Float[np.ndarray, "P 2 4"],
+    weights: Float[np.ndarray, "P K"],
+    means: Float[np.ndarray, "P K 6"],
+    factors: Float[np.ndarray, "P K 6 6"],
+) -> PairPrior:
+    """A prior of its mixtures, with the peak of each.
+
+    **Raises:** `ValueError` where there is no pair, arrays do not fit together, weights of a pair are
+    negative or do not sum to one, or a factor is not lower triangular with a positive diagonal.
+    """
+    if not len(pairs):
+        raise ValueError("There is no pair of joints that turn one after the other; a prior needs one.")
+    weights, means, factors = (np.asarray(values, float) for values in (weights, means, factors))
+    shape = (len(pairs), weights.shape[-1])
+    if (weights.shape, means.shape, factors.shape) != (shape, (*shape, 6), (*shape, 6, 6)):
+        raise ValueError(
+            f"Mixtures of {len(pairs)} pairs have weights {weights.shape}, means {means.shape} and factors "
+            f"{factors.shape}; they do not fit together."
+        )
+    for pair, share, mean, factor in zip(pairs, weights, means, factors, strict=True):
+        name = " and ".join(pair)
+        if not ((share >= 0).all() and abs(share.sum() - 1) < 1e-4):
+            raise ValueError(
+                f"The mixing weights of {name} are {share.tolist()}; they are at least 0 and sum to 1."
+            )
+        if not (
+            np.isfinite(mean).all()
+            and np.isfinite(factor).all()
+            and (np.diagonal(factor, axis1=1, axis2=2) > 0).all()
+        ):
+            raise ValueError(
+                f"A Gaussian of {name} has no positive definite precision; learn the prior again."
+            )
+    if np.triu(factors, 1).any():
+        raise ValueError("The factors of the precisions are not lower triangular; learn the prior again.")
+    peaks = [
+        mixture_peak(*(part[share > 0] for part in (share, mean, factor)))
+        for share, mean, factor in zip(weights, means, factors, strict=True)
+    ]
+    modes, heights, bends = (np.array(parts) for parts in zip(*peaks, strict=True))
+    arrays = (frames, weights, means, factors, modes, heights, bends)
+    return PairPrior(tuple(pairs), *(jnp.asarray(values, float) for values in arrays))
+
+
+def mixture_peak(
+    weights: Float[np.ndarray, "K"], means: Float[np.ndarray, "K D"], factors: Float[np.ndarray, "K D D"]
+) -> tuple[Float[np.ndarray, "D"], float, Float[np.ndarray, "D D"]]:
+    """The highest place of a mixture, its log-density there, and `B` with `-B B^T` its curvature.
+
+    Up from every mean by the fixed point of the zero gradient (each step is one of EM for the place,
+    so it never falls), and the last digits by Newton's method.
+    """
+    precisions = factors @ np.swapaxes(factors, 1, 2)
+    log_scales = (
+        np.log(weights) + np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(1) - means.shape[1] / 2 * np.log(2 * np.pi)
+    )  # fmt: skip
+
+    def terms(x):
+        """(S,) log-densities and (S, K) shares of the components at places `x (S, D)`."""
+        offsets = np.einsum("kji,skj->ski", factors, x[:, None] - means)
+        joint = log_scales - 0.5 * (offsets**2).sum(-1)
+        total = np.logaddexp.reduce(joint, axis=1)
+        return total, np.exp(joint - total[:, None])
+
+    x = means.copy()
+    for _ in range(ASCENT):
+        shares = terms(x)[1]
+        matrix = np.einsum("sk,kij->sij", shares, precisions)
+        vector = np.einsum("sk,kij,kj->si", shares, precisions, means)
+        moved = np.linalg.solve(matrix, vector[..., None])[..., 0]
+        done = np.abs(moved - x).max() < 1e-13
+        x = moved
+        if done:
+            break
+    mode = x[[np.argmax(terms(x)[0])]]
+    for _ in range(10):
+        height, shares = terms(mode)
+        bend, slope = _curvature(mode[0], shares[0], means, precisions)
+        step = mode + np.linalg.solve(bend, slope)
+        if not terms(step)[0] > height:
+            break
+        mode = step
+    height, shares = terms(mode)
+    values, vectors = np.linalg.eigh(_curvature(mode[0], shares[0], means, precisions)[0])
+    # a saddle of two peaks about to part is flat in one direction
+    return mode[0], float(height[0]), vectors * np.sqrt(np.maximum(values, 1e-9 * values.max()))
+
+
+def _curvature(x, shares, means, precisions):
+    """Minus the second, and the first derivative of the log-density."""
+    slopes = np.einsum("kij,kj->ki", precisions, means - x)
+    slope = shares @ slopes
+    spread = np.einsum("k,ki,kj->ij", shares, slopes, slopes) - np.outer(slope, slope)
+    return np.einsum("k,kij->ij", shares, precisions) - spread, slope

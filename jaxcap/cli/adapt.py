@@ -1,0 +1,219 @@
+"""`jaxcap adapt`: the body becomes the actor of a sequence of scans."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..adapt.loop import AdaptState, Settings, Task, adapt_body, plan
+from ..body.anatomy import rest_deviations
+from ..body.body import Body
+from ..body.skeleton import Skeleton
+from ..energy.prior import RestPrior
+from ..energy.term import AbstractEnergy
+from ..errors import InputError
+from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..io.clouds import Scans, read_clouds
+from ..io.npz import save_body
+from ..io.registry import MOTION_WRITERS, write_motion
+from .evaluate import read_motion_of
+from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
+from .rounds import Rounds
+from .say import say, warn
+from .sources import load_body, load_cloud
+
+
+@dataclass
+class Adapt:
+    """Adapt a template body to the actor in a sequence of scans; writes the actor's own body and its motion.
+
+    Scans need not be registered, whole or clean. A run that was stopped goes on with --resume."""
+
+    body: BodySpec
+    """The template: `human` (with options: `human:female,height=1.7`) or a body .npz."""
+    clouds: CloudsSpec
+    """A printf pattern (`scan_%03d.ply`), a quoted glob, a folder, or an .npz."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """The actor's body, .npz."""
+    motion: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """The motion, .bvh or .npz; beside the body where not given."""
+    start: OptionalFile = None
+    """A motion whose first pose is near that of the first scan; searched for where not given."""
+    frames: Annotated[int, arg(metavar="N")] = 40
+    """Scans that the body is adapted to, spread over the motion."""
+    joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
+    """How far joints may be from where the surface around them says; less where poses do not tell joints."""
+    smoothness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
+    """Weight of smooth motion; balanced with the scans where not given, 0 leaves it out."""
+    first: OptionalCount = None
+    """First frame: the number in a pattern's names, else counted from 0."""
+    last: OptionalCount = None
+    """Last frame, included."""
+    unit: Unit = "m"
+    """Unit of the scans: m, dm, cm, mm, in or ft."""
+    up: Up = "y"
+    """Axis that points up in the scans. Results have y up."""
+    rate: float = 30.0
+    """Frames a second."""
+    vertices: OptionalCount = None
+    """Reduce the template to about so many vertices, for speed."""
+    resume: Flag = False
+    """Go on with a run that was stopped."""
+    overwrite: Flag = False
+    """Replace the results of an earlier run."""
+
+    def run(self) -> None:
+        self.check()
+        body, _ = load_body(self.body, vertices=self.vertices)
+        scans = read_clouds(self.clouds, self.first, self.last, self.unit)
+        if len(scans) < 3:
+            raise InputError(f"{self.clouds}: {len(scans)} scans are too few to adapt to; give at least 3.")
+        # the first scan shows most of what may be wrong, before anything is written
+        load_cloud(scans, 0, body, self.up)
+        task = self.task(body, scans)
+        header = {**self.settings(), **_fingerprint(body, scans)}
+        state = self.begin(header, body)
+        stages = plan(task.settings)
+        names = [
+            name if not which else f"pass {which[0] + 1}, round {which[1] + 1}" for name, *which in stages
+        ]
+        with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
+            try:
+                for reached in adapt_body(task, state):
+                    state = reached
+                    save_checkpoint(self.kept, checkpoint_of(state), header)
+                    bar.tell(
+                        state.done,
+                        f"{names[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body",
+                    )
+            except KeyboardInterrupt:
+                done = 0 if state is None else state.done
+                told = (
+                    f"{done} stages are kept in {self.kept}; --resume goes on"
+                    if done
+                    else "no stage was done"
+                )
+                raise KeyboardInterrupt(f"stopped; {told}") from None
+        assert state is not None
+        save_body(self.out, state.body)
+        write_motion(self.motion_path, state.body.skeleton, state.motion)
+        self.kept.unlink(missing_ok=True)
+        say(
+            f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
+            f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}"
+        )
+        if state.lost:
+            warn(
+                f"{len(state.lost)} of {len(state.motion)} frames were lost: {', '.join(map(str, state.lost))}; counted from 0"
+            )
+
+    @property
+    def kept(self) -> Path:
+        """The checkpoint."""
+        return self.out.with_name(self.out.name + ".partial")
+
+    @property
+    def motion_path(self) -> Path:
+        return self.motion or self.out.with_name(self.out.stem + "-motion.npz")
+
+    def check(self) -> None:
+        """That options are in their ranges and results can be written. Raises `InputError`."""
+        wrong = {
+            "--frames": (self.frames, self.frames >= 2, "at least 2"),
+            "--joint-deviation": (
+                self.joint_deviation,
+                0 < self.joint_deviation < 1,
+                "above 0 and below 1 metre",
+            ),
+            "--smoothness": (self.smoothness, self.smoothness is None or self.smoothness >= 0, "at least 0"),
+            "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 frames a second"),
+        }
+        for name, (value, fine, what) in wrong.items():
+            if not fine:
+                raise InputError(f"{name} is {value:g}; it must be {what}.")
+        if self.out.suffix.lower() != ".npz":
+            raise InputError(f"{self.out}: bodies are written as .npz; give a name that ends in it.")
+        if self.motion_path.suffix.lower() not in MOTION_WRITERS:
+            raise InputError(
+                f"{self.motion_path}: motions are not written as '{self.motion_path.suffix}' files; use "
+                f"{', '.join(MOTION_WRITERS)}."
+            )
+        if self.resume and self.overwrite:
+            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+        there = [path for path in (self.out, self.motion_path) if path.exists()]
+        if there and not (self.overwrite or self.resume):
+            raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+
+    def task(self, body: Body, scans: Scans) -> Task:
+        skeleton = body.skeleton
+        prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), body.vertices.dtype))
+        return Task(
+            template=body,
+            cloud=lambda frame: load_cloud(scans, frame, body, self.up),
+            frames=len(scans),
+            rate=self.rate,
+            start=None if self.start is None else read_motion_of(body, self.start)[0],
+            prior=prior,
+            mirrored=mirrored_joints(skeleton),
+            settings=Settings(frames=self.frames, joint=self.joint_deviation, temporal=self.smoothness),
+        )
+
+    def settings(self) -> dict[str, object]:
+        """What the result depends on, by the names that the user knows."""
+        names = ("frames", "joint_deviation", "smoothness", "unit", "up", "rate", "vertices", "first", "last")
+        return {name: getattr(self, name) for name in names}
+
+    def begin(self, header: dict[str, object], template: Body) -> AdaptState | None:
+        """The state to go on from. Raises `InputError` where there is none to resume, or one in the way."""
+        if self.resume:
+            if not self.kept.is_file():
+                raise InputError(
+                    f"{self.kept}: there is no unfinished run to go on from; leave --resume out."
+                )
+            return state_of(load_checkpoint(self.kept, header, ("done", "size", "lost", "chosen")))
+        if self.kept.exists() and not self.overwrite:
+            raise InputError(
+                f"{self.kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
+            )
+        return None
+
+
+def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
+    """Pairs of joints that are called alike but for `Left` and `Right`, or a leading L and R."""
+    names, found = skeleton.names, []
+    for left, right in (("Left", "Right"), ("L", "R"), ("left", "right"), ("l", "r")):
+        for joint, name in enumerate(names):
+            other = right + name[len(left) :]
+            if name.startswith(left) and other in names and not any(joint in pair for pair in found):
+                found.append((joint, names.index(other)))
+    return tuple(found)
+
+
+def checkpoint_of(state: AdaptState) -> Checkpoint:
+    """A state as a file can hold it."""
+    arrays = {
+        "done": np.array(state.done),
+        "size": np.array(state.size, float),
+        "lost": np.array(state.lost, int),
+        "chosen": np.array(state.chosen, int),
+    }
+    return Checkpoint(state.body, state.motion, state.history, arrays)
+
+
+def state_of(kept: Checkpoint) -> AdaptState:
+    """The state of a checkpoint that `checkpoint_of` made, to the last bit."""
+    arrays = kept.arrays
+    lost, chosen = (tuple(arrays[name].tolist()) for name in ("lost", "chosen"))
+    return AdaptState(
+        int(arrays["done"]), kept.body, float(arrays["size"]), kept.motion, lost, chosen, kept.history
+    )
+
+
+def _fingerprint(body: Body, scans: Scans) -> dict[str, object]:
+    """What tells that inputs are the same."""
+    first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
+    shape = hashlib.sha256(np.ascontiguousarray(body.vertices).tobytes())
+    return {"template": shape.hexdigest(), "first cloud": first.hexdigest(), "scans": len(scans)}

@@ -1,0 +1,1 @@
+"""`jaxcap prior`: what poses are likely, one file a verb."""

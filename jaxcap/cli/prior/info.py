@@ -1,0 +1,64 @@
+"""`jaxcap prior info`: what a prior has learned."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ...adapt.zeroing import num_zeroed
+from ...body.pair_prior import PairPrior
+from ...body.pose_boxes import PoseBoxes
+from ...io.prior import load_boxes, load_prior
+from ..options import arg
+from ..say import say, table
+
+
+@dataclass
+class Info:
+    """Say what a prior holds: Gaussians and likeliest turns of pairs of joints, and how far each joint turns."""
+
+    file: tyro.conf.Positional[Annotated[Path, arg(metavar="FILE")]]
+    """A prior that `jaxcap prior learn` wrote, or a body with one in it."""
+
+    def run(self) -> None:
+        prior, boxes = load_prior(self.file), load_boxes(self.file)
+        say(f"pose prior: {len(prior.pairs)} pairs of joints, up to {prior.weights.shape[1]} Gaussians each")
+        tell_pairs(prior)
+        if boxes is not None:
+            say("")
+            tell_boxes(boxes)
+
+
+def tell_pairs(prior: PairPrior) -> None:
+    """A line for each pair: its Gaussians, the widest and the narrowest, and the likeliest turns."""
+    rows = []
+    for pair, weights, precisions, mode in zip(
+        prior.pairs,
+        *(np.asarray(a, float) for a in (prior.weights, prior.precisions, prior.modes)),
+        strict=True,
+    ):
+        precisions = precisions[weights > 0]
+        deviations = np.degrees(1 / np.sqrt(np.linalg.eigvalsh(precisions)))
+        zeroed, couplings = num_zeroed(precisions)
+        rows.append(
+            [
+                ", ".join(pair),
+                str(len(precisions)),
+                f"{deviations.min():.1f}° to {deviations.max():.1f}°",
+                f"{zeroed} of {couplings}",
+                ", ".join(f"{np.degrees(np.linalg.norm(turn)):.0f}°" for turn in mode.reshape(2, 3)),
+            ]
+        )
+    table(["pair", "Gaussians", "deviations", "zeroed", "likeliest turns"], rows)
+
+
+def tell_boxes(boxes: PoseBoxes) -> None:
+    """A line for each joint: from where to where it turns, degrees about its own axes."""
+    lower, upper = (np.degrees(np.asarray(bound, float)).tolist() for bound in (boxes.lower, boxes.upper))
+    rows = [
+        [name, *(f"{round(low)}° to {round(high)}°" for low, high in zip(*bounds, strict=True))]
+        for name, *bounds in zip(boxes.joints, lower, upper, strict=True)
+    ]
+    table(["joint", "twist", "flexion", "sideways"], rows)

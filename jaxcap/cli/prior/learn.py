@@ -1,0 +1,124 @@
+"""`jaxcap prior learn`: which poses are likely, from motions."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ...adapt.pose_prior import LearnedPair, learn_pairs, learn_ranges, pair_prior_of
+from ...adapt.zeroing import num_zeroed
+from ...body.body import Body
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...io.npz import load_body, load_limits
+from ...io.prior import save_prior
+from ...io.registry import read_motion
+from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..say import progress, say, table
+
+MotionsSpec = tyro.conf.Positional[
+    Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
+]
+
+
+@dataclass
+class Learn:
+    """How likely joints turn together, from motions: a mixture of Gaussians for each pair of successive joints,
+    and the least and largest turn of each.
+
+    The number of Gaussians is the one that best foretells motion that was left out."""
+
+    motions: MotionsSpec
+    """.bvh, .amc (with its .asf beside it) or .npz motions of one skeleton."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """The prior, .npz."""
+    body: OptionalFile = None
+    """A body of the same skeleton, .npz, that is written with the prior in it."""
+    rate: Annotated[float, arg(metavar="FPS")] = 30.0
+    """Frames a second that are learned from, at most; neighbouring frames say little new."""
+    most: Annotated[int, arg(metavar="N")] = 10
+    """Gaussians of a pair, at most."""
+    floor: Annotated[float, arg(metavar="DEGREES")] = 2.0
+    """Least deviation of a Gaussian, in any direction."""
+    seed: int = 0
+    """Of the random starts."""
+    unit: OptionalUnit = None
+    """Unit of the files' lengths, in place of what they say."""
+    overwrite: Flag = False
+    """Replace the prior where it is there."""
+
+    def run(self) -> None:
+        self.check()
+        body = None if self.body is None else load_body(self.body)
+        skeleton, motions = self.read(body)
+        frames = sum(len(motion) for motion in motions)
+        say(f"{len(motions)} motions, {frames} poses learned from")
+        try:
+            learned = learn_pairs(
+                skeleton,
+                motions,
+                most=self.most,
+                floor=float(np.radians(self.floor)),
+                seed=self.seed,
+                progress=lambda pairs, total: progress(pairs, total, label="pairs"),
+            )
+            prior, boxes = pair_prior_of(skeleton, learned), learn_ranges(skeleton, motions)
+        except ValueError as error:
+            raise InputError(f"{', '.join(self.motions)}: {error}") from None
+        limits = None if self.body is None else load_limits(self.body)
+        save_prior(self.out, prior, boxes, body, limits)
+        tell(learned)
+        say(f"written: {self.out}")
+
+    def check(self) -> None:
+        """That options are in their ranges and go together. Raises `InputError`."""
+        if not self.motions:
+            raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
+        if self.out.suffix.lower() != ".npz":
+            raise InputError(f"{self.out}: priors are written as .npz; give a name that ends in it.")
+        if self.out.exists() and not self.overwrite:
+            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+        if not 0 < self.rate < np.inf:
+            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames a second.")
+        if not 1 <= self.most <= 100:
+            raise InputError(f"--most is {self.most}; it must be between 1 and 100.")
+        if not 0.01 <= self.floor <= 45:
+            raise InputError(f"--floor is {self.floor:g}; it must be between 0.01 and 45 degrees.")
+        if self.seed < 0:
+            raise InputError(f"--seed is {self.seed}; it must be at least 0.")
+
+    def read(self, body: Body | None) -> tuple[Skeleton, list[Motion]]:
+        """The skeleton that the prior is of, and the thinned motions. Raises `InputError` where they are
+        of different skeletons."""
+        pairs = [read_motion(path, self.unit) for path in self.motions]
+        skeleton = pairs[0][0] if body is None else body.skeleton
+        source = self.motions[0] if self.body is None else str(self.body)
+        for path, (other, _) in zip(self.motions, pairs, strict=True):
+            if (other.names, other.parents) != (skeleton.names, skeleton.parents):
+                raise InputError(
+                    f"{path}: this motion is of the joints {', '.join(other.names)}, that of {source} are "
+                    f"{', '.join(skeleton.names)}; give motions of one skeleton, or retarget them."
+                )
+        # a hair off, so that a rate that is not quite whole is thinned like a whole one
+        steps = [max(1, int(motion.rate / self.rate + 1e-3)) for _, motion in pairs]
+        return skeleton, [m.slice(slice(None, None, step)) for (_, m), step in zip(pairs, steps, strict=True)]
+
+
+def tell(learned: tuple[LearnedPair, ...]) -> None:
+    """A line for each pair: its Gaussians, and how likely poses that were left out are."""
+    rows = []
+    for (above, below), chosen in learned:
+        zeroed, all_of_them = num_zeroed(chosen.mixture.precisions)
+        rows.append(
+            [
+                f"{above}, {below}",
+                str(len(chosen.mixture.weights)),
+                f"{chosen.single:.2f}",
+                f"{chosen.best:.2f}",
+                f"{zeroed} of {all_of_them}",
+            ]
+        )
+    table(["pair", "Gaussians", "left out: one", "chosen", "zeroed"], rows)

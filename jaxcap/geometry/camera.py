@@ -1,0 +1,160 @@
+"""Pinhole cameras: where points of the world fall in a picture, and back."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..errors import InputError
+
+#: fewer pixels along a side make no picture
+LEAST_PIXELS = 8
+
+
+class Camera(eqx.Module):
+    """A calibrated pinhole camera without distortion.
+
+    A point `x` of the world, metres, is at `rotation @ x + translation` before the camera, whose x goes
+    to the right, y down and z forward. Pixels are counted from the upper left, and the middle of the
+    first one is at (0, 0). Arrays of NumPy are taken as they are and become arrays of JAX.
+    """
+
+    rotation: Float[Array, "3 3"] = eqx.field(converter=jnp.asarray)
+    translation: Float[Array, "3"] = eqx.field(converter=jnp.asarray)
+    #: focal lengths across and down, pixels
+    focal: Float[Array, "2"] = eqx.field(converter=jnp.asarray)
+    #: where the optical axis meets the picture, pixels
+    principal_point: Float[Array, "2"] = eqx.field(converter=jnp.asarray)
+    #: pixels in a row, and rows
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+
+    @property
+    def eye(self) -> Float[Array, "3"]:
+        """Where the camera stands, metres."""
+        return -self.translation @ self.rotation
+
+
+def project(
+    camera: Camera, points: Float[Array, "*points 3"]
+) -> tuple[Float[Array, "*points 2"], Float[Array, "*points"]]:
+    """Pixels `(column, row)` of points of the world, and their depths along the optical axis, metres.
+
+    Where a depth is not above zero the point is behind the camera and its pixel means nothing.
+    """
+    there = points @ camera.rotation.T + camera.translation
+    depth = there[..., 2]
+    safe = jnp.where(depth > 0, depth, 1.0)[..., None]
+    return camera.focal * there[..., :2] / safe + camera.principal_point, depth
+
+
+def unproject(
+    camera: Camera, pixels: Float[Array, "*points 2"], depth: Float[Array, "*points"]
+) -> Float[Array, "*points 3"]:
+    """The points of the world, metres, at pixels and depths: `project` backwards."""
+    across = (pixels - camera.principal_point) / camera.focal * depth[..., None]
+    there = jnp.concatenate([across, depth[..., None]], -1)
+    return (there - camera.translation) @ camera.rotation
+
+
+def in_picture(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array, "*points"]:
+    """Which points lie in front of the camera and within its picture, hidden by something or not."""
+    pixels, depth = project(camera, points)
+    size = jnp.array([camera.width, camera.height])
+    return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
+
+
+def look_at(eye, target, width: int, height: int, field_of_view: float | int) -> Camera:
+    """A camera at `eye (3,)` that looks at `target (3,)`, metres, upright where y is up.
+
+    `field_of_view` is the angle across the picture, degrees; pixels are square and the optical axis
+    meets the picture's middle.
+
+    **Raises:** `InputError` for pictures of fewer than 8 pixels a side, an angle outside of 1 to 170
+    degrees, and a target that is not apart from the eye.
+    """
+    if min(width, height) < LEAST_PIXELS:
+        raise InputError(
+            f"Pictures of {width} x {height} pixels are too small; give at least {LEAST_PIXELS} a side."
+        )
+    if not 1 <= field_of_view <= 170:
+        raise InputError(f"The field of view is {field_of_view:g} degrees; give an angle from 1 to 170.")
+    eye, target = np.asarray(eye, float), np.asarray(target, float)
+    apart = np.linalg.norm(target - eye)
+    if not (np.isfinite(apart) and apart > 1e-6):
+        raise InputError(
+            f"A camera at {_told(eye)} cannot look at {_told(target)}; place it apart from what it looks at."
+        )
+    forward = (target - eye) / apart
+    # one that looks straight up or down has its right along x
+    right = np.cross(forward, [0.0, 1.0, 0.0])
+    right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0, 0])
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    focal = 0.5 * width / np.tan(0.5 * np.radians(field_of_view))
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
+    return Camera(rotation, -rotation @ eye, np.array([focal, focal]), middle, width, height)  # pyright: ignore[reportArgumentType]
+
+
+def ring_of_cameras(
+    count: int,
+    arc: float | int,
+    distance: float | int,
+    height: float | int,
+    target,
+    resolution: tuple[int, int] = (320, 240),
+    field_of_view: float | int = 60.0,
+) -> list[Camera]:
+    """Cameras on an arc around the vertical through `target`, all of which look at it.
+
+    **Arguments:** `arc` in degrees, with its middle towards +z: less than 360 has a camera at each end,
+    and a whole ring begins at +z and goes on towards +x; `distance` from the vertical and `height` above
+    y = 0, metres; `target (3,)`; `resolution`, width and height in pixels; `field_of_view` across the
+    picture, degrees.
+
+    **Raises:** `InputError` for no cameras, an arc that is not above 0 and at most 360, a distance that
+    is not above 0, a height that is not finite, and what `look_at` refuses.
+    """
+    if count < 1:
+        raise InputError(f"{count} views were asked for; give at least one.")
+    if not 0 < arc <= 360:
+        raise InputError(f"The arc of cameras is {arc:g} degrees; give more than 0 and at most 360.")
+    if not 0 < distance < np.inf:
+        raise InputError(f"Cameras are to stand {distance:g} m from the body; give a distance above 0.")
+    if not np.isfinite(height):
+        raise InputError(f"Cameras are to stand {height:g} m high; give a finite height.")
+    if arc == 360:
+        angles = np.radians(360.0 * np.arange(count) / count)
+    else:
+        angles = np.radians(np.linspace(-0.5, 0.5, count) * arc if count > 1 else np.zeros(1))
+    target = np.asarray(target, float)
+    return [
+        look_at(
+            [target[0] + distance * np.sin(angle), height, target[2] + distance * np.cos(angle)],
+            target,
+            *resolution,
+            field_of_view,
+        )
+        for angle in angles
+    ]
+
+
+def check_sees(cameras: Sequence[Camera], points: Float[np.ndarray, "N 3"], where: str) -> None:
+    """That each camera has some of the points in its picture; `where` names cameras in messages.
+
+    **Raises:** `InputError` that says of the first camera without any, by its number, whether it looks
+    away or past them.
+    """
+    for number, camera in enumerate(cameras):
+        if bool(in_picture(camera, jnp.asarray(points)).any()):
+            continue
+        behind = not bool((project(camera, jnp.asarray(points))[1] > 0).any())
+        what = "points away from the body" if behind else "has the body outside of its picture"
+        raise InputError(
+            f"{where}: camera {number} at {_told(np.asarray(camera.eye))} {what}; turn it, move it, or leave it out."
+        )
+
+
+def _told(place: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in np.round(place, 3) + 0.0) + ")"

@@ -1,0 +1,90 @@
+"""Calibrations of cameras as `.json`, one object a camera."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.camera import LEAST_PIXELS, Camera
+from .table import write_json
+from .text import read_text
+
+KIND = "jaxcap cameras"
+#: numbers of each camera and the shapes they come in
+_ARRAYS = {"rotation": (3, 3), "translation": (3,), "focal": (2,), "principal_point": (2,)}
+_SIZES = ("width", "height")
+#: how far a rotation may be from one, where a file rounds its numbers
+ROUNDED = 1e-4
+
+
+def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
+    """Write calibrations for `read_cameras`; metres and pixels.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    rows = [
+        {name: np.asarray(getattr(camera, name), float).tolist() for name in _ARRAYS}
+        | {name: getattr(camera, name) for name in _SIZES}
+        for camera in cameras
+    ]
+    write_json(path, {"format": KIND, "version": 1, "cameras": rows})
+
+
+def read_cameras(path: str | Path) -> list[Camera]:
+    """The cameras of a calibration: `{"cameras": [{"rotation", "translation", "focal", "principal_point",
+    "width", "height"}, ...]}`, from the world to the camera, metres and pixels; see `Camera`.
+
+    A focal length that is one number holds across and down.
+
+    **Raises:** `InputError` where there is no such file, it is not JSON, has no cameras, or where one, by
+    its number, lacks a key or has numbers that are not finite, no rotation, or no picture.
+    """
+    try:
+        content = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}).") from None
+    rows = content.get("cameras") if isinstance(content, dict) else None
+    if not isinstance(rows, list) or not rows:
+        raise InputError(f"{path}: there is no list 'cameras' in it; give at least one camera there.")
+    return [_camera(row, f"{path}: camera {number}") for number, row in enumerate(rows)]
+
+
+def _camera(row: object, where: str) -> Camera:
+    if not isinstance(row, dict):
+        raise InputError(f"{where} is no object with keys; write its {', '.join((*_ARRAYS, *_SIZES))}.")
+    missing = [name for name in (*_ARRAYS, *_SIZES) if name not in row]
+    if missing:
+        raise InputError(f"{where} has no '{missing[0]}'; write its {', '.join((*_ARRAYS, *_SIZES))}.")
+    arrays = {name: _numbers(row[name], name, shape, where) for name, shape in _ARRAYS.items()}
+    sizes = {name: row[name] for name in _SIZES}
+    for name, size in sizes.items():
+        if not isinstance(size, int) or isinstance(size, bool) or size < LEAST_PIXELS:
+            raise InputError(
+                f"{where} has {size} for '{name}'; give a whole number of pixels, at least {LEAST_PIXELS}."
+            )
+    turn = arrays["rotation"]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > ROUNDED or np.linalg.det(turn) < 0:
+        raise InputError(
+            f"{where} has a 'rotation' that is none: its rows must be three unit vectors at right angles, "
+            "and right-handed."
+        )
+    if (arrays["focal"] <= 0).any():
+        raise InputError(f"{where} has a 'focal' that is not above zero; give focal lengths in pixels.")
+    return Camera(**arrays, **sizes)
+
+
+def _numbers(value: object, name: str, shape: tuple[int, ...], where: str) -> np.ndarray:
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} has something else than numbers for '{name}'; write numbers.") from None
+    if name == "focal" and numbers.shape == ():
+        numbers = np.tile(numbers, 2)
+    if numbers.shape != shape:
+        wanted = " x ".join(map(str, shape))
+        raise InputError(f"{where} has '{name}' of shape {numbers.shape}; it must be {wanted}.")
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{where} has a number for '{name}' that is not finite; write finite numbers.")
+    return numbers

@@ -1,0 +1,1 @@
+"""Simulated depth cameras around a moving surface: noisy, partial clouds and meshes as real ones give."""

@@ -1,0 +1,114 @@
+"""What an ideal depth camera sees of a triangle mesh, ray by ray."""
+
+import functools
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..geometry.camera import Camera
+
+
+class Surface(NamedTuple):
+    """A mesh made ready for rays; see `make_surface`."""
+
+    #: of trimesh, whose `ray` casts through Embree where that is installed
+    mesh: Any
+    #: corners of the triangles, metres
+    corners: Float[np.ndarray, "F 3 3"]
+    #: unit normals; zero where a triangle has no area
+    normals: Float[np.ndarray, "F 3"]
+
+
+class DepthImage(NamedTuple):
+    """A picture of depths. Metres along the optical axis; zero where nothing is measured."""
+
+    depth: Float[np.ndarray, "H W"]
+    #: cosine of the angle between the surface's normal and the ray, zero where nothing is measured
+    facing: Float[np.ndarray, "H W"]
+
+
+def make_surface(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Surface:
+    """A mesh made ready for rays of several cameras; built once for a frame."""
+    import trimesh
+
+    vertices, faces = np.asarray(vertices, float), np.asarray(faces)
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(across, axis=1, keepdims=True)
+    mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False)
+    return Surface(mesh, corners, across / np.where(lengths > 0, lengths, 1.0))
+
+
+def render_depth(camera: Camera, surface: Surface) -> DepthImage:
+    """The depth of what each pixel's middle sees first, from either side."""
+    rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
+    rays = camera_rays(camera)
+    shape = rays.shape[:2]
+    depth, facing = np.zeros(shape), np.zeros(shape)
+    there = surface.corners @ rotation.T + translation
+    window = _window(camera, there)
+    directions = rays[window].reshape(-1, 3) @ rotation
+    if len(directions) == 0:
+        return DepthImage(depth, facing)
+    eye = -translation @ rotation
+    hit = surface.mesh.ray.intersects_first(np.tile(eye, (len(directions), 1)), directions)
+    seen = np.flatnonzero(hit >= 0)
+    triangle, along = hit[seen], directions[seen]
+    normal = surface.normals[triangle]
+    # Embree says which triangle in single precision; where the ray meets its plane is computed in double.
+    # A ray has length one in depth, so that is the depth itself
+    approach = np.sum(normal * along, 1)
+    reach = np.sum(normal * (surface.corners[triangle, 0] - eye), 1)
+    met = reach / np.where(np.abs(approach) > 1e-12, approach, 1.0)
+    shares = _shares(eye + met[:, None] * along, surface.corners[triangle], normal)
+    met = np.sum(shares * there[triangle, :, 2], 1)
+    values, cosines = np.zeros((2, len(directions)))
+    values[seen] = np.where(met > 0, met, 0.0)
+    cosines[seen] = np.where(met > 0, np.abs(approach) / np.linalg.norm(along, axis=1), 0.0)
+    depth[window], facing[window] = (a.reshape(depth[window].shape) for a in (values, cosines))
+    return DepthImage(depth, facing)
+
+
+def camera_rays(camera: Camera) -> Float[np.ndarray, "H W 3"]:
+    """What each pixel's middle looks along in the camera's own frame, one metre deep. Not to be written to."""
+    focal, middle = (np.asarray(a, float).tolist() for a in (camera.focal, camera.principal_point))
+    return _rays(camera.width, camera.height, *focal, *middle)
+
+
+@functools.lru_cache(maxsize=32)
+def _rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
+    across, down = np.meshgrid((np.arange(width) - cx) / fx, (np.arange(height) - cy) / fy)
+    rays = np.stack([across, down, np.ones_like(across)], -1)
+    rays.setflags(write=False)
+    return rays
+
+
+def _shares(
+    points: Float[np.ndarray, "N 3"], corners: Float[np.ndarray, "N 3 3"], normals: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, "N 3"]:
+    """Shares of the corners in points of their planes, held to the triangle: a ray that goes by an edge in
+    the last digit would meet the plane of a triangle that it sees from the side somewhere else."""
+    across = [
+        np.cross(corners[:, (i + 2) % 3] - corners[:, (i + 1) % 3], points - corners[:, (i + 1) % 3])
+        for i in range(3)
+    ]
+    shares = np.maximum(np.stack([np.sum(normals * a, 1) for a in across], 1), 0.0)
+    total = shares.sum(1, keepdims=True)
+    return np.where(total > 0, shares / np.where(total > 0, total, 1.0), 1 / 3)
+
+
+def _window(camera: Camera, corners: Float[np.ndarray, "F 3 3"]) -> tuple[slice, slice]:
+    """Rows and columns outside of which no ray can meet the surface."""
+    depth = corners[..., 2]
+    if depth.size == 0 or depth.max() <= 0:
+        return slice(0, 0), slice(0, 0)
+    if depth.min() < 0.01:
+        # something is beside the camera or behind it, and may come in anywhere
+        return slice(0, camera.height), slice(0, camera.width)
+    pixels = np.asarray(camera.focal, float) * corners[..., :2] / depth[..., None]
+    pixels = (pixels + np.asarray(camera.principal_point, float)).reshape(-1, 2)
+    first = np.maximum(np.floor(pixels.min(0)).astype(int) - 1, 0)
+    last = np.maximum(np.minimum(np.ceil(pixels.max(0)).astype(int) + 2, [camera.width, camera.height]), 0)
+    first = np.minimum(first, last)
+    return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))

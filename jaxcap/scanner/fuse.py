@@ -1,0 +1,149 @@
+"""Depth pictures of several cameras as one cloud or one mesh."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..geometry.camera import Camera
+from .depth import camera_rays
+
+
+class Scan(NamedTuple):
+    """What a scanner made of one frame, metres."""
+
+    points: Float[np.ndarray, "N 3"]
+    #: unit, towards the camera; zero where too few pixels lie around to tell
+    normals: Float[np.ndarray, "N 3"]
+    #: number of the camera that saw a point
+    views: Int[np.ndarray, "N"]
+    #: counter-clockwise as the camera sees them; none for a cloud
+    faces: Int[np.ndarray, "F 3"]
+
+
+def fuse_cloud(
+    cameras: Sequence[Camera],
+    depths: Sequence[Float[np.ndarray, "H W"]],
+    gap: float = 0.03,
+    window: int = 2,
+    voxel: float = 0.0,
+) -> Scan:
+    """The measured pixels of all views as one cloud.
+
+    **Arguments:** `depths`, a picture for each camera, metres, zero where nothing is measured; `gap` and
+    `window` as for `image_normals`; `voxel`, the side of the cubes that keep one point each, metres.
+    """
+    views = [
+        (*_world(camera, depth, gap, window), np.full(np.count_nonzero(depth), number))
+        for number, (camera, depth) in enumerate(zip(cameras, depths, strict=True))
+    ]
+    points, normals, numbers = (np.concatenate(parts) for parts in zip(*views, strict=True))
+    if voxel > 0 and len(points):
+        points, normals, numbers = _thin(points, normals, numbers, voxel)
+    return Scan(points, normals, numbers, np.zeros((0, 3), int))
+
+
+def fuse_mesh(
+    cameras: Sequence[Camera],
+    depths: Sequence[Float[np.ndarray, "H W"]],
+    gap: float = 0.03,
+    window: int = 2,
+) -> Scan:
+    """The measured pixels of all views as one mesh: the triangles of each view's grid of pixels without
+    those across a discontinuity, beside those of the other views. Grids overlap and are not sewn
+    together. Pixels of no triangle are left out."""
+    cloud, faces, first = fuse_cloud(cameras, depths, gap, window), [], 0
+    for depth in depths:
+        faces.append(grid_faces(depth, gap) + first)
+        first += np.count_nonzero(depth)
+    triangles = np.concatenate(faces)
+    used = np.unique(triangles)
+    number = np.zeros(len(cloud.points), int)
+    number[used] = np.arange(len(used))
+    return Scan(cloud.points[used], cloud.normals[used], cloud.views[used], number[triangles])
+
+
+def grid_faces(depth: Float[np.ndarray, "H W"], gap: float) -> Int[np.ndarray, "F 3"]:
+    """Triangles between neighbouring measured pixels whose depths differ by at most `gap`, metres: two for a
+    square of four such pixels, one for three of them. Indices count measured pixels row by row."""
+    number = np.cumsum(depth.reshape(-1) > 0).reshape(depth.shape) - 1
+    squares, depths = (
+        np.stack([a[:-1, :-1], a[1:, :-1], a[1:, 1:], a[:-1, 1:]], -1).reshape(-1, 4) for a in (number, depth)
+    )
+    # counter-clockwise, as rows go down
+    first, second, third, fourth = [0, 1, 2], [0, 2, 3], [1, 2, 3], [0, 1, 3]
+    cut = _joined(depths[:, first], gap) | _joined(depths[:, second], gap)
+    faces = [squares[_joined(depths[:, corners], gap)][:, corners] for corners in (first, second)]
+    # squares that the one diagonal gives nothing of may have a triangle on the other one
+    faces += [squares[_joined(depths[:, corners], gap) & ~cut][:, corners] for corners in (third, fourth)]
+    return np.concatenate(faces)
+
+
+def image_normals(
+    camera: Camera, depth: Float[np.ndarray, "H W"], gap: float, window: int
+) -> Float[np.ndarray, "P 3"]:
+    """Unit normals of the measured pixels, row by row, in the camera's frame and towards it.
+
+    In a picture of a plane the inverse depth is linear, so a plane through a point and its neighbours,
+    `window` rows and columns around, is a linear least squares fit. Pixels that are farther or nearer by
+    more than `gap`, metres, belong to something else. Zero where fewer than three are left, or where all
+    of them lie on a line.
+    """
+    rows, columns = np.nonzero(depth > 0)
+    framed = np.pad(depth, window)
+    here, (fx, fy) = depth[rows, columns], np.asarray(camera.focal, float)
+    sums = np.zeros((9, len(rows)))
+    for down in range(-window, window + 1):
+        for across in range(-window, window + 1):
+            there = framed[rows + window + down, columns + window + across]
+            near = (there > 0) & (np.abs(there - here) < gap)
+            weight, inverse = near.astype(float), np.where(near, 1.0 / np.where(near, there, 1.0), 0.0)
+            sums += np.stack([
+                weight, weight * across, weight * down, weight * across**2, weight * across * down,
+                weight * down**2, inverse, inverse * across, inverse * down,
+            ])  # fmt: skip
+    n, u, v, uu, uv, vv, w, wu, wv = sums
+    # around the means, so that two unknowns are left
+    count = np.maximum(n, 1.0)
+    uu, uv, vv = uu - u * u / count, uv - u * v / count, vv - v * v / count
+    wu, wv = wu - w * u / count, wv - w * v / count
+    spread = uu * vv - uv * uv
+    known = (n >= 3) & (spread > 1e-9)
+    safe = np.where(known, spread, 1.0)
+    slope = np.stack([(wu * vv - wv * uv) / safe * fx, (wv * uu - wu * uv) / safe * fy], 1)
+    rays = camera_rays(camera)[rows, columns]
+    level = (w - slope[:, 0] / fx * u - slope[:, 1] / fy * v) / count
+    normals = np.concatenate([slope, (level - np.sum(slope * rays[:, :2], 1))[:, None]], 1)
+    normals *= np.where(np.sum(normals * rays, 1) > 0, -1.0, 1.0)[:, None]
+    lengths = np.linalg.norm(normals, axis=1)
+    return np.where(
+        (known & (lengths > 0))[:, None], normals / np.where(lengths > 0, lengths, 1.0)[:, None], 0.0
+    )
+
+
+def _world(camera: Camera, depth: np.ndarray, gap: float, window: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals of the measured pixels, row by row, in the world."""
+    rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
+    measured = depth > 0
+    there = camera_rays(camera)[measured] * depth[measured][:, None]
+    return (there - translation) @ rotation, image_normals(camera, depth, gap, window) @ rotation
+
+
+def _joined(depths: np.ndarray, gap: float) -> np.ndarray:
+    """Where all corners `(Q, K)` are measured and none lies behind another by more than `gap`."""
+    nearest, farthest = depths.min(1), depths.max(1)
+    return (nearest > 0) & (farthest - nearest <= gap)
+
+
+def _thin(
+    points: np.ndarray, normals: np.ndarray, views: np.ndarray, side: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mean of the points in each cube, their mean direction, and the view of the first of them."""
+    cells = np.floor(points / side).astype(np.int64)
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    cell, count = cell.reshape(-1), len(first)
+    total = np.stack([np.bincount(cell, a, count) for a in np.concatenate([points, normals], 1).T], 1)
+    means = total[:, :3] / np.bincount(cell, minlength=count)[:, None]
+    lengths = np.linalg.norm(total[:, 3:], axis=1, keepdims=True)
+    return means, total[:, 3:] / np.where(lengths > 1e-12, lengths, 1.0), views[first]

@@ -1,0 +1,83 @@
+"""What goes wrong between a surface and a picture of its depths: one small function an error."""
+
+import numpy as np
+from jaxtyping import Float
+
+from .depth import DepthImage
+from .settings import Scanner
+
+
+def spoil(scanner: Scanner, image: DepthImage, rng: np.random.Generator) -> Float[np.ndarray, "H W"]:
+    """The depths that a bad camera measures, metres; zero where it measures nothing."""
+    depth = lose_grazing(image, scanner.grazing)
+    depth = lose_holes(depth, scanner.holes, scanner.hole_size, rng)
+    depth = let_fly(depth, scanner.flying, scanner.gap, scanner.flying_reach, rng)
+    depth = add_noise(depth, scanner.noise, scanner.noise_growth, rng)
+    return quantise(depth, scanner.quantise)
+
+
+def lose_grazing(image: DepthImage, most: float) -> Float[np.ndarray, "H W"]:
+    """Depths without those where normal and ray are more than `most` degrees apart; 90 loses none."""
+    return np.where(image.facing >= np.cos(np.radians(most)) - 1e-12, image.depth, 0.0)
+
+
+def lose_holes(
+    depth: Float[np.ndarray, "H W"], share: float, size: float, rng: np.random.Generator
+) -> Float[np.ndarray, "H W"]:
+    """Depths without a share of the measured ones, which are lost in blobs of about `size` pixels.
+
+    A hole is where smooth noise is highest; as much of it is taken as makes the share.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    lost = depth.copy()
+    if share > 0:
+        field = gaussian_filter(rng.normal(size=depth.shape), size / 2)
+        measured = np.flatnonzero(depth > 0)
+        order = np.argsort(-field.reshape(-1)[measured], kind="stable")
+        lost.reshape(-1)[measured[order[: round(share * len(measured))]]] = 0.0
+    return lost
+
+
+def let_fly(
+    depth: Float[np.ndarray, "H W"], share: float, gap: float, reach: float, rng: np.random.Generator
+) -> Float[np.ndarray, "H W"]:
+    """Depths where a share of those before a discontinuity are moved back.
+
+    A pixel stands before one where a neighbour, above, below, left or right, is farther by more than
+    `gap`, metres, or sees nothing. It goes a random part of the way to the farthest of them, at most
+    `reach`, metres.
+    """
+    flown = depth.copy()
+    if share > 0:
+        jump = discontinuities(depth, reach)
+        edge = np.flatnonzero((depth > 0) & (jump > gap))
+        chance, way = rng.random((2, *depth.shape)).reshape(2, -1)
+        chosen = edge[np.argsort(chance[edge], kind="stable")[: round(share * len(edge))]]
+        flown.reshape(-1)[chosen] += way[chosen] * np.minimum(jump.reshape(-1)[chosen], reach)
+    return flown
+
+
+def discontinuities(depth: Float[np.ndarray, "H W"], nothing: float) -> Float[np.ndarray, "H W"]:
+    """How much farther the farthest of a pixel's four neighbours is, metres; `nothing` for one that sees
+    nothing. The picture's rim is no discontinuity."""
+    framed = np.pad(depth, 1, mode="edge")
+    around = np.stack([framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]])
+    return np.where(around > 0, around - depth, nothing).max(0)
+
+
+def add_noise(
+    depth: Float[np.ndarray, "H W"], constant: float, growth: float, rng: np.random.Generator
+) -> Float[np.ndarray, "H W"]:
+    """Depths with normal errors of deviation `constant + growth * depth^2`, metres."""
+    noisy = depth + (constant + growth * depth**2) * rng.normal(size=depth.shape)
+    return np.where((depth > 0) & (noisy > 0), noisy, 0.0)
+
+
+def quantise(depth: Float[np.ndarray, "H W"], step: float) -> Float[np.ndarray, "H W"]:
+    """Depths of which the inverse is a whole multiple of `step` (1/metres), as of cameras that measure
+    whole disparities: at 1 m they are about `step` metres apart, and `step * z^2` at `z`."""
+    if step == 0:
+        return depth
+    disparity = np.round(1.0 / (np.where(depth > 0, depth, 1.0) * step))
+    return np.where((depth > 0) & (disparity > 0), 1.0 / (step * np.maximum(disparity, 1.0)), 0.0)

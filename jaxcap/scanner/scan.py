@@ -1,0 +1,78 @@
+"""One frame of a moving surface as a scanner sees it, the same whenever it is asked for."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..errors import InputError
+from ..geometry.camera import Camera
+from .depth import make_surface, render_depth
+from .fuse import Scan, fuse_cloud, fuse_mesh
+from .noise import spoil
+from .settings import Scanner, check_scanner
+
+
+def scan_frame(
+    scanner: Scanner,
+    cameras: Sequence[Camera],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    seed: int = 0,
+    frame: int = 0,
+) -> Scan:
+    """What all cameras together make of one frame, metres: a cloud, or a mesh where `scanner.mesh`.
+
+    The numbers drawn depend on `seed`, `frame` and the view, and on nothing that was scanned before. A
+    view that sees nothing adds nothing, so a scan may be empty.
+
+    **Raises:** `InputError` for a setting out of its range, no cameras, and a seed or frame below zero.
+    """
+    depths = scan_depths(scanner, cameras, vertices, faces, seed, frame)
+    if scanner.mesh:
+        return fuse_mesh(cameras, depths, scanner.gap, scanner.normal_window)
+    scan = fuse_cloud(cameras, depths, scanner.gap, scanner.normal_window, scanner.voxel)
+    if scanner.points is None or scanner.points >= len(scan.points):
+        return scan
+    kept = _random(seed, frame, 1).choice(len(scan.points), scanner.points, replace=False)
+    kept.sort()
+    return Scan(scan.points[kept], scan.normals[kept], scan.views[kept], scan.faces)
+
+
+def scan_depths(
+    scanner: Scanner,
+    cameras: Sequence[Camera],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    seed: int = 0,
+    frame: int = 0,
+) -> list[Float[np.ndarray, "H W"]]:
+    """The picture of depths that each camera measures of one frame, metres, zero where it measures
+    nothing. Arguments and errors are those of `scan_frame`."""
+    check_scanner(scanner)
+    if not cameras:
+        raise InputError("There are no cameras to scan with; give at least one.")
+    if seed < 0 or frame < 0:
+        raise InputError(f"The seed is {seed} and the frame is {frame}; neither can be below zero.")
+    surface, depths = make_surface(vertices, faces), []
+    for view, (camera, lost) in enumerate(
+        zip(cameras, dropped_views(scanner.drop, len(cameras), seed, frame), strict=True)
+    ):
+        if lost:
+            depths.append(np.zeros((camera.height, camera.width)))
+        else:
+            depths.append(spoil(scanner, render_depth(camera, surface), _random(seed, frame, 2 + view)))
+    return depths
+
+
+def dropped_views(share: float, count: int, seed: int, frame: int) -> Bool[np.ndarray, "C"]:
+    """Which of `count` views a frame goes without: each with the chance `share`, but never all of them."""
+    chance = _random(seed, frame, 0).random(count)
+    lost = chance < share
+    lost[np.argmax(chance)] = False
+    return lost
+
+
+def _random(seed: int, frame: int, stream: int) -> np.random.Generator:
+    """Numbers of one frame's one purpose, whatever was drawn before."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(frame, stream)))

@@ -1,0 +1,94 @@
+"""`jaxcap prior` as a user types it: learned, told, written with a body, and what is refused."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cli import fails, runs
+from test_cli_limits import SKELETON, write_motion
+
+import jaxcap as jc
+from jaxcap.cli import main
+from jaxcap.io.npz import load_limits
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("prior")
+    for seed in range(2):
+        write_motion(folder / f"m{seed}.npz", seed)
+    vertices = jnp.asarray([[0.0, 1, 0], [0.2, 1.4, 0], [0.5, 1.4, 0], [0.6, 1.4, 0.1]])
+    faces = jnp.asarray([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    skin = jc.RigidSkin(jnp.asarray([0, 1, 2, 2]))
+    jc.save_body(folder / "body.npz", jc.Body(SKELETON, skin, vertices, faces), {"angles": np.ones(2)})
+    return folder
+
+
+def test_help_tells_the_verbs(capsys):
+    for words in (["prior", "--help"], ["prior", "learn", "--help"], ["prior", "info", "--help"]):
+        with pytest.raises(SystemExit) as stop:
+            main(words)
+        assert not stop.value.code
+    assert "jaxcap prior" in capsys.readouterr().out
+
+
+def test_learn_and_info(capsys, folder):
+    out = folder / "prior.npz"
+    told = runs(
+        capsys, "prior", "learn", folder / "m0.npz", folder / "m1.npz", "-o", out, "--most", 4, "--rate", 10
+    )
+    assert "2 motions, 600 poses learned from" in told
+    row = next(line.split() for line in told.splitlines() if line.startswith("shoulder, elbow"))
+    gaussians, single, chosen, zeroed, couplings = (
+        int(row[2]),
+        float(row[3]),
+        float(row[4]),
+        int(row[5]),
+        int(row[7]),
+    )
+    assert 1 <= gaussians <= 4
+    assert chosen >= single
+    assert 0 <= zeroed <= couplings == 15 * gaussians
+    prior = jc.load_prior(out, SKELETON)
+    assert prior.pairs == (("shoulder", "elbow"),)
+    assert prior.weights.shape == (1, gaussians)
+    told = runs(capsys, "prior", "info", out)
+    assert "1 pairs of joints" in told
+    ranges = next(line for line in told.splitlines() if line.startswith("elbow"))
+    # a hinge about its third axis, bent by 80 degrees
+    assert ranges.split()[1:] == ["0°", "to", "0°", "0°", "to", "0°", "0°", "to", "80°"]
+
+
+def test_a_body_carries_its_prior(capsys, folder):
+    out = folder / "with.npz"
+    runs(capsys, "prior", "learn", folder / "m0.npz", "--body", folder / "body.npz", "-o", out, "--most", 1)
+    assert len(jc.load_body(out).vertices) == 4
+    assert jc.load_prior(out, SKELETON).pairs == (("shoulder", "elbow"),)
+    np.testing.assert_array_equal(load_limits(out)["angles"], np.ones(2))
+    assert "pose prior" in runs(capsys, "prior", "info", out)
+    assert "body: 4 vertices" in runs(capsys, "info", out)
+
+
+def test_what_is_refused(capsys, folder, tmp_path):
+    m, out = folder / "m0.npz", tmp_path / "p.npz"
+    learn = ("prior", "learn", m, "-o", out)
+    assert "--rate is 0" in fails(capsys, *learn, "--rate", 0)
+    assert "--most is 0" in fails(capsys, *learn, "--most", 0)
+    assert "--floor is 90" in fails(capsys, *learn, "--floor", 90)
+    assert "--seed is -1" in fails(capsys, *learn, "--seed", -1)
+    assert "written as .npz" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "p.txt")
+    assert "there already" in fails(capsys, "prior", "learn", m, "-o", folder / "body.npz")
+    assert "no motions" in fails(capsys, "prior", "learn", "-o", out)
+    assert "no such file" in fails(capsys, "prior", "learn", tmp_path / "none.npz", "-o", out)
+    assert "not read as '.fbx'" in fails(capsys, "prior", "learn", tmp_path / "a.fbx", "-o", out)
+    other = jc.make_skeleton(("a", "b", "c"), (-1, 0, 1), ("free", "ball", "ball"), np.eye(3))
+    still = tmp_path / "other.npz"
+    jc.save_motion(still, jc.stack_poses([jc.rest_pose(other)] * 2), other)
+    told = fails(capsys, "prior", "learn", m, still, "-o", out)
+    assert "this motion is of the joints a, b, c" in told
+    assert "of one skeleton" in fails(
+        capsys, "prior", "learn", still, "--body", folder / "body.npz", "-o", out
+    )
+    assert "There are 2 poses" in fails(capsys, "prior", "learn", still, "-o", out)
+    assert "no pose prior in this file" in fails(capsys, "prior", "info", folder / "body.npz")
+    assert "not a 'jaxcap prior'" in fails(capsys, "prior", "info", m)
+    assert not out.exists()
