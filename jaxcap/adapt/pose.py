@@ -139,4 +139,4 @@ def _improve(
 
 def _count(pairs: Pairs) -> Float[Array, ""]:
     """How many pairs there are, by their weights."""
-    return jnp.maximum(jnp.sum(pairs.weights > 0), 1)
+    return jnp.maximum(jnp.sum(pairs.weights > 0), 1).astype(pairs.weights.dtype)

@@ -1,0 +1,262 @@
+"""A template becomes an actor: equations against differences, each step's gain, and the whole way."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cli import fails, runs
+from helpers import chain_body, random_pose
+
+import jaxcap as jc
+from jaxcap.adapt.equations import make_follow, moved_joints, pair_energy, shared_equations, vertex_maps
+from jaxcap.adapt.joints import Trust, adapt_joints, centres_beside, make_beside
+from jaxcap.adapt.loop import Settings, Task, adapt_body, plan, shape_weight
+from jaxcap.adapt.pose import fit_pose, mean_square, pairs_of
+from jaxcap.adapt.shape import adapt_shape, own_shape_prior
+from jaxcap.adapt.size import fit_size, resized, stack
+from jaxcap.adapt.window import smooth_poses, temporal_energy
+from jaxcap.body.pose import retract
+from jaxcap.cli.adapt import mirrored_joints
+from jaxcap.demo.performance import walk_and_wave
+from jaxcap.demo.scanner import sample_surface
+from jaxcap.energy.prior import RestPrior
+from jaxcap.fit.correspond import Matching, Pairs, make_scan
+
+BODY = chain_body("swing_twist")
+PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))
+
+
+def some_pairs(rng, count: int = 40) -> Pairs:
+    rows = jnp.asarray(rng.integers(0, len(BODY.vertices), count), jnp.int32)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    weights = jnp.asarray(rng.uniform(0, 1, count)).at[:4].set(0.0)
+    points = BODY.vertices[rows] + 0.05 * rng.normal(size=(count, 3))
+    return Pairs(rows, jnp.asarray(points), jnp.asarray(normals), weights)
+
+
+def test_equations_of_poses_and_joints_against_central_differences(rng):
+    """The gradient of the pairs' energy by every number of the pose and every shift of a joint."""
+    pairs, follow = some_pairs(rng), make_follow(BODY)
+    pose = random_pose(BODY.skeleton, rng, 0.6)
+    dofs, joints = BODY.skeleton.num_dofs, BODY.skeleton.num_joints
+
+    @eqx.filter_jit
+    def energy(d):
+        body = moved_joints(BODY, follow, d[dofs:].reshape(joints, 3))
+        return pair_energy(body, retract(BODY.skeleton, pose, d[:dofs]), pairs)
+
+    _, side, value = eqx.filter_jit(shared_equations)(BODY, pose, pairs, follow)
+    zero, h = np.zeros(dofs + 3 * joints), 1e-6
+    found = [(energy(zero + h * e) - energy(zero - h * e)) / (2 * h) for e in np.eye(len(zero))]
+    np.testing.assert_allclose(-2 * side, found, atol=1e-6 * np.abs(found).max())
+    assert float(value) == pytest.approx(float(energy(zero)))
+
+
+def test_a_posed_vertex_depends_linearly_on_its_place_at_rest(rng):
+    pose = random_pose(BODY.skeleton, rng, 0.8)
+    maps, places = eqx.filter_jit(vertex_maps)(BODY, pose)
+    shift = jnp.asarray(rng.normal(size=BODY.vertices.shape))
+    there = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + shift)
+    expected = jc.pose_body(there, pose).vertices
+    np.testing.assert_allclose(places + jnp.einsum("vab,vb->va", maps, shift), expected, atol=1e-9)
+
+
+def test_the_surface_follows_all_its_joints_alike():
+    """Shares of all joints sum to one, so that a body that is shifted whole stays as it is."""
+    np.testing.assert_allclose(make_follow(BODY).shares.sum(1), 1.0, atol=1e-9)
+
+
+def test_joints_go_where_the_surface_around_them_goes(rng):
+    beside = make_beside(BODY)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    moved = 1.3 * np.asarray(BODY.vertices) @ turn.T + [1.0, 2.0, 3.0]
+    expected = 1.3 * np.asarray(BODY.skeleton.centres) @ turn.T + [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(centres_beside(beside, moved), expected, atol=1e-9)
+
+
+def test_second_differences_of_even_motion_are_none(rng):
+    free = np.isin(BODY.skeleton.kinds, ("ball", "free"))[:, None]
+    axis = jnp.asarray(rng.normal(size=(BODY.skeleton.num_joints, 3)) * 0.05 * free)
+    rest = jc.rest_pose(BODY.skeleton)
+    from jaxcap.geometry import rotation
+
+    turned = [jc.Pose(rest.translations, rotation.exp(k * axis), rest.scale) for k in range(7)]
+    assert float(temporal_energy(BODY.skeleton, stack(turned))) < 1e-20
+    shaken = [
+        p if k % 2 else jc.Pose(p.translations, turned[k // 2].rotations, p.scale)
+        for k, p in enumerate(turned)
+    ]
+    assert float(temporal_energy(BODY.skeleton, stack(shaken))) > 1e-5
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A template, an actor of other build, and twelve scans of the actor's walk."""
+    template = jc.human(resolution="low", joints="tracking")
+    actor = jc.human(resolution="low", joints="tracking", height=1.66, weight=0.7)
+    motion = walk_and_wave(actor.skeleton, seconds=0.4)
+    posed, clouds = eqx.filter_jit(jc.pose_body), []
+    for frame in range(len(motion)):
+        rng = np.random.default_rng(frame)
+        vertices = np.asarray(posed(actor, motion[frame]).vertices, float)
+        points, normals = sample_surface(vertices, np.asarray(actor.faces), 2000, rng)
+        clouds.append(jc.make_cloud(points + 0.002 * rng.normal(size=points.shape), normals))
+    return template, actor, motion, clouds
+
+
+def human_prior(body):
+    return RestPrior(jnp.full((body.skeleton.num_joints, 3), 0.7))
+
+
+def test_a_pose_is_found_from_near_by(scene, rng):
+    _, actor, motion, clouds = scene
+    prior, scan = human_prior(actor), make_scan(clouds[5])
+    away = jnp.asarray(0.08 * rng.normal(size=actor.skeleton.num_dofs))
+    start = retract(actor.skeleton, motion[5], away)
+    found = fit_pose(actor, scan, start, prior, steps=15)
+    joints = [np.asarray(jc.pose_body(actor, pose).joints) for pose in (start, found.pose, motion[5])]
+    off = [np.linalg.norm(some - joints[2], axis=1).mean() for some in joints[:2]]
+    assert off[1] < 0.004
+    assert 3 * off[1] < off[0]
+
+
+def test_size_is_told_by_scans(scene):
+    _, actor, motion, clouds = scene
+    large = resized(actor, jnp.asarray(1.12))
+    root = large.skeleton.centres[0] - actor.skeleton.centres[0]
+    pose = motion[0]
+    pose = jc.Pose(pose.translations.at[0].add(-root), pose.rotations, pose.scale)
+    _, _, size = fit_size(large, [make_scan(clouds[0])], [pose], human_prior(actor), Matching(), 1e-6)
+    assert size == pytest.approx(1 / 1.12, rel=0.01)
+
+
+def test_joints_and_vertices_come_nearer_in_every_round(scene):
+    template, actor, motion, clouds = scene
+    frames = [0, 4, 8, 11]
+    scans, prior = [make_scan(clouds[n]) for n in frames], human_prior(template)
+    body = resized(template, jnp.asarray(1.66 / 1.75))
+    poses = [fit_pose(body, s, motion[n], prior, steps=8).pose for s, n in zip(scans, frames, strict=True)]
+    shape, beside, follow = own_shape_prior(body), make_beside(body), make_follow(body)
+    trust = Trust(*(jnp.asarray(x) for x in (1e-6, 0.005, 0.003)))
+    mirrored = mirrored_joints(body.skeleton)
+
+    def pairs():
+        return stack([pairs_of(body, p, s, Matching()) for p, s in zip(poses, scans, strict=True)])
+
+    def distance():
+        each = [
+            mean_square(body, p, pairs_of(body, p, s, Matching())) for p, s in zip(poses, scans, strict=True)
+        ]
+        return 1000 * float(np.sqrt(np.mean(each)))
+
+    told = [distance()]
+    for _ in range(3):
+        expected = jnp.asarray(centres_beside(beside, np.asarray(body.vertices)))
+        body, moved = adapt_joints(body, stack(poses), pairs(), prior, follow, mirrored, expected, trust)
+        poses = [jax.tree.map(lambda leaf, i=i: leaf[i], moved) for i in range(len(frames))]
+        body = adapt_shape(body, stack(poses), pairs(), shape, 10.0)
+        told.append(distance())
+    assert told[0] > told[1] > told[2] > told[3]
+    # what the true body leaves is noise
+    truth = [mean_square(actor, motion[n], pairs_of(actor, motion[n], s, Matching())) for s, n in zip(scans, frames, strict=True)]  # fmt: skip
+    floor = 1000 * float(np.sqrt(np.mean(truth)))
+    assert told[3] - floor < 0.5 * (told[0] - floor)
+    left, right = body.skeleton.index("LeftForeArm"), body.skeleton.index("RightForeArm")
+    parents = np.array(body.skeleton.parents)
+    lengths = np.linalg.norm(
+        np.asarray(body.skeleton.centres) - np.asarray(body.skeleton.centres)[parents], axis=1
+    )
+    assert lengths[left] == pytest.approx(lengths[right], abs=1e-4)
+
+
+def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
+    _, actor, motion, clouds = scene
+    prior, scans = human_prior(actor), [make_scan(cloud) for cloud in clouds]
+    shaken = [
+        retract(actor.skeleton, motion[n], jnp.asarray(0.02 * rng.normal(size=actor.skeleton.num_dofs)))
+        for n in range(len(motion))
+    ]
+    smooth = smooth_poses(
+        actor,
+        shaken,
+        lambda n, pose: pairs_of(actor, pose, scans[n], Matching()),
+        prior,
+        1e-6,
+        1e-2,
+        frames=7,
+        stride=4,
+    )
+    rough = [float(temporal_energy(actor.skeleton, stack(poses))) for poses in (shaken, smooth)]
+    assert rough[1] < 0.1 * rough[0]
+    joints = [np.asarray(jc.pose_body(actor, poses[6]).joints) for poses in (shaken, smooth, [motion[6]] * 7)]
+    off = [np.linalg.norm(some - joints[2], axis=1).mean() for some in joints[:2]]
+    assert off[1] < off[0]
+
+
+def test_the_plan_has_all_stages_and_weights_fall():
+    settings = Settings(rounds=(5, 3), temporal=0.0)
+    names = [stage[0] for stage in plan(settings)]
+    assert names == ["size", "track", *5 * ["adapt"], "track", *3 * ["adapt"], "track", "pose"]
+    weights = [shape_weight(settings, 0, step) for step in (3, 4)]
+    assert weights == pytest.approx(list(settings.shape))
+
+
+@pytest.mark.slow
+def test_the_whole_way_and_again_from_the_middle(scene):
+    template, actor, motion, clouds = scene
+    task = Task(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
+                mirrored_joints(template.skeleton), Settings(frames=6, rounds=(5, 2)))  # fmt: skip
+    states = list(adapt_body(task))
+    last = states[-1]
+    assert last.done == len(plan(task.settings))
+    assert last.lost == ()
+    assert last.size == pytest.approx(1.66 / 1.75, rel=0.03)
+    # what the true body leaves is noise
+    frames = np.unique(np.linspace(0, len(clouds) - 1, 8).astype(int)).tolist()
+    truth = [mean_square(actor, motion[n], pairs_of(actor, motion[n], make_scan(clouds[n]), Matching())) for n in frames]  # fmt: skip
+    floor = 1000 * float(np.sqrt(np.mean(truth)))
+    assert last.history[-1][1] - floor < 0.5 * (last.history[0][1] - floor)
+    again = list(adapt_body(task, states[6]))
+    np.testing.assert_array_equal(again[-1].body.vertices, last.body.vertices)
+    np.testing.assert_array_equal(again[-1].motion.poses.rotations, last.motion.poses.rotations)
+
+
+@pytest.mark.slow
+def test_the_command_line_adapts_and_goes_on(scene, tmp_path, capsys):
+    _, _, motion, clouds = scene
+    points = np.stack([np.asarray(cloud.points)[np.asarray(cloud.weights) > 0] for cloud in clouds])
+    normals = np.stack([np.asarray(cloud.normals)[np.asarray(cloud.weights) > 0] for cloud in clouds])
+    np.savez(tmp_path / "scans.npz", points=points, normals=normals)
+    template = jc.human(resolution="low", joints="tracking")
+    jc.save_motion(tmp_path / "start.npz", motion, template.skeleton)
+    jc.save_body(tmp_path / "template.npz", template)
+    words = ("adapt", tmp_path / "template.npz", tmp_path / "scans.npz", "-o", tmp_path / "actor.npz",
+             "--start", tmp_path / "start.npz", "--frames", 5, "--smoothness", 0)  # fmt: skip
+    told = runs(capsys, *words)
+    assert "times the template's size" in told
+    assert len(jc.load_motion(tmp_path / "actor-motion.npz")) == len(clouds)
+    assert not (tmp_path / "actor.npz.partial").exists()
+    assert "there already" in fails(capsys, *words)
+    assert "no unfinished run" in fails(capsys, *words, "--resume")
+
+
+def test_what_is_refused(tmp_path, capsys):
+    np.savez(tmp_path / "two.npz", points=np.random.default_rng(0).normal(size=(2, 900, 3)))
+    words = ("adapt", "human:low", tmp_path / "two.npz", "-o")
+    assert "too few to adapt to" in fails(capsys, *words, tmp_path / "a.npz")
+    assert "written as .npz" in fails(capsys, *words, tmp_path / "a.obj")
+    assert "--frames is 1" in fails(capsys, *words, tmp_path / "a.npz", "--frames", 1)
+    assert "not written as '.fbx'" in fails(
+        capsys, *words, tmp_path / "a.npz", "--motion", tmp_path / "m.fbx"
+    )
+
+
+def test_joints_of_left_and_right_are_found_by_their_names():
+    skeleton = jc.human(resolution="low").skeleton
+    names = {(skeleton.names[a], skeleton.names[b]) for a, b in mirrored_joints(skeleton)}
+    assert ("LeftArm", "RightArm") in names
+    assert ("LThumb", "RThumb") in names
+    assert ("LHipJoint", "RHipJoint") in names
