@@ -32,6 +32,9 @@ class Stereo(NamedTuple):
     step: float = 0.02
 
 
+STEREO = Stereo()
+
+
 class Seen(NamedTuple):
     """Several motions, one after the other, as they are tracked; F frames of N points."""
 
@@ -45,14 +48,19 @@ class Seen(NamedTuple):
 
 
 def see_arm(
-    shared: Path, takes: tuple[str, ...], tracked: jc.Body, stereo: Stereo = Stereo(), every: int = 1
+    shared: Path,
+    takes: tuple[str, ...],
+    tracked: jc.Body,
+    frames: int | None = None,
+    every: int = 1,
+    stereo: Stereo = STEREO,
 ) -> Seen:
     """Takes of the database, by the embedded human with all its vertices and joints, from the front of
-    its pelvis; every so many frames of each."""
+    its pelvis: the first `frames` of each or all, and of these every so many, at so much less a rate."""
     performer = jc.human()
     poses, points, weights, first = [], [], [], []
     for take in takes:
-        motion = human_motion(shared, take, performer).slice(slice(None, None, every))
+        motion = human_motion(shared, take, performer, frames).slice(slice(None, None, every))
         for frame in range(motion.num_frames):
             rng = np.random.default_rng([int(part) for part in take.split("_")] + [frame])
             pose = at_rest_pelvis(motion[frame])

@@ -1,5 +1,9 @@
 """Fit articulated bodies to what sensors saw: poses, motions and their energies in JAX."""
 
+from .adapt.loop import AdaptState as AdaptState
+from .adapt.loop import Settings as AdaptSettings
+from .adapt.loop import Task as AdaptTask
+from .adapt.loop import adapt_body as adapt_body
 from .adapt.pose_prior import learn_pair_prior as learn_pair_prior
 from .adapt.pose_prior import learn_ranges as learn_ranges
 from .adapt.shape_prior import LaplacianVectors as LaplacianVectors

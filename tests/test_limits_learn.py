@@ -98,6 +98,16 @@ def test_a_chart_has_as_many_angles_as_a_joint_used(rng):
         np.testing.assert_allclose(spread.max(0), -spread.min(0), atol=1e-6)
 
 
+def test_a_hinge_that_is_turned_at_all_times_is_still_a_hinge(rng):
+    turns = Rotation.from_rotvec(rng.uniform(0, 2.0, (200, 1)) * np.array([0.0, 0.6, 0.8]))
+    turned = Rotation.from_rotvec([0.3, 0.0, 0.1]) * turns
+    chart = find_chart(samples_of(turned))
+    assert chart.kind == "hinge"
+    places = chart_places(chart, quaternions(turned))
+    back = Rotation.from_quat(np.asarray(jax.vmap(chart.rotation)(jnp.asarray(places))), scalar_first=True)
+    assert (back.inv() * turned).magnitude().max() < 1e-9
+
+
 def test_a_middle_is_the_centre_of_the_smallest_ball(rng):
     vectors = rng.normal(size=(400, 3))
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)

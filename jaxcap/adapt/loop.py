@@ -24,6 +24,9 @@ from .window import smooth_poses, temporal_energy
 
 #: frames that the actor's size is read from
 SIZED = 3
+#: share of the weight that balances second differences with the data (eq. 4.16): as much makes motions
+#: smoother than people move, and costs distance
+BALANCE = 0.1
 #: rounds in which joints alone are adapted, before vertices are
 JOINTS_ALONE = 3
 
@@ -39,7 +42,7 @@ class Settings(NamedTuple):
     shape: tuple[float, float] = (100.0, 3.0)
     #: weight of the pose prior
     pose: float = 1e-6
-    #: weight of second differences; None balances them with the data (eq. 4.16), 0 leaves them out
+    #: weight of second differences; None is by their balance with the data (eq. 4.16), 0 leaves them out
     temporal: float | None = None
     #: standard deviation of a joint from where the surface around it says, metres
     joint: float = 0.005
@@ -233,7 +236,7 @@ def _smooth(task: Task, state: AdaptState) -> AdaptState:
     temporal = settings.temporal
     if temporal is None:
         rough = float(temporal_energy(body.skeleton, stack(poses)))
-        temporal = (state.history[-1][1] / 1000) ** 2 / max(rough, 1e-12)
+        temporal = BALANCE * (state.history[-1][1] / 1000) ** 2 / max(rough, 1e-12)
 
     def pairs_at(frame: int, pose: Pose):
         return pairs_of(body, pose, make_scan(task.cloud(frame)), settings.matching)

@@ -23,28 +23,26 @@ def find_chart(samples: JointSamples) -> Chart:
 
     **Raises:** `ValueError` where rotations reach half a turn from every middle.
     """
-    axes, kind = samples.axes, {"revolute": "hinge", "universal": "universal"}.get(samples.kind, "ball")
+    kinds = {"revolute": "hinge", "universal": "universal"}
+    kind, axes, base = kinds.get(samples.kind, "ball"), samples.axes, np.array([1.0, 0.0, 0.0, 0.0])
     if kind == "ball":
-        kind, axes = _angles(samples.rotations)
-    still = np.array([1.0, 0.0, 0.0, 0.0])
+        kind, axes, base = _angles(samples.rotations)
     if kind == "ball":
         middle = middle_rotation(samples.rotations)
         furthest = _angle(samples.rotations, middle).max()
         if furthest > FURTHEST:
             raise ValueError(_wraps(samples.joint, 2 * furthest))
         return Chart(jnp.asarray(middle), jnp.asarray(axes), "ball")
-    raw = Chart(jnp.asarray(still), jnp.asarray(axes), "hinge" if kind == "hinge" else "universal")
+    raw = Chart(jnp.asarray(base), jnp.asarray(axes), "hinge" if kind == "hinge" else "universal")
     angles = 2 * chart_places(raw, samples.rotations)
     middles = [_middle_angle(angles[:, i], samples.joint) for i in range(raw.dimension)]
-    if kind == "hinge":
-        middle = _about(axes[0], middles[0])
-    else:
+    middle = _rotation(base) * _rotation(_about(axes[0], middles[0]))
+    if kind == "universal":
         # the second axis turns with the first angle, so the first middle stands before both, and the
         # second one moves into the axis of the first
-        second = _about(axes[1], middles[1])
-        middle = (_rotation(_about(axes[0], middles[0])) * _rotation(second)).as_quat(scalar_first=True)
-        axes = np.stack([_rotation(second).inv().apply(axes[0]), axes[1]])
-    return Chart(jnp.asarray(middle), jnp.asarray(axes), raw.kind)
+        second = _rotation(_about(axes[1], middles[1]))
+        middle, axes = middle * second, np.stack([second.inv().apply(axes[0]), axes[1]])
+    return Chart(jnp.asarray(middle.as_quat(scalar_first=True)), jnp.asarray(axes), raw.kind)
 
 
 def chart_places(chart: Chart, rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "F 3"]:
@@ -70,22 +68,18 @@ def middle_rotation(rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "4
     return middle
 
 
-def _angles(rotations: Float[np.ndarray, "F 4"]) -> tuple[str, Float[np.ndarray, "2 3"]]:
-    """How many angles a joint uses that could turn freely, and their axes."""
-    turns = _rotation(rotations)
-    vectors = (turns.mean().inv() * turns).as_rotvec()
+def _angles(rotations: Float[np.ndarray, "F 4"]) -> tuple[str, np.ndarray, np.ndarray]:
+    """How many angles a joint uses that could turn freely, their axes, and the rotation that they start from."""
+    turns, still = _rotation(rotations), np.array([1.0, 0.0, 0.0, 0.0])
+    mean = turns.mean()
+    vectors = (mean.inv() * turns).as_rotvec()
     # the direction of most motion first
     directions = np.linalg.eigh(vectors.T @ vectors)[1].T[::-1]
-    across = directions[1]
     if np.abs(vectors @ directions[1:].T).max() < STRAY:
-        # from rest, not from the mean: a hinge that never is at rest turns about its axis all the same
-        axis = directions[0]
-        rest = turns.as_rotvec()
-        if np.abs(rest - (rest @ axis)[:, None] * axis).max() < STRAY:
-            return "hinge", np.stack([axis, across])
-        return "ball", np.eye(3)[:2]
+        # what a joint is turned by at all times, as by retargeting, stands before the hinge
+        return "hinge", directions[:2], mean.as_quat(scalar_first=True)
     axes, stray = two_axes(turns.as_matrix())
-    return ("universal", axes) if stray < STRAY else ("ball", np.eye(3)[:2])
+    return ("universal", axes, still) if stray < STRAY else ("ball", np.eye(3)[:2], still)
 
 
 def two_axes(matrices: Float[np.ndarray, "F 3 3"]) -> tuple[Float[np.ndarray, "2 3"], float]:

@@ -1,0 +1,152 @@
+"""Real frames of a depth camera, with the upper half of a person in each, and poses in them."""
+
+import dataclasses
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy import ndimage
+
+import jaxcap as jc
+from benchmarks.report import progress
+from jaxcap.body.limit_surface import SurfaceLimits
+from jaxcap.body.limits import allowed
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.energy.term import Sum, terms_of
+from jaxcap.fit.em import Estimate, box_volume, data_energy, expectation, uniform_priors
+from jaxcap.fit.priority import priority_step
+from jaxcap.geometry.normals import estimate_normals
+
+#: pixels, of 640 x 480
+FOCAL, CENTRE = 525.0, (320.0, 240.0)
+#: what lies further behind the median than this is another person, metres
+BEHIND = 0.3
+#: pieces of the person have at least this share of the pixels of the largest
+PIECE = 0.01
+#: points of a frame that are fitted
+POINTS = 4000
+#: weight of limits in the search; how often points are assigned anew afterwards, with limits first
+WEIGHT, ROUNDS = 1000.0, 10
+#: deviation of the points from the surface in these, metres
+SIGMA = 0.015
+#: the pelvis is known to stand upright and turned to the camera to about so many radians: of the front
+#: of a trunk a search would else make a body that leans back, or its back
+UPRIGHT = 0.05
+LEGS = ("LHipJoint", "RHipJoint")
+
+
+class Fitted(NamedTuple):
+    """A frame and the pose found in it."""
+
+    cloud: jc.Cloud
+    pose: jc.Pose
+    #: as the search left it, with limits as one energy among others
+    searched: jc.Pose
+    #: of every joint with limits, at both
+    valid: Bool[np.ndarray, "J"]
+    searched_valid: Bool[np.ndarray, "J"]
+    #: median distance of points from the surface's vertices, millimetres
+    distance_mm: float
+
+
+def depth_frames(shared: Path) -> Int[np.ndarray, "F 480 640"]:
+    """Depth in millimetres, zero where nothing was seen."""
+    with np.load(shared / "data" / "depth" / "skeltrack_depth12_mm.npz") as file:
+        return file["depth_mm"]
+
+
+def depth_cloud(image: Int[np.ndarray, "480 640"], count: int = POINTS) -> jc.Cloud:
+    """The points of the foremost person, y up and z towards the camera, which is the origin."""
+    depth = image / 1000.0
+    near = (image > 0) & (depth < np.median(depth[image > 0]) + BEHIND)
+    pieces = np.zeros(image.shape, int)
+    ndimage.label(near, output=pieces)
+    sizes = np.bincount(pieces.reshape(-1))
+    sizes[0] = 0
+    rows, columns = np.nonzero((sizes > PIECE * sizes.max())[pieces])
+    z = depth[rows, columns]
+    points = np.stack([(columns - CENTRE[0]) * z / FOCAL, (CENTRE[1] - rows) * z / FOCAL, -z], 1)
+    chosen = np.random.default_rng(0).choice(len(points), min(count, len(points)), replace=False)
+    points = points[chosen]
+    normals = estimate_normals(points)
+    # all that is seen faces the camera
+    normals = np.where(np.sum(normals * points, 1, keepdims=True) > 0, -normals, normals)
+    return jc.make_cloud(points, normals)
+
+
+def upper_body(body: jc.Body) -> jc.Body:
+    """The same body without the surface of its legs, which stay at rest: no frame shows them."""
+    skeleton = body.skeleton
+    legs = np.any([skeleton.descent[skeleton.index(name)] for name in LEGS], axis=0)
+    kept = ~legs[np.asarray(body.skin.parts())]
+    faces = np.asarray(body.faces)
+    faces = (np.cumsum(kept) - 1)[faces[kept[faces].all(1)]]
+    kinds = tuple("fixed" if leg else kind for kind, leg in zip(skeleton.kinds, legs, strict=True))
+    assert isinstance(body.skin, jc.LinearSkin)
+    some = np.flatnonzero(kept)
+    skin = jc.LinearSkin(body.skin.weights[some])
+    return jc.Body(dataclasses.replace(skeleton, kinds=kinds), skin, body.vertices[some], jnp.asarray(faces))
+
+
+def upright(skeleton: jc.Skeleton) -> jc.PosePrior:
+    """Holds the root's turns, and nothing else."""
+    layout = dof_layout(skeleton)
+    translates = np.zeros(skeleton.num_dofs + 1, bool)
+    translates[np.asarray(layout.translations).reshape(-1)] = True
+    turns = (np.asarray(layout.joints) == 0) & ~translates[:-1]
+    deviations = jnp.where(turns, UPRIGHT, jnp.inf).astype(skeleton.centres.dtype)
+    return jc.PosePrior(jc.rest_pose(skeleton), deviations)
+
+
+def fit_frames(images: np.ndarray, limits: SurfaceLimits) -> list[Fitted]:
+    """Each frame by itself: a search with limits among its energies, and from the nearest pose that is
+    allowed a fit with limits before all else; last once more the nearest, for the steps end a hair
+    within rounding of a bound."""
+    body = upper_body(jc.human(resolution="low", joints="tracking"))
+    tracker = jc.make_tracker(body, terms=(WEIGHT * jc.JointLimits(limits), upright(body.skeleton)))
+    found = []
+    for number, image in enumerate(images):
+        cloud = depth_cloud(image)
+        searched, _ = jc.initialise(tracker, cloud, turns=1)
+        pose = _strictly(tracker, limits, cloud, searched)
+        valid, searched_valid = (np.asarray(_allowed(limits, body.skeleton, p)) for p in (pose, searched))
+        distance = 1000 * float(_distance(body, cloud, pose))
+        found.append(Fitted(cloud, pose, searched, valid, searched_valid, distance))
+        wrong = [n for n, good in zip(body.skeleton.names, searched_valid, strict=True) if not good]
+        progress(
+            f"depth frame {number}: {'valid' if valid.all() else 'NOT VALID'}, points {distance:.1f} mm from "
+            f"vertices; beyond limits after the search: {', '.join(wrong) or 'none'}"
+        )
+    return found
+
+
+@eqx.filter_jit
+def _strictly(tracker: jc.Tracker, limits: SurfaceLimits, cloud: jc.Cloud, start: jc.Pose) -> jc.Pose:
+    body, volume = tracker.body, box_volume(cloud)
+    others = jc.RestPrior(tracker.rest_deviations), upright(body.skeleton)
+    sigma = jnp.asarray(SIGMA, start.rotations.dtype)
+
+    def again(_, pose):
+        estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, sigma.dtype))
+        posed, likely = expectation(body, tracker.parts, tracker.mixture, cloud, volume, estimate)
+        data = data_energy(likely, posed, cloud, sigma, tracker.mixture.tangential)
+        return priority_step((jc.JointLimits(limits), Sum((*terms_of(data), *others))), body, pose)
+
+    pose = limits.nearest(body.skeleton, start)
+    return limits.nearest(body.skeleton, jax.lax.fori_loop(0, ROUNDS, again, pose))
+
+
+@eqx.filter_jit
+def _distance(body: jc.Body, cloud: jc.Cloud, pose: jc.Pose) -> Float[Array, ""]:
+    vertices = jc.pose_body(body, pose).vertices
+    nearest = jax.lax.map(
+        lambda point: jnp.min(jnp.sum((vertices - point) ** 2, -1)), cloud.points, batch_size=64
+    )
+    return jnp.nanmedian(jnp.where(cloud.weights > 0, jnp.sqrt(nearest), jnp.nan))
+
+
+_allowed = eqx.filter_jit(allowed)
