@@ -18,7 +18,7 @@ from .pose_boxes import own_vectors, turning_joints
 from .skeleton import Skeleton
 
 #: a joint whose own frame is turned by more than this, radians, is at rest in another pose
-TURNED = np.radians(20.0)
+TURNED = np.radians(35.0)
 #: steps up to a mixture's highest place
 ASCENT = 200
 

@@ -11,15 +11,18 @@ import numpy as np
 from ..adapt.loop import AdaptState, Settings, Task, adapt_body, plan
 from ..body.anatomy import rest_deviations
 from ..body.body import Body
+from ..body.pose import Pose
 from ..body.skeleton import Skeleton
+from ..edit.retarget import retarget
+from ..energy.pair_prior import MahalanobisPrior
 from ..energy.prior import RestPrior
 from ..energy.term import AbstractEnergy
 from ..errors import InputError
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..io.clouds import Scans, read_clouds
 from ..io.npz import save_body
-from ..io.registry import MOTION_WRITERS, write_motion
-from .evaluate import read_motion_of
+from ..io.prior import load_prior
+from ..io.registry import MOTION_WRITERS, read_motion, write_motion
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
 from .rounds import Rounds
 from .say import say, warn
@@ -42,6 +45,8 @@ class Adapt:
     """The motion, .bvh or .npz; beside the body where not given."""
     start: OptionalFile = None
     """A motion whose first pose is near that of the first scan; searched for where not given."""
+    prior: OptionalFile = None
+    """Which poses are likely, as `jaxcap prior learn` wrote it; beside what anatomy says."""
     frames: Annotated[int, arg(metavar="N")] = 40
     """Scans that the body is adapted to, spread over the motion."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
@@ -150,12 +155,14 @@ class Adapt:
     def task(self, body: Body, scans: Scans) -> Task:
         skeleton = body.skeleton
         prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), body.vertices.dtype))
+        if self.prior is not None:
+            prior = prior + MahalanobisPrior(load_prior(self.prior, skeleton))
         return Task(
             template=body,
             cloud=lambda frame: load_cloud(scans, frame, body, self.up),
             frames=len(scans),
             rate=self.rate,
-            start=None if self.start is None else read_motion_of(body, self.start)[0],
+            start=None if self.start is None else first_pose(self.start, skeleton),
             prior=prior,
             mirrored=mirrored_joints(skeleton),
             settings=Settings(frames=self.frames, joint=self.joint_deviation, temporal=self.smoothness),
@@ -164,7 +171,8 @@ class Adapt:
     def settings(self) -> dict[str, object]:
         """What the result depends on, by the names that the user knows."""
         names = ("frames", "joint_deviation", "smoothness", "unit", "up", "rate", "vertices", "first", "last")
-        return {name: getattr(self, name) for name in names}
+        prior = None if self.prior is None else hashlib.sha256(self.prior.read_bytes()).hexdigest()
+        return {**{name: getattr(self, name) for name in names}, "prior": prior}
 
     def begin(self, header: dict[str, object], template: Body) -> AdaptState | None:
         """The state to go on from. Raises `InputError` where there is none to resume, or one in the way."""
@@ -179,6 +187,15 @@ class Adapt:
                 f"{self.kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
             )
         return None
+
+
+def first_pose(path: Path, skeleton: Skeleton) -> Pose:
+    """The first pose of a motion, carried over to a skeleton of other proportions. Raises `InputError`."""
+    of, motion = read_motion(path)
+    try:
+        return retarget(motion.slice(slice(1)), of, skeleton)[0]
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
