@@ -138,6 +138,7 @@ def main() -> None:
         ]
         limits[f"{kind.replace(' ', '_')}_hierarchy"] = (">=", max(rivals))
     limits["never_together_over_boxes"] = (">=", 30.0)
+    limits = {name: limit for name, limit in limits.items() if name in figures}
     finish(
         "limits_holdout",
         figures,

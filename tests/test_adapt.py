@@ -9,12 +9,19 @@ from cli import fails, runs
 from helpers import chain_body, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.equations import make_follow, moved_joints, pair_energy, shared_equations, vertex_maps
+from jaxcap.adapt.equations import (
+    make_follow,
+    moved_joints,
+    pair_energy,
+    shared_equations,
+    stack,
+    vertex_maps,
+)
 from jaxcap.adapt.joints import Trust, adapt_joints, centres_beside, make_beside
 from jaxcap.adapt.loop import Settings, Task, adapt_body, plan, shape_weight
 from jaxcap.adapt.pose import fit_pose, mean_square, pairs_of
 from jaxcap.adapt.shape import adapt_shape, own_shape_prior
-from jaxcap.adapt.size import fit_size, resized, stack
+from jaxcap.adapt.size import fit_size, resized
 from jaxcap.adapt.window import smooth_poses, temporal_energy
 from jaxcap.body.pose import retract
 from jaxcap.cli.adapt import mirrored_joints

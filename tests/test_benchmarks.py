@@ -77,6 +77,25 @@ def test_speed_track(checkout, shared, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.shared
+def test_limits_project(checkout, shared):
+    line = run(checkout, "limits_project", "--poses", "400", "--repeats", "2")
+    assert meets(line, "allowed_percent", "worst_ratio_to_nearest_sample")
+
+
+@pytest.mark.slow
+def test_limits_holdout(checkout):
+    line = run(checkout, "limits_holdout", "--only", "known", "--samples", "60000", "--questions", "4000")
+    assert meets(line, "known_right_percent")
+
+
+@pytest.mark.slow
+def test_limits_gradients(checkout):
+    line = run(checkout, "limits_gradients")
+    assert meets(line, "surface", "limits", "soft_object")
+
+
+@pytest.mark.slow
 def test_gradients(checkout):
     assert run(checkout, "gradients")["passed"]
 

@@ -1,6 +1,9 @@
 """Normal equations of a frame: how pairs pull at its pose, and at the joints that all frames share."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -121,3 +124,8 @@ def _rows(body: Body, pose: Pose, pairs: Pairs, follow: Follow | None):
         rows = rows.at[:, :, skeleton.num_dofs :].add(carried.reshape(*carried.shape[:2], -1))
     apart = jnp.einsum("cra,ca->cr", directions, pairs.points - places[pairs.vertices])
     return rows.reshape(-1, rows.shape[-1]), apart.reshape(-1)
+
+
+def stack(parts: Sequence):
+    """Poses or pairs of single frames as those of all, leaf by leaf."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)

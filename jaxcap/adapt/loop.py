@@ -15,11 +15,11 @@ from ..fit.correspond import Matching, Scan, make_scan
 from ..fit.sequence import track_frames
 from ..fit.track import make_tracker
 from ..observe import Cloud
-from .equations import Follow, make_follow
+from .equations import Follow, make_follow, stack
 from .joints import Beside, Trust, adapt_joints, centres_beside, make_beside
 from .pose import fit_pose, mean_square, pairs_of
 from .shape import ShapePrior, adapt_shape, own_shape_prior
-from .size import fit_size, resized, stack
+from .size import fit_size, resized
 from .window import smooth_poses, temporal_energy
 
 #: frames that the actor's size is read from

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -66,8 +65,3 @@ def size_equation(body: Body, pose: Pose, pairs: Pairs) -> tuple[Float[Array, ""
     along = jnp.einsum("cra,ca->cr", rows, places - posed.joints[0])
     apart = jnp.einsum("cra,ca->cr", rows, pairs.points - places)
     return jnp.sum(along * apart), jnp.sum(along**2)
-
-
-def stack(parts: Sequence):
-    """Pytrees of one shape stacked, leaf by leaf."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)

@@ -14,8 +14,7 @@ from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs
 from ..fit.problem import linearise
 from ..geometry import rotation
-from .equations import pose_equations
-from .size import stack
+from .equations import pose_equations, stack
 
 #: frames of a window, and by how many the next one is further on
 FRAMES, STRIDE = 11, 5

@@ -3,10 +3,8 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from ..geometry import rotation
 from .chart import Chart
 from .limits import AbstractLimits
 from .nearest_inside import nearest_inside
@@ -131,8 +129,3 @@ def fits(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, ...]:
     """Joints that the limits name and the skeleton lacks."""
     named = [name for s in limits.surfaces for name in (s.joint, s.parent) if name is not None]
     return tuple(dict.fromkeys(name for name in named if name not in skeleton.names))
-
-
-def middle_rotations(limits: SurfaceLimits) -> dict[str, np.ndarray]:
-    """The middle of what each joint does, as a quaternion, by its name."""
-    return {s.joint: np.asarray(rotation.normalise(s.chart.middle)) for s in limits.surfaces}
