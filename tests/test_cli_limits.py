@@ -96,6 +96,13 @@ def test_project_writes_a_motion_that_is_allowed(capsys, folder, learned):
     assert np.abs(beyond).max() < 1e-3
 
 
+def test_info_tells_what_is_limited(capsys, learned):
+    told = runs(capsys, "info", learned).splitlines()
+    assert told[0].startswith("limits of shoulder: 3 angles, ")
+    assert told[1].startswith("limits of elbow: 1 angles, ")
+    assert told[1].endswith("keyframes of shoulder")
+
+
 def test_compare_tells_a_distance_for_each_joint(capsys, folder):
     told = runs(
         capsys, "limits", "compare", folder / "m0.npz", folder / "wild.npz", "--joints", "shoulder,elbow"

@@ -12,10 +12,14 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..io.clouds import read_clouds
+from ..io.limits import KIND as LIMITS
+from ..io.limits import load_limits
 from ..io.mesh import SUFFIXES, check_mesh, read_mesh
 from ..io.meshes import KIND as MESHES
 from ..io.meshes import read_meshes
 from ..io.npz import load_arrays, load_body
+from ..io.prior import KIND as PRIOR
+from ..io.prior import load_prior
 from ..io.registry import MOTION_READERS, SKELETON_READERS, read_motion, read_skeleton
 from ..io.subject import KIND as SUBJECT
 from ..io.subject import load_subject
@@ -26,7 +30,7 @@ from .sources import load_body as load_any_body
 
 @dataclass
 class Info:
-    """Say what is in a file: a mesh, a body, a skeleton, a motion, a subject, or clouds."""
+    """Say what is in a file: a mesh, a body, a skeleton, a motion, a subject, limits, a prior, or clouds."""
 
     file: tyro.conf.Positional[Annotated[str, arg(metavar="FILE")]]
     """A file, a printf pattern or a folder of clouds, or `human`."""
@@ -74,6 +78,18 @@ class Info:
                 f"registered meshes: {len(sequence)} of {sequence.vertices.shape[1]} vertices and "
                 f"{len(sequence.faces)} triangles, the first {_metres(np.ptp(np.asarray(sequence[0]), axis=0))}"
             )
+        elif kind == LIMITS:
+            for surface in load_limits(path).surfaces:
+                keyframes, primitives = surface.centres.shape[:2]
+                coupled = "" if surface.parent is None else f", {keyframes} keyframes of {surface.parent}"
+                say(
+                    f"limits of {surface.joint}: {surface.chart.dimension} angles, {primitives} primitives in voxels from "
+                    f"{np.degrees(4 * float(surface.unit)):.2g} degrees{coupled}"
+                )
+        elif kind == PRIOR:
+            prior = load_prior(path)
+            for (parent, child), weights in zip(prior.pairs, np.asarray(prior.weights), strict=True):
+                say(f"prior of {parent} and {child}: {int((weights > 0).sum())} components")
         elif {"points", "vertices"} & set(arrays):
             _clouds(str(path), self.unit or "m")
         else:
