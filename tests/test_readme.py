@@ -22,3 +22,11 @@ def test_snippets_of_pages_run(checkout, page):
     snippets = re.findall(r"```python\n(.*?)```", (checkout / "docs" / f"{page}.md").read_text(), re.DOTALL)
     assert snippets
     exec(compile("\n".join(snippets), f"{page}.md", "exec"), {})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["limits"])
+def test_notebooks_run(checkout, name, capsys):
+    source = (checkout / "notebooks" / f"{name}.py").read_text()
+    exec(compile(source, f"{name}.py", "exec"), {"__name__": "__main__"})
+    assert "of the frames are beyond" in capsys.readouterr().out
