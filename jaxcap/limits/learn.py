@@ -37,8 +37,8 @@ def learn_limits(
     """Limits of some joints, by name, parents before their children.
 
     **Arguments:** `voxel` and `keyframe` are the widths of the smallest voxels of a joint and of the
-    keyframes of its parent in radians of rotation; where not given, the smallest with which a share
-    `coverage` of each half of the samples is allowed by the other half. `least` samples keep a
+    keyframes of its parent in radians of rotation; where not given, the tightest with which a share
+    `coverage` of blocks that were held out is allowed by the others. `least` samples keep a
     smallest voxel: the threshold of density.
 
     **Raises:** `ValueError` where a joint's rotations wrap, or no voxel has `least` samples.
