@@ -29,6 +29,7 @@ from benchmarks._limits import (
 )
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
+from jaxcap.cli.limits.held import runs_of
 from jaxcap.geometry import rotation
 from jaxcap.limits.boxes import learn_boxes
 from jaxcap.limits.check import allowed_frames
@@ -114,8 +115,7 @@ def questions_of(train: JointSamples, test: JointSamples, whole: JointSamples, s
 
 def _embedded(children: np.ndarray, parents: np.ndarray) -> np.ndarray:
     """Chords between quaternions as distances; a joint's half angles are short of half a turn here."""
-    sign = lambda q: np.where(q[:, :1] < 0, -q, q)  # noqa: E731
-    return np.concatenate([sign(children), sign(parents)], 1)
+    return np.concatenate([np.where(q[:, :1] < 0, -q, q) for q in (children, parents)], 1)
 
 
 def main() -> None:
@@ -167,8 +167,8 @@ def captured(count: int) -> dict[str, float]:
             line = [f"{scheme:12s} allows {100 * good.mean():6.2f} % of the other half, rejects"]
             if scheme == "hierarchy":
                 kept.append(good)
-                outside = np.flatnonzero(~good)
-                out.append((joint, outside, test))
+                outside = ~good
+                out.append((joint, outside))
             for kind, poses in asked.items():
                 no = 100 * (1 - accepted(limits, skeleton, poses).mean())
                 rejected.setdefault((kind, scheme), []).append(no)
@@ -179,8 +179,10 @@ def captured(count: int) -> dict[str, float]:
             f"{parent}:{joint} voxels of {widths} degrees, {[s.centres.shape[:2] for s in together.surfaces]}"
         )
         clear_compiled()
-    for joint, outside, _ in out:
-        progress(f"{joint}: {len(outside)} frames of the other half are beyond the limits: {_runs(outside)}")
+    for joint, outside in out:
+        progress(
+            f"{joint}: {outside.sum()} frames of the other half are beyond the limits: {runs_of(outside, 6)}"
+        )
     figures = {
         f"{kind.replace(' ', '_')}_{scheme}": float(np.mean(v)) for (kind, scheme), v in rejected.items()
     }
@@ -191,15 +193,6 @@ def captured(count: int) -> dict[str, float]:
         figures["never_together_hierarchy"] - figures["never_together_boxes"]
     )
     return figures
-
-
-def _runs(frames: np.ndarray) -> str:
-    """Frames as runs, the longest first."""
-    if not len(frames):
-        return "none"
-    runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
-    runs.sort(key=len, reverse=True)
-    return ", ".join(f"{run[0]}-{run[-1]}" for run in runs[:6]) + (", ..." if len(runs) > 6 else "")
 
 
 if __name__ == "__main__":

@@ -79,11 +79,9 @@ class Contender(eqx.Module):
         limits = None if self.limits is None else jc.JointLimits(self.limits)
         if self.strict:
             groups = (data,) if limits is None else (limits, data)
-            step = lambda _, pose: priority_step(groups, body, pose)  # noqa: E731
-        else:
-            energy = data if limits is None else data + (1 / BEYOND**2) * limits
-            step = lambda _, pose: gauss_newton_step(energy, body, pose)  # noqa: E731
-        return jax.lax.fori_loop(0, STEPS, step, pose)
+            return jax.lax.fori_loop(0, STEPS, lambda _, pose: priority_step(groups, body, pose), pose)
+        energy = data if limits is None else data + (1 / BEYOND**2) * limits
+        return jax.lax.fori_loop(0, STEPS, lambda _, pose: gauss_newton_step(energy, body, pose), pose)
 
 
 class Outcome(NamedTuple):

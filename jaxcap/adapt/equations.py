@@ -129,3 +129,8 @@ def _rows(body: Body, pose: Pose, pairs: Pairs, follow: Follow | None):
 def stack(parts: Sequence):
     """Poses or pairs of single frames as those of all, leaf by leaf."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
+
+
+def unstack(whole, count: int) -> list:
+    """What `stack` made one of, frame by frame."""
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], whole) for i in range(count)]

@@ -1,26 +1,26 @@
 """A template becomes the actor of a sequence of scans, in two passes (Adaptation, 4.1.4 and 4.2.1)."""
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..body.body import Body, pose_body
+from ..body.body import Body
+from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose, stack_poses
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Matching, Scan, make_scan
 from ..fit.sequence import track_frames
 from ..fit.track import make_tracker
 from ..observe import Cloud
-from .equations import Follow, make_follow, stack
+from .equations import Follow, make_follow, stack, unstack
 from .joints import Beside, Trust, adapt_joints, centres_beside, make_beside
 from .pose import fit_pose, mean_square, pairs_of
 from .shape import ShapePrior, adapt_shape, own_shape_prior
 from .size import fit_size, resized
-from .window import smooth_poses, temporal_energy
+from .window import FRAMES, smooth_poses, temporal_energy
 
 #: frames that the actor's size is read from
 SIZED = 3
@@ -123,7 +123,7 @@ def plan(settings: Settings) -> list[tuple]:
 def spread_frames(state: AdaptState, count: int) -> tuple[int, ...]:
     """Frames with poses as unlike each other as can be, each the furthest from those before; none that is lost."""
     there = [n for n in range(len(state.motion)) if n not in state.lost] or [0]
-    joints = np.asarray(_joints(state.body, state.motion.poses), float)[there]
+    joints = np.asarray(joint_paths(state.body.skeleton, state.motion.poses), float)[there]
     joints = (joints - joints[:, :1]).reshape(len(there), -1)
     chosen = [0]
     apart = np.linalg.norm(joints - joints[0], axis=1)
@@ -190,7 +190,7 @@ def _adapt(task: Task, state: AdaptState, held: _Held, number: int, step: int) -
     body, moved = adapt_joints(
         body, stack(poses), pairs, task.prior, held.follow, task.mirrored, expected, trust
     )
-    poses = [jax.tree.map(lambda leaf, i=i: leaf[i], moved) for i in range(len(chosen))]
+    poses = unstack(moved, len(chosen))
     if number > 0 or step >= JOINTS_ALONE:
         pairs = stack([pairs_of(body, p, s, settings.matching) for p, s in zip(poses, scans, strict=True)])
         body = adapt_shape(body, stack(poses), pairs, held.shape, shape_weight(settings, number, step))
@@ -238,8 +238,11 @@ def _smooth(task: Task, state: AdaptState) -> AdaptState:
         rough = float(temporal_energy(body.skeleton, stack(poses)))
         temporal = BALANCE * (state.history[-1][1] / 1000) ** 2 / max(rough, 1e-12)
 
+    # every frame is in some windows, and in each as often as it has steps
+    scan_at = functools.lru_cache(FRAMES)(lambda frame: make_scan(task.cloud(frame)))
+
     def pairs_at(frame: int, pose: Pose):
-        return pairs_of(body, pose, make_scan(task.cloud(frame)), settings.matching)
+        return pairs_of(body, pose, scan_at(frame), settings.matching)
 
     smooth = smooth_poses(body, poses, pairs_at, task.prior, settings.pose, temporal)
     return _told(task, state._replace(motion=stack_poses(smooth, task.rate)), "smooth")
@@ -260,8 +263,3 @@ def _distance(body: Body, poses: Sequence[Pose], scans: Sequence[Scan], settings
         for pose, scan in zip(poses, scans, strict=True)
     ]
     return 1000 * float(np.sqrt(np.mean(told)))
-
-
-@eqx.filter_jit
-def _joints(body: Body, poses: Pose):
-    return jax.lax.map(lambda pose: pose_body(body, pose).joints, poses)

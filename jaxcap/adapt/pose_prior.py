@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
-from ..body.pose import Motion, Pose
-from ..body.pose_boxes import PoseBoxes, make_pose_boxes, own_vectors, turning_joints
+from ..body.pose import Motion, Pose, own_vectors
+from ..body.pose_boxes import PoseBoxes, make_pose_boxes, turning_joints
 from ..body.skeleton import Skeleton
 from .choose import Chosen, choose_mixture
 from .mixtures import FLOOR

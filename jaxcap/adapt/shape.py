@@ -14,7 +14,7 @@ from ..body.body import Body, deform_all
 from ..body.pose import Pose
 from ..edit.sample import sample_poses
 from ..fit.correspond import Pairs
-from ..geometry.laplacian import vertex_adjacency
+from ..geometry.laplacian import laplacian_matrix, vertex_adjacency
 from .equations import pair_rows, vertex_maps
 
 
@@ -31,9 +31,7 @@ def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]
     """The Laplacian vectors (eq. 4.2) of registered meshes of the template in known poses."""
     count = len(body.vertices)
     adjacency = vertex_adjacency(np.asarray(body.faces), count)
-    shares = 1.0 / np.maximum(np.diff(adjacency.indptr), 1)
-    matrix = scipy.sparse.identity(count) - scipy.sparse.diags(shares) @ adjacency
-    matrix = scipy.sparse.csr_matrix(matrix)
+    matrix = scipy.sparse.csr_matrix(laplacian_matrix(adjacency))
     return ShapePrior(matrix, poses, np.stack([matrix @ np.asarray(mesh, float) for mesh in meshes]))
 
 

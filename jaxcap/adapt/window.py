@@ -14,7 +14,7 @@ from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs
 from ..fit.problem import linearise
 from ..geometry import rotation
-from .equations import pose_equations, stack
+from .equations import pose_equations, stack, unstack
 
 #: frames of a window, and by how many the next one is further on
 FRAMES, STRIDE = 11, 5
@@ -57,7 +57,7 @@ def smooth_poses(
                 jnp.asarray(temporal, float),
                 jnp.asarray(start > 0),
             )
-            window = [jax.tree.map(lambda leaf, i=i: leaf[i], moved) for i in range(stop - start)]
+            window = unstack(moved, stop - start)
         poses[start:stop] = window
         if stop == len(poses):
             break

@@ -39,15 +39,9 @@ class Chart(eqx.Module):
         relative = rotation.multiply(rotation.conjugate(self.middle), turned)
         if self.kind == "ball":
             return jnp.where(relative[0] < 0, -relative[1:], relative[1:])
-        first, second = self.axes
         if self.kind == "hinge":
-            return jnp.zeros(3, turned.dtype).at[0].set(rotation.angle_about(relative, first) / 2)
-        moved = rotation.rotate(relative, second)
-        across = second - jnp.sum(first * second) * first
-        a = jnp.arctan2(jnp.sum(jnp.cross(first, across) * moved), jnp.sum(across * moved))
-        left = rotation.multiply(rotation.about_axis(first, -a), relative)
-        b = rotation.angle_about(left, second)
-        return jnp.stack([a / 2, b / 2, jnp.zeros_like(a)])
+            return jnp.zeros(3, turned.dtype).at[0].set(rotation.angle_about(relative, self.axes[0]) / 2)
+        return jnp.append(rotation.angles_about(relative, *self.axes) / 2, jnp.zeros((), turned.dtype))
 
     def rotation(self, place: Float[Array, "3"]) -> Float[Array, "4"]:
         """The rotation at a place: `coordinates(rotation(x)) = x` within the chart."""

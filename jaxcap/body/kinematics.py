@@ -1,6 +1,7 @@
 """Forward kinematics, batched over all joints of a level of the tree."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -85,3 +86,9 @@ def world_axes(
     rotations = jnp.where(kind == "revolute", jnp.stack([first, none, none], 1), rotations)
     rotations = jnp.where(kind == "universal", jnp.stack([first, second, none], 1), rotations)
     return translations, rotations
+
+
+@jax.jit
+def joint_paths(skeleton: Skeleton, poses: Pose) -> Float[Array, "F J 3"]:
+    """The world positions of the joint centres in every pose of a stack, metres."""
+    return jax.lax.map(lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose)), poses)

@@ -43,16 +43,14 @@ class LimitSurface(eqx.Module):
     #: densities at the training samples, sorted, for the comfort of a pose
     densities: Float[Array, "Q"]
 
-    def shares(self, parent: Float[Array, "3"] | None) -> Float[Array, "V"]:
+    def shares(self, parent: Float[Array, "3"]) -> Float[Array, "V"]:
         """How much of each keyframe is in the limits at a place of the parent; sums to one."""
-        if parent is None:
-            return jnp.ones(1, self.centres.dtype)
         apart = jnp.sum((self.keys - parent) ** 2, -1)
         return jax.nn.softmax(-0.5 * apart / self.reach**2)
 
     def primitives(self, parent: Float[Array, "3"] | None) -> Primitives:
         """The surface at a place of the parent."""
-        if len(self.centres) == 1:
+        if parent is None:
             centres, thickness = self.centres[0], self.thickness[0]
         else:
             shares = self.shares(parent)
@@ -111,12 +109,12 @@ def density(
 ) -> Float[Array, ""]:
     """How densely samples lie about a place, up to a factor."""
     # a sample's own voxel is two units wide
-    near = jnp.exp(-0.125 * jnp.sum((surface.centres[0] - place) ** 2, -1) / surface.unit**2)
-    if parent is None:
-        return surface.counts[0] @ near
-    keys = jnp.exp(-0.5 * jnp.sum((surface.keys - parent) ** 2, -1) / surface.reach**2)
     near = jnp.exp(-0.125 * jnp.sum((surface.centres - place) ** 2, -1) / surface.unit**2)
-    return keys @ jnp.sum(surface.counts * near, -1)
+    by_key = jnp.sum(surface.counts * near, -1)
+    if parent is None:
+        return by_key[0]
+    keys = jnp.exp(-0.5 * jnp.sum((surface.keys - parent) ** 2, -1) / surface.reach**2)
+    return keys @ by_key
 
 
 def _comfort(surface: LimitSurface, place, parent) -> Float[Array, ""]:

@@ -21,22 +21,25 @@ def nearest_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"
     is met on the straight way to the point, and followed to where that way leaves it at right
     angles.
     """
-    inside = lambda x: field(primitives, x) >= primitives.level + ABOVE / 2  # noqa: E731
-    ball = lambda x: _nearest_ball(primitives, chart, x)  # noqa: E731
-    apart = lambda x: chart.squared_distance(x, point)  # noqa: E731
+
+    def inside(x):
+        return field(primitives, x) >= primitives.level + ABOVE / 2
+
+    def apart(x):
+        return chart.squared_distance(x, point)
 
     def improve(_, place):
         edge = _furthest(inside, place, chart.image(point, place))
         normal = _unit(jax.grad(lambda x: field(primitives, x))(edge))
         down = -jax.grad(apart)(edge) / 2
         aside = edge + down - jnp.sum(down * normal) * normal
-        aside = jnp.where(inside(aside), aside, ball(aside))
+        aside = jnp.where(inside(aside), aside, _nearest_ball(primitives, chart, aside))
         best = jnp.where(apart(edge) < apart(place), edge, place)
         return jnp.where(inside(aside) & (apart(aside) < apart(best)), aside, best)
 
     # on a line there is no way aside
     rounds = 1 if chart.dimension == 1 else ROUNDS
-    return jax.lax.fori_loop(0, rounds, improve, ball(point))
+    return jax.lax.fori_loop(0, rounds, improve, _nearest_ball(primitives, chart, point))
 
 
 def _nearest_ball(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..geometry import rotation
-from .pose import Pose
-from .pose_boxes import own_vectors, turning_joints
+from .pose import Pose, own_vectors
+from .pose_boxes import turning_joints
 from .skeleton import Skeleton
 
 #: a joint whose own frame is turned by more than this, radians, is at rest in another pose

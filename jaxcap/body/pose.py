@@ -128,21 +128,14 @@ def revolute_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J"]:
 
 
 def universal_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 2"]:
-    """The two angles of universal joints, with `R = Rot(axis 0, first) Rot(axis 1, second)`.
+    """The two angles of universal joints, with `R = Rot(axis 0, first) Rot(axis 1, second)`; rows of
+    other joints have no meaning."""
+    return rotation.angles_about(pose.rotations, skeleton.axes[:, 0], skeleton.axes[:, 1])
 
-    Well defined everywhere: the second axis, perpendicular in part to the first, shows the
-    first angle wherever the second one stands. Rows of other joints have no meaning.
-    """
-    first_axis, second_axis = skeleton.axes[:, 0], skeleton.axes[:, 1]
-    along = jnp.sum(first_axis * second_axis, -1, keepdims=True)
-    across = second_axis - along * first_axis
-    moved = rotation.rotate(pose.rotations, second_axis)
-    sine = jnp.sum(jnp.cross(first_axis, across) * moved, -1)
-    cosine = jnp.sum(across * moved, -1)
-    undefined = sine**2 + cosine**2 < 1e-20
-    first = jnp.arctan2(jnp.where(undefined, 0.0, sine), jnp.where(undefined, 1.0, cosine))
-    rest = rotation.multiply(rotation.about_axis(first_axis, -first), pose.rotations)
-    return jnp.stack([first, rotation.angle_about(rest, second_axis)], -1)
+
+def own_vectors(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 3"]:
+    """Every joint's turn from rest as a rotation vector in the joint's own frame, radians."""
+    return rotation.rotate(rotation.conjugate(skeleton.orientations), rotation.log(pose.rotations))
 
 
 def _rotation_vectors(skeleton: Skeleton, numbers: Float[Array, "J 3"]) -> Float[Array, "J 3"]:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ..geometry import rotation
 from .limits import AbstractLimits
-from .pose import Pose
+from .pose import Pose, own_vectors
 from .skeleton import KINDS, Skeleton
 
 
@@ -57,11 +57,6 @@ def make_pose_boxes(
         if not (low <= high).all():
             raise ValueError(f"The box of joint '{name}' goes from {low} down to {high}; swap them.")
     return PoseBoxes(tuple(joints), jnp.asarray(lower, float), jnp.asarray(upper, float))
-
-
-def own_vectors(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 3"]:
-    """Every joint's turn from rest as a rotation vector in the joint's own frame, radians."""
-    return rotation.rotate(rotation.conjugate(skeleton.orientations), rotation.log(pose.rotations))
 
 
 def turning_joints(skeleton: Skeleton) -> tuple[int, ...]:

@@ -13,6 +13,7 @@ from ..body.anatomy import rest_deviations
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
+from ..edit.joint_names import twin_joints
 from ..edit.retarget import retarget
 from ..energy.pair_prior import MahalanobisPrior
 from ..energy.prior import RestPrior
@@ -199,13 +200,11 @@ def first_pose(path: Path, skeleton: Skeleton) -> Pose:
 
 
 def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
-    """Pairs of joints that are called alike but for `Left` and `Right`, or a leading L and R."""
-    names, found = skeleton.names, []
-    for left, right in (("Left", "Right"), ("L", "R"), ("left", "right"), ("l", "r")):
-        for joint, name in enumerate(names):
-            other = right + name[len(left) :]
-            if name.startswith(left) and other in names and not any(joint in pair for pair in found):
-                found.append((joint, names.index(other)))
+    """Pairs of joints of the left and the right, each joint in one of them at most."""
+    found: list[tuple[int, int]] = []
+    for pair in twin_joints(skeleton.names):
+        if not any(joint in other for other in found for joint in pair):
+            found.append(pair)
     return tuple(found)
 
 

@@ -13,7 +13,7 @@ import tyro
 from jaxtyping import Float
 
 from ..body.body import Body, pose_body
-from ..body.kinematics import forward_kinematics, joint_positions
+from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose, project
 from ..body.skeleton import Skeleton
 from ..errors import InputError
@@ -30,11 +30,6 @@ from .sources import load_body, up_rotation
 SAME_BODY = 0.01
 
 _pose_body = eqx.filter_jit(pose_body)
-
-
-@eqx.filter_jit
-def _joints(skeleton: Skeleton, poses: Pose) -> Float[jax.Array, "F J 3"]:
-    return jax.lax.map(lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose)), poses)
 
 
 @dataclass
@@ -99,7 +94,7 @@ class Evaluate:
         if truth is not None:
             names, there = truth
             places = [body.skeleton.names.index(name) for name in names]
-            errors = joint_errors(np.asarray(_joints(body.skeleton, motion.poses))[:, places], there)
+            errors = joint_errors(np.asarray(joint_paths(body.skeleton, motion.poses))[:, places], there)
             joints = distance_summary(errors.reshape(-1))
             rows.append(_line("joint centres", joints))
             report["joint_centres"] = {
@@ -144,14 +139,14 @@ def read_motion_of(body: Body, path: Path) -> Motion:
             source = skeleton.names.index(name)
             rotations[:, joint] = motion.poses.rotations[:, source]
             translations[:, joint] = motion.poses.translations[:, source]
-    there = np.asarray(_joints(skeleton, motion.poses))
+    there = np.asarray(joint_paths(skeleton, motion.poses))
     root = there[:, skeleton.names.index(target.names[0])]
     translations[:, 0] = root - np.asarray(target.centres)[0]
     dtype = target.centres.dtype
     poses = Pose(jnp.asarray(translations, dtype), jnp.asarray(rotations, dtype), jnp.ones(count, dtype))
     poses = jax.vmap(functools.partial(project, target))(poses)
     shared = [name for name in target.names if name in skeleton.names]
-    here = np.asarray(_joints(target, poses))[:, [target.names.index(name) for name in shared]]
+    here = np.asarray(joint_paths(target, poses))[:, [target.names.index(name) for name in shared]]
     _same_places(path, here, there[:, [skeleton.names.index(name) for name in shared]])
     return Motion(poses, motion.rate)
 
@@ -177,7 +172,7 @@ def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], 
             )
     else:
         own, motion = read_motion(path)
-        names, joints = list(own.names), np.asarray(_joints(own, motion.poses))
+        names, joints = list(own.names), np.asarray(joint_paths(own, motion.poses))
     if len(joints) != frames:
         raise InputError(f"{path}: the truth has {len(joints)} frames and the motion {frames}.")
     shared = [name for name in names if name in skeleton.names]

@@ -31,14 +31,7 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
     **Raises:** `InputError` where it cannot be written to, or holds results that are neither to
     be gone on with nor to be replaced.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not os.access(folder, os.W_OK):
-            raise PermissionError(13, "Permission denied")
-    except OSError as error:
-        raise InputError(
-            f"{folder}: this folder cannot be written to ({error.strerror}); give another one."
-        ) from None
+    make_writable(folder)
     there = [name for name in (*FILES, journal) if (folder / name).exists()]
     if there and not (resume or overwrite):
         what = "an unfinished run" if there == [journal] else "the results of a run"
@@ -53,6 +46,18 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
         for name in there:
             (folder / name).unlink()
     return folder / journal
+
+
+def make_writable(folder: Path) -> None:
+    """A folder that can be written to, made where it is not there. Raises `InputError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(13, "Permission denied")
+    except OSError as error:
+        raise InputError(
+            f"{folder}: this folder cannot be written to ({error.strerror}); give another one."
+        ) from None
 
 
 def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:

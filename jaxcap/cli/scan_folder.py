@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from ..io.atomic import replacing
 from ..io.mesh import read_mesh
 from ..io.table import write_json
 from ..io.text import read_text
+from .results import make_writable
 
 #: what the scans were made with
 HEADER = "scan.json"
@@ -37,14 +37,7 @@ def begin_folder(
     **Raises:** `InputError` where it cannot be written to, holds scans that are neither to be gone on
     with nor to be replaced, or ones that were made with something else.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not os.access(folder, os.W_OK):
-            raise PermissionError(13, "Permission denied")
-    except OSError as error:
-        raise InputError(
-            f"{folder}: this folder cannot be written to ({error.strerror}); give another one."
-        ) from None
+    make_writable(folder)
     header = {**settings, **fingerprint(inputs)}
     scans = [path for path in folder.iterdir() if _SCAN.match(path.name)]
     there = [*scans, *(folder / name for name in FILES if (folder / name).exists())]

@@ -82,20 +82,23 @@ def match_names(
 
 def sided(names: Sequence[str]) -> list[bool]:
     """Whether each joint has a twin on the other side of the body, by the names."""
-    there = set(names)
-    swaps = [("Left", "Right"), ("left", "right"), ("L", "R"), ("l", "r")]
-    swaps += [(right, left) for left, right in swaps]
+    twins = {joint for pair in twin_joints(names) for joint in pair}
+    return [joint in twins for joint in range(len(names))]
 
-    def twin(name: str) -> bool:
-        for one, other in swaps:
-            start = name.find(one)
+
+def twin_joints(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Joints of the left with those of the right that are called alike but for the side."""
+    places = {name: joint for joint, name in enumerate(names)}
+    found = []
+    for left, right in (("Left", "Right"), ("left", "right"), ("L", "R"), ("l", "r")):
+        for joint, name in enumerate(names):
+            start = name.find(left)
             while start >= 0:
-                if name[:start] + other + name[start + len(one) :] in there:
-                    return True
-                start = name.find(one, start + 1)
-        return False
-
-    return [twin(name) for name in names]
+                twin = name[:start] + right + name[start + len(left) :]
+                if twin in places:
+                    found.append((joint, places[twin]))
+                start = name.find(left, start + 1)
+    return found
 
 
 def plain_name(name: str) -> str:

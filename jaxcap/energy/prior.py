@@ -4,9 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..body.body import Posed
-from ..body.pose import Pose, difference
+from ..body.pose import Pose, difference, own_vectors
 from ..body.skeleton import Skeleton, dof_layout
-from ..geometry import rotation
 from .term import AbstractEnergy
 
 
@@ -32,9 +31,7 @@ class RestPrior(AbstractEnergy):
     deviations: Float[Array, "J 3"]
 
     def residual(self, posed: Posed):
-        inverse = rotation.conjugate(posed.body.skeleton.orientations)
-        own = rotation.rotate(inverse, rotation.log(posed.pose.rotations))
-        return (own / self.deviations).reshape(-1)
+        return (own_vectors(posed.body.skeleton, posed.pose) / self.deviations).reshape(-1)
 
 
 def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:

@@ -43,7 +43,7 @@ def make_conformance(faces: Int[np.ndarray, "F 3"], num_vertices: int, alpha: fl
     rows = np.repeat(np.arange(num_vertices), counts)
     neighbours[rows, np.arange(len(rows)) - adjacency.indptr[rows]] = adjacency.indices
     shares = np.where(counts > 0, 1.0 / np.maximum(counts, 1), 0.0)
-    laplacian = _laplacian_matrix(adjacency)
+    laplacian = laplacian_matrix(adjacency)
     squares = np.asarray(laplacian.multiply(laplacian).sum(0)).ravel()
     return Conformance(
         jnp.asarray(neighbours),
@@ -84,7 +84,7 @@ def energy(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, ""]:
 def matrix(metric: Conformance) -> scipy.sparse.csr_array:
     """`A (V, V)` as a sparse matrix."""
     count = len(metric.neighbours)
-    operator = _laplacian_matrix(_adjacency(neighbour_pairs(metric), count))
+    operator = laplacian_matrix(_adjacency(neighbour_pairs(metric), count))
     identity = scipy.sparse.eye_array(count, format="csr")
     return (identity + float(metric.alpha) * (operator.T @ operator)).tocsr()
 
@@ -110,7 +110,8 @@ def _adjacency(edges: Int[np.ndarray, "E 2"], num_vertices: int) -> scipy.sparse
     return adjacency
 
 
-def _laplacian_matrix(adjacency: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
+def laplacian_matrix(adjacency: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
+    """`(V, V)` the uniform Laplacian `L` (eq. 3.20) of a `vertex_adjacency`; zero for a vertex without neighbours."""
     counts = np.asarray(adjacency.sum(1)).ravel()
     inverse = np.where(counts > 0, 1.0 / np.maximum(counts, 1), 0.0)
     inside = scipy.sparse.diags_array((counts > 0).astype(float))

@@ -96,6 +96,22 @@ def angle_about(q: Quaternion, axis: Vector) -> Float[Array, "*shape"]:
     return 2.0 * jnp.arctan2(jnp.where(undefined, 0.0, sign * s), jnp.where(undefined, 1.0, sign * w))
 
 
+def angles_about(q: Quaternion, first: Vector, second: Vector) -> Float[Array, "*shape 2"]:
+    """The two angles of `q = Rot(first, a) Rot(second, b)` about unit axes, in `[-pi, pi]` radians.
+
+    Well defined everywhere: the second axis, perpendicular in part to the first, shows the first
+    angle wherever the second one stands.
+    """
+    along = jnp.sum(first * second, -1, keepdims=True)
+    across = second - along * first
+    moved = rotate(q, second)
+    sine = jnp.sum(jnp.cross(first, across) * moved, -1)
+    cosine = jnp.sum(across * moved, -1)
+    undefined = sine**2 + cosine**2 < 1e-20
+    a = jnp.arctan2(jnp.where(undefined, 0.0, sine), jnp.where(undefined, 1.0, cosine))
+    return jnp.stack([a, angle_about(multiply(about_axis(first, -a), q), second)], -1)
+
+
 def swing_twist(q: Quaternion, axis: Vector) -> tuple[Quaternion, Quaternion]:
     """Split `q = swing * twist`: the twist turns about `axis`, the swing about a
     perpendicular of it (Adaptation, section 3.1).

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..body.euler_boxes import EulerBox, EulerBoxes, euler_angles, make_euler_boxes
 from ..body.limits import JointRanges, make_joint_ranges
-from ..body.pose import Pose, revolute_angles, universal_angles
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
 from .samples import JointSamples
@@ -42,13 +41,8 @@ def _box(samples: JointSamples, frame: np.ndarray) -> EulerBox:
 
 
 def _angles(skeleton: Skeleton, samples: JointSamples) -> np.ndarray:
-    joint = skeleton.index(samples.joint)
-    still = jnp.tile(rotation.identity(), (skeleton.num_joints, 1))
-
-    def angles(turned):
-        pose = Pose(jnp.zeros((skeleton.num_joints, 3)), still.at[joint].set(turned), jnp.ones(()))
-        if samples.kind == "revolute":
-            return revolute_angles(skeleton, pose)[joint, None]
-        return universal_angles(skeleton, pose)[joint]
-
-    return np.asarray(jax.vmap(angles)(jnp.asarray(samples.rotations)))
+    first, second = skeleton.axes[skeleton.index(samples.joint)]
+    turned = jnp.asarray(samples.rotations)
+    if samples.kind == "revolute":
+        return np.asarray(jax.vmap(rotation.angle_about, (0, None))(turned, first))[:, None]
+    return np.asarray(jax.vmap(rotation.angles_about, (0, None, None))(turned, first, second))

@@ -1,5 +1,8 @@
 """Which joints of which frames of a motion are beyond limits."""
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 from jaxtyping import Array, Bool, Float
@@ -16,27 +19,27 @@ BATCH = 256
 @eqx.filter_jit
 def allowed_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Bool[Array, "F J"]:
     """Whether each joint is within its limits in each frame; joints without limits are."""
-    return _over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
+    return over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
 
 
 @eqx.filter_jit
 def residual_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F C"]:
     """How far each frame is beyond each limit, about radians; `limits.owners` tells whose they are."""
-    return _over_frames(lambda pose: limits.residual(skeleton, pose), motion)
+    return over_frames(lambda pose: limits.residual(skeleton, pose), motion)
 
 
 @eqx.filter_jit
 def comfort_frames(limits: SurfaceLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F S"]:
     """The comfort of each frame by each learned surface: see `comfort`."""
-    return _over_frames(lambda pose: comfort(limits, skeleton, pose), motion)
+    return over_frames(lambda pose: comfort(limits, skeleton, pose), motion)
 
 
 @eqx.filter_jit
 def nearest_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Motion:
     """Every frame by itself turned back to the nearest pose that is allowed."""
-    return Motion(_over_frames(lambda pose: limits.nearest(skeleton, pose), motion), motion.rate)
+    return Motion(over_frames(lambda pose: limits.nearest(skeleton, pose), motion), motion.rate)
 
 
-def _over_frames(function, motion: Motion):
-    poses: Pose = motion.poses
-    return jax.lax.map(function, poses, batch_size=BATCH)
+def over_frames(function: Callable[[Pose], Any], motion: Motion) -> Any:
+    """A function of one pose at every frame of a motion."""
+    return jax.lax.map(function, motion.poses, batch_size=BATCH)

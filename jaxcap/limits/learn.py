@@ -165,5 +165,4 @@ def _with_densities(surface: LimitSurface, places, parents) -> LimitSurface:
 
 @jax.jit
 def _densities(surface: LimitSurface, places, parents):
-    one = lambda at: density(surface, at[0], at[1])  # noqa: E731
-    return jax.lax.map(one, (places, parents))
+    return jax.lax.map(lambda at: density(surface, *at), (places, parents))

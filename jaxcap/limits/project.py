@@ -9,7 +9,7 @@ from ..body.limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
-from .check import BATCH
+from .check import nearest_frames, over_frames
 
 #: rounds of smoothing what is turned back, each followed by turning back what is still beyond
 ROUNDS = 4
@@ -31,8 +31,8 @@ def project_motion(
     every frame by itself.
     """
     poses = motion.poses
-    within = _each(lambda pose: allowed(limits, skeleton, pose), poses)
-    nearest = _each(lambda pose: limits.nearest(skeleton, pose), poses)
+    within = over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
+    nearest = nearest_frames(limits, skeleton, motion).poses
     if smoothness <= 0 or rounds <= 0 or len(motion) < 2:
         return Motion(nearest, motion.rate)
     weight = (smoothness * motion.rate) ** 2
@@ -43,13 +43,9 @@ def project_motion(
         moved = rotation.multiply(poses.rotations, rotation.exp(turns))
         kept = jnp.where(within[..., None], poses.rotations, rotation.normalise(moved))
         drawn = Pose(poses.translations, kept, poses.scale)
-        return _each(lambda pose: limits.nearest(skeleton, pose), drawn)
+        return nearest_frames(limits, skeleton, Motion(drawn, motion.rate)).poses
 
     return Motion(jax.lax.fori_loop(0, rounds, again, nearest), motion.rate)
-
-
-def _each(function, poses: Pose):
-    return jax.lax.map(function, poses, batch_size=BATCH)
 
 
 def _smooth(

@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-import jax
 import numpy as np
 
-from ..body.kinematics import forward_kinematics, joint_positions
+from ..body.kinematics import joint_paths
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..io.atomic import replacing
@@ -32,7 +31,7 @@ def draw_strip(
     chosen = np.flatnonzero(marked.any(1))
     chosen = chosen if len(chosen) else np.arange(len(before))
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(SHOWN, len(chosen))).astype(int))]
-    rows = [np.asarray(_joints(skeleton, motion), float)[chosen] for motion in (before, after)]
+    rows = [np.asarray(joint_paths(skeleton, motion.poses), float)[chosen] for motion in (before, after)]
     axes = view_axes(rows[0][0])
     canvas, figure = new_figure(1.7 * len(chosen) + 0.3, 5.4)
     plots = figure.subplots(2, len(chosen), squeeze=False)
@@ -52,9 +51,3 @@ def draw_strip(
     figure.subplots_adjust(left=0.01, right=0.99, top=0.88, bottom=0.02, wspace=0.02, hspace=0.04)
     with replacing(Path(path)) as beside:
         canvas.print_png(beside)
-
-
-@jax.jit
-def _joints(skeleton: Skeleton, motion: Motion):
-    one = lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose))  # noqa: E731
-    return jax.lax.map(one, motion.poses)

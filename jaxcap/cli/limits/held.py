@@ -12,6 +12,7 @@ from ...errors import InputError
 from ...io.limits import read_limits
 from ...io.registry import read_motion
 from ...limits.check import allowed_frames, residual_frames
+from ...markers.gaps import runs
 from ..options import arg
 
 LimitsFile = Annotated[Path, arg(aliases=("-l",), metavar="FILE")]
@@ -48,10 +49,6 @@ def judge(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> Held:
 
 def runs_of(frames: np.ndarray, most: int = 4) -> str:
     """Marked frames as runs, the longest first: `12-40, 3`."""
-    numbers = np.flatnonzero(frames)
-    if not len(numbers):
-        return "-"
-    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
-    runs.sort(key=len, reverse=True)
-    text = ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs[:most])
-    return text + (", ..." if len(runs) > most else "")
+    found = sorted(runs(np.asarray(frames)), key=lambda run: run[0] - run[1])
+    text = ", ".join(f"{first}-{end - 1}" if end - first > 1 else f"{first}" for first, end in found[:most])
+    return (text or "-") + (", ..." if len(found) > most else "")

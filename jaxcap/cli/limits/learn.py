@@ -15,7 +15,7 @@ from ...limits.charts import chart_places
 from ...limits.learn import COVERAGE, learn_limits
 from ...limits.marker_frames import arm_samples
 from ...limits.samples import JointSamples, gather_samples, parse_joints, spans
-from ..fit import make_folder
+from ..fit import check_out, make_folder
 from ..options import Flag, OptionalUnit, arg
 from ..say import say, table, warn
 
@@ -84,10 +84,7 @@ class Learn:
         """That options are in their ranges and go together. Raises `InputError`."""
         if not self.motions:
             raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
-        if self.out.suffix.lower() != ".npz":
-            raise InputError(f"{self.out}: limits are written as .npz; give a name that ends in it.")
-        if self.out.exists() and not self.overwrite:
-            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+        check_out(self.out, self.overwrite, "a set of limits")
         for name, width in (("--voxel", self.voxel), ("--keyframe", self.keyframe)):
             if width is not None and not 0.1 <= width <= 90:
                 raise InputError(f"{name} is {width:g}; it must be between 0.1 and 90 degrees.")
