@@ -13,39 +13,60 @@ from jaxcap.adapt.equations import (
     make_follow,
     moved_joints,
     pair_energy,
+    pair_rows,
+    pose_equations,
     shared_equations,
     stack,
+    unstack,
     vertex_maps,
 )
 from jaxcap.adapt.joints import Trust, adapt_joints, centres_beside, make_beside
 from jaxcap.adapt.loop import Settings, Task, adapt_body, plan, shape_weight
 from jaxcap.adapt.pose import fit_pose, mean_square, pairs_of
 from jaxcap.adapt.shape import adapt_shape, own_shape_prior
-from jaxcap.adapt.size import fit_size, resized
+from jaxcap.adapt.size import fit_size, resized, size_equation
 from jaxcap.adapt.window import smooth_poses, temporal_energy
 from jaxcap.body.pose import retract
 from jaxcap.cli.adapt import mirrored_joints
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.correspond import Matching, Pairs, make_scan
+from jaxcap.fit.correspond import (
+    Matching,
+    NearestOnSurface,
+    Pairs,
+    SoftAssignment,
+    make_scan,
+    places_on,
+)
+from jaxcap.geometry.mesh import mesh_edges
 
 BODY = chain_body("swing_twist")
 PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))
+ON_SURFACE = Matching(assignment=NearestOnSurface())
+SOFT = Matching(assignment=SoftAssignment(sigma=0.01))
 
 
-def some_pairs(rng, count: int = 40) -> Pairs:
-    rows = jnp.asarray(rng.integers(0, len(BODY.vertices), count), jnp.int32)
+def some_pairs(rng, count: int = 40, corners: int = 1) -> Pairs:
+    """Pairs at vertices, or in triangles, some of them at a corner that is there three times."""
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    weights = jnp.asarray(rng.uniform(0, 1, count)).at[:4].set(0.0)
-    points = BODY.vertices[rows] + 0.05 * rng.normal(size=(count, 3))
-    return Pairs(rows, jnp.asarray(points), jnp.asarray(normals), weights)
+    weights = rng.uniform(0, 1, count) * (np.arange(count) >= 4)
+    if corners == 1:
+        rows, shares = rng.integers(0, len(BODY.vertices), (count, 1)), np.ones((count, 1))
+    else:
+        rows = np.asarray(BODY.faces)[rng.integers(0, len(BODY.faces), count)]
+        shares = rng.dirichlet(np.ones(3), count)
+        rows[4:8] = rows[4:8, :1]
+    points = np.einsum("ck,cka->ca", shares, np.asarray(BODY.vertices)[rows])
+    points += 0.05 * rng.normal(size=(count, 3))
+    return Pairs(jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights)))
 
 
-def test_equations_of_poses_and_joints_against_central_differences(rng):
+@pytest.mark.parametrize("corners", [1, 3])
+def test_equations_of_poses_and_joints_against_central_differences(rng, corners):
     """The gradient of the pairs' energy by every number of the pose and every shift of a joint."""
-    pairs, follow = some_pairs(rng), make_follow(BODY)
+    pairs, follow = some_pairs(rng, corners=corners), make_follow(BODY)
     pose = random_pose(BODY.skeleton, rng, 0.6)
     dofs, joints = BODY.skeleton.num_dofs, BODY.skeleton.num_joints
 
@@ -59,6 +80,86 @@ def test_equations_of_poses_and_joints_against_central_differences(rng):
     found = [(energy(zero + h * e) - energy(zero - h * e)) / (2 * h) for e in np.eye(len(zero))]
     np.testing.assert_allclose(-2 * side, found, atol=1e-6 * np.abs(found).max())
     assert float(value) == pytest.approx(float(energy(zero)))
+
+
+def test_normal_equations_are_those_of_the_rows_by_differences(rng):
+    pairs, pose = some_pairs(rng, corners=3), random_pose(BODY.skeleton, rng, 0.6)
+
+    @eqx.filter_jit
+    def rows(d):
+        places = places_on(pairs, jc.pose_body(BODY, retract(BODY.skeleton, pose, d)).vertices)
+        return jnp.einsum("cra,ca->cr", pair_rows(pairs), places).reshape(-1)
+
+    dofs, h = BODY.skeleton.num_dofs, 1e-6
+    slope = np.stack([(rows(h * e) - rows(-h * e)) / (2 * h) for e in np.eye(dofs)], 1)
+    matrix, *_ = eqx.filter_jit(pose_equations)(BODY, pose, pairs)
+    np.testing.assert_allclose(matrix, slope.T @ slope, atol=1e-6 * np.abs(slope.T @ slope).max())
+
+
+def test_size_equation_against_differences(rng):
+    """About the root's joint, with the pose as it is."""
+    pairs, pose = some_pairs(rng, corners=3), random_pose(BODY.skeleton, rng, 0.6)
+    posed = eqx.filter_jit(jc.pose_body)(BODY, pose)
+    places = np.einsum("ck,cka->ca", pairs.shares, np.asarray(posed.vertices)[pairs.vertices])
+    root, rows = np.asarray(posed.joints[0]), np.asarray(pair_rows(pairs))
+
+    def energy(log_size):
+        apart = pairs.points - (root + np.exp(log_size) * (places - root))
+        return np.sum(np.einsum("cra,ca->cr", rows, apart) ** 2)
+
+    side, _ = size_equation(BODY, pose, pairs)
+    assert -2 * float(side) == pytest.approx((energy(1e-6) - energy(-1e-6)) / 2e-6, rel=1e-6)
+
+
+def test_shape_is_the_dense_least_squares_solution(rng):
+    """Pairs of two frames, the Laplacian in two poses, and the hold, in one residual and its Jacobian."""
+    pairs = stack([some_pairs(rng, 300, 3) for _ in range(2)])
+    poses = stack([random_pose(BODY.skeleton, rng, 0.5) for _ in range(2)])
+    prior, weight, hold = own_shape_prior(BODY, 2), 0.7, 1e-3
+    laplacian = jnp.asarray(prior.laplacian.toarray())
+
+    def residual(shift):
+        body = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + shift.reshape(-1, 3))
+        meshes, own = (
+            jax.vmap(lambda pose: jc.pose_body(body, pose).vertices)(p) for p in (prior.poses, poses)
+        )
+        places = jnp.stack([places_on(p, mesh) for p, mesh in zip(unstack(pairs, 2), own, strict=True)])
+        apart = jnp.einsum("fcra,fca->fcr", jax.vmap(pair_rows)(pairs), places - pairs.points)
+        rough = jnp.sqrt(weight / 2) * (jnp.einsum("uv,mva->mua", laplacian, meshes) - prior.vectors)
+        return jnp.concatenate([jnp.sqrt(hold) * shift, apart.reshape(-1), rough.reshape(-1)])
+
+    zero = jnp.zeros(BODY.vertices.size)
+    slope, apart = jax.jit(lambda d: (jax.jacfwd(residual)(d), residual(d)))(zero)
+    step = np.linalg.lstsq(np.asarray(slope), -np.asarray(apart), rcond=None)[0].reshape(-1, 3)
+    found = adapt_shape(BODY, poses, pairs, prior, weight, hold).vertices - BODY.vertices
+    np.testing.assert_allclose(found, step, atol=1e-8 * np.abs(step).max())
+    assert np.abs(step).max() > 0.01
+
+
+def test_a_vertex_is_the_corner_of_a_triangle(rng):
+    """Pairs at vertices give the shape that they give as points in triangles that have all of one share."""
+    pairs = stack([some_pairs(rng, 300)])
+    faces = np.asarray(BODY.faces)
+    near = faces[[np.flatnonzero((faces == v).any(1))[0] for v in np.asarray(pairs.vertices[0, :, 0])]]
+    shares = jnp.asarray(near == np.asarray(pairs.vertices[0]), float)
+    wide = eqx.tree_at(lambda p: (p.vertices, p.shares), pairs, (jnp.asarray(near)[None], shares[None]))
+    poses, prior = stack([random_pose(BODY.skeleton, rng, 0.5)]), own_shape_prior(BODY, 2)
+    one, other = (adapt_shape(BODY, poses, p, prior, 0.7).vertices for p in (pairs, wide))
+    np.testing.assert_allclose(one, other, atol=1e-10)
+    assert np.abs(one - BODY.vertices).max() > 0.01
+
+
+def test_shape_refuses_pairs_across_the_body(rng):
+    pairs = some_pairs(rng, corners=3)
+    edges = {frozenset(edge) for edge in mesh_edges(np.asarray(BODY.faces)).tolist()}
+    far = next(v for v in range(1, len(BODY.vertices)) if frozenset((0, v)) not in edges)
+    pairs = eqx.tree_at(
+        lambda p: p.vertices, pairs, pairs.vertices.at[9].set(jnp.array([0, far, 0], jnp.int32))
+    )
+    pose = stack([jc.rest_pose(BODY.skeleton)])
+    prior = own_shape_prior(BODY, 2)
+    with pytest.raises(ValueError, match=f"vertices 0 and {far}, which share no edge"):
+        adapt_shape(BODY, pose, stack([pairs]), prior, 1.0)
 
 
 def test_a_posed_vertex_depends_linearly_on_its_place_at_rest(rng):
@@ -118,12 +219,13 @@ def human_prior(body):
     return RestPrior(jnp.full((body.skeleton.num_joints, 3), 0.7))
 
 
-def test_a_pose_is_found_from_near_by(scene, rng):
+@pytest.mark.parametrize(("matching", "far"), [(Matching(), 0.08), (ON_SURFACE, 0.08), (SOFT, 0.02)])
+def test_a_pose_is_found_from_near_by(scene, rng, matching, far):
     _, actor, motion, clouds = scene
     prior, scan = human_prior(actor), make_scan(clouds[5])
-    away = jnp.asarray(0.08 * rng.normal(size=actor.skeleton.num_dofs))
+    away = jnp.asarray(far * rng.normal(size=actor.skeleton.num_dofs))
     start = retract(actor.skeleton, motion[5], away)
-    found = fit_pose(actor, scan, start, prior, steps=15)
+    found = fit_pose(actor, scan, start, prior, matching, steps=15)
     joints = [np.asarray(jc.pose_body(actor, pose).joints) for pose in (start, found.pose, motion[5])]
     off = [np.linalg.norm(some - joints[2], axis=1).mean() for some in joints[:2]]
     assert off[1] < 0.004
@@ -140,22 +242,26 @@ def test_size_is_told_by_scans(scene):
     assert size == pytest.approx(1 / 1.12, rel=0.01)
 
 
-def test_joints_and_vertices_come_nearer_in_every_round(scene):
+@pytest.mark.parametrize("matching", [Matching(), ON_SURFACE])
+def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
     template, actor, motion, clouds = scene
     frames = [0, 4, 8, 11]
     scans, prior = [make_scan(clouds[n]) for n in frames], human_prior(template)
     body = resized(template, jnp.asarray(1.66 / 1.75))
-    poses = [fit_pose(body, s, motion[n], prior, steps=8).pose for s, n in zip(scans, frames, strict=True)]
+    poses = [
+        fit_pose(body, s, motion[n], prior, matching, steps=8).pose
+        for s, n in zip(scans, frames, strict=True)
+    ]
     shape, beside, follow = own_shape_prior(body), make_beside(body), make_follow(body)
     trust = Trust(*(jnp.asarray(x) for x in (1e-6, 0.005, 0.003)))
     mirrored = mirrored_joints(body.skeleton)
 
     def pairs():
-        return stack([pairs_of(body, p, s, Matching()) for p, s in zip(poses, scans, strict=True)])
+        return stack([pairs_of(body, p, s, matching) for p, s in zip(poses, scans, strict=True)])
 
     def distance():
         each = [
-            mean_square(body, p, pairs_of(body, p, s, Matching())) for p, s in zip(poses, scans, strict=True)
+            mean_square(body, p, pairs_of(body, p, s, matching)) for p, s in zip(poses, scans, strict=True)
         ]
         return 1000 * float(np.sqrt(np.mean(each)))
 
@@ -168,7 +274,7 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene):
         told.append(distance())
     assert told[0] > told[1] > told[2] > told[3]
     # what the true body leaves is noise
-    truth = [mean_square(actor, motion[n], pairs_of(actor, motion[n], s, Matching())) for s, n in zip(scans, frames, strict=True)]  # fmt: skip
+    truth = [mean_square(actor, motion[n], pairs_of(actor, motion[n], s, matching)) for s, n in zip(scans, frames, strict=True)]  # fmt: skip
     floor = 1000 * float(np.sqrt(np.mean(truth)))
     assert told[3] - floor < 0.5 * (told[0] - floor)
     left, right = body.skeleton.index("LeftForeArm"), body.skeleton.index("RightForeArm")

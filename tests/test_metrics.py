@@ -6,6 +6,7 @@ import scipy.stats
 import trimesh
 
 from jaxcap.body.human import human
+from jaxcap.geometry.closest import closest_shares, nearest_on_surface
 from jaxcap.metrics import distance_summary, joint_errors, scan_to_surface
 
 
@@ -71,6 +72,39 @@ def test_distance_to_a_person_is_exact(rng):
     distances = scan_to_surface(points, vertices, faces)
     _, expected, _ = trimesh.proximity.closest_point(surface, points[chosen])
     np.testing.assert_allclose(distances[chosen], expected, atol=1e-9)
+
+
+def test_places_are_where_the_distances_say_and_none_beyond_reach(rng):
+    body = human(resolution="low")
+    vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
+    points = vertices[rng.integers(len(vertices), size=500)] + 0.1 * rng.normal(size=(500, 3))
+    triangles, shares, distances = nearest_on_surface(points, vertices, faces)
+    places = np.einsum("nk,nka->na", shares, vertices[faces[triangles]])
+    np.testing.assert_allclose(np.linalg.norm(places - points, axis=1), distances, atol=1e-12)
+    assert shares.min() >= 0
+    np.testing.assert_allclose(shares.sum(1), 1.0, atol=1e-12)
+    reach = float(np.median(distances))
+    near = nearest_on_surface(points, vertices, faces, reach)
+    within = distances <= reach
+    # which of the triangles about an edge has the place is a tie
+    np.testing.assert_allclose(near.distances, np.where(within, distances, np.inf), atol=1e-15)
+    again = np.einsum("nk,nka->na", near.shares, vertices[faces[near.triangles]])
+    np.testing.assert_allclose(again[within], places[within], atol=1e-12)
+
+
+def test_triangles_without_an_area_have_their_sides(rng):
+    """Three corners in a line, two in one place, and all in one."""
+    a, b = rng.normal(size=(2, 3))
+    triangles = np.array([[a, b, 0.3 * a + 0.7 * b], [2 * b - a, a, b], [a, b, b], [b, a, b], [a, a, a]])
+    points = rng.normal(size=(300, 3))
+    ends = [(a, b), (2 * b - a, a), (a, b), (a, b), (a, a)]
+    for triangle, (start, end) in zip(triangles, ends, strict=True):
+        shares, squared = closest_shares(np.repeat(triangle[None], len(points), 0), points)
+        length = max(float(np.sum((end - start) ** 2)), 1e-300)
+        share = np.clip((points - start) @ (end - start) / length, 0, 1)[:, None]
+        expected = start + share * (end - start)
+        np.testing.assert_allclose(shares @ triangle, expected, atol=1e-7)
+        np.testing.assert_allclose(squared, np.sum((expected - points) ** 2, 1), atol=1e-12)
 
 
 def test_joint_errors():

@@ -13,7 +13,7 @@ from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from ..body.skeleton import Skeleton
-from ..fit.correspond import Pairs
+from ..fit.correspond import Pairs, places_on
 
 #: squared distances along the surface count by this share of those across it: a nearest vertex is only
 #: about the right one
@@ -77,7 +77,7 @@ def pair_rows(pairs: Pairs) -> Float[Array, "C 3 3"]:
 
 def pair_energy(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, ""]:
     """The sum of squared weighed distances, metres squared."""
-    apart = pairs.points - pose_body(body, pose).vertices[pairs.vertices]
+    apart = pairs.points - places_on(pairs, pose_body(body, pose).vertices)
     return jnp.sum(jnp.einsum("cra,ca->cr", pair_rows(pairs), apart) ** 2)
 
 
@@ -115,14 +115,18 @@ def _rows(body: Body, pose: Pose, pairs: Pairs, follow: Follow | None):
         centres = np.array([6 * joint + axis for joint in range(skeleton.num_joints) for axis in range(3)])
         rates = stack_rates(rates, take_rates(joint_rates(skeleton, pose, transforms), centres))
     directions = pair_rows(pairs)
-    rest, skin = body.vertices[pairs.vertices], body.skin.take(pairs.vertices)
-    rows = skin.jacobian(rest, directions, skeleton, pose, transforms, rates)
+    every = pairs.vertices.reshape(-1)
+    rest, skin = body.vertices[every], body.skin.take(every)
+    # a place moves as its vertices do, each by its share
+    by_vertex = pairs.shares[:, :, None, None] * directions[:, None]
+    rows = skin.jacobian(rest, by_vertex.reshape(-1, 3, 3), skeleton, pose, transforms, rates)
+    rows = jnp.sum(rows.reshape(*pairs.vertices.shape, *rows.shape[1:]), 1)
     maps, places = vertex_maps(body, pose)
     if follow is not None:
-        pulled = jnp.einsum("cra,cab->crb", directions, maps[pairs.vertices])
-        carried = jnp.einsum("crb,cj->crjb", pulled, follow.shares[pairs.vertices])
+        pulled = jnp.einsum("ckra,ckab->ckrb", by_vertex, maps[pairs.vertices])
+        carried = jnp.einsum("ckrb,ckj->crjb", pulled, follow.shares[pairs.vertices])
         rows = rows.at[:, :, skeleton.num_dofs :].add(carried.reshape(*carried.shape[:2], -1))
-    apart = jnp.einsum("cra,ca->cr", directions, pairs.points - places[pairs.vertices])
+    apart = jnp.einsum("cra,ca->cr", directions, pairs.points - places_on(pairs, places))
     return rows.reshape(-1, rows.shape[-1]), apart.reshape(-1)
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
 from ..energy.term import AbstractEnergy
-from ..fit.correspond import Matching, Pairs, Scan
+from ..fit.correspond import Matching, Pairs, Scan, places_on
 from .equations import pair_rows
 from .pose import fit_pose, pairs_of
 
@@ -60,7 +60,7 @@ def resized(body: Body, size: Float[Array, ""]) -> Body:
 def size_equation(body: Body, pose: Pose, pairs: Pairs) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """What pairs say of the size, as `(J^T r, J^T J)` by its logarithm; it grows from the root's joint."""
     posed = pose_body(body, pose)
-    places = posed.vertices[pairs.vertices]
+    places = places_on(pairs, posed.vertices)
     rows = pair_rows(pairs)
     along = jnp.einsum("cra,ca->cr", rows, places - posed.joints[0])
     apart = jnp.einsum("cra,ca->cr", rows, pairs.points - places)

@@ -1,36 +1,36 @@
-"""Which vertex of a posed body belongs to which point of a scan (Adaptation, section 4.1.2)."""
+"""Which place on a posed body belongs to which place of a scan (Adaptation, section 4.1.2)."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy.spatial import KDTree
 
-from ..observe import Cloud
+from ..geometry.camera import Camera, in_picture
+from .assign import AbstractAssignment, Assigned, NearestVertex, Surface
+from .assign import NearestOnSurface as NearestOnSurface
+from .assign import Scan as Scan
+from .assign import make_scan as make_scan
+from .assign_soft import SoftAssignment as SoftAssignment
 
 
 class Pairs(eqx.Module):
-    """Vertices of a body with the places they are to reach; as many for every frame, weight zero where
-    there is none."""
+    """Places on a body with those they are to reach; as many for every frame, weight zero where there is none.
 
-    vertices: Int[Array, "C"]
+    A place is `sum_k shares_k x[vertices_k]`: K = 1 is a vertex, K = 3 a point in a triangle.
+    """
+
+    #: any two of a pair's vertices are one, or share an edge
+    vertices: Int[Array, "*frames C K"]
+    #: one in sum
+    shares: Float[Array, "*frames C K"]
     #: points of the scan, metres
-    points: Float[Array, "C 3"]
+    points: Float[Array, "*frames C 3"]
     #: unit directions along which distances count: the mean of the scan's normal and the body's
-    normals: Float[Array, "C 3"]
-    weights: Float[Array, "C"]
-
-
-class Scan(NamedTuple):
-    """The real points of a cloud with a tree to search them, made once a frame."""
-
-    points: Float[np.ndarray, "N 3"]
-    normals: Float[np.ndarray, "N 3"]
-    tree: KDTree
-    #: how many points the cloud has with its padding
-    padded: int
+    normals: Float[Array, "*frames C 3"]
+    weights: Float[Array, "*frames C"]
 
 
 class Matching(NamedTuple):
@@ -43,17 +43,21 @@ class Matching(NamedTuple):
     #: search from the scan to the body, and from the body to the scan
     from_scan: bool = True
     from_body: bool = True
-    #: in every triangle, and among the points at one vertex, leave out the pair furthest apart
+    #: in every triangle, and among the points at one vertex, leave out the pair furthest apart; means of
+    #: many points are none of these
     uniform: bool = True
     #: deviation up to which distances count squared, and beyond linearly (Charbonnier), metres
     charbonnier: float = 0.003
+    #: nearest vertices, nearest points of the surface, or Gaussian shares
+    assignment: AbstractAssignment = NearestVertex()
+    #: the sensors, where a body may be partly outside of what they can see: vertices that are within no
+    #: sensor's angle of aperture are in no pair; none says nothing
+    aperture: tuple[Camera, ...] = ()
 
 
-def make_scan(cloud: Cloud) -> Scan:
-    """The points of a cloud that are there, and their tree."""
-    there = np.asarray(cloud.weights) > 0
-    points = np.asarray(cloud.points, float)[there]
-    return Scan(points, np.asarray(cloud.normals, float)[there], KDTree(points), len(there))
+def places_on(pairs: Pairs, vertices: Float[Array, "V 3"]) -> Float[Array, "C 3"]:
+    """The places of the pairs of one frame on a surface, metres."""
+    return jnp.einsum("ck,cka->ca", pairs.shares, vertices[pairs.vertices])
 
 
 def find_pairs(
@@ -64,53 +68,81 @@ def find_pairs(
     matching: Matching = Matching(),  # noqa: B008
     visible: Bool[np.ndarray, "V"] | None = None,
 ) -> Pairs:
-    """Nearest neighbours both ways: for every point of the scan a vertex, then for every vertex a point.
+    """Pairs both ways: for every point of the scan a place on the body, then for every vertex a place in the scan.
 
     **Arguments:** `vertices` and `normals` of the posed body; `visible`, which of its vertices some
-    camera sees: the others are in no pair.
+    camera sees (`visible_vertices`): the others are in no pair. It bounds the body to the cameras' pictures too;
+    `Matching.aperture` does so alone, where nothing else is known to hide the body.
 
     A normal of zero, which is not known, is at a right angle to all others. The number of pairs is that of
-    the scan's points, with padding, and of the vertices.
+    the scan's points, with padding (of the vertices where assignment is soft), and of the vertices.
     """
-    count = len(vertices)
-    seen = np.ones(count, bool) if visible is None else visible
-    chosen = np.flatnonzero(seen)
-    rows, places, weights = [], [], []
-    cosine = np.cos(np.radians(matching.angle)) - 1e-9
-    if matching.from_scan and len(chosen):
-        apart, nearest = KDTree(vertices[chosen]).query(scan.points, distance_upper_bound=matching.reach)
-        found = np.isfinite(apart)
-        row = np.where(found, chosen[np.minimum(nearest, len(chosen) - 1)], 0)
-        good = found & (np.sum(normals[row] * scan.normals, 1) >= cosine)
-        if matching.uniform:
-            good &= ~_furthest_at(row, np.where(good, apart, 0.0), count)
-        rows.append(np.pad(row, (0, scan.padded - len(row))))
-        places.append(np.pad(np.arange(len(row)), (0, scan.padded - len(row))))
-        weights.append(np.pad(good * _robust(apart, matching), (0, scan.padded - len(row))))
-    if matching.from_body:
-        apart, nearest = scan.tree.query(vertices, distance_upper_bound=matching.reach)
-        found = np.isfinite(apart) & seen
-        place = np.where(found, np.minimum(nearest, len(scan.points) - 1), 0)
-        good = found & (np.sum(normals * scan.normals[place], 1) >= cosine)
-        if matching.uniform:
-            good &= ~_furthest_in(faces, np.where(good, apart, 0.0))
-        rows.append(np.arange(count))
-        places.append(place)
-        weights.append(good * _robust(apart, matching))
-    row, place = np.concatenate(rows), np.concatenate(places)
-    both = normals[row] + scan.normals[place]
-    both /= np.maximum(np.linalg.norm(both, axis=1, keepdims=True), 1e-12)
+    seen = np.ones(len(vertices), bool) if visible is None else visible
+    if matching.aperture:
+        seen = seen & within_aperture(matching.aperture, vertices)
+    surface = Surface(vertices, normals, faces, seen)
+    cosine = float(np.cos(np.radians(matching.angle)) - 1e-9)
+    ways = matching.assignment.from_scan, matching.assignment.from_body
+    found = [
+        way(surface, scan, matching.reach, cosine)
+        for way, wanted in zip(ways, (matching.from_scan, matching.from_body), strict=True)
+        if wanted
+    ]
+    width = max(part.vertices.shape[1] for part in found)
+    parts = [_judged(part, surface, scan.padded, width, cosine, matching) for part in found]
+    rows, shares, points, both, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return Pairs(
-        jnp.asarray(row, jnp.int32),
-        jnp.asarray(scan.points[place], float),
-        jnp.asarray(both, float),
-        jnp.asarray(np.concatenate(weights), float),
+        jnp.asarray(rows, jnp.int32),
+        *(jnp.asarray(part, float) for part in (shares, points, both, weights)),
     )
+
+
+def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, "V"]:
+    """Which vertices some camera's angle of aperture reaches, hidden or not (Adaptation, 4.1.2, visibility
+    constraint of a body that is partly outside; after Ye et al. 2016). A pinhole's aperture is its picture."""
+    inside = np.zeros(len(vertices), bool)
+    for camera in cameras:
+        inside |= np.asarray(in_picture(camera, jnp.asarray(vertices, float)))
+    return inside
+
+
+def _judged(
+    found: Assigned, surface: Surface, padded: int, width: int, cosine: float, matching: Matching
+) -> tuple[np.ndarray, ...]:
+    """Vertices, shares, points, directions and weights of one way's pairs, the weights of bad ones zero."""
+    count = len(surface.vertices)
+    own = _unit(np.einsum("ck,cka->ca", found.shares, surface.normals[found.vertices]))
+    places = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
+    apart = np.linalg.norm(places - found.points, axis=1)
+    good = (found.mass > 0) & (np.sum(own * found.normals, 1) >= cosine)
+    if matching.uniform and found.each == "point":
+        corner = np.take_along_axis(found.vertices, np.argmax(found.shares, 1)[:, None], 1)[:, 0]
+        good &= ~_furthest_at(corner, np.where(good, apart, 0.0), count)
+    elif matching.uniform and found.each == "vertex":
+        good &= ~_furthest_in(surface.faces, np.where(good, apart, 0.0))
+    weights = np.where(good, found.mass * _robust(apart, matching), 0.0)
+    wide = ((0, 0), (0, width - found.vertices.shape[1]))
+    columns = (
+        # a vertex with itself for a neighbour, whose share is none
+        np.pad(found.vertices, wide, mode="edge"),
+        np.pad(found.shares, wide),
+        found.points,
+        _unit(own + _unit(found.normals)),
+        weights,
+    )
+    if found.each != "point":
+        return columns
+    *places, weights = columns
+    extra = (0, padded - len(weights))
+    return *(np.pad(part, (extra, (0, 0)), mode="edge") for part in places), np.pad(weights, extra)
+
+
+def _unit(rows: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C 3"]:
+    return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
 
 
 def _robust(apart: Float[np.ndarray, "C"], matching: Matching) -> Float[np.ndarray, "C"]:
     """The weight that makes squares of distances count as Charbonnier's norm does (eq. 4.6), one at zero."""
-    apart = np.where(np.isfinite(apart), apart, 0.0)
     return matching.charbonnier / np.sqrt(apart**2 + matching.charbonnier**2)
 
 

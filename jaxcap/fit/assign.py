@@ -1,0 +1,128 @@
+"""Which place of a scan each place of a posed body is held against: the nearest vertex, or the nearest point
+of the surface (Adaptation, section 4.1.2)."""
+
+import abc
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from ..geometry.closest import nearest_on_surface
+from ..observe import Cloud
+
+
+class Scan(NamedTuple):
+    """The real points of a cloud with a tree to search them, made once a frame."""
+
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    tree: KDTree
+    #: how many points the cloud has with its padding
+    padded: int
+
+
+def make_scan(cloud: Cloud) -> Scan:
+    """The points of a cloud that are there, and their tree."""
+    there = np.asarray(cloud.weights) > 0
+    points = np.asarray(cloud.points, float)[there]
+    return Scan(points, np.asarray(cloud.normals, float)[there], KDTree(points), len(there))
+
+
+class Surface(NamedTuple):
+    """A posed body, and which of its vertices may be in a pair."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    #: unit, or zero where not known
+    normals: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    seen: Bool[np.ndarray, "V"]
+
+
+class Assigned(NamedTuple):
+    """Places of a body, `sum_k shares_k vertices_k`, each with the place of a scan that it is held against."""
+
+    vertices: Int[np.ndarray, "C K"]
+    #: at least zero, one in sum
+    shares: Float[np.ndarray, "C K"]
+    points: Float[np.ndarray, "C 3"]
+    #: the scan's there, of length one at most
+    normals: Float[np.ndarray, "C 3"]
+    #: how many points a pair stands for; zero where there is no pair
+    mass: Float[np.ndarray, "C"]
+    #: one for every point of the scan, in their order; for every vertex of the body with what is nearest to it;
+    #: or for every vertex with a mean of all points that it explains
+    each: Literal["point", "vertex", "mean"]
+
+
+class AbstractAssignment(eqx.Module):
+    """How pairs are formed. Both ways look no further than `reach`, metres; normals of hard pairs are
+    judged after the search, soft ones need the least `cosine` between them within it."""
+
+    @abc.abstractmethod
+    def from_scan(self, surface: Surface, scan: Scan, reach: float, cosine: float) -> Assigned:
+        """What of the body explains the scan's points."""
+
+    @abc.abstractmethod
+    def from_body(self, surface: Surface, scan: Scan, reach: float, cosine: float) -> Assigned:
+        """What of the scan explains the body's vertices that are seen."""
+
+
+class NearestVertex(AbstractAssignment):
+    """For every point of a scan the nearest vertex; for every vertex the nearest point."""
+
+    def from_scan(self, surface, scan, reach, cosine):
+        del cosine
+        chosen = np.flatnonzero(surface.seen)
+        if not len(chosen):
+            return _nothing(scan, 1)
+        apart, nearest = KDTree(surface.vertices[chosen]).query(scan.points, distance_upper_bound=reach)
+        found = np.isfinite(apart)
+        row = np.where(found, chosen[np.minimum(nearest, len(chosen) - 1)], 0)
+        shares = np.ones((len(row), 1))
+        return Assigned(row[:, None], shares, scan.points, scan.normals, found.astype(float), "point")
+
+    def from_body(self, surface, scan, reach, cosine):
+        del cosine
+        return nearest_points(surface, scan, reach)
+
+
+class NearestOnSurface(AbstractAssignment):
+    """For every point of a scan the nearest point of the body's surface, exactly; for every vertex the
+    nearest point, as a scan is a cloud and its surface is met by distances that count along normals.
+
+    Of the surface those triangles are searched all of whose corners are seen.
+    """
+
+    def from_scan(self, surface, scan, reach, cosine):
+        del cosine
+        faces = surface.faces[surface.seen[surface.faces].all(1)]
+        if not len(faces):
+            return _nothing(scan, 3)
+        triangles, shares, apart = nearest_on_surface(scan.points, surface.vertices, faces, reach)
+        found = np.isfinite(apart).astype(float)
+        return Assigned(faces[triangles], shares, scan.points, scan.normals, found, "point")
+
+    def from_body(self, surface, scan, reach, cosine):
+        del cosine
+        return nearest_points(surface, scan, reach)
+
+
+def nearest_points(surface: Surface, scan: Scan, reach: float) -> Assigned:
+    """Every vertex with the point of a scan nearest to it."""
+    apart, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach)
+    found = np.isfinite(apart) & surface.seen
+    place = np.where(found, np.minimum(nearest, len(scan.points) - 1), 0)
+    every = np.arange(len(surface.vertices))[:, None]
+    return Assigned(
+        every, np.ones(every.shape), scan.points[place], scan.normals[place], found.astype(float), "vertex"
+    )
+
+
+def _nothing(scan: Scan, corners: int) -> Assigned:
+    """No pair at any point."""
+    count = len(scan.points)
+    shares = np.eye(1, corners).repeat(count, 0)
+    vertices = np.zeros((count, corners), int)
+    return Assigned(vertices, shares, scan.points, scan.normals, np.zeros(count), "point")

@@ -1,0 +1,131 @@
+"""The nearest point of a surface of triangles, exactly. Plain NumPy in float64."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+#: triangles of a size that are tried at first
+FIRST = 8
+
+
+class OnSurface(NamedTuple):
+    """Points on triangles: `sum_k shares_k vertices[faces[triangles, k]]`."""
+
+    triangles: Int[np.ndarray, "N"]
+    #: barycentric coordinates, at least zero, one in sum
+    shares: Float[np.ndarray, "N 3"]
+    #: from the points that were asked for, in their unit; infinite where nothing is within reach
+    distances: Float[np.ndarray, "N"]
+
+
+def nearest_on_surface(
+    points: Float[np.ndarray, "N 3"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    reach: float = np.inf,
+) -> OnSurface:
+    """Where a surface is nearest to each point: exact, whatever the triangles' sizes and shapes.
+
+    Triangles are sorted by size, since a triangle whose middle is farther than the best distance and
+    its own radius together cannot be nearer: among triangles of one size few are left to try. Beyond
+    `reach` nothing is looked for: the distance is infinite there and the place that of no meaning.
+    """
+    points, faces = np.asarray(points, float), np.asarray(faces)
+    corners = np.asarray(vertices, float)[faces]
+    middles = 0.5 * (corners.min(1) + corners.max(1))
+    radii = np.sqrt(np.sum((corners - middles[:, None]) ** 2, 2).max(1))
+    # sizes that differ by less than a factor of two go together; points have the least
+    sizes = np.floor(np.log2(np.maximum(radii, 1e-6 * radii.max(initial=0.0) + 1e-300))).astype(int)
+    best = _nearest_corners(points, vertices, faces, reach)
+    for size in np.unique(sizes):
+        alike = np.flatnonzero(sizes == size)
+        _improve(best, points, corners, alike, middles[alike], radii[alike])
+    return best._replace(distances=np.where(best.distances <= reach, best.distances, np.inf))
+
+
+def closest_shares(
+    triangles: Float[np.ndarray, "N 3 3"], points: Float[np.ndarray, "N 3"]
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N"]]:
+    """The point of each triangle nearest to a point, as barycentric coordinates, and its squared distance.
+
+    It lies on one of the three sides, or where the point falls on the plane. Triangles without an area have
+    their sides alone.
+    """
+    a, b, c = (np.ascontiguousarray(triangles[:, k].T) for k in range(3))
+    p = np.ascontiguousarray(points.T)
+    shares, squared = np.zeros((3, len(points))), np.full(len(points), np.inf)
+    ab, ac, ap = b - a, c - a, p - a
+    # on the plane
+    bb, bc, cc, pb, pc = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac), _dot(ap, ab), _dot(ap, ac)
+    area = bb * cc - bc * bc
+    safe = np.where(area > 0, area, 1.0)
+    second, third = (cc * pb - bc * pc) / safe, (bb * pc - bc * pb) / safe
+    first = 1.0 - second - third
+    inside = (area > 0) & (first >= 0) & (second >= 0) & (third >= 0)
+    apart = ap - second * ab - third * ac
+    squared = np.where(inside, _dot(apart, apart), np.inf)
+    shares = np.where(inside, np.stack([first, second, third]), 0.0)
+    # on the sides
+    for start, end, side, length, along in (
+        (0, 1, ab, bb, pb),
+        (0, 2, ac, cc, pc),
+        (1, 2, c - b, None, None),
+    ):
+        from_start = ap if start == 0 else p - b
+        length = _dot(side, side) if length is None else length
+        along = _dot(from_start, side) if along is None else along
+        share = np.clip(along / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        apart = from_start - share * side
+        here = _dot(apart, apart)
+        nearer = np.flatnonzero(here < squared)
+        squared[nearer] = here[nearer]
+        shares[:, nearer] = 0.0
+        shares[start, nearer], shares[end, nearer] = 1.0 - share[nearer], share[nearer]
+    return np.ascontiguousarray(shares.T), squared
+
+
+def _dot(a: Float[np.ndarray, "3 N"], b: Float[np.ndarray, "3 N"]) -> Float[np.ndarray, "N"]:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _nearest_corners(points, vertices, faces, reach: float) -> OnSurface:
+    """The nearest corner of all triangles; the first triangle of each corner stands for it."""
+    used, first = np.unique(faces, return_index=True)
+    apart, nearest = KDTree(np.asarray(vertices, float)[used]).query(points)
+    triangles, corner = np.divmod(first[nearest], 3)
+    # what lies beyond reach is as good as at its end
+    return OnSurface(triangles, np.eye(3)[corner], np.minimum(apart, np.nextafter(reach, np.inf)))
+
+
+def _improve(best: OnSurface, points, corners, alike, middles, radii) -> None:
+    """Put what is nearer on triangles of about one size into `best`, nearest middles first; the number
+    tried doubles for the points that a farther one could still be nearer to."""
+    tree, largest = KDTree(middles), radii.max()
+    left, tried = np.arange(len(points)), np.zeros(len(points))
+    count = min(FIRST, len(alike))
+    while left.size:
+        # from the nearest on each time: middles as near as each other change ranks from query to query
+        apart, near = tree.query(
+            points[left],
+            list(range(1, count + 1)),  # pyright: ignore[reportArgumentType]
+            distance_upper_bound=np.nextafter(np.max(best.distances[left]) + largest, np.inf),
+        )
+        # where there is none the distance is infinite, and the number one too many
+        near = np.minimum(near, len(alike) - 1)
+        reach = best.distances[left, None] + radii[near]
+        row, column = np.nonzero((apart < reach) & (apart >= tried[left, None]))
+        which, triangle = left[row], alike[near[row, column]]
+        shares, squared = closest_shares(corners[triangle], points[which])
+        # the nearest of each point's triangles is the last one written
+        order = np.flatnonzero(np.sqrt(squared) < best.distances[which])
+        order = order[np.argsort(-squared[order], kind="stable")]
+        best.triangles[which[order]] = triangle[order]
+        best.shares[which[order]] = shares[order]
+        best.distances[which[order]] = np.sqrt(squared[order])
+        if count == len(alike):
+            break
+        tried[left] = apart[:, -1]
+        left = left[apart[:, -1] < best.distances[left] + largest]
+        count = min(2 * count, len(alike))
