@@ -8,6 +8,7 @@ from typing import Annotated
 import jax.numpy as jnp
 import numpy as np
 
+from ..adapt.evaluate import Stages, compare_stages, quantile, variant_names
 from ..adapt.loop import AdaptState, Settings, Task, adapt_body, plan
 from ..body.anatomy import rest_deviations
 from ..body.body import Body
@@ -24,7 +25,9 @@ from ..io.clouds import Scans, read_clouds
 from ..io.npz import save_body
 from ..io.prior import load_prior
 from ..io.registry import MOTION_WRITERS, read_motion, write_motion
+from ..report.adaptation import report_adaptation
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
+from .results import make_writable
 from .rounds import Rounds
 from .say import say, warn
 from .sources import load_body, load_cloud
@@ -48,6 +51,10 @@ class Adapt:
     """A motion whose first pose is near that of the first scan; searched for where not given."""
     prior: OptionalFile = None
     """Which poses are likely, as `jaxcap prior learn` wrote it; beside what anatomy says."""
+    report: OptionalFile = None
+    """Also write what the adaptation has brought, as a page of pictures and tables, .html."""
+    report_every: Annotated[int, arg(metavar="N")] = 1
+    """Measure every N-th frame for the report, for speed."""
     frames: Annotated[int, arg(metavar="N")] = 40
     """Scans that the body is adapted to, spread over the motion."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
@@ -106,7 +113,6 @@ class Adapt:
         assert state is not None
         save_body(self.out, state.body)
         write_motion(self.motion_path, state.body.skeleton, state.motion)
-        self.kept.unlink(missing_ok=True)
         say(
             f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
             f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}"
@@ -115,6 +121,32 @@ class Adapt:
             warn(
                 f"{len(state.lost)} of {len(state.motion)} frames were lost: {', '.join(map(str, state.lost))}; counted from 0"
             )
+        if self.report is not None:
+            self.write_report(self.report, task, state)
+        self.kept.unlink(missing_ok=True)
+
+    def write_report(self, path: Path, task: Task, state: AdaptState) -> None:
+        """Measure the result and those it is compared with. The checkpoint is still there, so that --resume does
+        only this where it is stopped."""
+        names, stages = variant_names(task.settings), Stages(())
+        with Rounds(len(names), 0, "measuring") as bar:
+            try:
+                for stages in compare_stages(task, state, step=self.report_every):
+                    done, near = len(stages.variants), quantile(stages.variants[-1].to_body, 0.5)
+                    bar.tell(done, f"{names[done - 1]}: {1000 * near:.2f} mm from scan to body, median")
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"stopped; body and motion are there, --resume makes {path}"
+                ) from None
+        how = {
+            "template": self.body,
+            "scans": self.clouds,
+            **self.settings(),
+            "prior": self.prior,
+            "start": self.start,
+        }
+        report_adaptation(path, task, state, stages, how)
+        say(f"{path}: the report")
 
     @property
     def kept(self) -> Path:
@@ -135,6 +167,7 @@ class Adapt:
                 "above 0 and below 1 metre",
             ),
             "--smoothness": (self.smoothness, self.smoothness is None or self.smoothness >= 0, "at least 0"),
+            "--report-every": (self.report_every, self.report_every >= 1, "at least 1"),
             "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 frames a second"),
         }
         for name, (value, fine, what) in wrong.items():
@@ -147,11 +180,17 @@ class Adapt:
                 f"{self.motion_path}: motions are not written as '{self.motion_path.suffix}' files; use "
                 f"{', '.join(MOTION_WRITERS)}."
             )
+        if self.report is not None and self.report.suffix.lower() not in (".html", ".htm"):
+            raise InputError(f"{self.report}: the report is a page; give a name that ends in .html.")
         if self.resume and self.overwrite:
             raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
-        there = [path for path in (self.out, self.motion_path) if path.exists()]
+        there = [
+            path for path in (self.out, self.motion_path, self.report) if path is not None and path.exists()
+        ]
         if there and not (self.overwrite or self.resume):
             raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+        if self.report is not None:
+            make_writable(self.report.absolute().parent)
 
     def task(self, body: Body, scans: Scans) -> Task:
         skeleton = body.skeleton

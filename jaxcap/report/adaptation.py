@@ -1,0 +1,179 @@
+"""The report of an adaptation: one page that tells what has been gained, and how it was made."""
+
+import importlib.metadata
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..adapt.evaluate import Stages, Variant, quantile, summary_of
+from ..adapt.loop import AdaptState, Task
+from ..body.body import Body
+from ..io.atomic import write_text
+from .adaptation_charts import (
+    angle_charts,
+    distance_charts,
+    frame_chart,
+    heat_maps,
+    history_chart,
+    shake_table,
+)
+from .page import Markup, element, page, section, table
+
+TITLE = "A template became the actor"
+VARIANTS = {
+    "not adapted": "the template, only made as large as the actor",
+    "first frame": "the template adapted to the first scan alone",
+    "many frames": "the adapted body, every pose found by itself",
+    "smooth": "the adapted body with its final, smooth motion",
+}
+#: columns of the table of variants
+COLUMNS = (
+    "body",
+    "mean",
+    "standard deviation",
+    "median",
+    "MAD",
+    "IQR",
+    "90 % within",
+    "from body to scan, median",
+    "frames lost",
+)
+NOISE = """The noise of the scans is part of every distance: no body brings it to nothing."""
+MEASURES = """MAD is the median of how far distances are from their median. IQR is the distance between the quartiles:
+half of all distances are in a range so wide. From body to scan counts every vertex, also what no camera saw, and is
+never less than the gaps between points allow."""
+PLACES = """Every body at rest, from the front and from the back. Colours are the mean distance of the scanned points
+that are nearest to a place, over all frames that were measured."""
+ALONE = """How far each joint is turned from rest, about the axis that it turns about most. Poses that are found one by
+one shake with the noise of the scans."""
+SMOOTH = """ The smooth motion is to follow the movement without that."""
+SHAKE = """Shake is how far a joint is turned from the mean of the frame before and the frame after, as root mean
+square. Real movement has some, too."""
+PAIRS = """The distance that the adaptation makes small: of pairs along their normals, those far apart counting less. It
+is over other scans in some stages, so a small rise need not be a loss."""
+#: lost frames that are named
+NAMED = 20
+#: what a result may depend on
+PACKAGES = ("jaxcap", "jax", "numpy", "scipy")
+
+
+def report_adaptation(
+    path: str | Path, task: Task, state: AdaptState, stages: Stages, how: Mapping[str, object]
+) -> None:
+    """Write the report as one file of HTML, with all pictures in it.
+
+    **Arguments:** `stages` with all variants, from `compare_stages`; `how` the adaptation was made, by the names that
+    the user knows.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    write_text(path, adaptation_page(task, state, stages, how))
+
+
+def adaptation_page(task: Task, state: AdaptState, stages: Stages, how: Mapping[str, object]) -> str:
+    """The page of `report_adaptation`."""
+    skeleton, angles = state.body.skeleton, stages.angles
+    parts = [
+        element("h1", TITLE),
+        headline(task, state, stages),
+        section(
+            "Distances from the scans",
+            variant_table(stages.variants),
+            *measure_notes(task, stages),
+            distance_charts(stages.variants),
+        ),
+        section("Where the body is off", element("p", PLACES), heat_maps(stages.variants)),
+    ]
+    if len(stages.measured) > 1:
+        parts.append(section("When it is off", frame_chart(stages, task.rate)))
+    if angles is not None and len(angles.seconds) > 2:
+        told = element("p", ALONE, SMOOTH if angles.after is not None else "")
+        shakes = (shake_table(angles, skeleton), element("p", SHAKE, class_="soft"))
+        parts.append(section("Joints over time", told, angle_charts(angles, skeleton), *shakes))
+    every = element("details", element("summary", "All stages"), history_table(state.history))
+    parts.append(section("How it went", element("p", PAIRS), history_chart(state.history), every))
+    parts.append(section("How it was made", how_table(task, how)))
+    return page(TITLE, *parts)
+
+
+def headline(task: Task, state: AdaptState, stages: Stages) -> Markup:
+    """Size, distances and lost frames in plain words."""
+    first, last = stages.variants[0], stages.variants[-1]
+    before, after = (1000 * quantile(variant.to_body, 0.5) for variant in (first, last))
+    size = (
+        "is the actor's size against the template's, before its shape was adapted. At rest the body is now "
+        f"{_height(state.body):.2f} m high, the template {_height(task.template):.2f} m."
+    )
+    nearer = (
+        "Half of all scanned points are nearer to the body than this: before, with a template that was only made as "
+        "large as the actor, and after."
+    )
+    lost = len(last.lost)
+    followed = "were followed. No frame was lost."
+    if lost:
+        named = ", ".join(map(str, last.lost[:NAMED])) + (" and more" if lost > NAMED else "")
+        followed = f"were followed. Lost, counted from 0: {named}; what is told of them means little."
+    cards = (
+        (f"× {state.size:.3f}", size),
+        (f"{before:.1f} mm → {after:.1f} mm", nearer),
+        (f"{task.frames - lost} of {task.frames} frames", followed),
+    )
+    told = [element("div", element("strong", strong), text, class_="card") for strong, text in cards]
+    return element("div", *told, class_="cards")
+
+
+def variant_table(variants: tuple[Variant, ...]) -> Markup:
+    """Table 4.3 of the thesis, a row a variant, with the ninth decile, the other way round, and lost frames."""
+    return table(
+        "Distance from scanned points to the body, millimetres", COLUMNS, [_row(v) for v in variants]
+    )
+
+
+def measure_notes(task: Task, stages: Stages) -> list[Markup]:
+    """What the figures of the table mean."""
+    kinds = "; ".join(f"{v.name}: {VARIANTS[v.name]}" for v in stages.variants if v.name in VARIANTS)
+    points = int(stages.variants[0].to_body.counts.sum())
+    frames = f"Measured are {len(stages.measured)} of {task.frames} frames, with {points:,} points together."
+    notes = (f"{kinds[:1].upper()}{kinds[1:]}.", f"{frames} Lost frames are among them. {NOISE}", MEASURES)
+    return [element("p", note, class_="soft") for note in notes]
+
+
+def history_table(history: Sequence[tuple[str, float]]) -> Markup:
+    """The figures of `history_chart`."""
+    rows = [[name, f"{value:.2f}"] for name, value in history]
+    return table("Root mean square distance of pairs, millimetres", ["stage", "distance"], rows)
+
+
+def how_table(task: Task, how: Mapping[str, object]) -> Markup:
+    """Options and versions."""
+    rows = [
+        [name.replace("_", " "), "not given" if value is None else str(value)] for name, value in how.items()
+    ]
+    rows += [
+        ["number of scans", str(task.frames)],
+        ["vertices of the body", str(len(task.template.vertices))],
+    ]
+    rows += [["joints of the body", str(task.template.skeleton.num_joints)]]
+    rows += [[name, _version(name)] for name in PACKAGES] + [["Python", platform.python_version()]]
+    return table("Options and versions", ["what", "value"], rows, words=(1,))
+
+
+def _row(variant: Variant) -> list[str]:
+    summary = summary_of(variant.to_body)
+    distances = [summary.mean, summary.sd, summary.median, summary.mad, summary.iqr]
+    distances += [quantile(variant.to_body, 0.9), quantile(variant.to_scan, 0.5)]
+    return [variant.name, *(f"{1000 * x:.2f}" for x in distances), str(len(variant.lost))]
+
+
+def _height(body: Body) -> float:
+    """Metres; y is up."""
+    return float(np.ptp(np.asarray(body.vertices, float)[:, 1]))
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"

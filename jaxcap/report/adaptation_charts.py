@@ -1,0 +1,170 @@
+"""Charts and pictures of an adaptation: distances, where they are, when they are, and joints over time."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..adapt.evaluate import Angles, Stages, Variant, quantile, share_below, summary_of
+from ..body.skeleton import Skeleton
+from .chart import Line, legend, line_chart
+from .heat import colour_scale, heat_limit, heat_pictures
+from .page import Markup, element, joined, table
+from .pictures import nice
+
+#: looks of the variants in their order; the last one lies on the one before
+LOOKS = ("c0", "c1", "c2", "c3 dashed")
+#: bins of the histogram; joints with a chart; parts of the body in the table of the worst
+BINS, JOINTS, PARTS = 50, 6, 12
+
+
+def distance_charts(variants: Sequence[Variant]) -> Markup:
+    """How many points lie within a distance, and how many at it; up to what 97 of 100 of the worst variant stay
+    within."""
+    limit = nice(1000 * max(quantile(variant.to_body, 0.97) for variant in variants))
+    edges = np.linspace(0.0, limit, BINS + 1)
+    within = [100 * share_below(variant.to_body, edges / 1000) for variant in variants]
+    shares = [np.diff(share) for share in within]
+    middles, width = 0.5 * (edges[1:] + edges[:-1]), edges[1]
+    named = list(zip(variants, LOOKS, within, shares, strict=False))
+    below = [Line(variant.name, edges, share, look) for variant, look, share, _ in named]
+    at = [Line(variant.name, middles, share, look) for variant, look, _, share in named]
+    distance = "distance from point to body, mm"
+    charts = (
+        line_chart(
+            "Share of scanned points within a distance of the body",
+            below,
+            distance,
+            "points within, %",
+            x_range=(0.0, limit),
+            y_range=(0.0, 100.0),
+        ),
+        line_chart(
+            "Share of scanned points at a distance of the body",
+            at,
+            distance,
+            f"points per {width:.2g} mm, %",
+            x_range=(0.0, limit),
+            y_range=(0.0, 1.06 * max(float(share.max()) for share in shares)),
+        ),
+    )
+    return joined(legend(below), element("div", *map(_figure, charts), class_="grid"))
+
+
+def heat_maps(variants: Sequence[Variant]) -> Markup:
+    """Each body from the front and the back on one scale of colours, and the same by parts in a table."""
+    heats = [1000 * variant.heat for variant in variants]
+    limit = heat_limit(heats)
+    pictures = heat_pictures([variant.body for variant in variants], heats, limit)
+    parts = [mean_by_part(variant) for variant in variants]
+    figures = []
+    for variant, picture, part in zip(variants, pictures, parts, strict=True):
+        mean = f"{1000 * summary_of(variant.to_body).mean:.1f} mm"
+        worst = ", ".join(f"{name} ({value:.1f} mm)" for name, value in list(part.items())[:3])
+        alt = (
+            f"Body from the front and from the back, {variant.name}: {mean} on average; furthest at {worst}."
+        )
+        caption = element("figcaption", element("b", variant.name), f": {mean} on average")
+        figures.append(element("figure", element("img", src=picture, alt=alt), caption))
+    names = list(parts[0])[:PARTS]
+    rows = [[name, *(f"{part[name]:.1f}" if name in part else "–" for part in parts)] for name in names]
+    by_part = table(
+        "Mean distance by part of the body, millimetres; the parts that were furthest off at first",
+        ["part", *(variant.name for variant in variants)],
+        rows,
+    )
+    scale = colour_scale(limit, "millimetres", "Grey: no scanned point is nearest to it.")
+    grid = element("div", *figures, class_="grid")
+    return joined(grid, scale, element("details", element("summary", "The same in figures"), by_part))
+
+
+def mean_by_part(variant: Variant) -> dict[str, float]:
+    """Mean heat of the vertices of each bone that was scanned, millimetres; the worst first."""
+    bones, known = np.asarray(variant.body.skin.parts()), np.isfinite(variant.heat)
+    means = {
+        name: 1000 * float(variant.heat[known & (bones == number)].mean())
+        for number, name in enumerate(variant.body.skeleton.names)
+        if (known & (bones == number)).any()
+    }
+    return dict(sorted(means.items(), key=lambda item: -item[1]))
+
+
+def frame_chart(stages: Stages, rate: float) -> Markup:
+    """The median distance of every frame that was measured."""
+    seconds = np.array(stages.measured) / rate
+    lines = [
+        Line(variant.name, seconds, 1000 * variant.by_frame, look)
+        for variant, look in zip(stages.variants, LOOKS, strict=False)
+    ]
+    high = 1.06 * max(float(line.y.max()) for line in lines)
+    chart = line_chart(
+        "Median distance from scan to body over time",
+        lines,
+        "seconds",
+        "median distance, mm",
+        y_range=(0.0, high),
+    )
+    return joined(legend(lines), element("figure", chart, class_="single"))
+
+
+def angle_charts(angles: Angles, skeleton: Skeleton) -> Markup:
+    """The joints that turn most, each with its angle, before and after motion was made smooth."""
+    shown = moving_joints(angles, skeleton)
+    figures, looks = [], []
+    for joint in shown:
+        looks = [
+            Line("every frame by itself", angles.seconds, np.degrees(angles.before[:, joint]), "c0 thin")
+        ]
+        if angles.after is not None:
+            looks.append(Line("smooth", angles.seconds, np.degrees(angles.after[:, joint]), "c3"))
+        name = skeleton.names[joint]
+        chart = line_chart(f"Angle of {name} over time", looks, "seconds", "degrees")
+        figures.append(_figure(chart, name))
+    return joined(legend(looks), element("div", *figures, class_="grid"))
+
+
+def shake_table(angles: Angles, skeleton: Skeleton) -> Markup:
+    """How far the shown joints turn, and how far each frame is from the mean of its neighbours."""
+    final = angles.before if angles.after is None else angles.after
+    rows = []
+    for joint in moving_joints(angles, skeleton):
+        turned = np.degrees(np.ptp(final[:, joint]))
+        rows.append([skeleton.names[joint], f"{turned:.0f}", *_shakes(angles, [joint])])
+    rows.append(["all joints", "", *_shakes(angles, list(range(skeleton.num_joints)))])
+    head = ["joint", "range of its angle", "shake, every frame by itself"]
+    return table(
+        "Joints that turn most, degrees", head if angles.after is None else [*head, "shake, smooth"], rows
+    )
+
+
+def moving_joints(angles: Angles, skeleton: Skeleton) -> list[int]:
+    """Joints whose angles spread most, the most first; the root says where the body is."""
+    final = angles.before if angles.after is None else angles.after
+    turning = [
+        joint
+        for joint, (kind, parent) in enumerate(zip(skeleton.kinds, skeleton.parents, strict=True))
+        if kind not in ("fixed", "translate") and parent >= 0
+    ]
+    spread = np.std(final, axis=0)
+    return sorted(turning, key=lambda joint: -spread[joint])[:JOINTS]
+
+
+def history_chart(history: Sequence[tuple[str, float]]) -> Markup:
+    """The distance after every stage."""
+    values = np.array([value for _, value in history])
+    line = Line("root mean square", np.arange(1.0, len(values) + 1), values, "c2")
+    high = 1.06 * float(values.max())
+    chart = line_chart(
+        "Distance after every stage", [line], "stage", "distance of pairs, mm", y_range=(0.0, high)
+    )
+    return element("figure", chart, class_="single")
+
+
+def _shakes(angles: Angles, joints: Sequence[int]) -> list[str]:
+    """Root mean square over joints, before and after."""
+    both = [shake for shake in (angles.shake_before, angles.shake_after) if shake is not None]
+    return [f"{np.degrees(np.sqrt(np.mean(shake[list(joints)] ** 2))):.2f}" for shake in both]
+
+
+def _figure(chart: Markup, caption: str | None = None) -> Markup:
+    told = [] if caption is None else [element("figcaption", element("b", caption))]
+    return element("figure", *told, chart)

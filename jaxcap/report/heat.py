@@ -1,0 +1,86 @@
+"""A body from the front and the back, coloured by how far scans were from it."""
+
+import base64
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ..body.body import Body
+from .chart import TICKS, number, ticks
+from .page import Markup, element
+from .pictures import HEAT, new_figure, nice
+from .render import draw_surface, frame, turned
+
+#: no scan was nearest to it
+UNSEEN = np.array([0.62, 0.64, 0.66])
+#: inches that a body is high in a picture
+TALL = 4.2
+
+
+def heat_limit(heats: Sequence[Float[np.ndarray, "_"]]) -> float:
+    """The end of a colour scale for several bodies, in their unit: few vertices are beyond it."""
+    known = np.concatenate([heat[np.isfinite(heat)] for heat in heats])
+    if not len(known):
+        return 1.0
+    high = float(np.quantile(known, 0.96))
+    return nice(high / TICKS) * float(np.ceil(high / nice(high / TICKS)))
+
+
+def heat_pictures(bodies: Sequence[Body], heats: Sequence[Float[np.ndarray, "_"]], limit: float) -> list[str]:
+    """For every body a picture at rest as a data URI: front and back, on one scale of sizes and colours.
+
+    Vertices whose heat is NaN are grey. Bodies have y up.
+    """
+    places = [np.asarray(body.vertices, float) for body in bodies]
+    view = front_view(places[-1])
+    middles = [0.5 * (place.min(0) + place.max(0)) for place in places]
+    seen = [(place - middle) @ view.T for place, middle in zip(places, middles, strict=True)]
+    reach = np.max([np.abs(place).max(0) for place in seen], axis=0)
+    return [
+        _picture(place - middle, np.asarray(body.faces), heat, limit, view, reach[:2])
+        for body, place, middle, heat in zip(bodies, places, middles, heats, strict=True)
+    ]
+
+
+def colour_scale(limit: float, unit: str, unseen: str) -> Markup:
+    """The legend of `heat_pictures`, with `limit` in a unit; `unseen` says what grey is."""
+    bar = element("div", class_="bar", style=f"background: linear-gradient(90deg, {', '.join(HEAT)})")
+    values = [number(value) for value in ticks(0.0, limit)]
+    ends = element("div", *(element("span", value) for value in values), class_="ends")
+    told = f"Mean distance, {unit}; {values[-1]} and more are dark red. {unseen}"
+    return element("div", bar, ends, element("div", told), class_="scale")
+
+
+def front_view(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3 3"]:
+    """Rows are right, up, which is y, and towards the eye, which is the shallower of the two others."""
+    sides = np.ptp(vertices, axis=0)
+    towards = np.eye(3)[2 if sides[2] <= sides[0] else 0]
+    return np.stack([np.cross([0.0, 1.0, 0.0], towards), [0.0, 1.0, 0.0], towards])
+
+
+def _picture(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: np.ndarray,
+    heat: Float[np.ndarray, "V"],
+    limit: float,
+    view: Float[np.ndarray, "3 3"],
+    reach: Float[np.ndarray, "2"],
+) -> str:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    known = np.isfinite(heat)
+    colours = LinearSegmentedColormap.from_list("heat", HEAT)(np.where(known, heat, 0.0) / limit)[:, :3]
+    paint = np.where(known[:, None], colours, UNSEEN)
+    wide = float(np.clip(TALL * reach[0] / reach[1], 1.2, 6.0))
+    canvas, figure = new_figure(2 * wide, TALL)
+    # the page behind may be light or dark
+    figure.set_facecolor("none")
+    for plot, degrees in zip(figure.subplots(1, 2), (0.0, 180.0), strict=True):
+        draw_surface(plot, vertices, faces, turned(view, degrees), paint)
+        frame(plot, -reach, reach)
+    figure.subplots_adjust(left=0, right=1, top=1, bottom=0, wspace=0)
+    told = io.BytesIO()
+    canvas.print_png(told)
+    return f"data:image/png;base64,{base64.b64encode(told.getvalue()).decode()}"
