@@ -9,9 +9,8 @@ from cli import fails, runs
 from helpers import chain_body, random_pose
 
 import jaxcap as jc
+from jaxcap.adapt.beside import centres_beside, make_beside
 from jaxcap.adapt.equations import (
-    make_follow,
-    moved_joints,
     pair_energy,
     pair_rows,
     pose_equations,
@@ -20,10 +19,11 @@ from jaxcap.adapt.equations import (
     unstack,
     vertex_maps,
 )
-from jaxcap.adapt.joints import Trust, adapt_joints, centres_beside, make_beside
-from jaxcap.adapt.loop import Settings, Task, adapt_body, plan, shape_weight
+from jaxcap.adapt.loop import Settings, Stage, Task, adapt_body, plan, shape_weight
+from jaxcap.adapt.modes import Modes, joint_modes, moved
 from jaxcap.adapt.pose import fit_pose, mean_square, pairs_of
 from jaxcap.adapt.shape import adapt_shape, own_shape_prior
+from jaxcap.adapt.shared import Belief, adapt_shared
 from jaxcap.adapt.size import fit_size, resized, size_equation
 from jaxcap.adapt.window import smooth_poses, temporal_energy
 from jaxcap.body.pose import retract
@@ -63,20 +63,28 @@ def some_pairs(rng, count: int = 40, corners: int = 1) -> Pairs:
     return Pairs(jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights)))
 
 
-@pytest.mark.parametrize("corners", [1, 3])
-def test_equations_of_poses_and_joints_against_central_differences(rng, corners):
-    """The gradient of the pairs' energy by every number of the pose and every shift of a joint."""
-    pairs, follow = some_pairs(rng, corners=corners), make_follow(BODY)
+def some_modes(rng, kind: str) -> Modes:
+    """Joints with their skin, joints within it, or a few ways in which everything moves."""
+    if kind != "people":
+        return joint_modes(BODY, follow=kind == "joints")
+    shapes = (4, BODY.skeleton.num_joints, 3), (4, len(BODY.vertices), 3)
+    return Modes(*(jnp.asarray(0.1 * rng.normal(size=shape)) for shape in shapes))
+
+
+@pytest.mark.parametrize(("corners", "kind"), [(1, "joints"), (3, "within"), (1, "people")])
+def test_equations_of_poses_and_modes_against_central_differences(rng, corners, kind):
+    """The gradient of the pairs' energy by every number of the pose and every amount of a mode."""
+    pairs, modes = some_pairs(rng, corners=corners), some_modes(rng, kind)
     pose = random_pose(BODY.skeleton, rng, 0.6)
-    dofs, joints = BODY.skeleton.num_dofs, BODY.skeleton.num_joints
+    dofs = BODY.skeleton.num_dofs
 
     @eqx.filter_jit
     def energy(d):
-        body = moved_joints(BODY, follow, d[dofs:].reshape(joints, 3))
+        body = moved(BODY, modes, d[dofs:])
         return pair_energy(body, retract(BODY.skeleton, pose, d[:dofs]), pairs)
 
-    _, side, value = eqx.filter_jit(shared_equations)(BODY, pose, pairs, follow)
-    zero, h = np.zeros(dofs + 3 * joints), 1e-6
+    _, side, value = eqx.filter_jit(shared_equations)(BODY, pose, pairs, modes)
+    zero, h = np.zeros(dofs + len(modes.centres)), 1e-6
     found = [(energy(zero + h * e) - energy(zero - h * e)) / (2 * h) for e in np.eye(len(zero))]
     np.testing.assert_allclose(-2 * side, found, atol=1e-6 * np.abs(found).max())
     assert float(value) == pytest.approx(float(energy(zero)))
@@ -172,8 +180,11 @@ def test_a_posed_vertex_depends_linearly_on_its_place_at_rest(rng):
 
 
 def test_the_surface_follows_all_its_joints_alike():
-    """Shares of all joints sum to one, so that a body that is shifted whole stays as it is."""
-    np.testing.assert_allclose(make_follow(BODY).shares.sum(1), 1.0, atol=1e-9)
+    """A body whose joints are all shifted alike is shifted whole."""
+    shift = jnp.array([0.1, -0.2, 0.3])
+    there = moved(BODY, joint_modes(BODY), jnp.tile(shift, BODY.skeleton.num_joints))
+    np.testing.assert_allclose(there.vertices, BODY.vertices + shift, atol=1e-9)
+    np.testing.assert_allclose(there.skeleton.centres, BODY.skeleton.centres + shift, atol=1e-9)
 
 
 def test_joints_go_where_the_surface_around_them_goes(rng):
@@ -252,8 +263,8 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
         fit_pose(body, s, motion[n], prior, matching, steps=8).pose
         for s, n in zip(scans, frames, strict=True)
     ]
-    shape, beside, follow = own_shape_prior(body), make_beside(body), make_follow(body)
-    trust = Trust(*(jnp.asarray(x) for x in (1e-6, 0.005, 0.003)))
+    shape, beside, modes = own_shape_prior(body), make_beside(body), joint_modes(body)
+    weights = [jnp.asarray(x) for x in (1e-6, 0.003, 0.05)]
     mirrored = mirrored_joints(body.skeleton)
 
     def pairs():
@@ -267,9 +278,10 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
 
     told = [distance()]
     for _ in range(3):
-        expected = jnp.asarray(centres_beside(beside, np.asarray(body.vertices)))
-        body, moved = adapt_joints(body, stack(poses), pairs(), prior, follow, mirrored, expected, trust)
-        poses = [jax.tree.map(lambda leaf, i=i: leaf[i], moved) for i in range(len(frames))]
+        shifts = centres_beside(beside, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
+        belief = Belief(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
+        body, several, _ = adapt_shared(body, stack(poses), pairs(), prior, modes, belief, mirrored, *weights)
+        poses = unstack(several, len(frames))
         body = adapt_shape(body, stack(poses), pairs(), shape, 10.0)
         told.append(distance())
     assert told[0] > told[1] > told[2] > told[3]
@@ -310,18 +322,19 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
 
 
 def test_the_plan_has_all_stages_and_weights_fall():
-    settings = Settings(rounds=(5, 3), temporal=0.0)
-    names = [stage[0] for stage in plan(settings)]
-    assert names == ["size", "track", *5 * ["adapt"], "track", *3 * ["adapt"], "track", "pose"]
-    weights = [shape_weight(settings, 0, step) for step in (3, 4)]
+    settings = Settings(alone=2, rounds=(5, 3), temporal=0.0)
+    names = [stage.name for stage in plan(settings)]
+    assert names == ["size", "track", *7 * ["adapt"], "track", *3 * ["adapt"], "track", "pose"]
+    weights = [shape_weight(settings, Stage("adapt", 1, step)) for step in (1, 5)]
     assert weights == pytest.approx(list(settings.shape))
+    assert [stage.name for stage in plan(Settings(alone=0, rounds=()))] == ["size", "track", "pose", "smooth"]
 
 
 @pytest.mark.slow
 def test_the_whole_way_and_again_from_the_middle(scene):
     template, actor, motion, clouds = scene
     task = Task(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
-                mirrored_joints(template.skeleton), Settings(frames=6, rounds=(5, 2)))  # fmt: skip
+                mirrored_joints(template.skeleton), Settings(frames=6, alone=3, rounds=(2, 2)))  # fmt: skip
     states = list(adapt_body(task))
     last = states[-1]
     assert last.done == len(plan(task.settings))

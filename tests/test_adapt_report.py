@@ -94,7 +94,7 @@ def scene():
         points, normals = sample_surface(vertices, np.asarray(actor.faces), 700, rng)
         clouds.append(jc.make_cloud(points + 0.0005 * rng.normal(size=points.shape), normals))
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
-    settings = Settings(frames=2, rounds=(2, 1))
+    settings = Settings(frames=2, alone=1, rounds=(1, 1))
     task = Task(
         template, clouds.__getitem__, FRAMES, RATE, None, prior, mirrored_joints(template.skeleton), settings
     )

@@ -171,7 +171,10 @@ def _weighed_quantile(values: Float[np.ndarray, "B"], counts: Int[np.ndarray, "B
 
 def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
     """A body adapted to one frame, or to none, and tracked in all."""
-    settings = task.settings._replace(frames=adapted, rounds=task.settings.rounds[:adapted], temporal=0.0)
+    own = task.settings
+    settings = own._replace(
+        frames=adapted, alone=own.alone * adapted, rounds=own.rounds[:adapted], temporal=0.0
+    )
     left = len(plan(settings)) - 1 - state.done
     for reached in islice(adapt_body(task._replace(settings=settings), state), left):
         state = reached
@@ -180,7 +183,7 @@ def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
 
 def _each_by_itself(task: Task, state: AdaptState, frames: Sequence[int]) -> Motion:
     """The poses of some frames as the stage `pose` finds them from those of a state."""
-    settings = task.settings._replace(rounds=(), temporal=0.0)
+    settings = task.settings._replace(alone=0, rounds=(), temporal=0.0)
     some = task._replace(
         cloud=lambda number: task.cloud(frames[number]), frames=len(frames), settings=settings
     )

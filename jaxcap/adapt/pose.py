@@ -8,8 +8,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..body.body import Body, pose_body
-from ..body.pose import Pose, retract
+from ..body.pose import Pose
+from ..body.pose_boxes import PoseBoxes, box_chart, chart_equations, move_within, no_boxes
+from ..body.skeleton import Skeleton
 from ..energy.term import AbstractEnergy
+from ..fit.boxed import solve_boxed
 from ..fit.correspond import Matching, Pairs, Scan, find_pairs
 from ..fit.problem import linearise
 from .equations import pair_energy, pose_equations
@@ -42,14 +45,20 @@ def fit_pose(
     steps: int = 10,
     damping: float = 1e-3,
     visible: Bool[np.ndarray, "V"] | None = None,
+    boxes: PoseBoxes | None = None,
 ) -> PoseFit:
     """The pose of a frame from one near it: Q_data + weight Q_prior, with Q_data the mean over pairs.
 
     Each step finds pairs anew, solves the damped normal equations, and takes the best of some lengths of
     the step for these pairs (Adaptation: Levenberg-Marquardt for the direction, a search along it for the
     length). New pairs may raise Q; some such steps are gone on from, and the best pose is kept.
+
+    `boxes` are hard: a number that a step would carry beyond its end is set to that end, and the others are
+    solved for again. What the start has beyond them is brought back first.
     """
     faces = np.asarray(body.faces)
+    boxes = no_boxes() if boxes is None else boxes
+    start = _brought_in(boxes, body.skeleton, start)
     pose, best, worse = start, None, 0
     for _ in range(steps):
         pairs = _pairs(body, pose, faces, scan, matching, visible)
@@ -61,7 +70,8 @@ def fit_pose(
             worse += 1
             if worse > UPHILL:
                 break
-        pose = _improve(body, pose, pairs, prior, jnp.asarray(weight, float), jnp.asarray(damping, float))
+        amounts = jnp.asarray(weight, float), jnp.asarray(damping, float)
+        pose = _improve(body, pose, pairs, prior, boxes, *amounts)
     else:
         pairs = _pairs(body, pose, faces, scan, matching, visible)
         data, beside = (float(value) for value in _values(body, pose, pairs, prior))
@@ -110,11 +120,17 @@ def _values(body: Body, pose: Pose, pairs: Pairs, prior: AbstractEnergy):
 
 
 @eqx.filter_jit
+def _brought_in(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
+    return boxes.nearest(skeleton, pose)
+
+
+@eqx.filter_jit
 def _improve(
     body: Body,
     pose: Pose,
     pairs: Pairs,
     prior: AbstractEnergy,
+    boxes: PoseBoxes,
     weight: Float[Array, ""],
     damping: Float[Array, ""],
 ) -> Pose:
@@ -125,16 +141,19 @@ def _improve(
     side = side / count - weight * jacobian.T @ residual
     diagonal = jnp.diag(matrix)
     floor = 1e-6 * jnp.max(diagonal)
-    step = jnp.linalg.solve(matrix + jnp.diag(damping * diagonal + floor), side)
+    damped = matrix + jnp.diag(damping * diagonal + floor)
+    # bounds are on the numbers of the chart, and so is the step
+    chart = box_chart(boxes, skeleton, pose)
+    step = solve_boxed(*chart_equations(chart, damped, side), chart.low, chart.high)
 
     def value(share):
-        moved = retract(skeleton, pose, share * step)
+        moved = move_within(boxes, skeleton, pose, chart, share * step)
         beside = prior.residual(pose_body(body, moved))
         return pair_energy(body, moved, pairs) / count + weight * beside @ beside
 
     shares = jnp.asarray([*SHARES, 0.0], step.dtype)
     values = jnp.stack([value(share) for share in shares])
-    return retract(skeleton, pose, shares[jnp.argmin(values)] * step)
+    return move_within(boxes, skeleton, pose, chart, shares[jnp.argmin(values)] * step)
 
 
 def _count(pairs: Pairs) -> Float[Array, ""]:

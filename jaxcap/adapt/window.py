@@ -1,16 +1,19 @@
 """Smooth motion: the poses of some frames at once, coupled by their second differences (Adaptation, 4.1.4)."""
 
 from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..body.body import Body
 from ..body.pose import Pose, retract
+from ..body.pose_boxes import PoseBoxes, box_chart, move_within, no_boxes
 from ..body.skeleton import Skeleton
 from ..energy.term import AbstractEnergy
+from ..fit.boxed import solve_boxed
 from ..fit.correspond import Pairs
 from ..fit.problem import linearise
 from ..geometry import rotation
@@ -31,14 +34,17 @@ def smooth_poses(
     frames: int = FRAMES,
     stride: int = STRIDE,
     steps: int = 2,
+    boxes: PoseBoxes | None = None,
 ) -> list[Pose]:
     """Poses of a whole sequence by windows that overlap, each with its first frame held where the window
     before left it; memory is that of one window.
 
     **Arguments:** `pairs_at(frame, pose)` gives the pairs of a frame; `weight` of the prior and `temporal` of the
-    second differences, against the mean squared distance of a pair (eqs. 4.3, 4.9).
+    second differences, against the mean squared distance of a pair (eqs. 4.3, 4.9); `boxes` are hard, as in
+    `fit_pose`, and poses that are beyond them are brought back first.
     """
-    poses = list(poses)
+    boxes = no_boxes() if boxes is None else boxes
+    poses = [_brought_in(boxes, body.skeleton, pose) for pose in poses]
     for start in range(0, max(len(poses) - 2, 1), stride):
         stop = min(start + frames, len(poses))
         # a window of another length would be compiled anew, so the last one begins earlier
@@ -53,6 +59,7 @@ def smooth_poses(
                 stack(window),
                 pairs,
                 prior,
+                boxes,
                 jnp.asarray(weight, float),
                 jnp.asarray(temporal, float),
                 jnp.asarray(start > 0),
@@ -72,7 +79,21 @@ def temporal_energy(skeleton: Skeleton, poses: Pose) -> Float[Array, ""]:
 
 
 @eqx.filter_jit
-def _improve(body, poses, pairs, prior, weight, temporal, held) -> Pose:
+def _brought_in(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
+    return boxes.nearest(skeleton, pose)
+
+
+@eqx.filter_jit
+def _improve(
+    body: Body,
+    poses: Pose,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    boxes: PoseBoxes,
+    weight: Float[Array, ""],
+    temporal: Float[Array, ""],
+    held: Bool[Array, ""],
+) -> Pose:
     skeleton, dofs = body.skeleton, body.skeleton.num_dofs
     frames = poses.scale.shape[0]
 
@@ -104,8 +125,15 @@ def _improve(body, poses, pairs, prior, weight, temporal, held) -> Pose:
     diagonal = jnp.diag(matrix)
     ridge = 1e-4 * diagonal + 1e-7 * jnp.max(diagonal)
     matrix = matrix * free[:, None] * free + jnp.diag(jnp.where(free > 0, ridge, 1.0))
-    step = jax.scipy.linalg.solve(matrix, free * side, assume_a="pos").reshape(frames, dofs)
-    return jax.vmap(retract, (None, 0, 0))(skeleton, poses, step)
+    # bounds are on the numbers of the frames' charts, and so is the step
+    charts = jax.vmap(box_chart, (None, None, 0))(boxes, skeleton, poses)
+    product = partial(jnp.einsum, precision="highest")
+    matrix = product("faGb,Gbj->faGj", matrix.reshape(frames, dofs, frames, dofs), charts.turn)
+    matrix = product("fai,faGj->fiGj", charts.turn, matrix).reshape(frames * dofs, frames * dofs)
+    side = product("fai,fa->fi", charts.turn, (free * side).reshape(frames, dofs)).reshape(-1)
+    step = solve_boxed(matrix, side, charts.low.reshape(-1), charts.high.reshape(-1))
+    move = jax.vmap(move_within, (None, None, 0, 0, 0))
+    return move(boxes, skeleton, poses, charts, step.reshape(frames, dofs))
 
 
 def _second_differences(skeleton: Skeleton, poses: Pose, d: Float[Array, "F D"]) -> Float[Array, "R"]:

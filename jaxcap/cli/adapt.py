@@ -10,10 +10,12 @@ import numpy as np
 
 from ..adapt.evaluate import Stages, compare_stages, quantile, variant_names
 from ..adapt.loop import AdaptState, Settings, Task, adapt_body, plan
+from ..adapt.people import People, learn_people
 from ..body.anatomy import rest_deviations
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
+from ..body.variety import human_resolution, people_of_many_shapes
 from ..edit.joint_names import twin_joints
 from ..edit.retarget import retarget
 from ..energy.pair_prior import MahalanobisPrior
@@ -31,6 +33,9 @@ from .results import make_writable
 from .rounds import Rounds
 from .say import say, warn
 from .sources import load_body, load_cloud
+
+#: bodies that tell how people differ
+PEOPLE = 200
 
 
 @dataclass
@@ -90,9 +95,6 @@ class Adapt:
         header = {**self.settings(), **_fingerprint(body, scans)}
         state = self.begin(header, body)
         stages = plan(task.settings)
-        names = [
-            name if not which else f"pass {which[0] + 1}, round {which[1] + 1}" for name, *which in stages
-        ]
         with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
                 for reached in adapt_body(task, state):
@@ -100,7 +102,7 @@ class Adapt:
                     save_checkpoint(self.kept, checkpoint_of(state), header)
                     bar.tell(
                         state.done,
-                        f"{names[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body",
+                        f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body",
                     )
             except KeyboardInterrupt:
                 done = 0 if state is None else state.done
@@ -206,6 +208,7 @@ class Adapt:
             prior=prior,
             mirrored=mirrored_joints(skeleton),
             settings=Settings(frames=self.frames, joint=self.joint_deviation, temporal=self.smoothness),
+            people=people_like(body),
         )
 
     def settings(self) -> dict[str, object]:
@@ -221,12 +224,20 @@ class Adapt:
                 raise InputError(
                     f"{self.kept}: there is no unfinished run to go on from; leave --resume out."
                 )
-            return state_of(load_checkpoint(self.kept, header, ("done", "size", "lost", "chosen")))
+            return state_of(load_checkpoint(self.kept, header, ("done", "size", "lost", "chosen", "traits")))
         if self.kept.exists() and not self.overwrite:
             raise InputError(
                 f"{self.kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
             )
         return None
+
+
+def people_like(template: Body) -> People | None:
+    """How people differ, where the template has the human's triangles and joints."""
+    resolution = human_resolution(template)
+    if resolution is None:
+        return None
+    return learn_people(template, people_of_many_shapes(PEOPLE, resolution=resolution, joints="tracking"))
 
 
 def first_pose(path: Path, skeleton: Skeleton) -> Pose:
@@ -254,6 +265,7 @@ def checkpoint_of(state: AdaptState) -> Checkpoint:
         "size": np.array(state.size, float),
         "lost": np.array(state.lost, int),
         "chosen": np.array(state.chosen, int),
+        "traits": np.array(state.traits, float),
     }
     return Checkpoint(state.body, state.motion, state.history, arrays)
 
@@ -261,9 +273,9 @@ def checkpoint_of(state: AdaptState) -> Checkpoint:
 def state_of(kept: Checkpoint) -> AdaptState:
     """The state of a checkpoint that `checkpoint_of` made, to the last bit."""
     arrays = kept.arrays
-    lost, chosen = (tuple(arrays[name].tolist()) for name in ("lost", "chosen"))
+    lost, chosen, traits = (tuple(arrays[name].tolist()) for name in ("lost", "chosen", "traits"))
     return AdaptState(
-        int(arrays["done"]), kept.body, float(arrays["size"]), kept.motion, lost, chosen, kept.history
+        int(arrays["done"]), kept.body, float(arrays["size"]), kept.motion, lost, chosen, kept.history, traits
     )
 
 

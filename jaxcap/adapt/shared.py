@@ -1,0 +1,81 @@
+"""What all frames share, a body's rest by some modes, with the poses of them all (Adaptation, 4.1.4)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body
+from ..body.pose import Pose, retract
+from ..body.symmetry import length_differences
+from ..energy.term import AbstractEnergy
+from ..fit.arrow import Arrow, solve_arrow
+from ..fit.correspond import Pairs
+from ..fit.problem import linearise
+from .equations import shared_equations
+from .modes import Modes, moved
+
+#: pairs that are neighbours say the same: so many count as one
+ALIKE = 50.0
+
+
+class Belief(eqx.Module):
+    """Where the amounts of the modes are, before any pair is looked at."""
+
+    #: from where they stand
+    expected: Float[Array, "K"]
+    #: standard deviation of each
+    deviation: Float[Array, "K"]
+
+
+@eqx.filter_jit
+def adapt_shared(
+    body: Body,
+    poses: Pose,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    modes: Modes,
+    belief: Belief,
+    mirrored: tuple[tuple[int, int], ...],
+    weight: Float[Array, ""],
+    deviation: Float[Array, ""],
+    along: Float[Array, ""],
+) -> tuple[Body, Pose, Float[Array, "K"]]:
+    """One Gauss-Newton step on all poses and the amounts of the modes that they share, a block-arrow; paired
+    bones end equally long (eq. 4.13 as a constraint).
+
+    **Arguments:** `poses` and `pairs` stacked over frames; `weight` of the pose prior against the mean squared distance
+    of a pair, metres squared; `mirrored` pairs of joints of the left and the right; `deviation` of a pair's
+    distance, metres, against which beliefs count; `along`, the share by which squared distances along the surface count.
+
+    Returns the body, the poses, and by how much the body has gone along each mode.
+    """
+    skeleton, dofs = body.skeleton, body.skeleton.num_dofs
+
+    def of_frame(frame):
+        pose, pairs = frame
+        matrix, side, _ = shared_equations(body, pose, pairs, modes, along)
+        residual, jacobian = linearise(prior, body, pose)
+        # a prior counts as it does for a pose by itself, against the mean of the pairs
+        scale = weight * jnp.maximum(jnp.sum(pairs.weights > 0), 1)
+        matrix = matrix.at[:dofs, :dofs].add(scale * jacobian.T @ jacobian)
+        side = side.at[:dofs].add(-scale * jacobian.T @ residual)
+        return matrix[:dofs, :dofs], matrix[:dofs, dofs:], matrix[dofs:, dofs:], side
+
+    frames, coupling, shared, sides = jax.lax.map(of_frame, (poses, pairs))
+    diagonal = jnp.diagonal(frames, axis1=1, axis2=2)
+    ridge = 1e-3 * diagonal + 1e-6 * jnp.max(diagonal, 1, keepdims=True)
+    hold = ALIKE * (deviation / belief.deviation) ** 2
+    arrow = Arrow(
+        frames + jax.vmap(jnp.diag)(ridge),
+        coupling,
+        jnp.sum(shared, 0) + jnp.diag(hold),
+        sides[:, :dofs],
+        jnp.sum(sides[:, dofs:], 0) + hold * belief.expected,
+    )
+    differences, by_centre = length_differences(skeleton, np.array(mirrored, int).reshape(-1, 2))
+    rows = jnp.einsum("bja,kja->bk", by_centre, modes.centres)
+    by_frame, amounts = solve_arrow(arrow, rows, -differences)
+    poses = jax.vmap(retract, (None, 0, 0))(skeleton, poses, by_frame)
+    return moved(body, modes, amounts), poses, amounts

@@ -1,0 +1,84 @@
+"""How people differ: from a body to its traits and back, and proportions from scans."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcap as jc
+from jaxcap.adapt.loop import Settings, Task, adapt_body
+from jaxcap.adapt.people import learn_people, person, traits_like
+from jaxcap.body.variety import human_resolution, people_of_many_shapes
+from jaxcap.demo.performance import walk_and_wave
+from jaxcap.demo.scanner import sample_surface
+from jaxcap.energy.prior import RestPrior
+
+
+@pytest.fixture(scope="module")
+def people():
+    template = jc.human(resolution="low", joints="tracking")
+    return learn_people(template, people_of_many_shapes(80, resolution="low", joints="tracking"))
+
+
+def joints_off(body: jc.Body, other: jc.Body) -> float:
+    """Mean distance of joints, metres, with both surfaces about their middles."""
+    places = [b.skeleton.centres - b.vertices.mean(0) for b in (body, other)]
+    return float(jnp.linalg.norm(places[0] - places[1], axis=1).mean())
+
+
+def test_the_template_stands_where_it_was_put(people):
+    """No traits beyond the template are the template, and those opposite to its standing the mean of people."""
+    np.testing.assert_array_equal(
+        person(people, jnp.zeros_like(people.standing)).vertices, people.template.vertices
+    )
+    others = people_of_many_shapes(80, resolution="low", joints="tracking")
+    mean = np.mean([np.asarray(body.vertices) for body in others], 0)
+    np.testing.assert_allclose(person(people, -people.standing).vertices, mean, atol=0.004)
+
+
+def test_modes_are_of_deviation_one(people):
+    others = people_of_many_shapes(80, resolution="low", joints="tracking")
+    basis = np.concatenate([np.asarray(part).reshape(len(people.standing), -1) for part in (people.modes.centres, people.modes.vertices)], 1)  # fmt: skip
+    rows = np.stack([np.concatenate([np.asarray(b.skeleton.centres).ravel(), np.asarray(b.vertices).ravel()]) for b in others])  # fmt: skip
+    traits = np.linalg.lstsq(basis.T, (rows - rows.mean(0)).T, rcond=None)[0]
+    np.testing.assert_allclose(np.cov(traits), np.eye(len(traits)), atol=0.02)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.5])
+def test_somebody_new_is_known_by_the_surface(people, shift):
+    """One who was not among those learned from, wherever the body stands."""
+    somebody = jc.human(resolution="low", joints="tracking", sex="female", height=1.58, weight=0.8, age=40)
+    found = person(people, traits_like(people, eqx.tree_at(lambda b: b.vertices, somebody, somebody.vertices + shift)))  # fmt: skip
+    assert joints_off(found, somebody) < 0.003
+    assert joints_off(people.template, somebody) > 0.02
+
+
+def test_traits_are_told_by_scans(people):
+    """With nothing but clouds: a woman from the template of a man, her joints as far within as his are not."""
+    actor = jc.human(resolution="low", joints="tracking", sex="female", height=1.6, weight=0.7)
+    motion, posed = walk_and_wave(actor.skeleton, seconds=0.4), eqx.filter_jit(jc.pose_body)
+
+    def cloud(frame):
+        rng = np.random.default_rng(frame)
+        vertices = np.asarray(posed(actor, motion[frame]).vertices, float)
+        points, normals = sample_surface(vertices, np.asarray(actor.faces), 2000, rng)
+        return jc.make_cloud(points + 0.002 * rng.normal(size=points.shape), normals)
+
+    prior = RestPrior(jnp.full((actor.skeleton.num_joints, 3), 0.7))
+    settings = Settings(frames=4, alone=4, rounds=(), temporal=0.0)
+    task = Task(people.template, cloud, 6, 30.0, motion[0], prior, (), settings, people)
+    *_, last = adapt_body(task)
+    assert joints_off(last.body, actor) < 0.012
+    assert joints_off(jc.human(resolution="low", joints="tracking", height=1.6), actor) > 0.015
+
+
+def test_only_the_human_s_triangles_are_the_human_s():
+    assert human_resolution(jc.human(resolution="low")) == "low"
+    assert human_resolution(jc.human(resolution=900)) is None
+
+
+def test_bodies_of_other_triangles_are_refused(people):
+    with pytest.raises(ValueError, match="Body 1 has 900 vertices"):
+        learn_people(people.template, [people.template, jc.human(resolution=900, joints="tracking")])
+    with pytest.raises(ValueError, match="at least two"):
+        learn_people(people.template, [people.template])
