@@ -1,0 +1,84 @@
+"""The terms of the objective, each by itself and without its weight (Adaptation, section 4.1.3)."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body, Posed, deform_all, pose_body
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton
+from ..body.symmetry import length_differences
+from ..energy.term import AbstractEnergy
+from ..fit.correspond import Pairs, places_on
+from .equations import TANGENTIAL, pair_rows
+from .shape import ShapePrior
+from .window import temporal_energy
+
+
+class Terms(NamedTuple):
+    """What each term is worth."""
+
+    #: mean squared weighed distance of a pair (eq. 4.4), metres squared
+    data: float
+    #: mean of the pose prior over frames (eq. 4.7)
+    pose: float
+    #: mean squared second difference of rotation vectors (eq. 4.9), radians squared
+    temporal: float
+    #: mean squared change of the Laplacian vectors (eq. 4.11), metres squared
+    shape: float
+    #: summed squared differences of paired bones' lengths (eq. 4.13), metres squared
+    symmetry: float
+
+
+class PairDistances(AbstractEnergy):
+    """Distances of a posed body from the points that belong to it: whole across the surface, by the share `along` along
+    it (Adaptation, eq. 4.4, for fixed pairs). It sums with any other energy, for `solve`."""
+
+    pairs: Pairs
+    along: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.asarray(TANGENTIAL))
+
+    def residual(self, posed: Posed) -> Float[Array, "R"]:
+        apart = places_on(self.pairs, posed.vertices) - self.pairs.points
+        return jnp.einsum("cra,ca->cr", pair_rows(self.pairs, self.along), apart).reshape(-1)
+
+
+def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:
+    """The mean of a prior over stacked poses."""
+    return float(_pose_energy(prior, body, poses))
+
+
+def shape_energy(prior: ShapePrior, body: Body) -> float:
+    """The mean over training poses and vertices of the squared change of a Laplacian vector (eqs. 4.11, 4.12)."""
+    meshes = np.asarray(deform_all(body, prior.poses), float)
+    off = [prior.laplacian @ mesh - vectors for mesh, vectors in zip(meshes, prior.vectors, strict=True)]
+    return float(np.mean(np.sum(np.square(off), -1)))
+
+
+def symmetry_energy(skeleton: Skeleton, mirrored: Sequence[tuple[int, int]]) -> float:
+    """The summed squared differences of paired bones' lengths (eq. 4.13)."""
+    differences, _ = length_differences(skeleton, np.array(mirrored, int).reshape(-1, 2))
+    return float(jnp.sum(differences**2))
+
+
+def motion_energy(skeleton: Skeleton, motion: Motion) -> float:
+    """Of frames that follow each other; none of fewer than three (eq. 4.9)."""
+    return float(temporal_energy(skeleton, motion.poses)) if len(motion) > 2 else 0.0
+
+
+def balanced(data: float, term: float) -> float:
+    """The weight that makes a term worth as much as the data (eqs. 4.15 and 4.16); none for a term that is none."""
+    return data / term if term > 1e-12 else 0.0
+
+
+@eqx.filter_jit
+def _pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> Float[Array, ""]:
+    def of_frame(pose):
+        residual = prior.residual(pose_body(body, pose))
+        return residual @ residual
+
+    return jnp.mean(jax.lax.map(of_frame, poses))

@@ -1,0 +1,112 @@
+"""The objective's terms: against differences, slow sums, and what is known of them."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import chain_body, random_pose
+
+import jaxcap as jc
+from jaxcap.adapt.equations import pair_energy, stack
+from jaxcap.adapt.modes import joint_modes, moved
+from jaxcap.adapt.shape import own_shape_prior
+from jaxcap.adapt.terms import (
+    PairDistances,
+    balanced,
+    motion_energy,
+    pose_energy,
+    shape_energy,
+    symmetry_energy,
+)
+from jaxcap.body.pose import Motion, retract, stack_poses
+from jaxcap.cli.adapt import mirrored_joints
+from jaxcap.energy.prior import RestPrior
+from jaxcap.fit.correspond import Pairs
+from jaxcap.fit.problem import linearise
+
+BODY = chain_body("swing_twist")
+PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))
+
+
+def some_pairs(rng, count: int = 30) -> Pairs:
+    rows = np.asarray(BODY.faces)[rng.integers(0, len(BODY.faces), count)]
+    shares, normals = rng.dirichlet(np.ones(3), count), rng.normal(size=(count, 3))
+    points = np.einsum("ck,cka->ca", shares, np.asarray(BODY.vertices)[rows])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    weights = rng.uniform(0, 1, count) * (np.arange(count) >= 3)
+    points = points + 0.05 * rng.normal(size=points.shape)
+    return Pairs(jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights)))
+
+
+def test_pairs_as_a_term_are_the_pairs_energy_with_its_slope(rng):
+    pairs, pose = some_pairs(rng), random_pose(BODY.skeleton, rng, 0.6)
+    term = PairDistances(pairs)
+    residual, jacobian = eqx.filter_jit(linearise)(term, BODY, pose)
+    assert float(residual @ residual) == pytest.approx(float(pair_energy(BODY, pose, pairs)))
+
+    @eqx.filter_jit
+    def energy(d):
+        return pair_energy(BODY, retract(BODY.skeleton, pose, d), pairs)
+
+    h, zero = 1e-6, np.zeros(BODY.skeleton.num_dofs)
+    found = [(energy(zero + h * e) - energy(zero - h * e)) / (2 * h) for e in np.eye(len(zero))]
+    np.testing.assert_allclose(2 * jacobian.T @ residual, found, atol=1e-6 * np.abs(found).max())
+
+
+def test_pairs_as_a_term_are_solved_beside_a_users_own(rng):
+    truth = random_pose(BODY.skeleton, rng, 0.3)
+    posed = jc.pose_body(BODY, truth)
+    rows = jnp.arange(len(BODY.vertices), dtype=jnp.int32)[:, None]
+    ones = jnp.ones(len(BODY.vertices))
+    pairs = Pairs(rows, ones[:, None], posed.vertices, posed.normals, ones)
+    found = jc.solve(PairDistances(pairs, jnp.asarray(1.0)) + 1e-9 * PRIOR, BODY, jc.rest_pose(BODY.skeleton))
+    np.testing.assert_allclose(jc.pose_body(BODY, found.pose).vertices, posed.vertices, atol=1e-5)
+
+
+def test_a_body_keeps_its_own_shape_and_loses_it_where_it_is_changed(rng):
+    prior = own_shape_prior(BODY, 3)
+    assert shape_energy(prior, BODY) < 1e-20
+    shifts = 0.01 * rng.normal(size=BODY.vertices.shape)
+    rough = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + shifts)
+    total = 0.0
+    neighbours = [{int(v) for face in np.asarray(BODY.faces) if u in face for v in face} - {u} for u in range(len(shifts))]  # fmt: skip
+    for number in range(3):
+        pose = jc.Pose(*(leaf[number] for leaf in (prior.poses.translations, prior.poses.rotations, prior.poses.scale)))  # fmt: skip
+        mesh = np.asarray(jc.pose_body(rough, pose).vertices)
+        for u, near in enumerate(neighbours):
+            total += np.sum((mesh[u] - np.mean([mesh[v] for v in near], 0) - prior.vectors[number][u]) ** 2)
+    assert shape_energy(prior, rough) == pytest.approx(total / (3 * len(shifts)), rel=1e-6)
+
+
+def test_the_human_is_symmetric_until_a_bone_grows():
+    skeleton = jc.human(resolution="low", joints="tracking").skeleton
+    pairs = mirrored_joints(skeleton)
+    assert symmetry_energy(skeleton, pairs) < 1e-8
+    along = skeleton.centres[skeleton.index("LeftForeArm")] - skeleton.centres[skeleton.index("LeftArm")]
+    shift = 0.02 * along / jnp.linalg.norm(along)
+    joints = [skeleton.index(name) for name in skeleton.names if skeleton.descent[skeleton.index("LeftForeArm"), skeleton.index(name)]]  # fmt: skip
+    grown = eqx.tree_at(lambda s: s.centres, skeleton, skeleton.centres.at[jnp.array(joints)].add(shift))
+    assert symmetry_energy(grown, pairs) == pytest.approx(0.02**2, rel=0.01)
+
+
+def test_the_pose_term_is_the_mean_and_balance_makes_terms_worth_alike(rng):
+    poses = [random_pose(BODY.skeleton, rng, 0.5) for _ in range(3)]
+    each = [float(jnp.sum(PRIOR.residual(jc.pose_body(BODY, pose)) ** 2)) for pose in poses]
+    assert pose_energy(PRIOR, BODY, stack(poses)) == pytest.approx(np.mean(each))
+    assert balanced(1e-5, 0.2) * 0.2 == pytest.approx(1e-5)
+    assert balanced(1e-5, 0.0) == 0.0
+
+
+def test_the_temporal_term_of_too_few_frames_is_none(rng):
+    poses = [random_pose(BODY.skeleton, rng, 0.1) for _ in range(4)]
+    assert motion_energy(BODY.skeleton, stack_poses(poses[:2], 30.0)) == 0.0
+    assert motion_energy(BODY.skeleton, stack_poses(poses, 30.0)) > 0
+    still = Motion(stack([poses[0]] * 4), 30.0)
+    assert motion_energy(BODY.skeleton, still) == pytest.approx(0.0, abs=1e-20)
+
+
+def test_modes_move_joints_and_skin_together(rng):
+    amounts = jnp.asarray(0.01 * rng.normal(size=3 * BODY.skeleton.num_joints))
+    there = moved(BODY, joint_modes(BODY, follow=False), amounts)
+    np.testing.assert_array_equal(there.vertices, BODY.vertices)
+    np.testing.assert_allclose(there.skeleton.centres, BODY.skeleton.centres + amounts.reshape(-1, 3), atol=1e-12)  # fmt: skip
