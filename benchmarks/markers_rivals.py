@@ -3,26 +3,23 @@
 The embedded human under a take of CMU's, some 60 markers with a millimetre of noise, from a template with bones 8 %
 and markers 14 mm off: 100 of 300 frames to calibrate, all to solve. Each rival runs in a virtual environment of
 its own, which is made under FOLDER where it is not there, in a process of its own, one after the other; one that
-does not install is told and left out. Momentum calibrates and solves; OpenSim solves with the subject that we
-calibrated, as its scaling has no joint centres of its own. Errors are those of the centres of joints that turn (20 degrees or more), in
-the world, over all frames (`told`: along the directions that our calibration says are told only);
-seconds are those after compilation. Run it with nothing else beside.
+does not install, or ends before its time, is told and left out. Momentum and nimblephysics calibrate and solve;
+OpenSim solves with the subject that we calibrated, as its scaling has no joint centres of its own. Errors are those
+of the centres of joints that turn (20 degrees or more), in the world, over all frames (`told`: along the directions
+that our calibration says are told only); seconds are those after compilation. Run it with nothing else beside.
 """
 
 import argparse
-import os
-import shutil
-import subprocess
 import tempfile
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks._markers import Scene, Trouble, known_part, performer, pose_all, scene_of, turns, wrong
+from benchmarks._rivals.environments import RIVALS, environment, run_rival
 from benchmarks._scenes import cmu_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
@@ -33,89 +30,6 @@ from jaxcap.markers.subject import Subject
 
 TURNS = np.radians(20.0)
 BONES, PLACEMENT = 0.08, 0.014
-
-
-class Rival(NamedTuple):
-    """What is installed where, and how it is run."""
-
-    #: the first of these interpreters that is found
-    pythons: tuple[str, ...]
-    packages: tuple[str, ...]
-    #: libraries of the system that have to be loaded first
-    preload: tuple[str, ...] = ()
-
-
-RIVALS = {
-    "momentum": Rival(("3.12", "3.13"), ("torch==2.8.*", "pymomentum-cpu==0.1.114.post0", "numpy", "scipy"), ("libstdc++.so.6",)),
-    "opensim": Rival(("3.11",), ("opensim==4.6", "numpy")),
-}  # fmt: skip
-
-
-def interpreter(versions: tuple[str, ...]) -> str | None:
-    """A Python of one of these versions: on the path, or of pyenv."""
-    roots = sorted(
-        Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/*"), reverse=True
-    )
-    for version in versions:
-        for root in roots:
-            if root.name.startswith(f"{version}."):
-                return str(root / "bin" / "python")
-        if found := shutil.which(f"python{version}"):
-            return found
-    return None
-
-
-def environment(name: str, folder: Path) -> Path | None:
-    """The Python of a rival's own environment; None where it cannot be had, which is told."""
-    rival, home = RIVALS[name], folder / name
-    python, done = home / "bin" / "python", home / "complete"
-    if done.exists():
-        return python
-    base = interpreter(rival.pythons)
-    if base is None:
-        progress(f"{name} is left out: there is no Python {' or '.join(rival.pythons)} here")
-        return None
-    progress(f"{name}: installing {', '.join(rival.packages)} with {base}")
-    for command in (
-        [base, "-m", "venv", str(home)],
-        [str(python), "-m", "pip", "install", "-q", *rival.packages],
-    ):
-        outcome = subprocess.run(command, capture_output=True, text=True)
-        if outcome.returncode:
-            said = (outcome.stderr.strip() or "nothing said").splitlines()[-1]
-            progress(f"{name} is left out, it does not install: {said}")
-            return None
-    done.touch()
-    return python
-
-
-def library(name: str) -> str | None:
-    folders = ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/lib")
-    return next((str(Path(folder) / name) for folder in folders if (Path(folder) / name).exists()), None)
-
-
-def run_rival(name: str, python: Path, given: Path, limit: float) -> dict[str, np.ndarray] | None:
-    result = given.with_name(f"{name}.npz")
-    script = Path(__file__).with_name("_rivals") / f"run_{name}.py"
-    preload = ":".join(found for one in RIVALS[name].preload if (found := library(one)))
-    surroundings = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    surroundings |= {"LD_PRELOAD": preload} if preload else {}
-    try:
-        command = [str(python), str(script), str(given), str(result)]
-        outcome = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=limit)
-    except subprocess.TimeoutExpired:
-        progress(f"{name} is left out: not done after {limit:.0f} s")
-        return None
-    # they say much, and draw bars; what the script itself says begins with the rival's name
-    for line in outcome.stderr.splitlines():
-        if line.startswith(f"{name} "):
-            progress(line)
-    if outcome.returncode or not result.exists():
-        said = ([line for line in outcome.stderr.splitlines() if line.strip()] or ["nothing said"])[-1][-200:]
-        progress(f"{name} is left out: it ended with code {outcome.returncode}: {said}")
-        return None
-    with np.load(result, allow_pickle=False) as file:
-        return dict(file)
 
 
 def the_scene(shared: Path, take: str, frames: int, seed: int) -> Scene:
@@ -219,13 +133,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--repeats", type=int, default=3, help="of our own calibration and solve")
-    parser.add_argument("--limit", type=float, default=1200.0, help="seconds that a rival may take")
+    parser.add_argument("--limit", type=float, default=3000.0, help="seconds that a rival may take")
     options = parser.parse_args()
     scene = the_scene(shared_folder(), options.take, options.frames, options.seed)
     chosen = np.linspace(0, len(scene.frames) - 1, options.count).round().astype(int)
     turning = np.flatnonzero(turns(scene.motion) >= TURNS)
     turning = turning[turning > 0]
-    begun = {}
+    begun, left_out = {}, []
     figures: dict[str, float] = {}
     limits: dict[str, tuple[str, float]] = {}
 
@@ -257,6 +171,7 @@ def main() -> None:
             outcome = None if python is None else run_rival(name, python, given, options.limit)
             begun[name] = time.perf_counter() - start
             if outcome is None:
+                left_out.append(name)
                 continue
             judge(name, outcome)
             for figure in ("calibrate_joints_mm", "calibrate_seconds", "solve_joints_mm", "solve_ms"):
@@ -270,6 +185,7 @@ def main() -> None:
         "chosen": len(chosen),
         "markers": scene.truth.num_markers,
         "joints": len(turning),
+        "left_out": left_out,
     }
     finish("markers_rivals", figures, limits, sizes, begun)
 

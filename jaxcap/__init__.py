@@ -6,8 +6,8 @@ from .adapt.loop import Task as AdaptTask
 from .adapt.loop import adapt_body as adapt_body
 from .adapt.pose_prior import learn_pair_prior as learn_pair_prior
 from .adapt.pose_prior import learn_ranges as learn_ranges
-from .adapt.shape_prior import LaplacianVectors as LaplacianVectors
-from .adapt.shape_prior import laplacian_vectors as laplacian_vectors
+from .adapt.shape_prior import ShapePrior as ShapePrior
+from .adapt.shape_prior import make_shape_prior as make_shape_prior
 from .body.body import Body as Body
 from .body.body import Posed as Posed
 from .body.body import pose_body as pose_body

@@ -27,7 +27,7 @@ from jaxcap.adapt.shared import Belief, adapt_shared
 from jaxcap.adapt.size import fit_size, resized, size_equation
 from jaxcap.adapt.window import smooth_poses, temporal_energy
 from jaxcap.body.pose import retract
-from jaxcap.cli.adapt import mirrored_joints
+from jaxcap.cli.adapt_input import mirrored_joints
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior

@@ -27,8 +27,11 @@ from jaxcap.adapt.evaluate import (
 )
 from jaxcap.adapt.loop import AdaptState, Settings, Task, plan
 from jaxcap.adapt.size import resized
+from jaxcap.adapt.terms import Terms
 from jaxcap.body.pose import rest_pose, retract, stack_poses
-from jaxcap.cli.adapt import Adapt, _fingerprint, checkpoint_of, mirrored_joints
+from jaxcap.cli.adapt import Adapt
+from jaxcap.cli.adapt_input import mirrored_joints
+from jaxcap.cli.adapt_state import checkpoint_of, fingerprint_of
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior
 from jaxcap.io.checkpoint import save_checkpoint
@@ -100,7 +103,9 @@ def scene():
     )
     shaken = [retract(actor.skeleton, p, jnp.asarray(0.002 * rng.normal(size=len(way)))) for p in poses]
     done, told = len(plan(settings)), (("size", 4.0), ("smooth", 1.0))
-    return task, AdaptState(done, actor, 1.1, stack_poses(shaken, RATE), (3,), (0, 4), told)
+    terms = (Terms(1.6e-5, 2.0, 1e-5, 0.0, 0.0), Terms(1e-6, 3.0, 1e-6, 4e-6, 1e-8))
+    motion = stack_poses(shaken, RATE)
+    return task, AdaptState(done, actor, 1.1, motion, (3,), (0, 4), told, weight=1e-6, terms=terms)
 
 
 @pytest.fixture(scope="module")
@@ -262,7 +267,7 @@ def test_the_command_line_goes_on_to_the_report(scene, tmp_path, capsys):
     jc.save_body(tmp_path / "template.npz", task.template)
     out, report = tmp_path / "actor.npz", tmp_path / "<b>.html"
     verb = Adapt(str(tmp_path / "template.npz"), str(tmp_path / "scans.npz"), out, smoothness=0.0)
-    header = {**verb.settings(), **_fingerprint(task.template, read_clouds(verb.clouds, None, None, "m"))}
+    header = {**verb.settings(), **fingerprint_of(task.template, read_clouds(verb.clouds, None, None, "m"))}
     stages = len(plan(Settings(temporal=0.0)))
     save_checkpoint(verb.kept, checkpoint_of(state._replace(done=stages)), header)
     words = ("adapt", verb.body, verb.clouds, "-o", out, "--smoothness", 0, "--report", report)

@@ -9,13 +9,12 @@ from helpers import chain_body, random_pose
 import jaxcap as jc
 from jaxcap.adapt.equations import pair_energy, stack
 from jaxcap.adapt.modes import joint_modes, moved
-from jaxcap.adapt.shape import own_shape_prior
+from jaxcap.adapt.shape_prior import own_shape_prior, shape_energy
 from jaxcap.adapt.terms import (
     PairDistances,
     balanced,
     motion_energy,
     pose_energy,
-    shape_energy,
     symmetry_energy,
 )
 from jaxcap.body.pose import Motion, retract, stack_poses

@@ -215,7 +215,7 @@ def test_takes_that_tell_nothing(capsys, scene, folder, tmp_path, rng):
         write(tmp_path / "c.c3d", scene.places[:20], both)
     )
     jc.write_markers(tmp_path / "d.csv", take(1000 * scene.places[:20]))
-    assert "looks like millimetres: pass unit='mm'" in refused(tmp_path / "d.csv")
+    assert "looks like millimetres: give --unit mm" in refused(tmp_path / "d.csv")
     (tmp_path / "e.c3d").write_bytes((folder / "rom.c3d").read_bytes()[:-5000])
     assert "cut short" in refused(tmp_path / "e.c3d")
     (tmp_path / "f.c3d").write_text("no markers here")

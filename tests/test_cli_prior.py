@@ -1,5 +1,7 @@
 """`jaxcap prior` as a user types it: learned, told, written with a body, and what is refused."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,8 +9,13 @@ from cli import fails, runs
 from test_cli_limits import SKELETON, write_motion
 
 import jaxcap as jc
+from jaxcap.adapt.shape_prior import shape_energy
+from jaxcap.body.body import deform_all
 from jaxcap.cli import main
+from jaxcap.edit.sample import sample_poses
+from jaxcap.io.mesh import Mesh, write_mesh
 from jaxcap.io.npz import load_limits
+from jaxcap.io.prior import load_shape_prior
 
 
 @pytest.fixture(scope="module")
@@ -91,4 +98,67 @@ def test_what_is_refused(capsys, folder, tmp_path):
     assert "There are 2 poses" in fails(capsys, "prior", "learn", still, "-o", out)
     assert "no pose prior in this file" in fails(capsys, "prior", "info", folder / "body.npz")
     assert "not a 'jaxcap prior'" in fails(capsys, "prior", "info", m)
+    assert not out.exists()
+
+
+@pytest.fixture(scope="module")
+def person(tmp_path_factory):
+    """`low.npz`, a small human; four meshes of it, posed; and poses to learn a prior from."""
+    folder = tmp_path_factory.mktemp("shape")
+    body = jc.human(resolution="low", joints="tracking")
+    jc.save_body(folder / "low.npz", body)
+    poses = sample_poses(body.skeleton, 40)
+    jc.save_motion(folder / "motion.npz", jc.Motion(poses, 30.0), body.skeleton)
+    (folder / "meshes").mkdir()
+    four = jax.tree.map(lambda a: a[:4], poses)
+    four = jc.Pose(four.translations.at[:, 0].add(0.3), four.rotations, four.scale)
+    faces = np.asarray(body.faces)
+    for number, vertices in enumerate(np.asarray(deform_all(body, four), float)):
+        write_mesh(folder / "meshes" / f"m{number}.obj", Mesh(vertices, faces, None))
+    return folder, body
+
+
+def test_shape_is_learned_from_meshes_of_the_body(capsys, person):
+    folder, body = person
+    out, motion = folder / "prior.npz", folder / "motion.npz"
+    words = ("--body", folder / "low.npz", "--meshes", folder / "meshes" / "*.obj", "--most", 1)
+    told = runs(capsys, "prior", "learn", motion, "-o", out, *words)
+    assert (
+        "shape: 4 of 4 meshes; in them the body is off by 0.00 mm, its Laplacian vectors by 0.00 mm" in told
+    )
+    prior = load_shape_prior(out, jc.load_body(out))
+    assert prior is not None
+    assert prior.vectors.shape == (4, len(body.vertices), 3)
+    assert shape_energy(prior, body) < 1e-10
+    rough = eqx.tree_at(lambda b: b.vertices, body, body.vertices.at[::7].add(0.005))
+    assert shape_energy(prior, rough) > 1e-6
+    assert f"{len(body.vertices)} vertices in 4 meshes" in runs(capsys, "prior", "info", out)
+    # a prior of poses learned anew leaves the shape as it is
+    runs(capsys, "prior", "learn", motion, "-o", out, "--body", out, "--most", 1, "--overwrite")
+    again = load_shape_prior(out, body)
+    assert again is not None
+    np.testing.assert_array_equal(again.vectors, prior.vectors)
+
+
+def test_of_many_meshes_those_posed_most_unlike_are_kept(capsys, monkeypatch, person):
+    folder, _ = person
+    monkeypatch.setattr("jaxcap.cli.prior.shape.MOST_MESHES", 2)
+    out = folder / "two.npz"
+    words = ("--body", folder / "low.npz", "--meshes", folder / "meshes", "--most", 1)
+    told = runs(capsys, "prior", "learn", folder / "motion.npz", "-o", out, *words)
+    assert "shape: 2 of 4 meshes" in told
+    assert "in 2 meshes" in runs(capsys, "prior", "info", out)
+
+
+def test_meshes_that_are_refused(capsys, folder, person, tmp_path):
+    meshes, out = person[0] / "meshes" / "*.obj", tmp_path / "p.npz"
+    learn = ("prior", "learn", person[0] / "motion.npz", "-o", out)
+    assert "give it by --body" in fails(capsys, *learn, "--meshes", meshes)
+    body = (*learn, "--body", person[0] / "low.npz")
+    assert "no such file" in fails(capsys, *body, "--meshes", tmp_path / "none.obj")
+    assert "by --unit" in fails(capsys, *body, "--meshes", meshes, "--unit", "mm")
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), None)
+    write_mesh(tmp_path / "small.obj", mesh)
+    told = fails(capsys, *body, "--meshes", tmp_path / "small.obj")
+    assert "The meshes have 3 vertices and the body" in told
     assert not out.exists()

@@ -178,7 +178,7 @@ def _with(raw, behind, instead):
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (b"", "not a C3D file"),
+        (b"", "the file is empty"),
         (b"hello world\n" * 100, "not a C3D file"),
         (c3d_bytes(walked(), NAMES)[:300], "cut short within its header"),
         (c3d_bytes(walked(), NAMES)[:600], "cut short or damaged within its parameters"),

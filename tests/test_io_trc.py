@@ -81,7 +81,7 @@ def test_written_and_read(tmp_path_factory, seed, count, markers, unit):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", ":1: this is not a TRC file"),
+        ("", "the file is empty"),
         ("hello\nworld\n", ":1: this is not a TRC file"),
         ("\n".join(HEAD.split("\n")[:3]), ":3: the file is cut short within the five lines"),
         (HEAD, ":5: the file is cut short: 0 of the 3 frames"),

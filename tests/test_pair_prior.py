@@ -10,11 +10,11 @@ from scipy.stats import multivariate_normal
 
 import jaxcap as jc
 from jaxcap.adapt.pose_prior import turn_vectors
-from jaxcap.adapt.shape_prior import laplacian_vectors
-from jaxcap.body.body import deform_all, pose_body
+from jaxcap.body.body import pose_body
 from jaxcap.body.limits import allowed
 from jaxcap.body.pair_prior import log_density, misfit, mixture_peak, pair_vectors, successive_pairs
 from jaxcap.body.pose_boxes import own_vectors
+from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.term import energies
 from jaxcap.geometry import rotation
 from jaxcap.io.npz import load_limits
@@ -168,7 +168,7 @@ def swinging(frames: int = 240, seed: int = 0) -> jc.Motion:
     rng = np.random.default_rng(seed)
     poses = []
     elbow = np.sin(0.15 * np.arange(frames)) + 0.1 * rng.normal(size=frames)
-    layout = jc.body.skeleton.dof_layout(SKELETON).rotations
+    layout = dof_layout(SKELETON).rotations
     d = np.zeros((frames, SKELETON.num_dofs))
     d[:, layout[SKELETON.index("elbow"), 0]] = 0.6 + 0.5 * elbow
     d[:, layout[SKELETON.index("hand")]] = (0.4 * elbow)[:, None] + 0.1 * rng.normal(size=(frames, 3))
@@ -322,33 +322,6 @@ def test_what_is_not_learned_from(learned):
     short = jc.make_skeleton(("a", "b"), (-1, 0), ("free", "ball"), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="No two joints"):
         jc.learn_pair_prior(short, jc.stack_poses([jc.rest_pose(short)] * 9))
-
-
-def test_laplacian_vectors_are_turned_back_to_rest(rng):
-    """A body whose parts are rigid and apart has the same vectors in every pose."""
-    # one bone for each of its three tubes
-    body = eqx.tree_at(lambda b: b.skin, BODY, jc.RigidSkin(jnp.repeat(jnp.array([1, 4, 7]), 16)))
-    poses = jc.stack_poses([random_pose(SKELETON, rng, 0.5, scale=1.1) for _ in range(4)]).poses
-    meshes = deform_all(body, poses)
-    found = laplacian_vectors(body, poses, meshes, keep=True)
-    faces = np.asarray(body.faces)
-    for v in range(len(body.vertices)):
-        near = np.setdiff1d(faces[(faces == v).any(1)], v)
-        assert found.vectors is not None
-        expected = meshes[:, v] - meshes[:, near].mean(1)
-        np.testing.assert_allclose(found.vectors[:, v], expected, atol=1e-12)
-        at_rest = body.vertices[v] - body.vertices[near].mean(0)
-        np.testing.assert_allclose(found.mean[v], at_rest, atol=1e-10)
-        assert found.spread[v] < 1e-10
-    posed = jc.laplacian_vectors(body, poses)
-    assert posed.vectors is None
-    np.testing.assert_allclose(posed.mean, found.mean, atol=1e-12)
-    # skin that bends has a shape that pose changes
-    assert float(jc.laplacian_vectors(BODY, poses).spread.max()) > 1e-3
-    with pytest.raises(ValueError, match="register them to the body"):
-        laplacian_vectors(body, poses, meshes[:, :5])
-    with pytest.raises(ValueError, match="no poses of training meshes"):
-        laplacian_vectors(body, jc.rest_pose(SKELETON))
 
 
 @pytest.mark.shared

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -95,6 +96,20 @@ def _rows(
 def stack(parts: Sequence):
     """Poses or pairs of single frames as those of all, leaf by leaf."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *parts)
+
+
+def stack_pairs(parts: Sequence[Pairs]) -> Pairs:
+    """Pairs of single frames as those of all; scans of fewer points get pairs of weight zero."""
+    count = max(len(part.weights) for part in parts)
+
+    def padded(part: Pairs) -> Pairs:
+        extra = (0, count - len(part.weights))
+        wide = jax.tree.map(
+            lambda leaf: jnp.pad(leaf, (extra, *[(0, 0)] * (leaf.ndim - 1)), mode="edge"), part
+        )
+        return eqx.tree_at(lambda p: p.weights, wide, jnp.pad(part.weights, extra))
+
+    return stack([padded(part) for part in parts])
 
 
 def unstack(whole, count: int) -> list:

@@ -96,11 +96,11 @@ def compare_stages(task: Task, state: AdaptState, *, step: int = 1) -> Iterator[
         )
     if step < 1:
         raise ValueError(f"The step is {step}; it must be at least 1.")
-    stages = Stages(tuple(range(0, task.frames, step)))
+    stages = Stages(tuple(n for n in range(0, task.frames, step) if n not in task.missing))
 
     # tracked once, as the first frame that is not lost is the one to adapt to
     size = jnp.asarray(state.size, task.template.vertices.dtype)
-    template = AdaptState(1, resized(task.template, size), state.size, state.motion)
+    template = AdaptState(1, resized(task.template, size), state.size, state.motion, weight=state.weight)
     tracked = _until_poses(task, template, 0)
     poses = _each_by_itself(task, tracked, stages.measured)
     yield (stages := _measured(stages, task, tracked, poses))
@@ -173,7 +173,7 @@ def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
     """A body adapted to one frame, or to none, and tracked in all."""
     own = task.settings
     settings = own._replace(
-        frames=adapted, alone=own.alone * adapted, rounds=own.rounds[:adapted], temporal=0.0
+        frames=adapted, every=0, alone=own.alone * adapted, rounds=own.rounds[:adapted], temporal=0.0
     )
     left = len(plan(settings)) - 1 - state.done
     for reached in islice(adapt_body(task._replace(settings=settings), state), left):
@@ -183,9 +183,12 @@ def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
 
 def _each_by_itself(task: Task, state: AdaptState, frames: Sequence[int]) -> Motion:
     """The poses of some frames as the stage `pose` finds them from those of a state."""
-    settings = task.settings._replace(alone=0, rounds=(), temporal=0.0)
+    settings = task.settings._replace(every=0, alone=0, rounds=(), temporal=0.0)
     some = task._replace(
-        cloud=lambda number: task.cloud(frames[number]), frames=len(frames), settings=settings
+        cloud=lambda number: task.cloud(frames[number]),
+        frames=len(frames),
+        settings=settings,
+        missing=tuple(number for number, frame in enumerate(frames) if frame in task.missing),
     )
     begun = state._replace(done=len(plan(settings)) - 1, motion=_taken(state.motion, frames))
     (found,) = adapt_body(some, begun)

@@ -1,11 +1,12 @@
 """The pose of one frame: pairs, a damped step, and again (Adaptation, 4.1.4)."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
@@ -15,12 +16,16 @@ from ..energy.term import AbstractEnergy
 from ..fit.boxed import solve_boxed
 from ..fit.correspond import Matching, Pairs, Scan, find_pairs
 from ..fit.problem import linearise
+from ..fit.visible import visible_vertices
+from ..geometry.camera import Camera
 from .equations import pair_energy, pose_equations
 
 #: shares of a step that are tried: further than it says, as it says, and shorter
 SHARES = (1.5, 1.0, 0.5, 0.25, 0.1)
 #: steps that may raise Q before the best pose is returned to
 UPHILL = 2
+#: rows and columns of the buffers that tell what cameras see
+PIXELS = 96
 
 
 class PoseFit(NamedTuple):
@@ -44,7 +49,7 @@ def fit_pose(
     weight: float = 1e-6,
     steps: int = 10,
     damping: float = 1e-3,
-    visible: Bool[np.ndarray, "V"] | None = None,
+    cameras: Sequence[Camera] = (),
     boxes: PoseBoxes | None = None,
 ) -> PoseFit:
     """The pose of a frame from one near it: Q_data + weight Q_prior, with Q_data the mean over pairs.
@@ -54,14 +59,14 @@ def fit_pose(
     length). New pairs may raise Q; some such steps are gone on from, and the best pose is kept.
 
     `boxes` are hard: a number that a step would carry beyond its end is set to that end, and the others are
-    solved for again. What the start has beyond them is brought back first.
+    solved for again. What the start has beyond them is brought back first. `cameras` as in `pairs_of`.
     """
     faces = np.asarray(body.faces)
     boxes = no_boxes() if boxes is None else boxes
-    start = _brought_in(boxes, body.skeleton, start)
+    start = brought_in(boxes, body.skeleton, start)
     pose, best, worse = start, None, 0
     for _ in range(steps):
-        pairs = _pairs(body, pose, faces, scan, matching, visible)
+        pairs = _pairs(body, pose, faces, scan, matching, cameras)
         data, beside = (float(value) for value in _values(body, pose, pairs, prior))
         total = data + weight * beside
         if best is None or total < best[0] * (1 - 1e-3):
@@ -73,7 +78,7 @@ def fit_pose(
         amounts = jnp.asarray(weight, float), jnp.asarray(damping, float)
         pose = _improve(body, pose, pairs, prior, boxes, *amounts)
     else:
-        pairs = _pairs(body, pose, faces, scan, matching, visible)
+        pairs = _pairs(body, pose, faces, scan, matching, cameras)
         data, beside = (float(value) for value in _values(body, pose, pairs, prior))
         if best is None or data + weight * beside < best[0]:
             return PoseFit(pose, data, beside, pairs)
@@ -86,10 +91,11 @@ def pairs_of(
     pose: Pose,
     scan: Scan,
     matching: Matching,
-    visible: Bool[np.ndarray, "V"] | None = None,
+    cameras: Sequence[Camera] = (),
 ) -> Pairs:
-    """The pairs of a posed body with a scan."""
-    return _pairs(body, pose, np.asarray(body.faces), scan, matching, visible)
+    """The pairs of a posed body with a scan. Vertices that none of the `cameras` sees are in no pair (4.1.2, visibility
+    constraint); no cameras say nothing."""
+    return _pairs(body, pose, np.asarray(body.faces), scan, matching, cameras)
 
 
 def mean_square(body: Body, pose: Pose, pairs: Pairs) -> float:
@@ -102,9 +108,10 @@ def _mean_square(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, ""]:
     return pair_energy(body, pose, pairs) / _count(pairs)
 
 
-def _pairs(body, pose, faces, scan, matching, visible) -> Pairs:
-    vertices, normals = (np.asarray(part, float) for part in _surface(body, pose))
-    return find_pairs(vertices, normals, faces, scan, matching, visible)
+def _pairs(body, pose, faces, scan, matching, cameras) -> Pairs:
+    posed, normals = _surface(body, pose)
+    visible = np.asarray(visible_vertices(cameras, posed, body.faces, pixels=PIXELS)) if cameras else None
+    return find_pairs(np.asarray(posed, float), np.asarray(normals, float), faces, scan, matching, visible)
 
 
 @eqx.filter_jit
@@ -120,7 +127,8 @@ def _values(body: Body, pose: Pose, pairs: Pairs, prior: AbstractEnergy):
 
 
 @eqx.filter_jit
-def _brought_in(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
+def brought_in(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
+    """The pose with every number that is beyond its box at the end of it."""
     return boxes.nearest(skeleton, pose)
 
 

@@ -1,7 +1,6 @@
 """Rest vertices from the pairs of many frames, held to the shape that people have (Adaptation, 4.1.3)."""
 
 import itertools
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,36 +10,13 @@ import scipy.sparse
 import scipy.sparse.linalg
 from jaxtyping import Array, Float, Int
 
-from ..body.body import Body, deform_all
+from ..body.body import Body
 from ..body.pose import Pose
-from ..edit.sample import sample_poses
 from ..fit.correspond import Pairs, places_on
-from ..geometry.laplacian import laplacian_matrix, vertex_adjacency
 from ..geometry.mesh import mesh_edges
 from .equations import pair_rows, vertex_maps
-
-
-class ShapePrior(NamedTuple):
-    """Laplacian vectors that a body is to keep (eq. 4.12), in each of some poses."""
-
-    #: (V, V) the uniform Laplacian of the mesh
-    laplacian: scipy.sparse.csr_matrix
-    poses: Pose
-    vectors: Float[np.ndarray, "M V 3"]
-
-
-def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]) -> ShapePrior:
-    """The Laplacian vectors (eq. 4.2) of registered meshes of the template in known poses."""
-    count = len(body.vertices)
-    adjacency = vertex_adjacency(np.asarray(body.faces), count)
-    matrix = scipy.sparse.csr_matrix(laplacian_matrix(adjacency))
-    return ShapePrior(matrix, poses, np.stack([matrix @ np.asarray(mesh, float) for mesh in meshes]))
-
-
-def own_shape_prior(body: Body, count: int = 5) -> ShapePrior:
-    """The Laplacian vectors of a body itself, at rest and in some poses that it may take."""
-    poses = sample_poses(body.skeleton, count)
-    return make_shape_prior(body, poses, np.asarray(deform_all(body, poses), float))
+from .shape_prior import ShapePrior
+from .shape_prior import own_shape_prior as own_shape_prior
 
 
 def adapt_shape(

@@ -1,78 +1,104 @@
-"""The shape around every vertex, as training meshes show it: Laplacian vectors."""
+"""The shape around every vertex, as training meshes show it (Adaptation, 4.1.1 and 4.1.3): Laplacian vectors."""
+
+from typing import NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+import scipy.sparse
+from jaxtyping import Float, Int
 
 from ..body.body import Body, deform_all
-from ..body.kinematics import forward_kinematics
+from ..body.kinematics import joint_paths
 from ..body.pose import Pose
-from ..geometry.laplacian import laplacian, make_conformance
+from ..body.skeleton import Skeleton
+from ..edit.sample import sample_poses
+from ..geometry.laplacian import laplacian_matrix, vertex_adjacency
+
+_deform_all = eqx.filter_jit(deform_all)
 
 
-class LaplacianVectors(eqx.Module):
-    """What training meshes show around every vertex, as vectors from the mean of its neighbours
-    (Adaptation, eq. 4.2), metres.
+class ShapePrior(NamedTuple):
+    """Laplacian vectors that a body is to keep (eq. 4.12), in each of some poses."""
 
-    Mean and spread are of vectors turned back to rest with the bones that carry each vertex, as
-    vectors of different poses point everywhere.
-    """
-
-    mean: Float[Array, "V 3"]
-    #: root mean square distance from the mean
-    spread: Float[Array, "V"]
-    #: those of each mesh as it stands, in the world, where they were kept
-    vectors: Float[Array, "M V 3"] | None
+    #: (V, V) the uniform Laplacian of the mesh
+    laplacian: scipy.sparse.csr_matrix
+    #: of the body in each mesh, stacked
+    poses: Pose
+    #: from the mean of its neighbours to each vertex (eq. 4.2), in the world, metres
+    vectors: Float[np.ndarray, "M V 3"]
 
 
-def laplacian_vectors(
-    body: Body, poses: Pose, meshes: Float[Array, "M V 3"] | None = None, keep: bool = False
-) -> LaplacianVectors:
-    """Uniform Laplacian vectors of meshes registered to a body, `L(v) = v - mean of its neighbours`
-    (Adaptation, eq. 4.2).
+def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]) -> ShapePrior:
+    """The Laplacian vectors of meshes registered to a body, `L(v) = v - mean of its neighbours` (eq. 4.2).
 
-    **Arguments:** `poses`, those of the body in each mesh, stacked; `meshes`, metres, the body itself in
-    the poses where not given; `keep`, to have all M vectors of each vertex too.
+    **Arguments:** `poses`, those of the body in each mesh, stacked; `meshes`, metres.
 
-    **Raises:** `ValueError` where there is no mesh, there are other numbers of meshes than of poses, or
-    of vertices than the body has.
+    **Raises:** `ValueError` where there are no poses, they are of other joints than the body's, there are other
+    numbers of meshes than of poses or of vertices than the body has, or a mesh is not finite.
     """
     count = len(poses.rotations) if poses.rotations.ndim == 3 else 0
     if not count:
-        raise ValueError("There are no poses of training meshes; give them stacked over frames.")
-    meshes = deform_all(body, poses) if meshes is None else meshes
+        raise ValueError("There are no poses of training meshes; give them stacked over meshes.")
+    joints = poses.rotations.shape[1]
+    if joints != body.skeleton.num_joints:
+        raise ValueError(f"The poses are of {joints} joints, and the body has {body.skeleton.num_joints}.")
     if meshes.shape[:2] != (count, len(body.vertices)):
         raise ValueError(
             f"There are {meshes.shape[0]} meshes of {meshes.shape[1]} vertices for {count} poses of a body of "
             f"{len(body.vertices)}; register them to the body."
         )
-    metric = make_conformance(np.asarray(body.faces), len(body.vertices), 0.0)
-    vectors = _of_each(metric, jnp.asarray(meshes))
-    resting = _turned_back(body, poses, vectors)
-    mean = jnp.mean(resting, 0)
-    spread = jnp.sqrt(jnp.mean(jnp.sum((resting - mean) ** 2, -1), 0))
-    return LaplacianVectors(mean, spread, vectors if keep else None)
+    whole = np.isfinite(meshes).all((1, 2))
+    if not whole.all():
+        raise ValueError(f"Mesh {whole.argmin()} is not finite everywhere; give meshes that are whole.")
+    matrix = uniform_laplacian(body)
+    return ShapePrior(matrix, poses, np.stack([matrix @ np.asarray(mesh, float) for mesh in meshes]))
 
 
-@eqx.filter_jit
-def _of_each(metric, meshes):
-    return jax.lax.map(lambda mesh: laplacian(metric, mesh), meshes)
+def own_shape_prior(body: Body, count: int = 5) -> ShapePrior:
+    """The Laplacian vectors of a body itself, at rest and in some poses that it may take."""
+    poses = sample_poses(body.skeleton, count)
+    return make_shape_prior(body, poses, np.asarray(_deform_all(body, poses), float))
 
 
-@eqx.filter_jit
-def _turned_back(body: Body, poses: Pose, vectors):
-    """Vectors carried from each pose back to rest, by the mean rotation of each vertex's bones."""
-    influence = body.skin.influence(body.skeleton.num_joints)
+def uniform_laplacian(body: Body) -> scipy.sparse.csr_matrix:
+    """(V, V) what takes from each vertex the mean of its neighbours (eq. 4.2); zero for one that has none."""
+    adjacency = vertex_adjacency(np.asarray(body.faces), len(body.vertices))
+    return scipy.sparse.csr_matrix(laplacian_matrix(adjacency))
 
-    def back(pair):
-        pose, own = pair
-        turns = forward_kinematics(body.skeleton, pose).rotations / pose.scale
-        left, _, right = jnp.linalg.svd(jnp.einsum("vb,bij->vij", influence, turns))
-        # the rotation nearest to the mean: a reflection has its last axis turned over
-        sign = jnp.linalg.det(left @ right)
-        nearest = (left * jnp.stack([jnp.ones_like(sign), jnp.ones_like(sign), sign], -1)[:, None]) @ right
-        return jnp.einsum("vji,vj->vi", nearest, own) / pose.scale
 
-    return jax.lax.map(back, (poses, vectors))
+def neighbours_in(prior: ShapePrior) -> Int[np.ndarray, "E 2"]:
+    """Every two vertices that a prior knows as neighbours, once, the lesser first, in rising order."""
+    upper = scipy.sparse.triu(prior.laplacian, 1, format="coo")
+    edges = np.stack([upper.row, upper.col], 1).astype(np.int64)
+    return edges[np.lexsort((edges[:, 1], edges[:, 0]))]
+
+
+def shape_energy(prior: ShapePrior, body: Body) -> float:
+    """`Q = 1/(M V) sum |L(v_m) - L(T_m(v))|^2`, metres squared: how far the body's Laplacian vectors are from the
+    prior's, mean over meshes and vertices (eqs. 4.11 and 4.12)."""
+    meshes = np.asarray(_deform_all(body, prior.poses), float)
+    apart = np.stack([prior.laplacian @ mesh for mesh in meshes]) - prior.vectors
+    return float(np.mean(np.sum(apart**2, -1)))
+
+
+def scaled(prior: ShapePrior, size: float) -> ShapePrior:
+    """The prior of the body and its meshes, `size` times as large about the origin.
+
+    **Raises:** `ValueError` where the size is not above zero.
+    """
+    if not 0 < size < np.inf:
+        raise ValueError(f"The size is {size:g}; it must be above 0.")
+    poses = Pose(prior.poses.translations * size, prior.poses.rotations, prior.poses.scale)
+    return ShapePrior(prior.laplacian, poses, prior.vectors * size)
+
+
+def unlike_poses(skeleton: Skeleton, poses: Pose, count: int) -> Int[np.ndarray, "N"]:
+    """At most `count` numbers of stacked poses in rising order: the first, and then each the furthest from those
+    before, by the places of joints about the root."""
+    joints = np.asarray(joint_paths(skeleton, poses), float)
+    joints = (joints - joints[:, :1]).reshape(len(joints), -1)
+    chosen, apart = [0], np.linalg.norm(joints - joints[0], axis=1)
+    while len(chosen) < min(count, len(joints)):
+        chosen.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, np.linalg.norm(joints - joints[chosen[-1]], axis=1))
+    return np.unique(chosen)

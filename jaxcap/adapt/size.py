@@ -8,8 +8,10 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
+from ..body.pose_boxes import PoseBoxes
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Matching, Pairs, Scan, places_on
+from ..geometry.camera import Camera
 from .equations import pair_rows
 from .pose import fit_pose, pairs_of
 
@@ -25,16 +27,20 @@ def fit_size(
     matching: Matching,
     weight: float,
     rounds: int = 12,
+    cameras: Sequence[Camera] = (),
+    boxes: PoseBoxes | None = None,
 ) -> tuple[Body, list[Pose], float]:
     """The body as large as the actor, its poses in some scans, and how large: in turn a step of every pose and one of
-    the size that all of them share. Joints and vertices do the rest later."""
+    the size that all of them share. Joints and vertices do the rest later. `cameras` and `boxes` as in `fit_pose`."""
     poses, size = list(poses), 1.0
     for _ in range(rounds):
         poses = [
-            fit_pose(body, scan, pose, prior, matching, weight=weight, steps=2).pose
+            fit_pose(
+                body, scan, pose, prior, matching, weight=weight, steps=2, cameras=cameras, boxes=boxes
+            ).pose
             for scan, pose in zip(scans, poses, strict=True)
         ]
-        told = [size_equation(body, pose, pairs_of(body, pose, scan, matching)) for scan, pose in zip(scans, poses, strict=True)]  # fmt: skip
+        told = [size_equation(body, pose, pairs_of(body, pose, scan, matching, cameras)) for scan, pose in zip(scans, poses, strict=True)]  # fmt: skip
         top, bottom = (sum(float(part[i]) for part in told) for i in range(2))
         # nearest neighbours hold a surface back where it is far off, so a step goes further
         step = 1.0 + 1.5 * top / max(bottom, 1e-12)

@@ -9,14 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body, Posed, deform_all, pose_body
+from ..body.body import Body, Posed, pose_body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..body.symmetry import length_differences
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs, places_on
 from .equations import TANGENTIAL, pair_rows
-from .shape import ShapePrior
 from .window import temporal_energy
 
 
@@ -50,13 +49,6 @@ class PairDistances(AbstractEnergy):
 def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:
     """The mean of a prior over stacked poses."""
     return float(_pose_energy(prior, body, poses))
-
-
-def shape_energy(prior: ShapePrior, body: Body) -> float:
-    """The mean over training poses and vertices of the squared change of a Laplacian vector (eqs. 4.11, 4.12)."""
-    meshes = np.asarray(deform_all(body, prior.poses), float)
-    off = [prior.laplacian @ mesh - vectors for mesh, vectors in zip(meshes, prior.vectors, strict=True)]
-    return float(np.mean(np.sum(np.square(off), -1)))
 
 
 def symmetry_energy(skeleton: Skeleton, mirrored: Sequence[tuple[int, int]]) -> float:

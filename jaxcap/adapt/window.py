@@ -17,7 +17,8 @@ from ..fit.boxed import solve_boxed
 from ..fit.correspond import Pairs
 from ..fit.problem import linearise
 from ..geometry import rotation
-from .equations import pose_equations, stack, unstack
+from .equations import pose_equations, stack, stack_pairs, unstack
+from .pose import brought_in
 
 #: frames of a window, and by how many the next one is further on
 FRAMES, STRIDE = 11, 5
@@ -44,7 +45,7 @@ def smooth_poses(
     `fit_pose`, and poses that are beyond them are brought back first.
     """
     boxes = no_boxes() if boxes is None else boxes
-    poses = [_brought_in(boxes, body.skeleton, pose) for pose in poses]
+    poses = [brought_in(boxes, body.skeleton, pose) for pose in poses]
     for start in range(0, max(len(poses) - 2, 1), stride):
         stop = min(start + frames, len(poses))
         # a window of another length would be compiled anew, so the last one begins earlier
@@ -53,7 +54,7 @@ def smooth_poses(
             break
         window = poses[start:stop]
         for _ in range(steps):
-            pairs = stack([pairs_at(start + i, pose) for i, pose in enumerate(window)])
+            pairs = stack_pairs([pairs_at(start + i, pose) for i, pose in enumerate(window)])
             moved = _improve(
                 body,
                 stack(window),
@@ -76,11 +77,6 @@ def temporal_energy(skeleton: Skeleton, poses: Pose) -> Float[Array, ""]:
     rotation vector from the mean of its neighbours', radians squared."""
     r = _second_differences(skeleton, poses, jnp.zeros((len(poses.scale), skeleton.num_dofs)))
     return jnp.sum(r**2)
-
-
-@eqx.filter_jit
-def _brought_in(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
-    return boxes.nearest(skeleton, pose)
 
 
 @eqx.filter_jit

@@ -1,41 +1,43 @@
 """`jaxcap adapt`: the body becomes the actor of a sequence of scans."""
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import jax.numpy as jnp
 import numpy as np
 
+from ..adapt.check import check_actor
 from ..adapt.evaluate import Stages, compare_stages, quantile, variant_names
 from ..adapt.loop import AdaptState, Settings, Task, adapt_body, plan
-from ..adapt.people import People, learn_people
 from ..body.anatomy import rest_deviations
 from ..body.body import Body
-from ..body.pose import Pose
-from ..body.skeleton import Skeleton
-from ..body.variety import human_resolution, people_of_many_shapes
-from ..edit.joint_names import twin_joints
-from ..edit.retarget import retarget
-from ..energy.pair_prior import MahalanobisPrior
+from ..energy.pair_prior import LikelihoodPrior, MahalanobisPrior
 from ..energy.prior import RestPrior
 from ..energy.term import AbstractEnergy
 from ..errors import InputError
-from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..io.clouds import Scans, read_clouds
 from ..io.npz import save_body
-from ..io.prior import load_prior
-from ..io.registry import MOTION_WRITERS, read_motion, write_motion
+from ..io.prior import load_boxes, load_prior, load_shape_prior
+from ..io.registry import MOTION_WRITERS, write_motion
 from ..report.adaptation import report_adaptation
+from .adapt_input import (
+    first_pose,
+    load_cameras,
+    mirrored_joints,
+    people_like,
+    unusable_scans,
+    warn_of_lost,
+    warn_of_unusable,
+)
+from .adapt_state import fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
 from .results import make_writable
 from .rounds import Rounds
-from .say import say, warn
+from .say import say
 from .sources import load_body, load_cloud
 
-#: bodies that tell how people differ
-PEOPLE = 200
+PriorForm = Literal["nearest", "mean"]
 
 
 @dataclass
@@ -55,13 +57,20 @@ class Adapt:
     start: OptionalFile = None
     """A motion whose first pose is near that of the first scan; searched for where not given."""
     prior: OptionalFile = None
-    """Which poses are likely, as `jaxcap prior learn` wrote it; beside what anatomy says."""
+    """Which poses are likely, as `jaxcap prior learn` wrote it, beside what anatomy says; no joint turns beyond the least
+    and largest turns in it, and vertices are held to the shape of its meshes, where it has these."""
+    prior_form: PriorForm = "nearest"
+    """How far from likely counts: by the nearest Gaussian (nearest) or by the mean likelihood (mean)."""
+    cameras: OptionalFile = None
+    """The calibrated cameras that took the scans, .json as `jaxcap scan` writes them: what none sees is in no pair."""
     report: OptionalFile = None
     """Also write what the adaptation has brought, as a page of pictures and tables, .html."""
     report_every: Annotated[int, arg(metavar="N")] = 1
     """Measure every N-th frame for the report, for speed."""
     frames: Annotated[int, arg(metavar="N")] = 40
     """Scans that the body is adapted to, spread over the motion."""
+    adapt_every: Annotated[int, arg(metavar="N")] = 0
+    """Adapt while tracking, after every N frames of the first 10 N, where the template would be lost; 0 tracks all first."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
     """How far joints may be from where the surface around them says; less where poses do not tell joints."""
     smoothness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
@@ -85,47 +94,52 @@ class Adapt:
 
     def run(self) -> None:
         self.check()
+        header = self.settings()
         body, _ = load_body(self.body, vertices=self.vertices)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
             raise InputError(f"{self.clouds}: {len(scans)} scans are too few to adapt to; give at least 3.")
-        # the first scan shows most of what may be wrong, before anything is written
-        load_cloud(scans, 0, body, self.up)
-        task = self.task(body, scans)
-        header = {**self.settings(), **_fingerprint(body, scans)}
-        state = self.begin(header, body)
+        missing = unusable_scans(scans, body)
+        header |= fingerprint_of(body, scans)
+        state = state_to_go_on_from(self.kept, header, self.resume, self.overwrite)
+        task = self.task(body, scans, tuple(missing))
+        warn_of_unusable(missing)
+        state = self.adapt(task, state, header, scans.names[0])
+        try:
+            save_body(self.out, state.body)
+            write_motion(self.motion_path, state.body.skeleton, state.motion)
+        except InputError as error:
+            raise InputError(f"{error} {kept_words(self.kept, state.done)}.") from None
+        say(
+            f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
+            f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}"
+        )
+        warn_of_lost(state.lost, scans)
+        if self.report is not None:
+            self.write_report(self.report, task, state)
+        self.kept.unlink(missing_ok=True)
+
+    def adapt(
+        self, task: Task, state: AdaptState | None, header: dict[str, object], first: str
+    ) -> AdaptState:
+        """All stages that are left, each kept when it is done; `first` names the first scan."""
         stages = plan(task.settings)
         with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
                 for reached in adapt_body(task, state):
+                    if reached.done == 1:
+                        check_actor(task, reached, first)
+                    keep_state(self.kept, reached, header)
                     state = reached
-                    save_checkpoint(self.kept, checkpoint_of(state), header)
                     bar.tell(
                         state.done,
                         f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body",
                     )
             except KeyboardInterrupt:
                 done = 0 if state is None else state.done
-                told = (
-                    f"{done} stages are kept in {self.kept}; --resume goes on"
-                    if done
-                    else "no stage was done"
-                )
-                raise KeyboardInterrupt(f"stopped; {told}") from None
+                raise KeyboardInterrupt(f"stopped; {kept_words(self.kept, done)}") from None
         assert state is not None
-        save_body(self.out, state.body)
-        write_motion(self.motion_path, state.body.skeleton, state.motion)
-        say(
-            f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
-            f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}"
-        )
-        if state.lost:
-            warn(
-                f"{len(state.lost)} of {len(state.motion)} frames were lost: {', '.join(map(str, state.lost))}; counted from 0"
-            )
-        if self.report is not None:
-            self.write_report(self.report, task, state)
-        self.kept.unlink(missing_ok=True)
+        return state
 
     def write_report(self, path: Path, task: Task, state: AdaptState) -> None:
         """Measure the result and those it is compared with. The checkpoint is still there, so that --resume does
@@ -145,6 +159,7 @@ class Adapt:
             "scans": self.clouds,
             **self.settings(),
             "prior": self.prior,
+            "cameras": self.cameras,
             "start": self.start,
         }
         report_adaptation(path, task, state, stages, how)
@@ -163,6 +178,7 @@ class Adapt:
         """That options are in their ranges and results can be written. Raises `InputError`."""
         wrong = {
             "--frames": (self.frames, self.frames >= 2, "at least 2"),
+            "--adapt-every": (self.adapt_every, self.adapt_every >= 0, "at least 0"),
             "--joint-deviation": (
                 self.joint_deviation,
                 0 < self.joint_deviation < 1,
@@ -194,11 +210,19 @@ class Adapt:
         if self.report is not None:
             make_writable(self.report.absolute().parent)
 
-    def task(self, body: Body, scans: Scans) -> Task:
+    def task(self, body: Body, scans: Scans, missing: tuple[int, ...] = ()) -> Task:
+        """What is to be done, with all files that are named read. Raises `InputError`."""
         skeleton = body.skeleton
         prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), body.vertices.dtype))
+        boxes, shape = None, None
         if self.prior is not None:
-            prior = prior + MahalanobisPrior(load_prior(self.prior, skeleton))
+            form = MahalanobisPrior if self.prior_form == "nearest" else LikelihoodPrior
+            prior = prior + form(load_prior(self.prior, skeleton))
+            boxes, shape = load_boxes(self.prior, skeleton), load_shape_prior(self.prior, body)
+        cameras = ()
+        if self.cameras is not None:
+            there = [frame for frame in range(len(scans)) if frame not in missing]
+            cameras = load_cameras(self.cameras, scans, there, self.up)
         return Task(
             template=body,
             cloud=lambda frame: load_cloud(scans, frame, body, self.up),
@@ -207,80 +231,33 @@ class Adapt:
             start=None if self.start is None else first_pose(self.start, skeleton),
             prior=prior,
             mirrored=mirrored_joints(skeleton),
-            settings=Settings(frames=self.frames, joint=self.joint_deviation, temporal=self.smoothness),
+            settings=Settings(
+                frames=self.frames,
+                joint=self.joint_deviation,
+                temporal=self.smoothness,
+                every=self.adapt_every,
+            ),
             people=people_like(body),
+            cameras=cameras,
+            missing=missing,
+            boxes=boxes,
+            shape=shape,
         )
 
     def settings(self) -> dict[str, object]:
         """What the result depends on, by the names that the user knows."""
-        names = ("frames", "joint_deviation", "smoothness", "unit", "up", "rate", "vertices", "first", "last")
-        prior = None if self.prior is None else hashlib.sha256(self.prior.read_bytes()).hexdigest()
-        return {**{name: getattr(self, name) for name in names}, "prior": prior}
-
-    def begin(self, header: dict[str, object], template: Body) -> AdaptState | None:
-        """The state to go on from. Raises `InputError` where there is none to resume, or one in the way."""
-        if self.resume:
-            if not self.kept.is_file():
-                raise InputError(
-                    f"{self.kept}: there is no unfinished run to go on from; leave --resume out."
-                )
-            return state_of(load_checkpoint(self.kept, header, ("done", "size", "lost", "chosen", "traits")))
-        if self.kept.exists() and not self.overwrite:
-            raise InputError(
-                f"{self.kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
-            )
-        return None
-
-
-def people_like(template: Body) -> People | None:
-    """How people differ, where the template has the human's triangles and joints."""
-    resolution = human_resolution(template)
-    if resolution is None:
-        return None
-    return learn_people(template, people_of_many_shapes(PEOPLE, resolution=resolution, joints="tracking"))
-
-
-def first_pose(path: Path, skeleton: Skeleton) -> Pose:
-    """The first pose of a motion, carried over to a skeleton of other proportions. Raises `InputError`."""
-    of, motion = read_motion(path)
-    try:
-        return retarget(motion.slice(slice(1)), of, skeleton)[0]
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
-    """Pairs of joints of the left and the right, each joint in one of them at most."""
-    found: list[tuple[int, int]] = []
-    for pair in twin_joints(skeleton.names):
-        if not any(joint in other for other in found for joint in pair):
-            found.append(pair)
-    return tuple(found)
-
-
-def checkpoint_of(state: AdaptState) -> Checkpoint:
-    """A state as a file can hold it."""
-    arrays = {
-        "done": np.array(state.done),
-        "size": np.array(state.size, float),
-        "lost": np.array(state.lost, int),
-        "chosen": np.array(state.chosen, int),
-        "traits": np.array(state.traits, float),
-    }
-    return Checkpoint(state.body, state.motion, state.history, arrays)
-
-
-def state_of(kept: Checkpoint) -> AdaptState:
-    """The state of a checkpoint that `checkpoint_of` made, to the last bit."""
-    arrays = kept.arrays
-    lost, chosen, traits = (tuple(arrays[name].tolist()) for name in ("lost", "chosen", "traits"))
-    return AdaptState(
-        int(arrays["done"]), kept.body, float(arrays["size"]), kept.motion, lost, chosen, kept.history, traits
-    )
-
-
-def _fingerprint(body: Body, scans: Scans) -> dict[str, object]:
-    """What tells that inputs are the same."""
-    first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
-    shape = hashlib.sha256(np.ascontiguousarray(body.vertices).tobytes())
-    return {"template": shape.hexdigest(), "first cloud": first.hexdigest(), "scans": len(scans)}
+        names = (
+            "frames",
+            "adapt_every",
+            "prior_form",
+            "joint_deviation",
+            "smoothness",
+            "unit",
+            "up",
+            "rate",
+            "vertices",
+            "first",
+            "last",
+        )
+        files = {"prior": hash_of(self.prior), "cameras": hash_of(self.cameras)}
+        return {**{name: getattr(self, name) for name in names}, **files}

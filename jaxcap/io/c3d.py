@@ -6,9 +6,7 @@ moments, powers, axes of segments. Those are told apart by the lists in the POIN
 the names that Plug-in Gait gives to its outputs.
 """
 
-import math
 import re
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ import numpy as np
 from ..errors import InputError
 from ..observe import MarkerFrames
 from .atomic import replacing
+from .c3d_header import announced_size, read_header
 from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file
 from .text import unit_scale
 
@@ -46,8 +45,6 @@ _OUTPUTS = {
 }
 #: frames that the header's 16 bits count
 LONGEST = 65535
-#: processors whose numbers a file holds: Intel, DEC, MIPS; all integers of the first two are alike
-_INTEL, _DEC, _MIPS = 84, 85, 86
 
 
 def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
@@ -60,8 +57,8 @@ def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     markers or no frames.
     """
     path = Path(path)
-    first, declared = _header(path)
-    loaded = _load(path)
+    first, declared = read_header(path)
+    loaded = _load(path, declared)
     points = np.asarray(loaded["data"]["points"], float)
     residuals = np.asarray(loaded["data"]["meta_points"]["residuals"], float)
     if points.shape[1] and points.shape[2] < declared:
@@ -177,59 +174,7 @@ def _strings(group: dict[str, Any], name: str) -> list[str]:
     return words
 
 
-def _header(path: Path) -> tuple[int, int]:
-    """First frame and count of frames as the first block tells; ezc3d tells only how many it found."""
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; check the path.") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
-    if len(raw) < 2 or raw[1] != 0x50:
-        raise InputError(f"{path}: this is not a C3D file, or it is damaged at its beginning.")
-    begin = 512 * (raw[0] - 1)
-    if len(raw) < max(begin, 512) + 4:
-        raise InputError(f"{path}: the file is cut short within its header; copy it again.")
-    if begin < 512 or raw[begin + 3] not in (_INTEL, _DEC, _MIPS):
-        raise InputError(f"{path}: this is not a C3D file, or its header is damaged.")
-    if raw[begin + 3] == _MIPS:
-        raise InputError(
-            f"{path}: its numbers are those of a MIPS processor, which ezc3d does not read; convert it to Intel's."
-        )
-    try:
-        _walk_parameters(raw, begin + 4)
-    except (IndexError, struct.error):
-        raise InputError(
-            f"{path}: the file is cut short or damaged within its parameters; copy it again."
-        ) from None
-    first, last = struct.unpack_from("<HH", raw, 6)
-    return first, max(last - first + 1, 0)
-
-
-def _walk_parameters(raw: bytes, at: int) -> None:
-    """Follows the chain of parameters to its end, which ezc3d looks for without end in a damaged file.
-
-    **Raises:** `IndexError` or `struct.error` where it leads out of the file, or values out of their parameter.
-    """
-    while raw[at]:
-        length, number = struct.unpack_from("bb", raw, at)
-        link = at + 2 + abs(length)
-        (step,) = struct.unpack_from("<H", raw, link)
-        end = link + 2
-        if number > 0:
-            size, rank = struct.unpack_from("bB", raw, end)
-            end += 2 + rank + abs(size) * math.prod(raw[end + 2 : end + 2 + rank])
-            if size not in (-1, 1, 2, 4) or rank > 7:
-                raise IndexError
-        # behind the values, a description with its length before it
-        if end + 1 + raw[end] > (link + step if step else len(raw)):
-            raise IndexError
-        if step == 0:
-            return
-        at = link + step
-
-
-def _load(path: Path) -> Any:
+def _load(path: Path, declared: int) -> Any:
     import ezc3d
 
     try:
@@ -238,5 +183,11 @@ def _load(path: Path) -> Any:
         try:
             return ezc3d.c3d(str(path), ignore_bad_formatting=True)
         except Exception:
+            if path.stat().st_size < announced_size(path, declared):
+                raise InputError(
+                    f"{path}: the file is cut short: it ends before its {declared} frames do; copy it again."
+                ) from None
             reason = str(strict).splitlines()[0][:120].rstrip(". ") if str(strict) else type(strict).__name__
-            raise InputError(f"{path}: this is not a whole C3D file ({reason}).") from None
+            raise InputError(
+                f"{path}: this is not a whole C3D file ({reason}); copy or export it again."
+            ) from None

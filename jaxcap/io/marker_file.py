@@ -87,11 +87,13 @@ def subjects_of(labels: Sequence[str]) -> dict[str, list[int]]:
     return found
 
 
-def pick_subject(frames: MarkerFrames, where: str | Path, subject: str | None = None) -> MarkerFrames:
+def pick_subject(
+    frames: MarkerFrames, where: str | Path, subject: str | None = None, asked: str = "subject='{}'"
+) -> MarkerFrames:
     """The markers of one subject, without the prefix of their labels.
 
     With one subject in the file, or none, that is every marker. With more, `subject` says which;
-    markers without a prefix then belong to nobody.
+    markers without a prefix then belong to nobody. `asked` is how an error says where to choose.
 
     **Raises:** `InputError` naming the subjects, where there are several and none of them is chosen.
     """
@@ -102,7 +104,7 @@ def pick_subject(frames: MarkerFrames, where: str | Path, subject: str | None = 
     if subject is None and len(subjects) > 1:
         raise InputError(
             f"{where}: there are {len(subjects)} subjects in it, {_listed(subjects)}; choose one, such as "
-            f"subject='{max(subjects, key=lambda name: len(subjects[name]))}'."
+            f"{asked.format(max(subjects, key=lambda name: len(subjects[name])))}."
         )
     if not subjects:
         return frames
@@ -127,9 +129,14 @@ def frame_size(frames: MarkerFrames) -> float:
 
 
 def check_extent(
-    frames: MarkerFrames, where: str | Path, scale: float, size: tuple[float, float] = SIZE
+    frames: MarkerFrames,
+    where: str | Path,
+    scale: float,
+    size: tuple[float, float] = SIZE,
+    asked: str = "pass unit='{}', or give another size if it is right",
 ) -> None:
-    """That the markers are as large as a body's, read in units of `scale` metres.
+    """That the markers are as large as a body's, read in units of `scale` metres; `asked` is how an error says
+    which unit to give.
 
     **Raises:** `InputError` naming the likely unit.
     """
@@ -141,10 +148,12 @@ def check_extent(
         unit for unit in ("m", "mm", "cm", "in", "dm", "ft") if size[0] <= length * UNITS[unit] <= size[1]
     ]
     likely.sort(key=lambda unit: abs(np.log(length * UNITS[unit] / 1.7)))
-    hint = f"looks like {UNIT_NAMES[likely[0]]}: pass unit='{likely[0]}'" if likely else "check the unit"
+    hint = (
+        f"this looks like {UNIT_NAMES[likely[0]]}: {asked.format(likely[0])}" if likely else "check the unit"
+    )
     raise InputError(
         f"{where}: the markers of a frame stretch over {extent:.4g} m, and those of a body over {size[0]:g} to "
-        f"{size[1]:g} m; this {hint}, or give another size if it is right."
+        f"{size[1]:g} m; {hint}."
     )
 
 

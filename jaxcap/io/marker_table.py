@@ -39,7 +39,10 @@ def read_marker_table(
     there are no frames.
     """
     path = Path(path)
-    said, rows = _rows(path, read_text(path))
+    text = read_text(path)
+    if text.startswith("PathFileType"):
+        raise InputError(f"{path}: this is a TRC file; give it a name that ends in .trc.")
+    said, rows = _rows(path, text)
     if not rows:
         raise InputError(f"{path}: the table is empty; give a row of column names and a row for each frame.")
     names, begin = _column_names(rows)

@@ -1,15 +1,20 @@
-"""Pose priors in files: by themselves, or in the file of the body that they are of."""
+"""Priors of poses and of shape in files: by themselves, or in the file of the body that they are of."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
+from ..adapt.shape_prior import ShapePrior, neighbours_in, uniform_laplacian
 from ..body.body import Body
 from ..body.pair_prior import PairPrior, make_pair_prior, misfit
+from ..body.pose import Pose
 from ..body.pose_boxes import PoseBoxes, make_pose_boxes
 from ..body.skeleton import Skeleton
 from ..errors import InputError
+from ..geometry.mesh import mesh_edges
 from .npz import get_array, load_kind, load_limits, save_arrays, save_body
 
 #: the format's name in a file of its own
@@ -22,18 +27,21 @@ def save_prior(
     boxes: PoseBoxes | None = None,
     body: Body | None = None,
     limits: Mapping[str, np.ndarray] | None = None,
+    shape: ShapePrior | None = None,
 ) -> None:
-    """Write a prior, and boxes where given; with a body, into a file of the body, which `load_body`
-    reads, beside what other `limits` it is to carry.
+    """Write a prior, and boxes and what is known of `shape` where given; with a body, into a file of the body,
+    which `load_body` reads, beside what other `limits` it is to carry.
 
-    **Raises:** `InputError` where the file cannot be written, or the prior is of another skeleton than
-    the body's.
+    **Raises:** `InputError` where the file cannot be written, or a prior is of another skeleton or another
+    surface than the body's.
     """
-    arrays = prior_arrays(prior, boxes)
+    arrays = prior_arrays(prior, boxes) | ({} if shape is None else shape_arrays(shape))
     if body is None:
         save_arrays(path, KIND, arrays)
         return
     check_fit(prior, body.skeleton, path)
+    if shape is not None:
+        _check_surface(len(shape.vectors[0]), neighbours_in(shape), body, path)
     save_body(path, body, {**(limits or {}), **arrays})
 
 
@@ -83,6 +91,42 @@ def load_boxes(path: str | Path, skeleton: Skeleton | None = None) -> PoseBoxes 
         raise InputError(f"{path}: {error}") from None
 
 
+def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
+    """The shape beside a prior, in the numbers of `body`, of which it must be; None where there is none.
+
+    **Raises:** `InputError` where the file is damaged, or the prior is of another number of vertices or of
+    joints, or of other triangles, than the body's.
+    """
+    arrays = _arrays(path)
+    if "shape.vectors" not in arrays:
+        return None
+    vectors = get_array(arrays, "shape.vectors", path, (None, None, 3))
+    meshes, vertices = vectors.shape[:2]
+    _check_surface(vertices, get_array(arrays, "shape.edges", path, (None, 2)), body, path)
+    joints = body.skeleton.num_joints
+    numbers = [
+        get_array(arrays, f"shape.{name}", path, shape)
+        for name, shape in (
+            ("translations", (meshes, joints, 3)),
+            ("rotations", (meshes, joints, 4)),
+            ("scale", (meshes,)),
+        )
+    ]
+    if not meshes or not all(np.isfinite(values).all() for values in (vectors, *numbers)):
+        raise InputError(f"{path}: the shape prior has no meshes, or is not finite; learn it again.")
+    poses = Pose(*(jnp.asarray(values, body.vertices.dtype) for values in numbers))
+    return ShapePrior(uniform_laplacian(body), poses, vectors.astype(float))
+
+
+def shape_counts(path: str | Path) -> tuple[int, int] | None:
+    """Of how many meshes and vertices a file knows the shape; None where of none. Errors as in `load_prior`."""
+    arrays = _arrays(path)
+    if "shape.vectors" not in arrays:
+        return None
+    meshes, vertices = get_array(arrays, "shape.vectors", path, (None, None, 3)).shape[:2]
+    return meshes, vertices
+
+
 def check_fit(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
     """Raises `InputError` where a prior is of another skeleton."""
     reason = misfit(prior, skeleton)
@@ -101,6 +145,29 @@ def prior_arrays(prior: PairPrior, boxes: PoseBoxes | None = None) -> dict[str, 
         arrays["boxes.joints"] = np.array(boxes.joints, dtype=str)
         arrays |= {f"boxes.{name}": np.asarray(getattr(boxes, name)) for name in ("lower", "upper")}
     return arrays
+
+
+def shape_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
+    """What a file says of a shape prior, in float32; its Laplacian is that of the body it is read for."""
+    arrays = {"shape.edges": neighbours_in(shape).astype(np.int32)}
+    numbers = {"vectors": shape.vectors}
+    numbers |= {
+        name: np.asarray(getattr(shape.poses, name)) for name in ("translations", "rotations", "scale")
+    }
+    return arrays | {f"shape.{name}": values.astype(np.float32) for name, values in numbers.items()}
+
+
+def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, path: str | Path) -> None:
+    """Raises `InputError` where a shape prior is of other vertices, or other neighbours among them."""
+    if vertices != len(body.vertices):
+        raise InputError(
+            f"{path}: this shape prior is of {vertices} vertices and the body has {len(body.vertices)}; learn one from "
+            "meshes of this body."
+        )
+    if not np.array_equal(edges, mesh_edges(np.asarray(body.faces))):
+        raise InputError(
+            f"{path}: this shape prior is of other triangles than the body's; learn one from meshes of this body."
+        )
 
 
 def _arrays(path: str | Path) -> dict[str, np.ndarray]:

@@ -36,6 +36,8 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """
     path = Path(path)
     lines = read_text(path).splitlines()
+    if not any(line.strip() for line in lines):
+        raise InputError(f"{path}: the file is empty; copy or export it again.")
     head = _read_head(path, lines)
     count, numbers, times, rows, last = len(head.labels), [], [], [], 5
     for number, line in enumerate(lines[5:], 6):

@@ -80,8 +80,8 @@ def describe_gaps(frames: MarkerFrames) -> tuple[str, ...]:
     for chain in find_pieces(frames):
         names = [frames.labels[i] for i in chain]
         told.append(
-            f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join_pieces "
-            "makes them one."
+            f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join_pieces, or "
+            "--pieces join of fit and solve, makes them one."
         )
     return tuple(told)
 

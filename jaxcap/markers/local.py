@@ -25,6 +25,8 @@ from .tree import Tree, find_tree, template_pairs
 HARDLY = np.radians(15.0)
 #: or where its centre is known no better than this across what may be a hinge's axis, metres
 VAGUE = 0.03
+#: and where no better than this, nothing tells that its two segments are joined at all
+APART = 0.5
 
 
 class LocalFit(NamedTuple):
@@ -101,6 +103,11 @@ def fit_local(
         )
     root = max(tree.roots, key=lambda k: _size(tree, k, segments))
     told += _pieces(tree, root, segments, labels)
+    if segments.num_segments == 1:
+        told.append(
+            "All markers keep their distances, so they are one segment without a joint. For joints, give a take in "
+            "which every joint turns."
+        )
     made = assemble(tree, root, len(labels), _lengths(tree, lengths, symmetry, segments))
     told += _precisions(tree, made, segments)
     told += _left_out(tree, made, segments, labels)
@@ -181,8 +188,12 @@ def _precisions(tree: Tree, made: Assembled, segments: Segments) -> list[str]:
             told.append(
                 f"The joint of '{segments.names[joint.parent]}' and '{segments.names[segment]}' turns by "
                 f"{np.degrees(joint.swept):.0f} degrees, and its centre is known to {1e3 * across:.0f} mm in the worst "
-                f"direction{' across its axis' if joint.axis_in_parent is not None else ''}; what is not known is as "
-                "between the nearest markers."
+                f"direction{' across its axis' if joint.axis_in_parent is not None else ''}; "
+                + (
+                    "nothing tells that they are joined. If they are of two bodies, fit each by itself."
+                    if across > APART
+                    else "what is not known is as between the nearest markers."
+                )
             )
     return told
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..adapt.evaluate import Stages, Variant, quantile, summary_of
 from ..adapt.loop import AdaptState, Task
+from ..adapt.terms import Terms
 from ..body.body import Body
 from ..io.atomic import write_text
 from .adaptation_charts import (
@@ -28,6 +29,15 @@ VARIANTS = {
     "many frames": "the adapted body, every pose found by itself",
     "smooth": "the adapted body with its final, smooth motion",
 }
+#: columns of the table of the objective's terms
+TERMS = (
+    "stage",
+    "pairs, mm",
+    "pose prior",
+    "second differences, degrees",
+    "change of shape, mm",
+    "left against right, mm",
+)
 #: columns of the table of variants
 COLUMNS = (
     "body",
@@ -92,7 +102,7 @@ def adaptation_page(task: Task, state: AdaptState, stages: Stages, how: Mapping[
         told = element("p", ALONE, SMOOTH if angles.after is not None else "")
         shakes = (shake_table(angles, skeleton), element("p", SHAKE, class_="soft"))
         parts.append(section("Joints over time", told, angle_charts(angles, skeleton), *shakes))
-    every = element("details", element("summary", "All stages"), history_table(state.history))
+    every = element("details", element("summary", "All stages"), history_table(state.history, state.terms))
     parts.append(section("How it went", element("p", PAIRS), history_chart(state.history), every))
     parts.append(section("How it was made", how_table(task, how)))
     return page(TITLE, *parts)
@@ -140,10 +150,16 @@ def measure_notes(task: Task, stages: Stages) -> list[Markup]:
     return [element("p", note, class_="soft") for note in notes]
 
 
-def history_table(history: Sequence[tuple[str, float]]) -> Markup:
-    """The figures of `history_chart`."""
-    rows = [[name, f"{value:.2f}"] for name, value in history]
-    return table("Root mean square distance of pairs, millimetres", ["stage", "distance"], rows)
+def history_table(history: Sequence[tuple[str, float]], terms: Sequence[Terms]) -> Markup:
+    """The figures of `history_chart`, and the objective's other terms beside them, as roots of means."""
+    rows = []
+    for (name, distance), values in zip(history, terms, strict=True):
+        lengths = [1000 * np.sqrt(value) for value in (values.shape, values.symmetry)]
+        shake = np.degrees(np.sqrt(values.temporal))
+        rows.append(
+            [name, f"{distance:.2f}", f"{values.pose:.3g}", f"{shake:.2f}", *(f"{v:.2f}" for v in lengths)]
+        )
+    return table("The terms of the objective after every stage", TERMS, rows)
 
 
 def how_table(task: Task, how: Mapping[str, object]) -> Markup:

@@ -18,7 +18,9 @@ from .render import INK, PAPER, distinct_colours, frame
 #: frames in a picture; columns that frames are gathered in; markers that get a label at most
 SHOWN, COLUMNS, LABELLED = 3, 1200, 150
 #: a marker on no bone; nothing seen
-LOOSE, NOTHING = "#9aa5b1", (0.93, 0.93, 0.93)
+LOOSE, NOTHING = "#9aa5b1", (0.80, 0.80, 0.80)
+#: names of bones beside each other in the legend
+NAMED = 8
 HEAT = ("#12355b", "#1c7293", "#4fb286", "#f2c14e", "#f2803c", "#c81d25")
 #: sides are as long as each other within this share: then z is up, as in most laboratories
 ALIKE = 0.8
@@ -49,7 +51,8 @@ def draw_skeleton(
     axes = upright(places[shown], seen[shown])
     middles = [_middle(places[f, seen[f]], joints[i]) for i, f in enumerate(shown)]
     views = [axes, np.array([-axes[2], axes[1], axes[0]])]
-    canvas, figure = new_figure(3.9 * len(shown) + 0.4, 9.6)
+    legend = 0.2 * -(-subject.skeleton.num_joints // NAMED)
+    canvas, figure = new_figure(3.9 * len(shown) + 0.4, 9.6 + legend)
     plots = figure.subplots(len(views), len(shown), squeeze=False)
     for row, view in enumerate(views):
         # loose markers far off do not make the body small
@@ -72,7 +75,7 @@ def draw_skeleton(
     figure.suptitle(_plain(title), fontsize=12, color=INK, y=0.985)
     figure.text(
         0.5,
-        0.012,
+        0.1 / (9.6 + legend),
         "dots: markers as seen, in the colour of their bone (grey: on none); crosses: where the subject has them; "
         "above from the front, below from the side",
         ha="center",
@@ -80,7 +83,9 @@ def draw_skeleton(
         color=INK,
         wrap=True,
     )
-    figure.subplots_adjust(left=0.01, right=0.99, top=0.92, bottom=0.05, wspace=0.02, hspace=0.04)
+    _name_bones(figure, subject, palette, 0.3 / (9.6 + legend))
+    bottom = (0.45 + legend) / (9.6 + legend)
+    figure.subplots_adjust(left=0.01, right=0.99, top=0.92, bottom=bottom, wspace=0.02, hspace=0.04)
     with replacing(path) as beside:
         canvas.print_png(beside)
 
@@ -109,7 +114,7 @@ def draw_residuals(
     parts = np.linspace(0, len(values), min(COLUMNS, len(values)) + 1).astype(int)[:-1]
     worst = np.maximum.reduceat(np.where(np.isfinite(values), values, -1.0), parts, axis=0).T
     paint = np.where(worst[..., None] < 0, NOTHING, heat(scale(worst))[..., :3])
-    canvas, figure = new_figure(12.5, 0.155 * rows + 2.1)
+    canvas, figure = new_figure(12.5, 0.155 * rows + 1.6)
     height = figure.get_figheight()
     bottom, tall = 1.15 / height, (0.155 * rows) / height
     plot = figure.add_axes((0.15, bottom, 0.60, tall))
@@ -188,6 +193,21 @@ def _draw_bones(
             line = np.stack([joints[joint], own.mean(0)])
             plot.plot(*line.T, color=palette[joint], linewidth=3.2, solid_capstyle="round", zorder=2)
     plot.scatter(*joints.T, s=30, c="white", edgecolors=INK, linewidths=1.0, zorder=3)
+
+
+def _name_bones(figure: Any, subject: Subject, palette: np.ndarray, bottom: float) -> None:
+    """The colour of each bone with its name, below the views."""
+    from matplotlib.lines import Line2D
+
+    names = subject.skeleton.names
+    lines = [
+        Line2D([], [], color=colour, linewidth=3.2, label=_plain(name))
+        for name, colour in zip(names, palette, strict=True)
+    ]
+    figure.legend(
+        handles=lines, loc="lower center", bbox_to_anchor=(0.5, bottom), ncols=min(NAMED, len(names)),
+        fontsize=7, labelcolor=INK, frameon=False, handlelength=1.4, borderpad=0, labelspacing=0.3,
+    )  # fmt: skip
 
 
 def _chosen(seen: np.ndarray, residuals: np.ndarray) -> list[int]:

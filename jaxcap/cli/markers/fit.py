@@ -21,13 +21,15 @@ from ...report.markers import held_residuals, report_markers, total_residuals
 from ..fit import check_out, make_folder
 from ..options import Flag, OptionalFile, OptionalUnit, Up, arg
 from ..say import say
-from .found import tell_bones, tell_joints, tell_segments
+from .found import strays, tell_bones, tell_joints, tell_segments
 from .takes import (
     Files,
     OptionalFolder,
     OptionalSubject,
     Pieces,
     TakesSpec,
+    check_folder,
+    check_new,
     check_points,
     read_take,
     write_joints,
@@ -79,15 +81,13 @@ class Fit:
     report: OptionalFolder = None
     """Folder for report.json, segments.txt, and pictures of the skeleton in its markers and of residuals."""
     overwrite: Flag = False
-    """Replace the subject where it is there."""
+    """Replace the subject and joint centres where they are there."""
 
     def run(self) -> None:
         pairs = self.check()
         takes = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.files]
         united = unite_takes(takes)
         corrections = None if self.segments is None else read_corrections(self.segments)
-        if self.report is not None:
-            make_folder(self.report)
         found = fit_local(
             united,
             threshold=self.threshold,
@@ -119,12 +119,13 @@ class Fit:
                 f"{', '.join(self.files)}: no pose of what was found explains any frame; is it one body, and the unit right?"
             )
         tell_bones(found, fitted if isinstance(fitted, Calibration) else None)
-        totals = total_residuals(held_residuals(subject, fitted.residuals, lost))
+        kept = held_residuals(subject, fitted.residuals, lost)
+        totals = total_residuals(kept)
         say(
             f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, "
             f"95 % within {1e3 * totals['p95']:.2f} mm"
         )
-        told = tuple(dict.fromkeys((*found.told, *fitted.told)))
+        told = tuple(dict.fromkeys((*found.told, *fitted.told, *strays(subject.labels, kept))))
         if told:
             say("what to know of it:")
         for sentence in told:
@@ -138,6 +139,7 @@ class Fit:
             self.write_report(self.report, found, subject, fitted, told, lost)
 
     def write_report(self, folder: Path, found: LocalFit, subject, fitted, told: Sequence[str], lost) -> None:
+        make_folder(folder)
         owner, names = found.segments.of_marker, found.segments.names
         write_corrections(
             folder / "segments.txt",
@@ -176,6 +178,8 @@ class Fit:
             )
         check_out(self.out, self.overwrite, "a subject")
         check_points(self.joints, "joint centres")
+        check_new(self.joints, self.overwrite)
+        check_folder(self.report)
         return read_symmetry(self.symmetry)
 
     def named(

@@ -1,12 +1,18 @@
 """Tables of what was found: segments with their markers, joints, bones."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from jaxtyping import Float
 
 from ...markers.calibrate import Calibration
 from ...markers.local import LocalFit
 from ...markers.null_space import length_deviations
 from ...report.markers import bones_between
 from ..say import say, table
+
+#: metres that a marker is out of its place, and the share of frames from which on that is told
+STRAY, OFTEN = 0.05, 0.02
 
 
 def tell_segments(found: LocalFit) -> None:
@@ -15,7 +21,7 @@ def tell_segments(found: LocalFit) -> None:
     seen = np.any(np.asarray(found.markers.seen), axis=0)
     loose = [labels[m] for m in np.flatnonzero(found.segments.loose) if seen[m]]
     say(
-        f"segments: {found.segments.num_segments}, of {len(labels) - len(loose)} markers; {len(loose)} are loose"
+        f"segments: {found.segments.num_segments}, of {int(seen.sum()) - len(loose)} markers; {len(loose)} are loose"
     )
     rows = []
     for segment, (name, members) in enumerate(zip(found.segments.names, found.segments.members, strict=True)):
@@ -52,7 +58,23 @@ def tell_joints(found: LocalFit) -> None:
             ]
         )
     say(f"joints: {len(rows)}")
-    table(["joint", "kind", "residual", "precision", "turns"], rows)
+    if rows:
+        table(["joint", "kind", "residual", "precision", "turns"], rows)
+
+
+def strays(labels: Sequence[str], residuals: Float[np.ndarray, "F M"]) -> tuple[str, ...]:
+    """A sentence where markers stay far from where the subject has them, which a median over all does not show."""
+    seen = np.isfinite(residuals)
+    shares = ((residuals > STRAY) & seen).sum(0) / np.maximum(seen.sum(0), 1)
+    found = [m for m in np.argsort(-shares, kind="stable") if shares[m] > OFTEN]
+    if not found:
+        return ()
+    more = f" and {len(found) - 8} more" if len(found) > 8 else ""
+    some = ", ".join(f"{labels[m]} in {max(100 * shares[m], 1):.0f} %" for m in found[:8])
+    return (
+        f"Markers are over {100 * STRAY:.0f} cm from where the subject has them: {some}{more} of frames. Either a joint "
+        "beside them did not turn in what the subject was fitted to, or they were moved or named wrongly.",
+    )
 
 
 def tell_bones(found: LocalFit, calibrated: Calibration | None) -> None:

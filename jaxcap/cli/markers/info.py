@@ -15,6 +15,7 @@ from ...markers.gaps import describe_gaps, gap_statistics
 from ...observe import MarkerFrames
 from ..options import OptionalFile, OptionalUnit, arg
 from ..say import say, table, warn
+from .takes import UNIT_ASKED
 
 #: characters of a marker's bar of time
 WIDTH = 40
@@ -58,7 +59,7 @@ class Info:
         if several:
             warn(f"there are {len(subjects)} subjects; markers are read of one, chosen by --subject.")
         try:
-            check_extent(frames, path, file.scale)
+            check_extent(frames, path, file.scale, asked=UNIT_ASKED)
         except InputError as error:
             warn(str(error))
         if self.picture is not None:

@@ -18,12 +18,15 @@ from ...report.markers import held_residuals, report_markers, score_markers, tot
 from ..fit import make_folder
 from ..options import Flag, OptionalUnit, Up, arg
 from ..say import say, table, warn
+from .found import strays
 from .streamed import Latency, solve_streamed
 from .takes import (
     Files,
     OptionalFolder,
     OptionalSubject,
     Pieces,
+    check_folder,
+    check_new,
     check_points,
     check_there,
     read_take,
@@ -70,8 +73,10 @@ class Solve:
     def run(self) -> None:
         self.check()
         subject = load_subject(self.subject)
-        for path in self.trials:
-            self.solve(subject, path)
+        # a trial that is wrong is told before any has results
+        trials = [read_take(path, self.unit, self.performer, self.up, self.pieces, "--performer") for path in self.trials]  # fmt: skip
+        for path, frames in zip(self.trials, trials, strict=True):
+            self.solve(subject, path, frames)
 
     @property
     def into_folder(self) -> bool:
@@ -95,8 +100,9 @@ class Solve:
             raise InputError(
                 f"There are {stems.count(twice[0])} trials called '{twice[0]}'; results would be one file."
             )
+        check_folder(self.report)
         if self.into_folder:
-            make_folder(self.out)
+            check_folder(self.out)
             for path in (*self.joints, *self.filled):
                 if path.parent != Path("."):
                     raise InputError(
@@ -108,11 +114,7 @@ class Solve:
         check_points(self.filled, "markers")
         results = [file for path in self.trials for file in (*self.motions(path), *self.named(self.joints, path),
                                                              *self.named(self.filled, path))]  # fmt: skip
-        there = [file for file in results if file.exists()]
-        if there and not self.overwrite:
-            raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
-        if len(set(results)) < len(results):
-            raise InputError("Two results would be the same file; give each its own name.")
+        check_new(results, self.overwrite)
 
     def motions(self, trial: str) -> tuple[Path, ...]:
         """The files of a trial's motion."""
@@ -125,8 +127,7 @@ class Solve:
             return files
         return tuple(self.out / f"{Path(trial).stem}-{file.name}" for file in files)
 
-    def solve(self, subject: Subject, path: str) -> None:
-        frames = read_take(path, self.unit, self.performer, self.up, self.pieces)
+    def solve(self, subject: Subject, path: str, frames: MarkerFrames) -> None:
         latency: Latency | None = None
         if self.stream:
             solution, latency = solve_streamed(subject, frames)
@@ -137,6 +138,10 @@ class Solve:
                 f"{path}: none of its {len(frames)} frames shows enough markers that the subject explains; is it the same "
                 "performer, with the markers at the same places?"
             )
+        kept = held_residuals(subject, solution.residuals, solution.lost)
+        solution = solution._replace(told=(*solution.told, *strays(subject.labels, kept)))
+        if self.into_folder:
+            make_folder(self.out)
         for file in self.motions(path):
             write_motion(file, subject.skeleton, solution.motion)
             say(f"motion: {file}")

@@ -1,5 +1,6 @@
 """Takes of markers as verbs read them: options they share, pieces of trajectories, and what is up."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,7 +11,8 @@ import tyro
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.registry import MARKER_WRITERS, read_markers, write_markers
+from ...io.marker_file import check_extent, pick_subject
+from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
 from ...markers.fill import joint_frames
 from ...markers.gaps import find_pieces, join_pieces, split_unlabelled
 from ...observe import MarkerFrames
@@ -24,21 +26,28 @@ OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint=""
 Files = Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]
 #: what is done with trajectories that look like one under several names
 Pieces = Literal["refuse", "join", "keep"]
+#: how a verb says that a unit looks wrong
+UNIT_ASKED = "give --unit {} if it is"
 
 
 def read_take(
-    path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces
+    path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces, chosen: str = "--subject"
 ) -> MarkerFrames:
-    """The markers of a file, turned so that y is up where `up` says what was.
+    """The markers of a file, turned so that y is up where `up` says what was; `chosen` is the option that
+    `subject` comes from.
 
     **Raises:** `InputError` where the file is wrong, or has trajectories in pieces that are to be refused.
     """
-    frames = read_markers(path, unit, subject=subject)
+    file = read_marker_file(path, unit)
+    frames = pick_subject(file.frames, path, subject, f"{chosen} {{}}")
+    check_extent(frames, path, file.scale, asked=UNIT_ASKED)
     if pieces != "keep":
         frames = _whole(frames, path, pieces == "join")
     if up is not None:
         turn = up_rotation(up).astype(np.asarray(frames.places).dtype)
         frames = MarkerFrames(np.asarray(frames.places) @ turn.T, frames.seen, frames.labels, frames.rate)
+    for sentence in file.told:
+        warn(f"{Path(path).name}: {sentence}")
     shown = 100 * np.asarray(frames.seen).mean()
     say(
         f"{Path(path).name}: {len(frames)} frames at {frames.rate:g} a second, {len(frames.labels)} markers, "
@@ -72,6 +81,26 @@ def check_points(paths: Sequence[Path], what: str) -> None:
                 f"{path}: {what} are not written as '{path.suffix}' files; use {', '.join(MARKER_WRITERS)}."
             )
         check_there(path)
+
+
+def check_folder(folder: Path | None) -> None:
+    """That a folder is there or can be made; it is made with the results. Raises `InputError`."""
+    above = folder
+    while above is not None and not above.exists() and above != above.parent:
+        above = above.parent
+    if above is not None and not above.is_dir():
+        raise InputError(f"{folder}: {above} is a file, so no folder can be made there; give another one.")
+    if above is not None and not os.access(above, os.W_OK):
+        raise InputError(f"{folder}: this folder cannot be written to; give another one.")
+
+
+def check_new(paths: Sequence[Path], overwrite: bool) -> None:
+    """That nothing is replaced unasked, and no two results are one file. Raises `InputError`."""
+    there = [path for path in paths if path.exists()]
+    if there and not overwrite:
+        raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+    if len({path.absolute() for path in paths}) < len(paths):
+        raise InputError("Two results would be the same file; give each its own name.")
 
 
 def check_there(path: Path) -> None:

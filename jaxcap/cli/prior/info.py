@@ -10,14 +10,15 @@ import tyro
 from ...adapt.zeroing import num_zeroed
 from ...body.pair_prior import PairPrior
 from ...body.pose_boxes import PoseBoxes
-from ...io.prior import load_boxes, load_prior
+from ...io.prior import load_boxes, load_prior, shape_counts
 from ..options import arg
 from ..say import say, table
 
 
 @dataclass
 class Info:
-    """Say what a prior holds: Gaussians and likeliest turns of pairs of joints, and how far each joint turns."""
+    """Say what a prior holds: Gaussians and likeliest turns of pairs of joints, and how far each joint turns,
+    and how many meshes it knows the shape from."""
 
     file: tyro.conf.Positional[Annotated[Path, arg(metavar="FILE")]]
     """A prior that `jaxcap prior learn` wrote, or a body with one in it."""
@@ -29,6 +30,10 @@ class Info:
         if boxes is not None:
             say("")
             tell_boxes(boxes)
+        shape = shape_counts(self.file)
+        if shape is not None:
+            say("")
+            say(f"shape: Laplacian vectors of {shape[1]} vertices in {shape[0]} meshes")
 
 
 def tell_pairs(prior: PairPrior) -> None:

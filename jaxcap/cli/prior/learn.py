@@ -1,4 +1,4 @@
-"""`jaxcap prior learn`: which poses are likely, from motions."""
+"""`jaxcap prior learn`: which poses are likely, from motions, and which shape, from meshes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +8,7 @@ import numpy as np
 import tyro
 
 from ...adapt.pose_prior import LearnedPair, learn_pairs, learn_ranges, pair_prior_of
+from ...adapt.shape_prior import ShapePrior
 from ...adapt.zeroing import num_zeroed
 from ...body.body import Body
 from ...body.pose import Motion
@@ -18,10 +19,12 @@ from ...io.prior import save_prior
 from ...io.registry import read_motion
 from ..options import Flag, OptionalFile, OptionalUnit, arg
 from ..say import progress, say, table
+from .shape import learn_shape
 
 MotionsSpec = tyro.conf.Positional[
     Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
 ]
+OptionalMeshes = Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]
 
 
 @dataclass
@@ -29,7 +32,8 @@ class Learn:
     """How likely joints turn together, from motions: a mixture of Gaussians for each pair of successive joints,
     and the least and largest turn of each.
 
-    The number of Gaussians is the one that best foretells motion that was left out."""
+    The number of Gaussians is the one that best foretells motion that was left out. From meshes of the body also the
+    shape around every vertex."""
 
     motions: MotionsSpec
     """.bvh, .amc (with its .asf beside it) or .npz motions of one skeleton."""
@@ -37,6 +41,9 @@ class Learn:
     """The prior, .npz."""
     body: OptionalFile = None
     """A body of the same skeleton, .npz, that is written with the prior in it."""
+    meshes: OptionalMeshes = ()
+    """Registered meshes of the body, to learn the shape around its vertices from as well: mesh files, a folder,
+    a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
     rate: Annotated[float, arg(metavar="FPS")] = 30.0
     """Frames a second that are learned from, at most; neighbouring frames say little new."""
     most: Annotated[int, arg(metavar="N")] = 10
@@ -46,7 +53,7 @@ class Learn:
     seed: int = 0
     """Of the random starts."""
     unit: OptionalUnit = None
-    """Unit of the files' lengths, in place of what they say."""
+    """Unit of the files' lengths, in place of what they say; meshes are in metres where not given."""
     overwrite: Flag = False
     """Replace the prior where it is there."""
 
@@ -56,6 +63,7 @@ class Learn:
         skeleton, motions = self.read(body)
         frames = sum(len(motion) for motion in motions)
         say(f"{len(motions)} motions, {frames} poses learned from")
+        shape = self.read_shape(body)
         try:
             learned = learn_pairs(
                 skeleton,
@@ -69,7 +77,7 @@ class Learn:
         except ValueError as error:
             raise InputError(f"{', '.join(self.motions)}: {error}") from None
         limits = None if self.body is None else load_limits(self.body)
-        save_prior(self.out, prior, boxes, body, limits)
+        save_prior(self.out, prior, boxes, body, limits, shape)
         tell(learned)
         say(f"written: {self.out}")
 
@@ -89,6 +97,8 @@ class Learn:
             raise InputError(f"--floor is {self.floor:g}; it must be between 0.01 and 45 degrees.")
         if self.seed < 0:
             raise InputError(f"--seed is {self.seed}; it must be at least 0.")
+        if self.meshes and self.body is None:
+            raise InputError("--meshes are of a body; give it by --body.")
 
     def read(self, body: Body | None) -> tuple[Skeleton, list[Motion]]:
         """The skeleton that the prior is of, and the thinned motions. Raises `InputError` where they are
@@ -105,6 +115,10 @@ class Learn:
         # a hair off, so that a rate that is not quite whole is thinned like a whole one
         steps = [max(1, int(motion.rate / self.rate + 1e-3)) for _, motion in pairs]
         return skeleton, [m.slice(slice(None, None, step)) for (_, m), step in zip(pairs, steps, strict=True)]
+
+    def read_shape(self, body: Body | None) -> ShapePrior | None:
+        """The shape that meshes show; None where there are none."""
+        return learn_shape(body, self.meshes, self.unit or "m") if self.meshes and body is not None else None
 
 
 def tell(learned: tuple[LearnedPair, ...]) -> None:

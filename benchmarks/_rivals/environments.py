@@ -1,0 +1,95 @@
+"""Rivals in virtual environments of their own: made where they are not there, and run in processes of their own."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.report import progress
+
+
+class Rival(NamedTuple):
+    """What is installed where, and how it is run."""
+
+    #: the first of these interpreters that is found
+    pythons: tuple[str, ...]
+    packages: tuple[str, ...]
+    #: libraries of the system that have to be loaded first
+    preload: tuple[str, ...] = ()
+
+
+RIVALS = {
+    "momentum": Rival(("3.12", "3.13"), ("torch==2.8.*", "pymomentum-cpu==0.1.114.post0", "numpy", "scipy"), ("libstdc++.so.6",)),
+    "opensim": Rival(("3.11",), ("opensim==4.6", "numpy")),
+    "nimblephysics": Rival(("3.10", "3.9"), ("nimblephysics==0.10.52.1", "numpy==1.26.*")),
+}  # fmt: skip
+
+
+def interpreter(versions: tuple[str, ...]) -> str | None:
+    """A Python of one of these versions: on the path, or of pyenv."""
+    roots = sorted(
+        Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/*"), reverse=True
+    )
+    for version in versions:
+        for root in roots:
+            if root.name.startswith(f"{version}."):
+                return str(root / "bin" / "python")
+        if found := shutil.which(f"python{version}"):
+            return found
+    return None
+
+
+def environment(name: str, folder: Path) -> Path | None:
+    """The Python of a rival's own environment; None where it cannot be had, which is told."""
+    rival, home = RIVALS[name], folder / name
+    python, done = home / "bin" / "python", home / "complete"
+    if done.exists():
+        return python
+    base = interpreter(rival.pythons)
+    if base is None:
+        progress(f"{name} is left out: there is no Python {' or '.join(rival.pythons)} here")
+        return None
+    progress(f"{name}: installing {', '.join(rival.packages)} with {base}")
+    for command in (
+        [base, "-m", "venv", str(home)],
+        [str(python), "-m", "pip", "install", "-q", *rival.packages],
+    ):
+        outcome = subprocess.run(command, capture_output=True, text=True)
+        if outcome.returncode:
+            said = (outcome.stderr.strip() or "nothing said").splitlines()[-1]
+            progress(f"{name} is left out, it does not install: {said}")
+            return None
+    done.touch()
+    return python
+
+
+def library(name: str) -> str | None:
+    folders = ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/lib")
+    return next((str(Path(folder) / name) for folder in folders if (Path(folder) / name).exists()), None)
+
+
+def run_rival(name: str, python: Path, given: Path, limit: float) -> dict[str, np.ndarray] | None:
+    result = given.with_name(f"{name}.npz")
+    script = Path(__file__).with_name(f"run_{name}.py")
+    preload = ":".join(found for one in RIVALS[name].preload if (found := library(one)))
+    surroundings = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    surroundings |= {"LD_PRELOAD": preload} if preload else {}
+    try:
+        command = [str(python), str(script), str(given), str(result)]
+        outcome = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=limit)
+    except subprocess.TimeoutExpired:
+        progress(f"{name} is left out: not done after {limit:.0f} s")
+        return None
+    # they say much, and draw bars; what the script itself says begins with the rival's name
+    for line in outcome.stderr.splitlines():
+        if line.startswith(f"{name} "):
+            progress(line)
+    if outcome.returncode or not result.exists():
+        said = ([line for line in outcome.stderr.splitlines() if line.strip()] or ["nothing said"])[-1][-200:]
+        progress(f"{name} is left out: it ended with code {outcome.returncode}: {said}")
+        return None
+    with np.load(result, allow_pickle=False) as file:
+        return dict(file)

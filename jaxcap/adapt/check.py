@@ -1,0 +1,162 @@
+"""Whether scans are of one person, and taken by the cameras that are named: told before hours are spent."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from ..body.body import Body, pose_body
+from ..errors import InputError
+from ..fit.correspond import Scan, make_scan, within_aperture
+from ..geometry.camera import Camera, check_sees
+from ..geometry.closest import nearest_on_surface
+from ..observe import Cloud, make_cloud
+from .loop import adapt_body
+from .task import AdaptState, Task
+
+#: a point is explained by a body within this share of its height, where both face the same way to this cosine
+NEAR, FACING = 0.05, 0.5
+#: a body explains at least the first share of the points around it where they are a person's; and at least the
+#: second, which curled up in a box it does not, where they are shorter than this share of its height
+EXPLAINED, SURE, REACHED = 0.5, 0.88, 0.62
+#: points further from a body than this share of its height are of something else
+FAR = 0.15
+#: something else may be a person where it has at least this share of the points, and a height and a width between
+#: these shares of the body's
+SHARE, HEIGHT, WIDTH = 0.15, 0.5, 1.3
+#: the share of a scan's points that may lie below its floor
+LOWEST = 0.02
+#: points are of one thing where they are linked by steps of this share of the body's height
+LINK = 0.06
+#: the least share of the scans' points that cameras have in their pictures, and the furthest they stand from them, metres
+SEEN, FURTHEST = 0.5, 100.0
+
+#: what lies beyond these quantiles does not count as the end of anything
+OUTERMOST = (0.01, 0.99)
+
+_posed = eqx.filter_jit(pose_body)
+
+
+class Likeness(NamedTuple):
+    """How well a body explains the points around it."""
+
+    #: those it explains, of those that are not far from it
+    share: float
+    #: the longest side of the box around those it explains, of its height
+    length: float
+
+
+def check_cameras(cameras: Sequence[Camera], clouds: Sequence[Float[np.ndarray, "_ 3"]], where: str) -> None:
+    """That cameras can have taken the points of some scans, metres; `where` names the cameras in messages.
+
+    **Raises:** `InputError` where a camera is as far off as one in another unit, looks away or past all points, or
+    most points are in no picture.
+    """
+    points = np.concatenate(clouds)
+    middle = np.median(points, 0)
+    for number, camera in enumerate(cameras):
+        apart = float(np.linalg.norm(np.asarray(camera.eye) - middle))
+        if apart > FURTHEST:
+            raise InputError(
+                f"{where}: camera {number} stands {apart:.4g} m from the scans; give translations in metres."
+            )
+    check_sees(cameras, points, where)
+    share = float(np.mean(within_aperture(cameras, points)))
+    if share < SEEN:
+        raise InputError(
+            f"{where}: {100 * (1 - share):.0f} % of the scans' points are in no camera's picture; name the cameras that "
+            "took these scans."
+        )
+
+
+def check_actor(task: Task, state: AdaptState, where: str) -> None:
+    """That the first scan is of one person, by the body as the stage `size` has left it; `where` names the scan.
+
+    **Raises:** `InputError` where the body explains too few of the points around it, or as well something else in
+    the scan that is as large as a person.
+    """
+    first = task.scanned[0]
+    scan, height = make_scan(task.cloud(first)), height_of(state.body)
+    like, apart = likeness(state, first, scan)
+    # a floor would link all that stands on it
+    floor = float(np.quantile(scan.points[:, 1], LOWEST)) + LINK * height
+    far = np.flatnonzero((apart > FAR * height) & (scan.points[:, 1] > floor))
+    for group in large_groups(scan.points[far], height, len(scan.points)):
+        rows = far[group]
+        if is_person(_likeness_alone(task, make_cloud(scan.points[rows], scan.normals[rows]))):
+            place = ", ".join(f"{value:.2f}" for value in np.median(scan.points[rows], 0))
+            raise InputError(
+                f"{where}: there is more than one person in this scan, the other around ({place}); cut the scans so that "
+                "one is left."
+            )
+    if not is_person(like):
+        raise InputError(
+            f"{where}: this is not like a person, as the body that fits best is {height:.2f} m tall and explains "
+            f"{100 * like.share:.0f} % of the points around it, {like.length * height:.2f} m long in all, where at least "
+            f"{100 * asked(like):.0f} % are asked for; give scans of one person without floor and walls, and their unit."
+        )
+
+
+def asked(like: Likeness) -> float:
+    """The least share of the points around a body that are to be explained, by how long they are."""
+    return EXPLAINED if like.length >= REACHED else SURE
+
+
+def is_person(like: Likeness) -> bool:
+    """Whether points that a body explains so well are of a person: boxes, balls, chairs and dogs are not."""
+    return like.share >= asked(like)
+
+
+def likeness(state: AdaptState, frame: int, scan: Scan) -> tuple[Likeness, Float[np.ndarray, "N"]]:
+    """How well a body in one of its poses explains a scan, and the distances of all its points, metres."""
+    posed, faces = _posed(state.body, state.motion[frame]), np.asarray(state.body.faces)
+    there = nearest_on_surface(scan.points, np.asarray(posed.vertices, float), faces)
+    own = np.einsum("nk,nka->na", there.shares, np.asarray(posed.normals, float)[faces[there.triangles]])
+    length, height = np.linalg.norm(own, axis=1), height_of(state.body)
+    # a normal that is not known faces any way
+    facing = np.sum(own * scan.normals, 1) >= FACING * length
+    facing |= ~scan.normals.any(1)
+    around, good = there.distances <= FAR * height, facing & (there.distances <= NEAR * height)
+    if not good.any():
+        return Likeness(0.0, 0.0), there.distances
+    low, high = np.quantile(scan.points[good], OUTERMOST, axis=0)
+    return Likeness(float(good.sum() / around.sum()), float((high - low).max()) / height), there.distances
+
+
+def height_of(body: Body) -> float:
+    """The longest side of the box around a body at rest, metres."""
+    return float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
+
+
+def large_groups(points: Float[np.ndarray, "N 3"], height: float, whole: int) -> list[Int[np.ndarray, "_"]]:
+    """Rows of connected points that may be a person about `height` metres tall, y up, in a scan with `whole` points in
+    all: no floor, no wall and nothing small. Largest first."""
+    labels = connected(points, LINK * height)
+    found = []
+    for label in np.unique(labels):
+        rows = np.flatnonzero(labels == label)
+        low, high = np.quantile(points[rows], OUTERMOST, axis=0)
+        size = high - low
+        tall, slim = size[1] >= HEIGHT * height, max(size[0], size[2]) <= WIDTH * height
+        if tall and slim and len(rows) >= SHARE * whole:
+            found.append(rows)
+    return sorted(found, key=len, reverse=True)
+
+
+def connected(points: Float[np.ndarray, "N 3"], link: float) -> Int[np.ndarray, "N"]:
+    """Which group each point is in: the cells of half a `link`, metres, that hold points are linked to those as near."""
+    cells, cell_of = np.unique(np.floor(points / (link / 2)).astype(int), axis=0, return_inverse=True)
+    pairs = KDTree(cells).query_pairs(2.0, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    return connected_components(graph, directed=False)[1][cell_of.reshape(-1)]
+
+
+def _likeness_alone(task: Task, cloud: Cloud) -> Likeness:
+    """That of the template when it is looked for in a cloud alone, at a size of its own."""
+    alone = task._replace(cloud=lambda _: cloud, frames=1, start=None, cameras=(), missing=())
+    return likeness(next(adapt_body(alone)), 0, make_scan(cloud))[0]

@@ -1,0 +1,140 @@
+"""One round of an adaptation: proportions, or joints and vertices, with the poses of some frames (Adaptation, 4.1.4)."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body
+from ..body.kinematics import joint_paths
+from ..body.pose import Motion, Pose, stack_poses
+from ..fit.correspond import Scan, make_scan
+from .beside import centres_beside, make_beside
+from .equations import TANGENTIAL, stack, unstack
+from .meet import pose_at, stacked_pairs, told
+from .modes import joint_modes
+from .people import People, person, traits_like
+from .reference import reference, shape_prior_of
+from .shape import adapt_shape
+from .shared import Belief, adapt_shared
+from .task import AdaptState, Settings, Stage, Task
+
+#: squared distances along the surface count by this share while a person is sought: the skin of another slides
+SLIDING = 0.005
+
+
+def adapt_round(task: Task, state: AdaptState, held: dict[int, Scan], stage: Stage) -> AdaptState:
+    """One round of what all frames share, with the poses of some; `held` keeps the scans of these."""
+    settings = task.settings
+    if stage.number == 0 and stage.round == 1 and task.people is not None:
+        state = _as_person(task.people, state)
+    chosen = state.chosen or spread_frames(state, settings.frames, stage.frames)
+    poses = [state.motion[n] for n in chosen]
+    for gone in set(held) - set(chosen):
+        del held[gone]
+    scans = [held.setdefault(n, make_scan(task.cloud(n))) for n in chosen]
+    if stage.round == 1:
+        poses = [pose_at(task, state, scan, pose, steps=6) for scan, pose in zip(scans, poses, strict=True)]
+    if stage.number == 0:
+        body, poses, traits = _proportions(task, state, poses, scans)
+        # vertices are adapted to frames that are chosen anew
+        chosen_next = () if stage.round == settings.alone else chosen
+    else:
+        body, poses = _surface(task, state, poses, scans, stage)
+        traits, chosen_next = state.traits, chosen
+    every = [state.motion[n] for n in range(len(state.motion))]
+    for n, pose in zip(chosen, poses, strict=True):
+        every[n] = pose
+    state = state._replace(body=body, motion=stack_poses(every, task.rate), chosen=chosen_next, traits=traits)
+    return told(task, state, str(stage), chosen, scans)
+
+
+def spread_frames(state: AdaptState, count: int, among: int | None = None) -> tuple[int, ...]:
+    """Frames, of the first `among`, with poses as unlike each other as can be, each the furthest from those before; none
+    that is lost."""
+    there = [n for n in range(len(state.motion))[:among] if n not in state.lost] or [0]
+    joints = np.asarray(joint_paths(state.body.skeleton, state.motion.poses), float)[there]
+    joints = (joints - joints[:, :1]).reshape(len(there), -1)
+    chosen = [0]
+    apart = np.linalg.norm(joints - joints[0], axis=1)
+    while len(chosen) < min(count, len(there)):
+        chosen.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, np.linalg.norm(joints - joints[chosen[-1]], axis=1))
+    return tuple(sorted(there[n] for n in chosen))
+
+
+def _as_person(people: People, state: AdaptState) -> AdaptState:
+    """The same with the person who is most like the body, in its poses."""
+    traits = traits_like(people, state.body)
+    body = person(people, traits)
+    # a root that is elsewhere at rest stays where it is in the world
+    shift = state.body.skeleton.centres[0] - body.skeleton.centres[0]
+    poses = state.motion.poses
+    poses = Pose(poses.translations.at[:, 0].add(shift), poses.rotations, poses.scale)
+    return state._replace(body=body, motion=Motion(poses, state.motion.rate), traits=tuple(traits.tolist()))
+
+
+def _proportions(
+    task: Task, state: AdaptState, poses: list[Pose], scans: list[Scan]
+) -> tuple[Body, list[Pose], tuple[float, ...]]:
+    """Joints and surface together: by the traits of people where these are known, else by joints that take their skin
+    with them."""
+    settings, body, traits = task.settings, state.body, state.traits
+    pairs = stacked_pairs(task, body, poses, scans)
+    if task.people is None:
+        modes, mirrored, along = joint_modes(body), task.mirrored, TANGENTIAL
+        belief = _joints_beside(task, state)
+    else:
+        modes, mirrored, along = task.people.modes, (), SLIDING
+        standing = task.people.standing + jnp.asarray(traits)
+        # what no person explains is the same in all frames, which therefore count as one
+        belief = Belief(-standing, jnp.full_like(standing, len(poses) ** -0.5))
+    body, moved_poses, amounts = adapt_shared(
+        body, stack(poses), pairs, task.prior, modes, belief, mirrored, *_weights(state, settings, along)
+    )
+    if task.people is not None:
+        traits = tuple((np.array(traits) + np.asarray(amounts, float)).tolist())
+    return body, unstack(moved_poses, len(poses)), traits
+
+
+def _surface(
+    task: Task, state: AdaptState, poses: list[Pose], scans: list[Scan], stage: Stage
+) -> tuple[Body, list[Pose]]:
+    """Joints within their skin, and then the vertices."""
+    settings, body = task.settings, state.body
+    pairs = stacked_pairs(task, body, poses, scans)
+    modes, belief = joint_modes(body, follow=False), _joints_beside(task, state)
+    body, moved_poses, _ = adapt_shared(
+        body,
+        stack(poses),
+        pairs,
+        task.prior,
+        modes,
+        belief,
+        task.mirrored,
+        *_weights(state, settings, TANGENTIAL),
+    )
+    poses = unstack(moved_poses, len(poses))
+    pairs = stacked_pairs(task, body, poses, scans)
+    shape, weight = shape_prior_of(task, state), shape_weight(settings, stage)
+    return adapt_shape(body, moved_poses, pairs, shape, weight), poses
+
+
+def _joints_beside(task: Task, state: AdaptState) -> Belief:
+    """Joints are where the surface around them says."""
+    body = state.body
+    beside = centres_beside(make_beside(reference(task, state)), np.asarray(body.vertices, float))
+    shifts = jnp.asarray(beside - np.asarray(body.skeleton.centres, float), body.vertices.dtype).reshape(-1)
+    return Belief(shifts, jnp.full_like(shifts, task.settings.joint))
+
+
+def _weights(state: AdaptState, settings: Settings, along: float) -> tuple[Float[Array, ""], ...]:
+    pose, deviation, share = (jnp.asarray(x, float) for x in (state.weight, settings.deviation, along))
+    return pose, deviation, share
+
+
+def shape_weight(settings: Settings, stage: Stage) -> float:
+    """From the first weight down to the last over the first pass, and from their mean in later ones."""
+    first, last = settings.shape
+    first = first if stage.number == 1 else np.sqrt(first * last)
+    share = (stage.round - 1) / max(settings.rounds[stage.number - 1] - 1, 1)
+    return float(first ** (1 - share) * last**share)

@@ -1,0 +1,135 @@
+"""What an adaptation is asked, what it has reached, and the stages in between (Adaptation, 4.1.4)."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ..body.body import Body
+from ..body.pose import Motion, Pose
+from ..body.pose_boxes import PoseBoxes
+from ..energy.term import AbstractEnergy
+from ..fit.correspond import Matching
+from ..geometry.camera import Camera
+from ..observe import Cloud
+from .people import People
+from .shape_prior import ShapePrior
+from .terms import Terms
+
+#: how often a body is adapted while it is tracked
+TIMES = 10
+
+
+class Settings(NamedTuple):
+    """What adaptation may be told; weights are against the mean squared distance of a pair, metres squared."""
+
+    #: frames that the body is adapted to, spread over the motion
+    frames: int = 40
+    #: rounds of joints with their skin, or of the traits of people where these are known, before vertices are adapted
+    alone: int = 6
+    #: rounds of vertices and joints in each pass
+    rounds: tuple[int, ...] = (5, 6)
+    #: weight of the Laplacian term in the first and the last round
+    shape: tuple[float, float] = (100.0, 3.0)
+    #: weight of the pose prior; None is by its balance with the data in the first frames (eq. 4.15)
+    pose: float | None = None
+    #: weight of second differences; None is by their balance with the data (eq. 4.16), 0 leaves them out
+    temporal: float | None = None
+    #: adapt while tracking, after every so many frames of the first `TIMES` as many (multi-time adaptation); with 0 all are
+    #: tracked first and those adapted to that show most (guided adaptation)
+    every: int = 0
+    #: standard deviation of a joint from where the surface around it says, metres
+    joint: float = 0.005
+    #: the same of a pair's distance
+    deviation: float = 0.003
+    matching: Matching = Matching()
+
+
+class AdaptState(NamedTuple):
+    """What has been reached: enough to go on from, to the last bit."""
+
+    #: stages that are done
+    done: int
+    body: Body
+    #: the actor's size against the template's
+    size: float
+    #: poses of all frames
+    motion: Motion
+    #: frames that no pose explained when they were tracked last
+    lost: tuple[int, ...] = ()
+    #: frames that the body is being adapted to
+    chosen: tuple[int, ...] = ()
+    #: what each stage was, and the root mean square of a pair after it, millimetres
+    history: tuple[tuple[str, float], ...] = ()
+    #: what the actor has of the ways in which people differ, beyond the template; none before they are looked for
+    traits: tuple[float, ...] = ()
+    #: weight of the pose prior
+    weight: float = 0.0
+    #: what each term was worth after each stage, as the history has them
+    terms: tuple[Terms, ...] = ()
+
+
+class Task(NamedTuple):
+    """What stays the same through all stages."""
+
+    template: Body
+    #: the cloud of a frame
+    cloud: Callable[[int], Cloud]
+    frames: int
+    rate: float
+    #: a pose near that of the first frame; None is searched for
+    start: Pose | None
+    prior: AbstractEnergy
+    #: pairs of joints, left and right, whose bones stay equally long
+    mirrored: tuple[tuple[int, int], ...]
+    settings: Settings
+    #: how people differ: those of the template's triangles tell more than it alone
+    people: People | None = None
+    #: the calibrated sensors, which stand still: vertices that none of them sees are in no pair; none say nothing
+    cameras: tuple[Camera, ...] = ()
+    #: frames without a scan that can be used, of which `cloud` is not asked; some others are there
+    missing: tuple[int, ...] = ()
+    #: the least and the largest turns of joints, which no pose goes beyond
+    boxes: PoseBoxes | None = None
+    #: what training meshes of the template show of its shape; else the template's own, or that of the person it became
+    shape: ShapePrior | None = None
+
+    @property
+    def scanned(self) -> list[int]:
+        """Frames that have a scan."""
+        return sorted(set(range(self.frames)) - set(self.missing))
+
+
+class Stage(NamedTuple):
+    """One stage of an adaptation; in passes from 1, of rounds from 1: those of pass 0 are before any vertex is adapted."""
+
+    name: str
+    number: int = 0
+    round: int = 0
+    #: only so many frames from the first on
+    frames: int | None = None
+
+    def __str__(self) -> str:
+        if self.frames is not None:
+            return f"{'adapt' if self.name == 'adapt' else self.name} to frame {self.frames}"
+        if self.name != "adapt":
+            return self.name
+        return (
+            f"pass {self.number}, round {self.round}" if self.number else f"proportions, round {self.round}"
+        )
+
+
+def plan(settings: Settings) -> list[Stage]:
+    """The stages, in order."""
+    stages = [Stage("size")]
+    if settings.every:
+        for time in range(1, TIMES + 1):
+            stages.append(Stage("track", frames=time * settings.every))
+            alone = time <= settings.alone // 2
+            stages.append(Stage("adapt", 0 if alone else 1, time if alone else 1, time * settings.every))
+    stages.append(Stage("track"))
+    stages += [Stage("adapt", 0, step + 1) for step in range(0 if settings.every else settings.alone)]
+    for number, rounds in enumerate(settings.rounds):
+        stages += [Stage("track")] if number else []
+        stages += [Stage("adapt", number + 1, step + 1) for step in range(rounds)]
+    stages += [Stage("track")] if stages[-1].name == "adapt" else []
+    stages += [Stage("pose")]
+    return stages if settings.temporal == 0.0 else [*stages, Stage("smooth")]

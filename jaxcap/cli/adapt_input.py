@@ -1,0 +1,118 @@
+"""What `jaxcap adapt` is given, looked at before hours are spent on it."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..adapt.check import check_cameras
+from ..adapt.people import People, learn_people
+from ..body.body import Body
+from ..body.pose import Pose
+from ..body.skeleton import Skeleton
+from ..body.variety import human_resolution, people_of_many_shapes
+from ..edit.joint_names import twin_joints
+from ..edit.retarget import retarget
+from ..errors import InputError
+from ..fit.check import check_cloud
+from ..geometry.camera import Camera
+from ..io.cameras import read_cameras
+from ..io.clouds import Scans
+from ..io.registry import read_motion
+from ..observe import Cloud
+from .say import progress, warn
+from .sources import Up, up_rotation
+
+#: the least number of scans, and the least share of all, that have to be good
+LEAST, GOOD = 3, 0.5
+#: scans that cameras are held against, spread over all
+LOOKED_AT = 5
+#: scans that are told of one by one
+TOLD = 5
+#: bodies that tell how people differ
+PEOPLE = 200
+
+
+def unusable_scans(scans: Scans, body: Body) -> dict[int, str]:
+    """Frames whose scan is empty, cannot be read, or cannot be of the body, each with the sentence that says so.
+
+    Every scan is read once.
+
+    **Raises:** `InputError` where the first scan is one of them, or too many are.
+    """
+    found: dict[int, str] = {}
+    for frame in progress(range(len(scans)), len(scans), label="reading"):
+        try:
+            scan = scans[frame]
+            points = jnp.asarray(scan.points)
+            check_cloud(body, Cloud(points, jnp.zeros_like(points), jnp.ones(len(points))), scan.name)
+        except InputError as error:
+            if frame == 0:
+                raise
+            found[frame] = str(error)
+    good = len(scans) - len(found)
+    if found and (good < LEAST or good < GOOD * len(scans)):
+        raise InputError(
+            f"{len(found)} of {len(scans)} scans cannot be used, too many to go on without them; the first: "
+            f"{next(iter(found.values()))}"
+        )
+    return found
+
+
+def warn_of_unusable(reasons: Mapping[int, str]) -> None:
+    """Tell of scans that are left out, the first ones by what is wrong with them."""
+    for frame in list(reasons)[:TOLD]:
+        warn(f"{reasons[frame].rstrip('.')}; frame {frame} goes without a scan.")
+    if len(reasons) > TOLD:
+        warn(f"{len(reasons) - TOLD} further frames go without a scan, too.")
+
+
+def warn_of_lost(lost: Sequence[int], scans: Scans) -> None:
+    """Name the frames that no pose explains, or that have no scan."""
+    if lost:
+        names = ", ".join(Path(scans.names[frame]).name for frame in lost)
+        warn(f"{len(lost)} of {len(scans)} frames were lost: {names}; their poses are not to be trusted")
+
+
+def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tuple[Camera, ...]:
+    """The cameras of a calibration in metres as the scans lie, y up. Raises `InputError` where they cannot have taken
+    the scans of these frames."""
+    cameras = [_upright(camera, up) for camera in read_cameras(path)]
+    some = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), LOOKED_AT)).astype(int))
+    turn = up_rotation(up)
+    check_cameras(cameras, [scans[frames[n]].points @ turn.T for n in some], str(path))
+    return tuple(cameras)
+
+
+def _upright(camera: Camera, up: Up) -> Camera:
+    """The same camera where the vertical of the world is y."""
+    turn = jnp.asarray(up_rotation(up), camera.rotation.dtype)
+    return eqx.tree_at(lambda c: c.rotation, camera, camera.rotation @ turn.T)
+
+
+def first_pose(path: Path, skeleton: Skeleton) -> Pose:
+    """The first pose of a motion, carried over to a skeleton of other proportions. Raises `InputError`."""
+    of, motion = read_motion(path)
+    try:
+        return retarget(motion.slice(slice(1)), of, skeleton)[0]
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
+    """Pairs of joints of the left and the right, each joint in one of them at most."""
+    found: list[tuple[int, int]] = []
+    for pair in twin_joints(skeleton.names):
+        if not any(joint in other for other in found for joint in pair):
+            found.append(pair)
+    return tuple(found)
+
+
+def people_like(template: Body) -> People | None:
+    """How people differ, where the template has the human's triangles and joints."""
+    resolution = human_resolution(template)
+    if resolution is None:
+        return None
+    return learn_people(template, people_of_many_shapes(PEOPLE, resolution=resolution, joints="tracking"))

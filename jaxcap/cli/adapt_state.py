@@ -1,0 +1,102 @@
+"""What `jaxcap adapt` keeps between its stages: one file, replaced as a whole, to go on from."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ..adapt.task import AdaptState
+from ..adapt.terms import Terms
+from ..body.body import Body
+from ..errors import InputError
+from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..io.clouds import Scans
+
+#: arrays of a checkpoint beside body, motion and history
+NEEDS = ("done", "size", "lost", "chosen", "traits", "weight", "terms")
+
+
+def checkpoint_of(state: AdaptState) -> Checkpoint:
+    """A state as a file can hold it."""
+    arrays = {
+        "done": np.array(state.done),
+        "size": np.array(state.size, float),
+        "lost": np.array(state.lost, int),
+        "chosen": np.array(state.chosen, int),
+        "traits": np.array(state.traits, float),
+        "weight": np.array(state.weight, float),
+        "terms": np.array(state.terms, float).reshape(-1, len(Terms._fields)),
+    }
+    return Checkpoint(state.body, state.motion, state.history, arrays)
+
+
+def state_of(kept: Checkpoint) -> AdaptState:
+    """The state of a checkpoint that `checkpoint_of` made, to the last bit."""
+    arrays = kept.arrays
+    lost, chosen, traits = (tuple(arrays[name].tolist()) for name in ("lost", "chosen", "traits"))
+    return AdaptState(
+        done=int(arrays["done"]),
+        body=kept.body,
+        size=float(arrays["size"]),
+        motion=kept.motion,
+        lost=lost,
+        chosen=chosen,
+        history=kept.history,
+        traits=traits,
+        weight=float(arrays["weight"]),
+        terms=tuple(Terms(*row) for row in arrays["terms"].tolist()),
+    )
+
+
+def fingerprint_of(body: Body, scans: Scans) -> dict[str, object]:
+    """What tells that inputs are the same."""
+    first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
+    shape = hashlib.sha256(np.ascontiguousarray(body.vertices).tobytes())
+    return {"template": shape.hexdigest(), "first cloud": first.hexdigest(), "scans": len(scans)}
+
+
+def hash_of(path: Path | None) -> str | None:
+    """What tells that a file, where one was given, is the same. Raises `InputError` where it cannot be read."""
+    if path is None:
+        return None
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
+
+
+def state_to_go_on_from(
+    path: Path, header: Mapping[str, object], resume: bool, overwrite: bool
+) -> AdaptState | None:
+    """The state that `keep_state` left; None to begin anew.
+
+    **Raises:** `InputError` where there is none to resume, it was begun with another `header`, or one is in the way.
+    """
+    if resume:
+        if not path.is_file():
+            raise InputError(f"{path}: there is no unfinished run to go on from; leave --resume out.")
+        return state_of(load_checkpoint(path, header, NEEDS))
+    if path.exists() and not overwrite:
+        raise InputError(
+            f"{path}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
+        )
+    return None
+
+
+def keep_state(path: Path, state: AdaptState, header: Mapping[str, object]) -> None:
+    """Write what is reached in place of what was reached before.
+
+    **Raises:** `InputError` where it cannot be written: what was kept before is there as it was.
+    """
+    try:
+        save_checkpoint(path, checkpoint_of(state), header)
+    except InputError as error:
+        raise InputError(f"{error} {kept_words(path, state.done - 1)}.") from None
+
+
+def kept_words(path: Path, done: int) -> str:
+    """What is left of a run that ends before its time."""
+    if not (done and path.is_file()):
+        return "no stage was done"
+    return f"{done} {'stage is' if done == 1 else 'stages are'} kept in {path}; --resume goes on"

@@ -1,0 +1,51 @@
+"""`jaxcap prior learn --meshes`: the shape around every vertex, from registered meshes of a body."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from ...adapt.shape_prior import ShapePrior, make_shape_prior, shape_energy, unlike_poses
+from ...body.body import Body
+from ...errors import InputError
+from ...fit.registered import fit_meshes
+from ...io.meshes import read_named_meshes
+from ..fit import check_size, same_triangles
+from ..say import say, warn
+
+#: more meshes of one body say little new, and a file grows with every one
+MOST_MESHES = 30
+
+
+def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
+    """The Laplacian vectors of the meshes that are posed most unlike each other, at most `MOST_MESHES`, and a
+    line that tells them.
+
+    **Raises:** `InputError` where a file is wrong, or the meshes are not of the body.
+    """
+    sequence, names = read_named_meshes(meshes, unit)
+    check_size(body, sequence, meshes[0])
+    try:
+        fit = fit_meshes(body, sequence)
+    except ValueError as error:
+        raise InputError(f"{meshes[0]}: {error}") from None
+    if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
+        warn(f"{meshes[0]}: the triangles are not those of the body; vertices are taken in their order")
+    posed = np.asarray(fit.converged)
+    for number in np.flatnonzero(~posed):
+        warn(f"{names[number]}: the body finds no pose in this mesh; it is left out")
+    if not posed.any():
+        raise InputError(
+            f"{meshes[0]}: the body finds a pose in none of {len(names)} meshes; check their unit."
+        )
+    there = np.flatnonzero(posed)
+    found = jax.tree.map(lambda a: a[there], fit.motion.poses)
+    kept = there[unlike_poses(body.skeleton, found, MOST_MESHES)]
+    poses = jax.tree.map(lambda a: a[kept], fit.motion.poses)
+    prior = make_shape_prior(body, poses, np.asarray(sequence.vertices, float)[kept])
+    off, apart = float(np.sqrt(np.mean(np.asarray(fit.rmse)[kept] ** 2))), shape_energy(prior, body) ** 0.5
+    say(
+        f"shape: {len(kept)} of {len(names)} meshes; in them the body is off by {1e3 * off:.2f} mm, "
+        f"its Laplacian vectors by {1e3 * apart:.2f} mm"
+    )
+    return prior

@@ -1,0 +1,374 @@
+"""What users give an adaptation that cannot go well, or not whole: one sentence that says so, before hours are spent."""
+
+import json
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cli import fails, runs
+from helpers import chain_body
+
+import jaxcap as jc
+from jaxcap.adapt import check
+from jaxcap.adapt.check import (
+    Likeness,
+    check_actor,
+    check_cameras,
+    connected,
+    height_of,
+    is_person,
+    large_groups,
+    likeness,
+)
+from jaxcap.adapt.equations import stack_pairs
+from jaxcap.adapt.evaluate import compare_stages
+from jaxcap.adapt.loop import AdaptState, Settings, Task, adapt_body, plan
+from jaxcap.adapt.meet import pairs_at
+from jaxcap.adapt.size import resized
+from jaxcap.body.pair_prior import successive_pairs
+from jaxcap.body.pose import difference, rest_pose, retract, stack_poses
+from jaxcap.cli.adapt import Adapt
+from jaxcap.cli.adapt_input import load_cameras, unusable_scans
+from jaxcap.cli.adapt_state import fingerprint_of, keep_state, state_to_go_on_from
+from jaxcap.cli.sources import up_rotation
+from jaxcap.demo.scanner import sample_surface
+from jaxcap.energy.prior import RestPrior
+from jaxcap.fit.correspond import make_scan
+from jaxcap.geometry.camera import look_at, ring_of_cameras
+from jaxcap.io.cameras import write_cameras
+from jaxcap.io.clouds import read_clouds
+from jaxcap.io.ply import write_ply
+
+FRAMES, POINTS = 6, 700
+RING = ring_of_cameras(4, 360, 2.5, 0.5, (0.0, 0.3, 0.0))
+_posed = eqx.filter_jit(jc.pose_body)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A small body, larger than its template, in six poses, and its scans."""
+    rng, template = np.random.default_rng(5), chain_body("linear")
+    actor = resized(template, jnp.asarray(1.1))
+    way = 0.02 * rng.normal(size=actor.skeleton.num_dofs)
+    poses = [retract(actor.skeleton, rest_pose(actor.skeleton), jnp.asarray(n * way)) for n in range(FRAMES)]
+    clouds = []
+    for pose in poses:
+        vertices = np.asarray(_posed(actor, pose).vertices, float)
+        points, normals = sample_surface(vertices, np.asarray(actor.faces), POINTS, rng)
+        clouds.append((points + 0.0005 * rng.normal(size=points.shape), normals))
+    return template, actor, poses, clouds
+
+
+@pytest.fixture
+def folder(scene, tmp_path):
+    """`body.npz`, the template, and `scan_0000.ply`, ..."""
+    template, _, _, clouds = scene
+    jc.save_body(tmp_path / "body.npz", template)
+    for number, (points, normals) in enumerate(clouds):
+        write_scan(tmp_path, number, points, normals)
+    write_cameras(tmp_path / "cameras.json", RING)
+    return tmp_path
+
+
+def write_scan(folder, number: int, points, normals) -> None:
+    views, faces = np.zeros(len(points), int), np.zeros((0, 3), int)
+    write_ply(folder / f"scan_{number:04d}.ply", points, normals, views, faces)
+
+
+def words(folder, *more) -> tuple:
+    return "adapt", folder / "body.npz", folder / "*.ply", "-o", folder / "a.npz", *more
+
+
+def task_of(scene, **changes) -> Task:
+    template, _, poses, clouds = scene
+    prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
+    settings = Settings(frames=3, alone=1, rounds=(1,))
+    whole = [jc.make_cloud(*cloud) for cloud in clouds]
+    return Task(template, whole.__getitem__, FRAMES, 10.0, poses[0], prior, (), settings)._replace(**changes)
+
+
+def there(body: jc.Body, pose: jc.Pose) -> AdaptState:
+    """As the stage `size` leaves it."""
+    return AdaptState(1, body, 1.0, stack_poses([pose], 10.0))
+
+
+def alone(task: Task, points, normals=None) -> Task:
+    cloud = jc.make_cloud(points, normals)
+    return task._replace(cloud=lambda _: cloud, frames=1)
+
+
+def test_cameras_that_are_none(folder, capsys):
+    path = folder / "c.json"
+    assert "cannot be read" in fails(capsys, *words(folder, "--cameras", path))
+    path.write_text("{")
+    assert "this is not JSON" in fails(capsys, *words(folder, "--cameras", path))
+    path.write_text(json.dumps({"format": "jaxcap cameras", "cameras": []}))
+    assert "no list 'cameras'" in fails(capsys, *words(folder, "--cameras", path))
+    assert not list(folder.glob("a*"))
+
+
+@pytest.mark.parametrize(
+    ("camera", "what"),
+    [
+        (look_at([0, 0.5, 2.5], [0, 0.5, 5.0], 320, 240, 60), "points away"),
+        (look_at([0, 0.5, 2.5], [2.5, 0.5, 2.0], 320, 240, 60), "outside of its picture"),
+        (look_at([0, 500.0, 2500.0], [0, 0, 0], 320, 240, 60), "give translations in metres"),
+    ],
+)
+def test_cameras_that_took_other_scans(folder, capsys, camera, what):
+    write_cameras(folder / "c.json", [*RING, camera])
+    told = fails(capsys, *words(folder, "--cameras", folder / "c.json"))
+    assert what in told
+    assert "c.json: camera 4" in told
+    assert not list(folder.glob("a*"))
+
+
+def test_cameras_that_see_little_of_the_scans():
+    points = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    near = look_at([0.0, 0.0, 1.3], [0, 0, 0], 320, 240, 30)
+    with pytest.raises(jc.InputError, match="% of the scans' points are in no camera's picture"):
+        check_cameras([near], [points], "c.json")
+    check_cameras(RING, [points], "c.json")
+
+
+def test_cameras_are_turned_with_the_scans(scene, folder):
+    """Scans and cameras whose vertical is z come to lie as those whose vertical is y."""
+    points, turn = scene[3][0][0], up_rotation("z")
+    turned = [eqx.tree_at(lambda c: c.rotation, camera, camera.rotation @ turn) for camera in RING]
+    write_cameras(folder / "z.json", turned)
+    for number in range(FRAMES):
+        write_scan(folder, number, points @ turn, points @ turn)
+    loaded = load_cameras(folder / "z.json", read_clouds(str(folder / "*.ply")), range(FRAMES), "z")
+    for camera, other in zip(loaded, RING, strict=True):
+        np.testing.assert_allclose(camera.rotation, other.rotation, atol=1e-9)
+        np.testing.assert_allclose(camera.eye, other.eye, atol=1e-9)
+
+
+def test_what_no_camera_sees_is_in_no_pair(scene):
+    _, actor, poses, _ = scene
+    task = task_of(scene)
+    scan = make_scan(task.cloud(0))
+    posed = _posed(actor, poses[0])
+    behind = np.asarray(posed.normals)[:, 2] < -0.3
+    front = look_at([0.0, 0.5, 3.0], [0, 0.3, 0], 320, 240, 40)
+    for cameras, some in (((), True), ((front,), False)):
+        pairs = pairs_at(task._replace(cameras=cameras), actor, poses[0], scan)
+        paired = np.unique(np.asarray(pairs.vertices[:, 0])[np.asarray(pairs.weights) > 0])
+        assert behind[paired].any() == some
+        assert len(paired) > 10
+
+
+def test_scans_of_other_sizes_are_stacked(scene):
+    """Pairs of a scan with few points are padded to those of one with many."""
+    _, actor, poses, clouds = scene
+    task = task_of(scene)
+    scans = [make_scan(jc.make_cloud(clouds[0][0][:count])) for count in (POINTS, 200)]
+    parts = [pairs_at(task, actor, poses[0], scan) for scan in scans]
+    assert len(parts[0].weights) > len(parts[1].weights)
+    both = stack_pairs(parts)
+    np.testing.assert_allclose(both.weights.sum(1), [part.weights.sum() for part in parts])
+    assert not both.weights[1, len(parts[1].weights) :].any()
+
+
+def test_scans_that_cannot_be_used_are_named(folder, scene, capsys):
+    template, _, _, clouds = scene
+    points, normals = clouds[0]
+    scans = read_clouds(str(folder / "*.ply"))
+    write_scan(folder, 2, points[:0], normals[:0])
+    write_scan(folder, 4, 1000 * points, normals)
+    found = unusable_scans(scans, template)
+    assert list(found) == [2, 4]
+    assert "scan_0002.ply: there are no points in it" in found[2]
+    assert "scan_0004.ply is" in found[4] and "millimetres" in found[4]
+    (folder / "scan_0001.ply").write_bytes(b"")
+    write_scan(folder, 3, points[:5], normals[:5])
+    told = fails(capsys, *words(folder))
+    assert "4 of 6 scans cannot be used" in told and "scan_0001.ply" in told
+    write_scan(folder, 0, points[:0], normals[:0])
+    assert "scan_0000.ply: there are no points in it" in fails(capsys, *words(folder))
+    assert not list(folder.glob("a*"))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "centimetres")])
+def test_scans_in_another_unit(scene, folder, capsys, factor, unit):
+    for number, (points, normals) in enumerate(scene[3]):
+        write_scan(folder, number, factor * points, normals)
+    assert f"looks like {unit}" in fails(capsys, *words(folder))
+
+
+def test_metres_that_are_taken_for_millimetres(folder, capsys):
+    assert "check the units of both" in fails(capsys, *words(folder, "--unit", "mm"))
+
+
+def without_second(task: Task) -> Task:
+    """The same task where the scan of frame 2 is not there, nor asked for."""
+
+    def cloud(frame: int) -> jc.Cloud:
+        assert frame != 2
+        return task.cloud(frame)
+
+    return task._replace(cloud=cloud, missing=(2,))
+
+
+def test_a_frame_without_a_scan_is_lost_and_lies_between_others(scene):
+    task = without_second(task_of(scene, template=scene[1]))
+    *_, last = adapt_body(task._replace(settings=Settings(alone=0, rounds=())))
+    assert last.lost == (2,)
+    skeleton, motion = last.body.skeleton, last.motion
+    ways = [difference(skeleton, motion[a], motion[b]) for a, b in ((1, 2), (2, 3))]
+    np.testing.assert_allclose(ways[0], ways[1], atol=1e-6)
+    assert float(jnp.abs(ways[0]).max()) > 1e-3
+
+
+@pytest.mark.slow
+def test_all_stages_go_without_it(scene):
+    task = without_second(task_of(scene))
+    states = list(adapt_body(task))
+    assert all(2 not in state.chosen for state in states)
+    assert any(state.chosen for state in states)
+    *_, stages = compare_stages(task, states[-1])
+    assert stages.measured == (0, 1, 3, 4, 5)
+
+
+def test_something_else_than_the_body(scene, monkeypatch):
+    """The right body explains its scan, with a small thing beside it, and no ball."""
+    _, actor, poses, clouds = scene
+    rng, task, state = np.random.default_rng(1), task_of(scene), there(actor, poses[0])
+    thing = np.array([0.6, 0.1, 0.0]) + rng.uniform(-0.1, 0.1, (80, 3))
+    with_thing = alone(
+        task, *(np.concatenate(parts) for parts in ((clouds[0][0], thing), (clouds[0][1], thing)))
+    )
+    check_actor(with_thing, state, "a.ply")
+    middle, height = clouds[0][0].mean(0), height_of(actor)
+    out = rng.normal(size=(900, 3))
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    # no other person is looked for in it
+    monkeypatch.setattr(check, "_likeness_alone", lambda *_: Likeness(0.0, 0.0))
+    with pytest.raises(jc.InputError, match=r"a\.ply: this is not like a person.*give scans of one person"):
+        check_actor(alone(task, middle + 0.4 * height * out, out), state, "a.ply")
+    monkeypatch.setattr(check, "_likeness_alone", lambda *_: Likeness(0.9, 0.9))
+    column = (
+        middle
+        + [0.8 * height, 0.0, 0.0]
+        + 0.5 * height * rng.uniform([-0.1, -1, -0.1], [0.1, 1, 0.1], (900, 3))
+    )
+    with pytest.raises(jc.InputError, match="more than one person in this scan, the other around"):
+        check_actor(alone(task, np.concatenate([clouds[0][0], column])), state, "a.ply")
+
+
+def test_what_a_body_explains_of_its_own_scan_and_of_one_inside_out(scene):
+    _, actor, poses, clouds = scene
+    points, normals = clouds[0]
+    state = there(actor, poses[0])
+    shares = [
+        likeness(state, 0, make_scan(jc.make_cloud(points, sign * normals)))[0].share for sign in (1, -1, 0)
+    ]
+    assert shares[0] > 0.95
+    assert shares[1] < 0.05
+    assert shares[2] == 1.0
+    far, apart = likeness(state, 0, make_scan(jc.make_cloud(points + 10.0, normals)))
+    assert far == Likeness(0.0, 0.0)
+    assert len(apart) == len(points)
+
+
+@pytest.mark.parametrize(
+    ("share", "length", "person"),
+    # somebody upright, curled up, with a sack on the back; a box with a body curled up in it, a dog, a sofa
+    [(0.96, 0.97, True), (0.96, 0.5, True), (0.64, 0.96, True), (0.86, 0.58, False), (0.73, 0.59, False), (0.46, 0.67, False)],
+)  # fmt: skip
+def test_who_is_a_person(share, length, person):
+    assert is_person(Likeness(share, length)) == person
+
+
+def test_groups_are_those_as_large_as_a_person():
+    """Of a wall, a small box, a floor and a column of a person's size only the last may be a person."""
+    rng = np.random.default_rng(0)
+    column = rng.uniform([-0.2, 0, -0.2], [0.2, 1.7, 0.2], (3000, 3))
+    wall = rng.uniform([-2, 0, 3], [2, 2.4, 3.02], (4000, 3))
+    box = rng.uniform([1, 0, 0], [1.4, 0.4, 0.4], (1000, 3))
+    points = np.concatenate([wall, box, column])
+    groups = large_groups(points, 1.75, len(points))
+    assert [rows.tolist() for rows in groups] == [list(range(5000, 8000))]
+    assert large_groups(column, 1.75, 100_000) == []
+    assert large_groups(column[:0], 1.75, 100) == []
+    labels = connected(points, 0.1)
+    assert len(np.unique(labels)) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("two", [True, False])
+def test_two_people_in_a_scan(two):
+    """Another person is told from a column of that size by the body, which explains the one and not the other."""
+    body, rng = jc.human(resolution="low", joints="tracking"), np.random.default_rng(0)
+    other = jc.human(resolution="low", joints="tracking", sex="female", height=1.6)
+    pose, faces = rest_pose(body.skeleton), np.asarray(body.faces)
+    points, _ = sample_surface(np.asarray(_posed(body, pose).vertices, float), faces, 2500, rng)
+    if two:
+        more, _ = sample_surface(np.asarray(_posed(other, pose).vertices, float), faces, 2500, rng)
+    else:
+        angle, up = rng.uniform(0, 2 * np.pi, 2500), rng.uniform(-0.8, 0.8, 2500)
+        more = np.stack([0.35 * np.cos(angle), up, 0.35 * np.sin(angle)], 1)
+    task = Task(body, lambda _: jc.make_cloud(points), 1, 30.0, pose, RestPrior(jnp.full((body.skeleton.num_joints, 3), 0.7)), (), Settings())  # fmt: skip
+    task = alone(task, np.concatenate([points, more + [1.6, 0.0, 0.0]]))
+    if two:
+        with pytest.raises(jc.InputError, match="more than one person"):
+            check_actor(task, there(body, pose), "a.ply")
+    else:
+        check_actor(task, there(body, pose), "a.ply")
+
+
+def test_a_disk_that_is_full(scene, tmp_path, monkeypatch):
+    """What was kept before is there to the last bit, and nothing beside it."""
+    path, header = tmp_path / "a.npz.partial", {"frames": 3}
+    template, _, poses, _ = scene
+    state = AdaptState(1, template, 1.0, stack_poses(poses, 10.0), history=(("size", 4.0),))
+    keep_state(path, state, header)
+    before, whole = path.read_bytes(), np.savez_compressed
+
+    def full(file, **arrays):
+        whole(file, **arrays)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(jc.InputError, match=r"No space left.*free some space.*1 stage is kept.*--resume"):
+        keep_state(path, state._replace(done=2), header)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    kept = state_to_go_on_from(path, header, resume=True, overwrite=False)
+    assert kept is not None and kept.done == 1
+
+
+def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch):
+    """All stages are done; what cannot be written is written by --resume."""
+    template, actor, poses, _ = scene
+    task = Adapt(str(folder / "body.npz"), str(folder / "*.ply"), folder / "a.npz", smoothness=0.0)
+    header = {**task.settings(), **fingerprint_of(template, read_clouds(task.clouds))}
+    state = AdaptState(len(plan(Settings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
+    keep_state(task.kept, state, header)
+
+    def full(file, **arrays):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(np, "savez_compressed", full)
+        told = fails(capsys, *words(folder, "--smoothness", 0, "--resume"))
+    assert "a.npz: cannot be written" in told and "stages are kept" in told
+    assert "times the template's size" in runs(capsys, *words(folder, "--smoothness", 0, "--resume"))
+    assert not task.kept.exists()
+
+
+def test_a_prior_of_another_skeleton(scene, folder, capsys):
+    skeleton = replace(
+        scene[0].skeleton, names=tuple(f"other{n}" for n in range(len(scene[0].skeleton.names)))
+    )
+    pairs = successive_pairs(skeleton)[:1]
+    frames = [[skeleton.orientations[skeleton.index(name)] for name in pair] for pair in pairs]
+    prior = jc.make_pair_prior(
+        pairs, np.array(frames), np.ones((1, 1)), np.zeros((1, 1, 6)), np.eye(6)[None, None]
+    )
+    jc.save_prior(folder / "prior.npz", prior)
+    told = fails(capsys, *words(folder, "--prior", folder / "prior.npz"))
+    assert "prior.npz: this prior is of another skeleton: there is no joint 'other" in told
+    assert "learn one for this skeleton" in told

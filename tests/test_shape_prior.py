@@ -1,0 +1,175 @@
+"""The shape around every vertex: Laplacian vectors of meshes, their energy, sizes, and files."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import chain_body, random_pose
+
+import jaxcap as jc
+from jaxcap.adapt.shape_prior import (
+    neighbours_in,
+    own_shape_prior,
+    scaled,
+    shape_energy,
+    uniform_laplacian,
+    unlike_poses,
+)
+from jaxcap.adapt.size import resized
+from jaxcap.body.body import deform_all
+from jaxcap.geometry.mesh import mesh_edges
+from jaxcap.io.npz import load_limits
+from jaxcap.io.prior import load_shape_prior, shape_counts
+
+BODY = chain_body()
+SKELETON = BODY.skeleton
+MESHES = 4
+
+
+@pytest.fixture
+def poses(rng):
+    # some are of another scale, and the root is elsewhere
+    drawn = [random_pose(SKELETON, rng, 0.5, scale=scale) for scale in (1.0, 1.0, 1.1, 0.9)]
+    return jc.stack_poses(drawn).poses
+
+
+@pytest.fixture
+def meshes(rng, poses):
+    return np.asarray(deform_all(BODY, poses)) + 0.01 * rng.normal(size=(MESHES, len(BODY.vertices), 3))
+
+
+@pytest.fixture
+def pairs(rng):
+    """A prior of poses to be written with that of shape."""
+    return jc.learn_pair_prior(
+        SKELETON, jc.stack_poses([random_pose(SKELETON, rng, 0.3) for _ in range(20)]), most=1
+    )
+
+
+def slow_vectors(meshes) -> np.ndarray:
+    faces, vectors = np.asarray(BODY.faces), np.zeros_like(meshes)
+    for number, mesh in enumerate(meshes):
+        for v in range(len(mesh)):
+            near = np.setdiff1d(faces[(faces == v).any(1)], v)
+            vectors[number, v] = mesh[v] - mesh[near].mean(0)
+    return vectors
+
+
+def test_vectors_and_energy_are_those_of_a_slow_loop(poses, meshes):
+    prior = jc.make_shape_prior(BODY, poses, meshes)
+    np.testing.assert_allclose(prior.vectors, slow_vectors(meshes), atol=1e-14)
+    own = slow_vectors(np.asarray(deform_all(BODY, poses)))
+    expected = (
+        sum(np.sum((own[m] - prior.vectors[m]) ** 2) / len(BODY.vertices) for m in range(MESHES)) / MESHES
+    )
+    assert shape_energy(prior, BODY) == pytest.approx(expected, rel=1e-9)
+    assert shape_energy(own_shape_prior(BODY), BODY) < 1e-25
+
+
+def test_a_vertex_without_neighbours_has_no_vector(poses, meshes):
+    alone = eqx.tree_at(lambda b: b.faces, BODY, BODY.faces[(BODY.faces != 3).all(1)])
+    vectors = jc.make_shape_prior(alone, poses, meshes).vectors
+    np.testing.assert_array_equal(vectors[:, 3], 0.0)
+    assert np.abs(vectors).sum(-1).min(0)[4] > 0
+
+
+def test_scaled_is_the_prior_of_the_scaled_body_and_meshes(poses, meshes):
+    """Roots are moved by as much more, so that posed bodies are as large about the origin."""
+    size = 1.3
+    body, prior = resized(BODY, jnp.asarray(size)), scaled(jc.make_shape_prior(BODY, poses, meshes), size)
+    np.testing.assert_allclose(deform_all(body, prior.poses), size * deform_all(BODY, poses), atol=1e-12)
+    expected = jc.make_shape_prior(body, prior.poses, size * meshes)
+    np.testing.assert_allclose(prior.vectors, expected.vectors, atol=1e-14)
+    before = shape_energy(jc.make_shape_prior(BODY, poses, meshes), BODY)
+    assert shape_energy(prior, body) == pytest.approx(size**2 * before, rel=1e-9)
+    for wrong in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="must be above 0"):
+            scaled(prior, wrong)
+
+
+def test_unlike_poses_are_the_furthest_from_those_before(rng):
+    near = [random_pose(SKELETON, rng, 0.01) for _ in range(6)]
+    far = [random_pose(SKELETON, rng, 1.0) for _ in range(2)]
+    poses = jc.stack_poses([*near[:3], far[0], *near[3:], far[1]]).poses
+    assert unlike_poses(SKELETON, poses, 3).tolist() == [0, 3, 7]
+    assert unlike_poses(SKELETON, poses, 20).tolist() == list(range(8))
+    assert unlike_poses(SKELETON, jc.stack_poses([near[0]] * 4).poses, 2).tolist() == [0]
+
+
+def test_what_no_prior_is_made_of(poses, meshes):
+    for pose, mesh, told in (
+        (jc.rest_pose(SKELETON), meshes, "no poses of training meshes"),
+        (poses, meshes[:, :5], "4 meshes of 5 vertices for 4 poses of a body of 48; register them"),
+        (poses, meshes[:3], "3 meshes of 48 vertices for 4 poses"),
+        (poses, np.where(np.arange(MESHES)[:, None, None] == 2, np.nan, meshes), "Mesh 2 is not finite"),
+        (jc.Pose(poses.translations[:, :3], poses.rotations[:, :3], poses.scale), meshes, "of 3 joints"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            jc.make_shape_prior(BODY, pose, mesh)
+
+
+def test_round_trip_through_files(tmp_path, pairs, poses, meshes):
+    prior = jc.make_shape_prior(BODY, poses, meshes)
+    alone, beside = tmp_path / "prior.npz", tmp_path / "body.npz"
+    jc.save_prior(alone, pairs, shape=prior)
+    jc.save_prior(beside, pairs, None, BODY, {"angles": np.arange(3.0)}, prior)
+    for path in (alone, beside):
+        again = load_shape_prior(path, BODY)
+        assert again is not None
+        assert again.vectors.dtype == float
+        # float32 in the file
+        np.testing.assert_allclose(again.vectors, prior.vectors, rtol=1e-7)
+        np.testing.assert_array_equal((again.laplacian - prior.laplacian).toarray(), 0.0)
+        for name in ("translations", "rotations", "scale"):
+            one, other = (getattr(p.poses, name) for p in (again, prior))
+            assert one.dtype == BODY.vertices.dtype
+            np.testing.assert_allclose(one, other, atol=1e-6)
+        assert shape_energy(again, BODY) == pytest.approx(shape_energy(prior, BODY), rel=1e-4)
+        assert shape_counts(path) == (MESHES, len(BODY.vertices))
+        assert jc.load_prior(path, SKELETON).pairs == pairs.pairs
+    np.testing.assert_array_equal(load_limits(beside)["angles"], np.arange(3.0))
+    jc.save_prior(alone, pairs)
+    assert load_shape_prior(alone, BODY) is None
+    assert shape_counts(alone) is None
+
+
+def test_a_file_says_the_edges_and_not_the_laplacian(tmp_path, pairs, poses, meshes):
+    path = tmp_path / "prior.npz"
+    prior = jc.make_shape_prior(BODY, poses, meshes)
+    jc.save_prior(path, pairs, shape=prior)
+    arrays = {name: values for name, values in np.load(path).items() if name.startswith("shape.")}
+    assert arrays.keys() == {f"shape.{n}" for n in ("edges", "vectors", "translations", "rotations", "scale")}
+    assert {values.dtype.name for values in arrays.values()} == {"int32", "float32"}
+    np.testing.assert_array_equal(arrays["shape.edges"], mesh_edges(np.asarray(BODY.faces)))
+    np.testing.assert_array_equal(neighbours_in(prior), arrays["shape.edges"])
+    np.testing.assert_allclose(uniform_laplacian(BODY).sum(1), 0.0, atol=1e-12)
+
+
+def test_a_prior_of_another_body_is_refused(tmp_path, pairs, poses, meshes):
+    path, prior = tmp_path / "prior.npz", jc.make_shape_prior(BODY, poses, meshes)
+    jc.save_prior(path, pairs, shape=prior)
+    less = eqx.tree_at(lambda b: b.faces, BODY, BODY.faces[1:-5])
+    turned = eqx.tree_at(lambda b: b.faces, BODY, BODY.faces[::-1, [1, 2, 0]])
+    few = jc.Body(SKELETON, jc.RigidSkin(jnp.zeros(3, int)), jnp.eye(3), jnp.asarray([[0, 1, 2]]))
+    with pytest.raises(jc.InputError, match="of 48 vertices and the body has 3; learn one"):
+        load_shape_prior(path, few)
+    with pytest.raises(jc.InputError, match="other triangles than the body's"):
+        load_shape_prior(path, less)
+    with pytest.raises(jc.InputError, match="other triangles than the body's"):
+        jc.save_prior(tmp_path / "body.npz", pairs, body=less, shape=prior)
+    assert not (tmp_path / "body.npz").exists()
+    assert load_shape_prior(path, turned) is not None
+    whole = dict(np.load(path))
+    for name, change, told in (
+        ("vectors", lambda a: a * np.nan, "is not finite"),
+        ("vectors", lambda a: a[:3], "must be 3 x 9"),
+        ("vectors", lambda a: a[:, :, :2], "must be any x any x 3"),
+        ("rotations", lambda a: a[:, :5], "must be 4 x 9 x 4"),
+        ("scale", lambda a: a * np.inf, "is not finite"),
+    ):
+        np.savez(path, **{**whole, f"shape.{name}": change(whole[f"shape.{name}"])})
+        with pytest.raises(jc.InputError, match=told):
+            load_shape_prior(path, BODY)
+    np.savez(path, **{name: values for name, values in whole.items() if name != "shape.edges"})
+    with pytest.raises(jc.InputError, match=r"'shape.edges' is missing"):
+        load_shape_prior(path, BODY)
