@@ -33,8 +33,6 @@ SIZED = 3
 BALANCE = 0.1
 #: weight of the pose prior while the first poses are found, where it is to be balanced with the data
 FIRST_WEIGHT = 1e-6
-#: what the pose prior is worth at least for that balance: first poses are often at rest, and later ones are not
-AT_EASE = 10.0
 
 
 def adapt_body(task: Task, state: AdaptState | None = None) -> Iterator[AdaptState]:
@@ -90,7 +88,9 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
     state = AdaptState(0, body, size * step, motion, weight=weight)
     state = told(task, state, "size", range(len(scans)), scans)
     if settings.pose is None:
-        weight = balanced(state.terms[0].data, max(state.terms[0].pose, AT_EASE))
+        # first poses are often at rest and later ones are not: a prior that is right is worth one a number
+        worth = max(state.terms[0].pose, float(body.skeleton.num_dofs))
+        weight = balanced(state.terms[0].data, worth)
     return state._replace(weight=weight)
 
 
