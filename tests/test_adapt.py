@@ -328,6 +328,9 @@ def test_the_plan_has_all_stages_and_weights_fall():
     weights = [shape_weight(settings, Stage("adapt", 1, step)) for step in (1, 5)]
     assert weights == pytest.approx(list(settings.shape))
     assert [stage.name for stage in plan(Settings(alone=0, rounds=()))] == ["size", "track", "pose", "smooth"]
+    while_tracking = [str(stage) for stage in plan(Settings(every=10))]
+    assert while_tracking[:4] == ["size", "track to frame 10", "adapt to frame 10", "track to frame 20"]
+    assert while_tracking.index("adapt to frame 100") < while_tracking.index("track")
 
 
 @pytest.mark.slow
@@ -348,6 +351,23 @@ def test_the_whole_way_and_again_from_the_middle(scene):
     again = list(adapt_body(task, states[6]))
     np.testing.assert_array_equal(again[-1].body.vertices, last.body.vertices)
     np.testing.assert_array_equal(again[-1].motion.poses.rotations, last.motion.poses.rotations)
+
+
+@pytest.mark.slow
+def test_a_body_is_adapted_while_it_is_tracked(scene):
+    """After every frame of the first ten: the body is nearer to the actor before the last frames are tracked."""
+    template, actor, motion, clouds = scene
+    settings = Settings(frames=4, every=1, alone=2, rounds=(1,), temporal=0.0)
+    task = Task(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
+                mirrored_joints(template.skeleton), settings)  # fmt: skip
+    states = list(adapt_body(task))
+    before, after = (next(s for s, stage in zip(states, plan(settings), strict=True) if str(stage) == name)
+                     for name in ("track to frame 1", "track"))  # fmt: skip
+    # what the true body leaves is noise
+    truth = [mean_square(actor, motion[n], pairs_of(actor, motion[n], make_scan(clouds[n]), Matching())) for n in range(8)]  # fmt: skip
+    floor = 1000 * float(np.sqrt(np.mean(truth)))
+    assert after.history[-1][1] - floor < 0.7 * (before.history[-1][1] - floor)
+    assert states[-1].lost == ()
 
 
 @pytest.mark.slow
