@@ -359,6 +359,12 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     assert not task.kept.exists()
 
 
+def test_a_folder_that_cannot_be_written_to(folder, capsys):
+    """It is told at once, not after the first stage."""
+    told = fails(capsys, "adapt", folder / "body.npz", folder / "*.ply", "-o", folder / "body.npz" / "a.npz")
+    assert "body.npz: this folder cannot be written to" in told
+
+
 def test_a_prior_of_another_skeleton(scene, folder, capsys):
     skeleton = replace(
         scene[0].skeleton, names=tuple(f"other{n}" for n in range(len(scene[0].skeleton.names)))

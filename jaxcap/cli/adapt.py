@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..io.clouds import Scans, read_clouds
 from ..io.npz import save_body
 from ..io.prior import load_boxes, load_prior, load_shape_prior
-from ..io.registry import MOTION_WRITERS, write_motion
+from ..io.registry import write_motion
 from ..report.adaptation import report_adaptation
 from .adapt_input import (
     first_pose,
@@ -30,9 +30,8 @@ from .adapt_input import (
     warn_of_lost,
     warn_of_unusable,
 )
-from .adapt_state import fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
+from .adapt_state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
-from .results import make_writable
 from .rounds import Rounds
 from .say import say
 from .sources import load_body, load_cloud
@@ -191,24 +190,7 @@ class Adapt:
         for name, (value, fine, what) in wrong.items():
             if not fine:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
-        if self.out.suffix.lower() != ".npz":
-            raise InputError(f"{self.out}: bodies are written as .npz; give a name that ends in it.")
-        if self.motion_path.suffix.lower() not in MOTION_WRITERS:
-            raise InputError(
-                f"{self.motion_path}: motions are not written as '{self.motion_path.suffix}' files; use "
-                f"{', '.join(MOTION_WRITERS)}."
-            )
-        if self.report is not None and self.report.suffix.lower() not in (".html", ".htm"):
-            raise InputError(f"{self.report}: the report is a page; give a name that ends in .html.")
-        if self.resume and self.overwrite:
-            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
-        there = [
-            path for path in (self.out, self.motion_path, self.report) if path is not None and path.exists()
-        ]
-        if there and not (self.overwrite or self.resume):
-            raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
-        if self.report is not None:
-            make_writable(self.report.absolute().parent)
+        check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
     def task(self, body: Body, scans: Scans, missing: tuple[int, ...] = ()) -> Task:
         """What is to be done, with all files that are named read. Raises `InputError`."""

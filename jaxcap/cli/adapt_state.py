@@ -1,4 +1,4 @@
-"""What `jaxcap adapt` keeps between its stages: one file, replaced as a whole, to go on from."""
+"""Where `jaxcap adapt` writes: its results, and between its stages one file to go on from, replaced as a whole."""
 
 import hashlib
 from collections.abc import Mapping
@@ -12,9 +12,34 @@ from ..body.body import Body
 from ..errors import InputError
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..io.clouds import Scans
+from ..io.registry import MOTION_WRITERS
+from .results import make_writable
 
 #: arrays of a checkpoint beside body, motion and history
 NEEDS = ("done", "size", "lost", "chosen", "traits", "weight", "terms")
+
+
+def check_results(out: Path, motion: Path, report: Path | None, resume: bool, overwrite: bool) -> None:
+    """That body, motion and report can be written, in folders that are made where they are not there.
+
+    **Raises:** `InputError` for other kinds of files, results in the way, and folders that cannot be written to.
+    """
+    if out.suffix.lower() != ".npz":
+        raise InputError(f"{out}: bodies are written as .npz; give a name that ends in it.")
+    if motion.suffix.lower() not in MOTION_WRITERS:
+        raise InputError(
+            f"{motion}: motions are not written as '{motion.suffix}' files; use {', '.join(MOTION_WRITERS)}."
+        )
+    if report is not None and report.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{report}: the report is a page; give a name that ends in .html.")
+    if resume and overwrite:
+        raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+    every = [path for path in (out, motion, report) if path is not None]
+    there = [path for path in every if path.exists()]
+    if there and not (overwrite or resume):
+        raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+    for path in every:
+        make_writable(path.absolute().parent)
 
 
 def checkpoint_of(state: AdaptState) -> Checkpoint:
