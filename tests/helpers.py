@@ -11,6 +11,7 @@ from jaxcap.body.body import Body, pose_body
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
 from jaxcap.body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from jaxcap.fit.correspond import Pairs
 
 SKINS = ("rigid", "linear", "dual_quaternion", "swing_twist")
 
@@ -177,3 +178,19 @@ def _tube(vertices, faces, start, end, rings: int = 4, sides: int = 4):
             a, b = (first + ring * sides + (side + i) % sides for i in range(2))
             faces = [*faces, [a, b, b + sides], [a, b + sides, a + sides]]
     return vertices, faces
+
+
+def random_pairs(body: Body, rng, count: int = 40, corners: int = 1) -> Pairs:
+    """Pairs at vertices, or in triangles, some of them at a corner that is there three times."""
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    weights = rng.uniform(0, 1, count) * (np.arange(count) >= 4)
+    if corners == 1:
+        rows, shares = rng.integers(0, len(body.vertices), (count, 1)), np.ones((count, 1))
+    else:
+        rows = np.asarray(body.faces)[rng.integers(0, len(body.faces), count)]
+        shares = rng.dirichlet(np.ones(3), count)
+        rows[4:8] = rows[4:8, :1]
+    points = np.einsum("ck,cka->ca", shares, np.asarray(body.vertices)[rows])
+    points += 0.05 * rng.normal(size=(count, 3))
+    return Pairs(jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights)))

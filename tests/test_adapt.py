@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cli import fails, runs
-from helpers import chain_body, random_pose
+from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.beside import centres_beside, make_beside
@@ -34,7 +34,6 @@ from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import (
     Matching,
     NearestOnSurface,
-    Pairs,
     SoftAssignment,
     make_scan,
     places_on,
@@ -45,22 +44,6 @@ BODY = chain_body("swing_twist")
 PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))
 ON_SURFACE = Matching(assignment=NearestOnSurface())
 SOFT = Matching(assignment=SoftAssignment(sigma=0.01))
-
-
-def some_pairs(rng, count: int = 40, corners: int = 1) -> Pairs:
-    """Pairs at vertices, or in triangles, some of them at a corner that is there three times."""
-    normals = rng.normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    weights = rng.uniform(0, 1, count) * (np.arange(count) >= 4)
-    if corners == 1:
-        rows, shares = rng.integers(0, len(BODY.vertices), (count, 1)), np.ones((count, 1))
-    else:
-        rows = np.asarray(BODY.faces)[rng.integers(0, len(BODY.faces), count)]
-        shares = rng.dirichlet(np.ones(3), count)
-        rows[4:8] = rows[4:8, :1]
-    points = np.einsum("ck,cka->ca", shares, np.asarray(BODY.vertices)[rows])
-    points += 0.05 * rng.normal(size=(count, 3))
-    return Pairs(jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights)))
 
 
 def some_modes(rng, kind: str) -> Modes:
@@ -74,7 +57,7 @@ def some_modes(rng, kind: str) -> Modes:
 @pytest.mark.parametrize(("corners", "kind"), [(1, "joints"), (3, "within"), (1, "people")])
 def test_equations_of_poses_and_modes_against_central_differences(rng, corners, kind):
     """The gradient of the pairs' energy by every number of the pose and every amount of a mode."""
-    pairs, modes = some_pairs(rng, corners=corners), some_modes(rng, kind)
+    pairs, modes = random_pairs(BODY, rng, corners=corners), some_modes(rng, kind)
     pose = random_pose(BODY.skeleton, rng, 0.6)
     dofs = BODY.skeleton.num_dofs
 
@@ -91,7 +74,7 @@ def test_equations_of_poses_and_modes_against_central_differences(rng, corners, 
 
 
 def test_normal_equations_are_those_of_the_rows_by_differences(rng):
-    pairs, pose = some_pairs(rng, corners=3), random_pose(BODY.skeleton, rng, 0.6)
+    pairs, pose = random_pairs(BODY, rng, corners=3), random_pose(BODY.skeleton, rng, 0.6)
 
     @eqx.filter_jit
     def rows(d):
@@ -106,7 +89,7 @@ def test_normal_equations_are_those_of_the_rows_by_differences(rng):
 
 def test_size_equation_against_differences(rng):
     """About the root's joint, with the pose as it is."""
-    pairs, pose = some_pairs(rng, corners=3), random_pose(BODY.skeleton, rng, 0.6)
+    pairs, pose = random_pairs(BODY, rng, corners=3), random_pose(BODY.skeleton, rng, 0.6)
     posed = eqx.filter_jit(jc.pose_body)(BODY, pose)
     places = np.einsum("ck,cka->ca", pairs.shares, np.asarray(posed.vertices)[pairs.vertices])
     root, rows = np.asarray(posed.joints[0]), np.asarray(pair_rows(pairs))
@@ -121,7 +104,7 @@ def test_size_equation_against_differences(rng):
 
 def test_shape_is_the_dense_least_squares_solution(rng):
     """Pairs of two frames, the Laplacian in two poses, and the hold, in one residual and its Jacobian."""
-    pairs = stack([some_pairs(rng, 300, 3) for _ in range(2)])
+    pairs = stack([random_pairs(BODY, rng, 300, 3) for _ in range(2)])
     poses = stack([random_pose(BODY.skeleton, rng, 0.5) for _ in range(2)])
     prior, weight, hold = own_shape_prior(BODY, 2), 0.7, 1e-3
     laplacian = jnp.asarray(prior.laplacian.toarray())
@@ -146,7 +129,7 @@ def test_shape_is_the_dense_least_squares_solution(rng):
 
 def test_a_vertex_is_the_corner_of_a_triangle(rng):
     """Pairs at vertices give the shape that they give as points in triangles that have all of one share."""
-    pairs = stack([some_pairs(rng, 300)])
+    pairs = stack([random_pairs(BODY, rng, 300)])
     faces = np.asarray(BODY.faces)
     near = faces[[np.flatnonzero((faces == v).any(1))[0] for v in np.asarray(pairs.vertices[0, :, 0])]]
     shares = jnp.asarray(near == np.asarray(pairs.vertices[0]), float)
@@ -158,7 +141,7 @@ def test_a_vertex_is_the_corner_of_a_triangle(rng):
 
 
 def test_shape_refuses_pairs_across_the_body(rng):
-    pairs = some_pairs(rng, corners=3)
+    pairs = random_pairs(BODY, rng, corners=3)
     edges = {frozenset(edge) for edge in mesh_edges(np.asarray(BODY.faces)).tolist()}
     far = next(v for v in range(1, len(BODY.vertices)) if frozenset((0, v)) not in edges)
     pairs = eqx.tree_at(

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import chain_body, random_pose
+from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.equations import pair_energy, stack
@@ -27,18 +27,8 @@ BODY = chain_body("swing_twist")
 PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))
 
 
-def some_pairs(rng, count: int = 30) -> Pairs:
-    rows = np.asarray(BODY.faces)[rng.integers(0, len(BODY.faces), count)]
-    shares, normals = rng.dirichlet(np.ones(3), count), rng.normal(size=(count, 3))
-    points = np.einsum("ck,cka->ca", shares, np.asarray(BODY.vertices)[rows])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    weights = rng.uniform(0, 1, count) * (np.arange(count) >= 3)
-    points = points + 0.05 * rng.normal(size=points.shape)
-    return Pairs(jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights)))
-
-
 def test_pairs_as_a_term_are_the_pairs_energy_with_its_slope(rng):
-    pairs, pose = some_pairs(rng), random_pose(BODY.skeleton, rng, 0.6)
+    pairs, pose = random_pairs(BODY, rng, corners=3), random_pose(BODY.skeleton, rng, 0.6)
     term = PairDistances(pairs)
     residual, jacobian = eqx.filter_jit(linearise)(term, BODY, pose)
     assert float(residual @ residual) == pytest.approx(float(pair_energy(BODY, pose, pairs)))

@@ -1,12 +1,13 @@
 """One round of an adaptation: proportions, or joints and vertices, with the poses of some frames (Adaptation, 4.1.4)."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
-from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose, stack_poses
+from ..edit.sample import unlike_poses
 from ..fit.correspond import Scan, make_scan
 from .beside import centres_beside, make_beside
 from .equations import TANGENTIAL, stack, unstack
@@ -52,14 +53,8 @@ def spread_frames(state: AdaptState, count: int, among: int | None = None) -> tu
     """Frames, of the first `among`, with poses as unlike each other as can be, each the furthest from those before; none
     that is lost."""
     there = [n for n in range(len(state.motion))[:among] if n not in state.lost] or [0]
-    joints = np.asarray(joint_paths(state.body.skeleton, state.motion.poses), float)[there]
-    joints = (joints - joints[:, :1]).reshape(len(there), -1)
-    chosen = [0]
-    apart = np.linalg.norm(joints - joints[0], axis=1)
-    while len(chosen) < min(count, len(there)):
-        chosen.append(int(np.argmax(apart)))
-        apart = np.minimum(apart, np.linalg.norm(joints - joints[chosen[-1]], axis=1))
-    return tuple(sorted(there[n] for n in chosen))
+    some = jax.tree.map(lambda leaf: leaf[np.array(there)], state.motion.poses)
+    return tuple(there[n] for n in unlike_poses(state.body.skeleton, some, count))
 
 
 def _as_person(people: People, state: AdaptState) -> AdaptState:

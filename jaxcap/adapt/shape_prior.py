@@ -8,9 +8,7 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from ..body.body import Body, deform_all
-from ..body.kinematics import joint_paths
 from ..body.pose import Pose
-from ..body.skeleton import Skeleton
 from ..edit.sample import sample_poses
 from ..geometry.laplacian import laplacian_matrix, vertex_adjacency
 
@@ -90,15 +88,3 @@ def scaled(prior: ShapePrior, size: float) -> ShapePrior:
         raise ValueError(f"The size is {size:g}; it must be above 0.")
     poses = Pose(prior.poses.translations * size, prior.poses.rotations, prior.poses.scale)
     return ShapePrior(prior.laplacian, poses, prior.vectors * size)
-
-
-def unlike_poses(skeleton: Skeleton, poses: Pose, count: int) -> Int[np.ndarray, "N"]:
-    """At most `count` numbers of stacked poses in rising order: the first, and then each the furthest from those
-    before, by the places of joints about the root."""
-    joints = np.asarray(joint_paths(skeleton, poses), float)
-    joints = (joints - joints[:, :1]).reshape(len(joints), -1)
-    chosen, apart = [0], np.linalg.norm(joints - joints[0], axis=1)
-    while len(chosen) < min(count, len(joints)):
-        chosen.append(int(np.argmax(apart)))
-        apart = np.minimum(apart, np.linalg.norm(joints - joints[chosen[-1]], axis=1))
-    return np.unique(chosen)

@@ -1,11 +1,13 @@
-"""Poses to try a body in, where no motion is at hand."""
+"""Poses to try a body in: made where no motion is at hand, and picked from many."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from ..body.anatomy import rest_deviations
+from ..body.kinematics import joint_paths
 from ..body.pose import Pose, project, rest_pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
@@ -41,3 +43,15 @@ def _turned(skeleton: Skeleton, turns: jax.Array) -> Pose:
         return project(skeleton, Pose(rest.translations, turn, rest.scale))
 
     return jax.vmap(one)(turns)
+
+
+def unlike_poses(skeleton: Skeleton, poses: Pose, count: int) -> Int[np.ndarray, "N"]:
+    """At most `count` numbers of stacked poses in rising order: the first, and then each the furthest from those
+    before, by the places of joints about the root."""
+    joints = np.asarray(joint_paths(skeleton, poses), float)
+    joints = (joints - joints[:, :1]).reshape(len(joints), -1)
+    chosen, apart = [0], np.linalg.norm(joints - joints[0], axis=1)
+    while len(chosen) < min(count, len(joints)):
+        chosen.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, np.linalg.norm(joints - joints[chosen[-1]], axis=1))
+    return np.unique(chosen)
