@@ -30,6 +30,8 @@ from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import make_scan
 
 REPEATS, STEPS, AWAY = 9, 10, 0.03
+#: of the prior, about as its balance with the data has it
+WEIGHT = 2e-7
 
 OPEN3D = """
 import json, sys, time
@@ -59,7 +61,7 @@ def pose_seconds(body: jc.Body, prior, cloud: jc.Cloud, truth: jc.Pose) -> tuple
     for _ in range(REPEATS + 1):
         start = retract(body.skeleton, truth, jnp.asarray(AWAY * rng.normal(size=body.skeleton.num_dofs), jnp.float32))  # fmt: skip
         begin = time.perf_counter()
-        found = fit_pose(body, make_scan(cloud), start, prior, steps=STEPS)
+        found = fit_pose(body, make_scan(cloud), start, prior, weight=WEIGHT, steps=STEPS)
         taken.append(time.perf_counter() - begin)
         joints = [np.asarray(jc.pose_body(body, pose).joints) for pose in (found.pose, truth)]
         off = float(np.linalg.norm(joints[0] - joints[1], axis=1).mean())

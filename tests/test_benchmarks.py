@@ -96,6 +96,34 @@ def test_limits_gradients(checkout):
 
 
 @pytest.mark.slow
+@pytest.mark.shared
+def test_adapt_people(checkout, shared, tmp_path):
+    kept = tmp_path / "rows.json"
+    options = ("--actors", "1", "--frames", "12", "--setups", "a", "--starts", "wrong", "--keep", str(kept))
+    line = run(checkout, "adapt_people", *options)
+    assert meets(line, "a_wrong_surface_mm", "a_wrong_lost", "a_wrong_bump_percent")
+    assert "human a wrong 0 12" in kept.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_adapt_crane(checkout, shared, tmp_path):
+    picture = tmp_path / "crane.png"
+    line = run(checkout, "adapt_crane", "--frames", "6", "--picture", str(picture))
+    assert meets(line, "lost")
+    assert line["figures"]["median_mm"] < line["figures"]["size_alone_median_mm"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_adapt_speed(checkout, shared):
+    line = run(checkout, "adapt_speed", "--frames", "6")
+    assert meets(line, "pose_s", "adaptation_s")
+    assert line["figures"]["pose_joints_mm"] < 10
+
+
+@pytest.mark.slow
 def test_gradients(checkout):
     assert run(checkout, "gradients")["passed"]
 
