@@ -44,6 +44,11 @@ def pair_rows(pairs: Pairs, along: float | Float[Array, ""] = TANGENTIAL) -> Flo
     return jnp.sqrt(pairs.weights)[:, None, None] * jnp.stack([n, by * first, by * second], 1)
 
 
+def num_pairs(pairs: Pairs) -> Float[Array, ""]:
+    """How many pairs there are, by their weights; at least one."""
+    return jnp.maximum(jnp.sum(pairs.weights > 0), 1).astype(pairs.weights.dtype)
+
+
 def pair_energy(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, ""]:
     """The sum of squared weighed distances, metres squared."""
     apart = pairs.points - places_on(pairs, pose_body(body, pose).vertices)

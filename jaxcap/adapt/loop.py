@@ -13,7 +13,7 @@ from ..body.skeleton import Skeleton
 from ..fit.correspond import Pairs, Scan, make_scan
 from ..fit.sequence import track_frames
 from ..fit.track import make_tracker
-from .meet import pairs_at, pose_at, some_frames, told
+from .meet import pairs_at, pose_at, some_of, told
 from .rounds import adapt_round
 from .rounds import shape_weight as shape_weight
 from .rounds import spread_frames as spread_frames
@@ -122,7 +122,7 @@ def _track(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
     lost = {n for n, frame in zip(there, frames, strict=True) if frame.lost}
     motion = _every_frame(task, {n: frame.pose for n, frame in zip(there, frames, strict=True)})
     state = state._replace(motion=motion, lost=tuple(sorted(lost | set(task.missing))), chosen=())
-    return told(task, state, str(stage), some_frames(task) if stage.frames is None else there[-1:])
+    return told(task, state, str(stage), some_of(task.scanned) if stage.frames is None else there[-1:])
 
 
 def _pose(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
@@ -130,7 +130,7 @@ def _pose(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
     poses = {
         n: pose_at(task, state, make_scan(task.cloud(n)), state.motion[n], steps=5) for n in task.scanned
     }
-    return told(task, state._replace(motion=_every_frame(task, poses)), str(stage), some_frames(task))
+    return told(task, state._replace(motion=_every_frame(task, poses)), str(stage), some_of(task.scanned))
 
 
 def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
@@ -150,4 +150,4 @@ def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
 
     smooth = smooth_poses(body, poses, pairs_in, task.prior, state.weight, temporal, boxes=task.boxes)
     motion = _every_frame(task, dict(zip(there, smooth, strict=True)))
-    return told(task, state._replace(motion=motion), str(stage), some_frames(task))
+    return told(task, state._replace(motion=motion), str(stage), some_of(task.scanned))

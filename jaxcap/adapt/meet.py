@@ -58,7 +58,7 @@ def told(
     return state._replace(history=(*state.history, reached), terms=(*state.terms, terms))
 
 
-def some_frames(task: Task, count: int = 8) -> list[int]:
-    """A few that have scans, spread over all."""
-    there = task.scanned
-    return [there[n] for n in np.unique(np.linspace(0, len(there) - 1, min(len(there), count)).astype(int))]
+def some_of(frames: Sequence[int], count: int = 8) -> list[int]:
+    """A few of them, spread over all."""
+    rows = np.linspace(0, len(frames) - 1, min(len(frames), count)).astype(int)
+    return [frames[row] for row in np.unique(rows)]

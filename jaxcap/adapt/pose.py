@@ -18,7 +18,7 @@ from ..fit.correspond import Matching, Pairs, Scan, find_pairs
 from ..fit.problem import linearise
 from ..fit.visible import visible_vertices
 from ..geometry.camera import Camera
-from .equations import pair_energy, pose_equations
+from .equations import num_pairs, pair_energy, pose_equations
 
 #: shares of a step that are tried: further than it says, as it says, and shorter
 SHARES = (1.5, 1.0, 0.5, 0.25, 0.1)
@@ -64,6 +64,7 @@ def fit_pose(
     faces = np.asarray(body.faces)
     boxes = no_boxes() if boxes is None else boxes
     start = brought_in(boxes, body.skeleton, start)
+    amounts = jnp.asarray(weight, float), jnp.asarray(damping, float)
     pose, best, worse = start, None, 0
     for _ in range(steps):
         pairs = _pairs(body, pose, faces, scan, matching, cameras)
@@ -75,7 +76,6 @@ def fit_pose(
             worse += 1
             if worse > UPHILL:
                 break
-        amounts = jnp.asarray(weight, float), jnp.asarray(damping, float)
         pose = _improve(body, pose, pairs, prior, boxes, *amounts)
     else:
         pairs = _pairs(body, pose, faces, scan, matching, cameras)
@@ -105,7 +105,7 @@ def mean_square(body: Body, pose: Pose, pairs: Pairs) -> float:
 
 @eqx.filter_jit
 def _mean_square(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, ""]:
-    return pair_energy(body, pose, pairs) / _count(pairs)
+    return pair_energy(body, pose, pairs) / num_pairs(pairs)
 
 
 def _pairs(body, pose, faces, scan, matching, cameras) -> Pairs:
@@ -123,7 +123,7 @@ def _surface(body: Body, pose: Pose):
 @eqx.filter_jit
 def _values(body: Body, pose: Pose, pairs: Pairs, prior: AbstractEnergy):
     beside = prior.residual(pose_body(body, pose))
-    return pair_energy(body, pose, pairs) / _count(pairs), beside @ beside
+    return pair_energy(body, pose, pairs) / num_pairs(pairs), beside @ beside
 
 
 @eqx.filter_jit
@@ -142,7 +142,7 @@ def _improve(
     weight: Float[Array, ""],
     damping: Float[Array, ""],
 ) -> Pose:
-    skeleton, count = body.skeleton, _count(pairs)
+    skeleton, count = body.skeleton, num_pairs(pairs)
     matrix, side, _ = pose_equations(body, pose, pairs)
     residual, jacobian = linearise(prior, body, pose)
     matrix = matrix / count + weight * jacobian.T @ jacobian
@@ -162,8 +162,3 @@ def _improve(
     shares = jnp.asarray([*SHARES, 0.0], step.dtype)
     values = jnp.stack([value(share) for share in shares])
     return move_within(boxes, skeleton, pose, chart, shares[jnp.argmin(values)] * step)
-
-
-def _count(pairs: Pairs) -> Float[Array, ""]:
-    """How many pairs there are, by their weights."""
-    return jnp.maximum(jnp.sum(pairs.weights > 0), 1).astype(pairs.weights.dtype)

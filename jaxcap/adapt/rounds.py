@@ -12,7 +12,7 @@ from ..fit.correspond import Scan, make_scan
 from .beside import centres_beside, make_beside
 from .equations import TANGENTIAL, stack, unstack
 from .meet import pose_at, stacked_pairs, told
-from .modes import joint_modes
+from .modes import Modes, joint_modes
 from .people import People, person, traits_like
 from .reference import reference, shape_prior_of
 from .shape import adapt_shape
@@ -32,7 +32,9 @@ def adapt_round(task: Task, state: AdaptState, held: dict[int, Scan], stage: Sta
     poses = [state.motion[n] for n in chosen]
     for gone in set(held) - set(chosen):
         del held[gone]
-    scans = [held.setdefault(n, make_scan(task.cloud(n))) for n in chosen]
+    for n in set(chosen) - set(held):
+        held[n] = make_scan(task.cloud(n))
+    scans = [held[n] for n in chosen]
     if stage.round == 1:
         poses = [pose_at(task, state, scan, pose, steps=6) for scan, pose in zip(scans, poses, strict=True)]
     if stage.number == 0:
@@ -73,45 +75,44 @@ def _proportions(
 ) -> tuple[Body, list[Pose], tuple[float, ...]]:
     """Joints and surface together: by the traits of people where these are known, else by joints that take their skin
     with them."""
-    settings, body, traits = task.settings, state.body, state.traits
-    pairs = stacked_pairs(task, body, poses, scans)
     if task.people is None:
-        modes, mirrored, along = joint_modes(body), task.mirrored, TANGENTIAL
-        belief = _joints_beside(task, state)
-    else:
-        modes, mirrored, along = task.people.modes, (), SLIDING
-        standing = task.people.standing + jnp.asarray(traits)
-        # what no person explains is the same in all frames, which therefore count as one
-        belief = Belief(-standing, jnp.full_like(standing, len(poses) ** -0.5))
-    body, moved_poses, amounts = adapt_shared(
-        body, stack(poses), pairs, task.prior, modes, belief, mirrored, *_weights(state, settings, along)
-    )
-    if task.people is not None:
-        traits = tuple((np.array(traits) + np.asarray(amounts, float)).tolist())
-    return body, unstack(moved_poses, len(poses)), traits
+        modes, belief = joint_modes(state.body), _joints_beside(task, state)
+        body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored, TANGENTIAL)
+        return body, unstack(together, len(poses)), state.traits
+    standing = task.people.standing + jnp.asarray(state.traits)
+    # what no person explains is the same in all frames, which therefore count as one
+    belief = Belief(-standing, jnp.full_like(standing, len(poses) ** -0.5))
+    body, together, amounts = _step(task, state, poses, scans, task.people.modes, belief, (), SLIDING)
+    traits = np.array(state.traits) + np.asarray(amounts, float)
+    return body, unstack(together, len(poses)), tuple(traits.tolist())
 
 
 def _surface(
     task: Task, state: AdaptState, poses: list[Pose], scans: list[Scan], stage: Stage
 ) -> tuple[Body, list[Pose]]:
     """Joints within their skin, and then the vertices."""
-    settings, body = task.settings, state.body
+    modes, belief = joint_modes(state.body, follow=False), _joints_beside(task, state)
+    body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored, TANGENTIAL)
+    poses = unstack(together, len(poses))
     pairs = stacked_pairs(task, body, poses, scans)
-    modes, belief = joint_modes(body, follow=False), _joints_beside(task, state)
-    body, moved_poses, _ = adapt_shared(
-        body,
-        stack(poses),
-        pairs,
-        task.prior,
-        modes,
-        belief,
-        task.mirrored,
-        *_weights(state, settings, TANGENTIAL),
-    )
-    poses = unstack(moved_poses, len(poses))
-    pairs = stacked_pairs(task, body, poses, scans)
-    shape, weight = shape_prior_of(task, state), shape_weight(settings, stage)
-    return adapt_shape(body, moved_poses, pairs, shape, weight), poses
+    shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
+    return adapt_shape(body, together, pairs, shape, weight), poses
+
+
+def _step(
+    task: Task,
+    state: AdaptState,
+    poses: list[Pose],
+    scans: list[Scan],
+    modes: Modes,
+    belief: Belief,
+    mirrored: tuple[tuple[int, int], ...],
+    along: float,
+) -> tuple[Body, Pose, Float[Array, "K"]]:
+    """The body a step along its modes further, its poses stacked, and how far it went."""
+    pairs = stacked_pairs(task, state.body, poses, scans)
+    weights = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation, along))
+    return adapt_shared(state.body, stack(poses), pairs, task.prior, modes, belief, mirrored, *weights)
 
 
 def _joints_beside(task: Task, state: AdaptState) -> Belief:
@@ -120,11 +121,6 @@ def _joints_beside(task: Task, state: AdaptState) -> Belief:
     beside = centres_beside(make_beside(reference(task, state)), np.asarray(body.vertices, float))
     shifts = jnp.asarray(beside - np.asarray(body.skeleton.centres, float), body.vertices.dtype).reshape(-1)
     return Belief(shifts, jnp.full_like(shifts, task.settings.joint))
-
-
-def _weights(state: AdaptState, settings: Settings, along: float) -> tuple[Float[Array, ""], ...]:
-    pose, deviation, share = (jnp.asarray(x, float) for x in (state.weight, settings.deviation, along))
-    return pose, deviation, share
 
 
 def shape_weight(settings: Settings, stage: Stage) -> float:

@@ -13,7 +13,7 @@ from ..energy.term import AbstractEnergy
 from ..fit.arrow import Arrow, solve_arrow
 from ..fit.correspond import Pairs
 from ..fit.problem import linearise
-from .equations import shared_equations
+from .equations import num_pairs, shared_equations
 from .modes import Modes, moved
 
 #: pairs that are neighbours say the same: so many count as one
@@ -58,7 +58,7 @@ def adapt_shared(
         matrix, side, _ = shared_equations(body, pose, pairs, modes, along)
         residual, jacobian = linearise(prior, body, pose)
         # a prior counts as it does for a pose by itself, against the mean of the pairs
-        scale = weight * jnp.maximum(jnp.sum(pairs.weights > 0), 1)
+        scale = weight * num_pairs(pairs)
         matrix = matrix.at[:dofs, :dofs].add(scale * jacobian.T @ jacobian)
         side = side.at[:dofs].add(-scale * jacobian.T @ residual)
         return matrix[:dofs, :dofs], matrix[:dofs, dofs:], matrix[dofs:, dofs:], side

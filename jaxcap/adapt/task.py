@@ -109,7 +109,7 @@ class Stage(NamedTuple):
 
     def __str__(self) -> str:
         if self.frames is not None:
-            return f"{'adapt' if self.name == 'adapt' else self.name} to frame {self.frames}"
+            return f"{self.name} to frame {self.frames}"
         if self.name != "adapt":
             return self.name
         return (

@@ -17,7 +17,7 @@ from ..fit.boxed import solve_boxed
 from ..fit.correspond import Pairs
 from ..fit.problem import linearise
 from ..geometry import rotation
-from .equations import pose_equations, stack, stack_pairs, unstack
+from .equations import num_pairs, pose_equations, stack, stack_pairs, unstack
 from .pose import brought_in
 
 #: frames of a window, and by how many the next one is further on
@@ -95,7 +95,7 @@ def _improve(
 
     def of_frame(frame):
         pose, pairs = frame
-        count = jnp.maximum(jnp.sum(pairs.weights > 0), 1)
+        count = num_pairs(pairs)
         matrix, side, _ = pose_equations(body, pose, pairs)
         residual, jacobian = linearise(prior, body, pose)
         return (

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from ..adapt.check import check_cameras
+from ..adapt.meet import some_of
 from ..adapt.people import People, learn_people
 from ..body.body import Body
 from ..body.pose import Pose
@@ -80,9 +80,8 @@ def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tup
     """The cameras of a calibration in metres as the scans lie, y up. Raises `InputError` where they cannot have taken
     the scans of these frames."""
     cameras = [_upright(camera, up) for camera in read_cameras(path)]
-    some = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), LOOKED_AT)).astype(int))
     turn = up_rotation(up)
-    check_cameras(cameras, [scans[frames[n]].points @ turn.T for n in some], str(path))
+    check_cameras(cameras, [scans[n].points @ turn.T for n in some_of(frames, LOOKED_AT)], str(path))
     return tuple(cameras)
 
 
