@@ -88,6 +88,14 @@ def known(
     return Known(body, *meshes, *clean, *parts, turns)
 
 
+def varied_meshes(shared: Path, body: jc.Body, count: int) -> MeshSequence:
+    """A body at rest, then in poses of all takes of one subject that are as unlike as can be."""
+    motion = _all_takes(shared, body.skeleton)
+    picked = _farthest(np.asarray(motion.poses.rotations[:, 1:], float), count - 1, np.random.default_rng(0))
+    posed = posed_vertices(body, _chosen(motion, np.sort(picked)))
+    return MeshSequence(np.concatenate([np.asarray(body.vertices)[None], posed]), body.faces)
+
+
 def crane_meshes(shared: Path) -> tuple[MeshSequence, MeshSequence]:
     """Every second mesh of the crane capture, and the others."""
     crane = load_crane(shared)

@@ -3,7 +3,7 @@
     python -m benchmarks.adapt_people --actors 1 --frames 60 --setups a --starts given --keep rows.json
 
 The template is the embedded human at its usual build, or with `--template learned` a body learned from 60 of his
-poses as meshes. Each actor has another sex, weight and height, and two bumps that no shape of the human has: on the
+poses as meshes, given where the joints stand in the first. Each actor has another sex, weight and height, and two bumps that no shape of the human has: on the
 head like hair, on the back like cloth. A motion of the CMU database is scanned by eight cameras all around with
 2 mm of noise (`a`), or by four on an arc of 145 degrees with 6 mm and holes (`b`); clouds alone go in, with a first pose
 that is right (`given`), or off by 30 degrees in each shoulder and hip (`wrong`), or none (`searched`). Errors are those
@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
-from benchmarks._learning import known, learn
+from benchmarks._learning import learn, varied_meshes
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.adapt.loop import AdaptState, Settings, Task, adapt_body, plan
@@ -98,29 +98,16 @@ def scans_of(actor: jc.Body, motion: jc.Motion, setup: str) -> list[jc.Cloud]:
     return clouds
 
 
-def same_joints(true: jc.Skeleton, own: jc.Skeleton) -> tuple[list[int], list[int]]:
-    """Joints that both have, by name; of a skeleton that was learned, those that lie within 3 cm of the embedded
-    man's at rest."""
-    if true.names == own.names:
-        return list(range(true.num_joints)), list(range(true.num_joints))
-    centres = np.asarray(jc.human(joints="tracking").skeleton.centres, float)
-    apart = np.linalg.norm(centres[:, None] - np.asarray(own.centres, float)[None], axis=-1)
-    nearest = apart.argmin(1)
-    found = [joint for joint in range(len(centres)) if apart[joint, nearest[joint]] < 0.03]
-    return found, nearest[found].tolist()
-
-
 def judge(state: AdaptState, actor: Actor, motion: jc.Motion) -> dict[str, float]:
     """Surface, bumps and joints against the truth, in the world."""
     surface, bumps, joints = [], [], []
-    true, own = same_joints(actor.body.skeleton, state.body.skeleton)
     for frame in np.linspace(0, len(motion) - 1, JUDGED).astype(int).tolist():
         there = _posed(actor.body, motion[frame])
         here = _posed(state.body, state.motion[frame])
         off = scan_to_surface(np.asarray(there.vertices, float), np.asarray(here.vertices, float), np.asarray(state.body.faces))  # fmt: skip
         surface.append(off)
         bumps.append(off[actor.bumps])
-        joints.append(np.linalg.norm(np.asarray(there.joints)[true] - np.asarray(here.joints)[own], axis=1))
+        joints.append(np.linalg.norm(np.asarray(there.joints) - np.asarray(here.joints), axis=1))
     height = actor.heights[actor.bumps].mean()
     by_joint = np.mean(joints, 0)
     return {
@@ -155,9 +142,9 @@ def first_pose(motion: jc.Motion, actor: jc.Body, template: jc.Body, start: str)
 
 
 def learned_template(poses: int = 60) -> jc.Body:
-    """A body learned from meshes of the embedded human."""
-    scene = known(shared_folder(), training=poses, held_out=1, noise=0.0, poses="farthest", resolution="medium", seed=0)  # fmt: skip
-    return learn(scene.training, joints=None).body
+    """A body learned from meshes of the embedded human with its skeleton, of which the first is at rest."""
+    human = jc.human(joints="tracking", resolution="medium")
+    return learn(varied_meshes(shared_folder(), human, poses), skeleton=human.skeleton).body
 
 
 def adapt(

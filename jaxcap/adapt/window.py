@@ -133,10 +133,9 @@ def _improve(
 
 
 def _second_differences(skeleton: Skeleton, poses: Pose, d: Float[Array, "F D"]) -> Float[Array, "R"]:
-    """Rotation vectors from the window's middle pose, so that none is near half a turn, less the mean of
-    those before and after."""
-    moved = jax.vmap(retract, (None, 0, 0))(skeleton, poses, d.astype(poses.rotations.dtype))
-    middle = rotation.conjugate(poses.rotations[len(poses.scale) // 2])
-    turned = rotation.log(rotation.multiply(jnp.broadcast_to(middle, moved.rotations.shape), moved.rotations))
-    inner = turned[1:-1] - (turned[:-2] + turned[2:]) / 2
+    """Half the sum of the rotation vectors to the frame before and to the one after: those of eq. 4.10 from the
+    pose between the two, so that none is near half a turn however far a motion turns in all."""
+    q = jax.vmap(retract, (None, 0, 0))(skeleton, poses, d.astype(poses.rotations.dtype)).rotations
+    back = rotation.conjugate(q[1:-1])
+    inner = (rotation.log(rotation.multiply(back, q[:-2])) + rotation.log(rotation.multiply(back, q[2:]))) / 2
     return inner.reshape(-1) / jnp.sqrt(inner.shape[0] * inner.shape[1])
