@@ -67,7 +67,7 @@ def calibrate(
     symmetry: Sequence[tuple[str, str]] = (),
     count: int = 100,
     trust: Trust = Trust(),  # noqa: B008
-    steps: int = 120,
+    steps: int = 240,
 ) -> Calibration:
     """The performer's skeleton and the places of the markers on it, from a template.
 
