@@ -35,7 +35,7 @@ from jaxcap.cli.adapt_state import fingerprint_of, keep_state, state_to_go_on_fr
 from jaxcap.cli.sources import up_rotation
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.correspond import make_scan
+from jaxcap.fit.correspond import NearestOnSurface, make_scan
 from jaxcap.geometry.camera import look_at, ring_of_cameras
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.clouds import read_clouds
@@ -123,6 +123,32 @@ def test_cameras_that_took_other_scans(folder, capsys, camera, what):
     assert what in told
     assert "c.json: camera 4" in told
     assert not list(folder.glob("a*"))
+
+
+@pytest.mark.parametrize(
+    ("option", "what"),
+    [
+        (("--aperture",), "--aperture is of cameras"),
+        (("--pair-angle", "0"), "--pair-angle is 0; it must be above 0"),
+        (("--pair-reach", "-1"), "--pair-reach is -1; it must be above 0 metres"),
+    ],
+)
+def test_pairs_that_are_none(folder, capsys, option, what):
+    assert what in fails(capsys, *words(folder, *option))
+    assert not list(folder.glob("a*"))
+
+
+def test_how_pairs_are_made_is_what_was_asked(folder, scene):
+    scans = read_clouds(str(folder / "*.ply"))
+    asked = Adapt(
+        str(folder / "body.npz"), str(folder / "*.ply"), folder / "a.npz", pairs="surface", pair_reach=0.1
+    )
+    asked.aperture, asked.cameras = True, folder / "cameras.json"
+    task = asked.task(scene[0], scans)
+    assert isinstance(task.settings.matching.assignment, NearestOnSurface)
+    assert task.settings.matching.reach == 0.1
+    assert len(task.settings.matching.aperture) == 4
+    assert task.cameras == ()
 
 
 def test_cameras_that_see_little_of_the_scans():

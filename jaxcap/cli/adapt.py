@@ -16,6 +16,7 @@ from ..energy.pair_prior import LikelihoodPrior, MahalanobisPrior
 from ..energy.prior import RestPrior
 from ..energy.term import AbstractEnergy
 from ..errors import InputError
+from ..fit.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
 from ..io.clouds import Scans, read_clouds
 from ..io.npz import save_body
 from ..io.prior import load_boxes, load_prior, load_shape_prior
@@ -37,6 +38,9 @@ from .say import say
 from .sources import load_body, load_cloud
 
 PriorForm = Literal["nearest", "mean"]
+#: what is paired with points of a scan, by the word for it
+PAIRS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
+Paired = Literal["vertices", "surface", "soft"]
 
 
 @dataclass
@@ -62,6 +66,15 @@ class Adapt:
     """How far from likely counts: by the nearest Gaussian (nearest) or by the mean likelihood (mean)."""
     cameras: OptionalFile = None
     """The calibrated cameras that took the scans, .json as `jaxcap scan` writes them: what none sees is in no pair."""
+    aperture: Flag = False
+    """Of --cameras take only how far they see to the sides, not what hides what."""
+    pairs: Paired = "vertices"
+    """What a point of a scan belongs to: the nearest of the body's vertices, the nearest point of its surface, or vertices by
+    Gaussian shares (soft), for which the first pose has to be within 3 cm."""
+    pair_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
+    """Largest angle between the normals of a pair."""
+    pair_reach: Annotated[float, arg(metavar="METRES")] = 0.3
+    """Largest distance of a pair."""
     report: OptionalFile = None
     """Also write what the adaptation has brought, as a page of pictures and tables, .html."""
     report_every: Annotated[int, arg(metavar="N")] = 1
@@ -183,6 +196,8 @@ class Adapt:
                 0 < self.joint_deviation < 1,
                 "above 0 and below 1 metre",
             ),
+            "--pair-angle": (self.pair_angle, 0 < self.pair_angle <= 180, "above 0 and at most 180 degrees"),
+            "--pair-reach": (self.pair_reach, 0 < self.pair_reach < np.inf, "above 0 metres"),
             "--smoothness": (self.smoothness, self.smoothness is None or self.smoothness >= 0, "at least 0"),
             "--report-every": (self.report_every, self.report_every >= 1, "at least 1"),
             "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 frames a second"),
@@ -190,6 +205,8 @@ class Adapt:
         for name, (value, fine, what) in wrong.items():
             if not fine:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
+        if self.aperture and self.cameras is None:
+            raise InputError("--aperture is of cameras; name them by --cameras.")
         check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
     def task(self, body: Body, scans: Scans, missing: tuple[int, ...] = ()) -> Task:
@@ -205,6 +222,12 @@ class Adapt:
         if self.cameras is not None:
             there = [frame for frame in range(len(scans)) if frame not in missing]
             cameras = load_cameras(self.cameras, scans, there, self.up)
+        matching = Matching(
+            angle=self.pair_angle,
+            reach=self.pair_reach,
+            assignment=PAIRS[self.pairs],
+            aperture=cameras if self.aperture else (),
+        )
         return Task(
             template=body,
             cloud=lambda frame: load_cloud(scans, frame, body, self.up),
@@ -218,9 +241,10 @@ class Adapt:
                 joint=self.joint_deviation,
                 temporal=self.smoothness,
                 every=self.adapt_every,
+                matching=matching,
             ),
             people=people_like(body),
-            cameras=cameras,
+            cameras=() if self.aperture else cameras,
             missing=missing,
             boxes=boxes,
             shape=shape,
@@ -232,6 +256,10 @@ class Adapt:
             "frames",
             "adapt_every",
             "prior_form",
+            "aperture",
+            "pairs",
+            "pair_angle",
+            "pair_reach",
             "joint_deviation",
             "smoothness",
             "unit",
