@@ -12,6 +12,7 @@ import jaxcap as jc
 from jaxcap.body.body import deform_all
 from jaxcap.body.symmetry import bones_of, length_differences, symmetrise
 from jaxcap.fit.arrow import Arrow
+from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.anchors import cut_anchors
 from jaxcap.learn.joints import improve_joints, make_curvature, move_joints, normal_equations, shared_slots
@@ -162,3 +163,26 @@ def test_deform_is_pose_body(rng):
     body, poses, _, _ = scene(rng, True, frames=1)
     pose = jax.tree.map(lambda field: field[0], poses)
     np.testing.assert_allclose(deform_all(body, poses)[0], jc.pose_body(body, pose).vertices)
+
+
+def test_joints_that_no_motion_tells_stay_where_a_skeleton_has_them(rng):
+    body, poses, _, metric = scene(rng, False, frames=12)
+    count = body.skeleton.num_joints
+    # one ball joint turns by a degree, two others by much more
+    still, turning = 7, [2, 5]
+    slight = random_pose(body.skeleton, rng, 1.0).rotations[still]
+    turns = jax.vmap(lambda share: rotation.exp(share * 0.02 * rotation.log(slight)))(jnp.linspace(-1, 1, 12))
+    poses = eqx.tree_at(lambda p: p.rotations, poses, poses.rotations.at[:, still].set(turns))
+    targets = deform_all(body, poses) + 0.0005 * rng.normal(size=(12, len(body.vertices), 3))
+    shifts = np.zeros((count, 3))
+    shifts[[still, *turning]] = 0.01
+    off = eqx.tree_at(lambda b: b.skeleton.centres, body, body.skeleton.centres + shifts)
+    given, curvature = off.skeleton.centres, make_curvature(metric)
+    value, damping = float(objective(off, poses, targets, metric)), 1e-4
+    for _ in range(20):
+        off, poses, value, damping = improve_joints(
+            off, poses, targets, metric, curvature, NONE, damping, value, given=given
+        )
+    assert np.linalg.norm(off.skeleton.centres[still] - given[still]) < 0.001
+    away = np.linalg.norm(np.asarray(off.skeleton.centres - body.skeleton.centres), axis=1)
+    assert away[turning].max() < 0.004

@@ -1,4 +1,4 @@
-"""Where joints stand that no motion tells: amid the cut between the parts they join."""
+"""Where joints stand that no motion tells: where a skeleton has them, or amid the cut between the parts they join."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,6 +12,8 @@ from ..geometry.laplacian import Conformance, neighbour_pairs
 
 #: mean squared turn, radians, below which a motion counts as too little to tell: 1 degree
 LITTLE = 0.02**2
+#: the same where a skeleton says where its joints stand: 6 degrees
+LITTLE_GIVEN = 0.1**2
 #: how many times stiffer a centre is held where it stands than it is pulled
 HOLD = 30.0
 #: radii of its cut within which a centre may be
@@ -24,8 +26,9 @@ class Anchors(eqx.Module):
     """A quadratic pull on joints' centres, along what their motion does not tell.
 
     A hinge does not tell where along its axis it stands, and a joint that hardly turns tells
-    nothing: there the middle of the cut decides. Across a hinge, and where joints turn freely,
-    the pull is hundreds of times weaker than the data; where these are exact, it fades.
+    nothing: there the middle of the cut decides, or the place that a given skeleton has. Across a
+    hinge, and where joints turn freely, the pull is hundreds of times weaker than the data; that to
+    a cut fades where these are exact.
     """
 
     middles: Float[Array, "J 3"]
@@ -37,6 +40,17 @@ class Anchors(eqx.Module):
     hold: Float[Array, "J 3 3"]
     #: how much the motion tells along each direction, in the same measure
     told: Float[Array, "J 3 3"]
+
+
+def given_anchors(body: Body, poses: Pose, centres: Float[Array, "J 3"]) -> Anchors:
+    """Anchors where a given skeleton has its joints. Bones that share their vertices with the next ones, as those of a
+    spine do, have no cut, and would else wander along the limb."""
+    told, values, axes = _told(poses)
+    pull = LITTLE_GIVEN**2 / (np.maximum(values, 0.0) + LITTLE_GIVEN)
+    weights = np.einsum("jab,jb,jcb->jac", axes, pull, axes)
+    weights *= (np.array(body.skeleton.parents) >= 0)[:, None, None]
+    dtype = body.vertices.dtype
+    return Anchors(*(jnp.asarray(field, dtype) for field in (centres, weights, HOLD * weights, told)))
 
 
 def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -> Anchors:
@@ -57,11 +71,7 @@ def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -
     squares = crossing @ np.sum(ends**2, 1) / np.maximum(count, 1) - np.sum(middles**2, 1)
     radii = REACH * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
     away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
-    # a turn that never changes could as well be in the rest shape
-    turns = np.asarray(rotation.to_matrix(poses.rotations), float)
-    apart = turns - turns.mean(0)
-    told = np.einsum("fjab,fjac->jbc", apart, apart) / len(turns)
-    values, axes = np.linalg.eigh(told)
+    told, values, axes = _told(poses)
     pull = LITTLE**2 / (np.maximum(values, 0.0) + LITTLE)
     doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
@@ -70,3 +80,14 @@ def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -
     hold, weights = (((share * weights) + back) * (count > 0)[:, None, None] for share in (HOLD, 1.0))
     dtype = body.vertices.dtype
     return Anchors(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, told)))
+
+
+def _told(
+    poses: Pose,
+) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
+    """How much each joint's motion tells of its centre, and along which axes."""
+    # a turn that never changes could as well be in the rest shape
+    turns = np.asarray(rotation.to_matrix(poses.rotations), float)
+    apart = turns - turns.mean(0)
+    told = np.einsum("fjab,fjac->jbc", apart, apart) / len(turns)
+    return told, *np.linalg.eigh(told)

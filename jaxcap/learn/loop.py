@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..body.body import Body
 from ..body.pose import Motion
@@ -94,7 +94,8 @@ def learn_body(
     **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned.
     """
     exchanging: Exchanging = "no" if skeleton is not None else "free" if joints is None else "fixed"
-    fine = _stage(meshes, alpha, "")
+    given = None if skeleton is None else skeleton.centres
+    fine = _stage(meshes, alpha, "", given)
     coarse = coarsen(meshes)
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
@@ -106,7 +107,9 @@ def learn_body(
     else:
         state = resume
     if len(state.body.vertices) < meshes.vertices.shape[1]:
-        stage = _stage(coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE)
+        stage = _stage(
+            coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE, given
+        )
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging)
         state = state._replace(body=_refine(state, meshes, coarse, _projects(state, stage)))
     # joints that were exchanged on the coarse mesh stay
@@ -122,11 +125,13 @@ class _Stage(NamedTuple):
     vertices: VertexSolver
     curvature: Curvature
     prefix: str
+    #: where a given skeleton has its joints
+    given: Float[Array, "J 3"] | None
 
 
-def _stage(meshes: MeshSequence, alpha: float, prefix: str) -> _Stage:
+def _stage(meshes: MeshSequence, alpha: float, prefix: str, given: Float[Array, "J 3"] | None) -> _Stage:
     metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
-    return _Stage(meshes, metric, VertexSolver(metric), make_curvature(metric), prefix)
+    return _Stage(meshes, metric, VertexSolver(metric), make_curvature(metric), prefix, given)
 
 
 def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> Start:
@@ -278,6 +283,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             state.pairs,
             state.damping,
             state.history[-1][1],
+            given=stage.given,
         )
         state = state._replace(
             body=found.body,
