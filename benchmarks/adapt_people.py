@@ -2,8 +2,8 @@
 
     python -m benchmarks.adapt_people --actors 1 --frames 60 --setups a --starts given --keep rows.json
 
-The template is the embedded human at its usual build, or with `--template learned` a body learned from 60 of his
-poses as meshes, given where the joints stand in the first. Each actor has another sex, weight and height, and two bumps that no shape of the human has: on the
+The template is a body learned from 60 poses of the embedded human at its usual build, as meshes, given where the
+joints stand in the first; or with `--template human` he himself. Each actor has another sex, weight and height, and two bumps that no shape of the human has: on the
 head like hair, on the back like cloth. A motion of the CMU database is scanned by eight cameras all around with
 2 mm of noise (`a`), or by four on an arc of 145 degrees with 6 mm and holes (`b`); clouds alone go in, with a first pose
 that is right (`given`), or off by 30 degrees in each shoulder and hip (`wrong`), or none (`searched`). Errors are those
@@ -147,6 +147,13 @@ def learned_template(poses: int = 60) -> jc.Body:
     return learn(varied_meshes(shared_folder(), human, poses), skeleton=human.skeleton).body
 
 
+def template_of(name: str) -> jc.Body:
+    """The template by its word."""
+    if name == "human":
+        return jc.human(joints="tracking", resolution="medium")
+    return learned_template() if name == "learned" else jc.load_body(name)
+
+
 def adapt(
     template: jc.Body, clouds: list[jc.Cloud], start: jc.Pose | None, label: str
 ) -> tuple[list[AdaptState], float]:
@@ -214,12 +221,13 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--setups", nargs="*", choices=("a", "b"), default=["a", "b"])
     parser.add_argument("--starts", nargs="*", choices=("given", "wrong", "searched"), default=["given", "wrong"])  # fmt: skip
-    parser.add_argument("--template", choices=("human", "learned"), default="human")
+    parser.add_argument(
+        "--template", default="learned", help="human, learned, or a body .npz that was learned so"
+    )
     parser.add_argument("--keep", type=Path, help="JSON of the rows that are done, read and written")
     options = parser.parse_args()
     kept = json.loads(options.keep.read_text()) if options.keep and options.keep.is_file() else {}
-    learned = options.template == "learned"
-    template = learned_template() if learned else jc.human(joints="tracking", resolution="medium")
+    template = template_of(options.template)
     figures, limits = {}, {}
     for setup in options.setups:
         for start in options.starts:
