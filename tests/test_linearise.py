@@ -18,6 +18,7 @@ from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.pose import Pose, rest_pose, stack_poses
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
 from jaxcap.demo.performance import walk_and_wave
+from jaxcap.edit.influences import limit_influences
 from jaxcap.edit.linear_weights import fit_linear_weights
 from jaxcap.edit.linearise import linear_motion, linear_pose, linearise
 from jaxcap.edit.sample import sample_poses
@@ -190,6 +191,10 @@ def test_what_blends_linearly_already_stays(rng):
     errors = _apart(body, few.body, poses.poses, poses.poses)
     assert errors.max() > 0.001
     assert few.error == pytest.approx(errors.max())
+    assert (np.asarray(few.body.skin.influence(9)) > 0).sum(1).max() == 2
+    # the strongest two are not the best two
+    kept = _apart(body, limit_influences(body, 2), poses.poses, poses.poses)
+    assert errors.max() < 0.9 * kept.max()
 
 
 def test_sampled_poses_keep_to_their_kinds():

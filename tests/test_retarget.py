@@ -1,5 +1,6 @@
 """Retargeting: bones point where the source's point, whatever the rest poses are."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,9 @@ from jaxcap.body.human import human
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.edit.retarget import retarget
+from jaxcap.demo.performance import walk_and_wave
+from jaxcap.edit.ground import ground, lowest, sole_heights
+from jaxcap.edit.retarget import floor_of, retarget, size_ratio
 from jaxcap.geometry import rotation
 from jaxcap.io.amc import read_amc
 from jaxcap.io.asf import read_asf
@@ -76,12 +79,69 @@ def test_limbs_point_alike_whatever_the_rest_pose(rng, turn):
 def test_the_hips_follow_at_the_size_of_the_legs(rng):
     source, target = person([1, 0, 0], [1, 0, 0], 2.0), person(down, bent)
     motion = random_motion(source, rng)
-    moved = retarget(motion, source, target)
+    moved = retarget(motion, source, target, floor=0.0)
     here, there = positions(target, moved.poses), positions(source, motion.poses)
     for x, s in ((here, target), (there, source)):
         assert s.names[1] == "LeftUpLeg"
         assert x.shape[0] == 5
     np.testing.assert_allclose(here[:, [1, 4]].mean(1), there[:, [1, 4]].mean(1) / 2.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("height", [-0.82, 0.0, 3.0])
+@pytest.mark.parametrize("turn", [np.eye(3), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])])
+def test_feet_stand_on_the_floor_wherever_it_is(rng, height, turn):
+    """A skeleton and itself at seven tenths, on one floor: every joint is at seven tenths of its height."""
+    source, target = person(down, bent, 1.0, turn), person(down, bent, 0.7)
+    up = np.array([0.0, 1.0, 0.0]) @ turn.T
+    motion = random_motion(source, rng)
+    lift = (height - (positions(source, motion.poses) @ up).min()) * up
+    poses = eqx.tree_at(lambda p: p.translations, motion.poses, motion.poses.translations.at[:, 0].add(lift))
+    there = positions(source, poses) @ up
+    moved = retarget(Motion(poses, 60.0), source, target, floor=height)
+    np.testing.assert_allclose(
+        positions(target, moved.poses) @ up - height, 0.7 * (there - height), atol=1e-9
+    )
+    # found from the motion it is as high but for the frames that are allowed to be lower
+    assert 0 <= floor_of(positions(source, poses), up) - height < 0.05
+
+
+def test_a_motion_of_tall_people_is_on_the_floor_of_short_ones():
+    """The embedded human stands on a floor that is not at the height of zero."""
+    tall, short = human(resolution="low", height=1.95), human(resolution="low", height=1.5)
+    motion = walk_and_wave(tall.skeleton, seconds=0.8, rate=15.0)
+    floor = float(lowest(tall, motion.poses).min())
+    assert floor == pytest.approx(-0.82, abs=0.03)
+    moved = retarget(motion, tall.skeleton, short.skeleton, floor=floor)
+    assert np.abs(lowest(short, moved.poses) - floor).max() < 0.02
+    # without its soles the lowest joint stands in for them
+    moved = retarget(motion, tall.skeleton, short.skeleton)
+    assert np.abs(lowest(short, moved.poses) - floor).max() < 0.03
+    # soles brought to the source's are there
+    heights = floor + 0.7 * (lowest(tall, motion.poses) - floor)
+    np.testing.assert_allclose(lowest(short, ground(short, moved, heights).poses), heights, atol=1e-9)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("height", [1.5, 1.95])
+def test_a_real_walk_on_the_floor(shared, height):
+    folder = shared / "data" / "motion"
+    asf = read_asf(folder / "02.asf")
+    motion = read_amc(folder / "02_01.amc", asf).slice(slice(None, None, 12))
+    body = human(resolution="low", height=height)
+    moved = retarget(motion, asf.skeleton, body.skeleton)
+    # the floor of this capture rises by four centimetres along the walk, and the body goes with it
+    ratio = size_ratio(asf.skeleton, body.skeleton)
+    off = lowest(body, moved.poses) - ratio * np.asarray(positions(asf.skeleton, motion.poses))[..., 1].min(1)
+    assert np.abs(np.median(off)) < 0.015 and np.abs(off).max() < 0.05
+
+
+def test_soles_are_told_by_the_joints_that_bear():
+    """Ankle and toes of a foot: flat, on the heel, on the toes, in the air; and a hand that never comes near."""
+    ankle, toes, hand = [0.08, 0.08, 0.20, 0.18], [0.02, 0.10, 0.02, 0.12], [0.9, 0.9, 0.8, 1.0]
+    paths = np.zeros((200, 3, 3))
+    paths[..., 1] = 0.5 + np.tile(np.stack([ankle, toes, hand], 1), (50, 1))
+    np.testing.assert_allclose(sole_heights(paths), np.tile([0.0, 0.0, 0.0, 0.1], 50), atol=1e-9)
+    assert floor_of(paths) == pytest.approx(0.52)
 
 
 def test_a_skeleton_given_its_own_motion_keeps_it(rng):

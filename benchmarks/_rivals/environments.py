@@ -44,7 +44,12 @@ def interpreter(versions: tuple[str, ...]) -> str | None:
 
 def environment(name: str, folder: Path) -> Path | None:
     """The Python of a rival's own environment; None where it cannot be had, which is told."""
-    rival, home = RIVALS[name], folder / name
+    return install(name, RIVALS[name], folder)
+
+
+def install(name: str, rival: Rival, folder: Path) -> Path | None:
+    """The Python of an environment under a folder, made where it is not there; None as in `environment`."""
+    home = folder / name
     python, done = home / "bin" / "python", home / "complete"
     if done.exists():
         return python

@@ -24,12 +24,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from .demo import Demo
         from .evaluate import Evaluate
         from .fit import Fit
-        from .groups import GROUPS, Limits, Markers, Prior
+        from .groups import GROUPS, Edit, Limits, Markers, Prior
+        from .ik import Ik
         from .info import Info
         from .learn import Learn
         from .rig import Rig
         from .scan import Scan
         from .track import Track
+        from .view import View
 
         if arguments[:1] and arguments[0] in GROUPS:
             GROUPS[arguments[0]](arguments[1:])
@@ -46,6 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "markers": Markers,
             "limits": Limits,
             "prior": Prior,
+            "edit": Edit,
+            "view": View,
+            "ik": Ik,
             "info": Info,
             "convert": Convert,
         }

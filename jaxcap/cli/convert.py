@@ -2,99 +2,149 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
-from ..edit.linearise import linear_motion, linearise
-from ..edit.sample import sample_poses
+from ..body.body import Body
+from ..body.pose import Motion
+from ..body.skeleton import Skeleton
 from ..errors import InputError
-from ..io.gltf import write_gltf
-from ..io.mesh import SUFFIXES, read_mesh, write_mesh
+from ..io.amass import is_amass, read_amass
+from ..io.body_motion import read_motion_of
+from ..io.mesh import read_mesh, write_mesh
 from ..io.npz import load_body
 from ..io.registry import (
-    MOTION_READERS,
-    MOTION_WRITERS,
-    SKELETON_READERS,
-    SKELETON_WRITERS,
+    MANNERS,
+    read_marker_file,
     read_motion,
     read_skeleton,
+    write_markers,
     write_motion,
     write_skeleton,
 )
-from .evaluate import read_motion_of
+from .convert_body import write_linear_body
+from .convert_points import read_labels, write_points
+from .convert_way import PURPOSES, Way, check_options, check_units, find_way
 from .options import Flag, OptionalFile, OptionalUnit, arg
-from .say import say, warn
+from .say import say
+
+#: metres, and bones a vertex
+TOLERANCE, INFLUENCES = 0.001, 4
 
 
 @dataclass
 class Convert:
-    """Write a motion (bvh, npz, amc with its asf beside it), a mesh or a skeleton in another format,
-    or a body .npz with its motion as a skinned, animated .glb.
+    """Write a motion, its joint centres, a body with its motion, a mesh or markers in another format; suffixes say what
+    is what.
 
-    Suffixes say what is what."""
+    A motion (.bvh, .npz, .amc with its .asf beside it, .glb) becomes .bvh or .npz, or joint centres as .trc, .c3d or .csv.
+    A body .npz becomes a skinned, animated .glb, .usda, .usdc or .usdz."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
     """The file to read."""
     target: tyro.conf.Positional[Annotated[Path, arg(metavar="TARGET")]]
     """The file to write."""
     unit: OptionalUnit = None
-    """Unit of the source's lengths; metres where not given, centimetres in BVH."""
+    """Unit of the source's lengths; where not given what it says, else metres, and centimetres in BVH."""
     target_unit: OptionalUnit = None
-    """Unit of the target's lengths; metres where not given, centimetres in BVH."""
+    """Unit of the target's lengths; metres where not given, centimetres in BVH, millimetres in TRC and C3D."""
     motion: OptionalFile = None
-    """Motion (.npz, .bvh) of a body that becomes a .glb."""
-    tolerance: float = 0.001
-    """How far, in metres, a .glb may be from a body that does not blend linearly; virtual bones bring it there."""
-    influences: int = 4
-    """Bones that move one vertex of a .glb at most; many programs read no more than 4."""
+    """Motion (.npz, .bvh) of a body that becomes a .glb or USD."""
+    body: OptionalFile = None
+    """The body (.npz) that a motion is of: for files that do not say where joints are, as AMASS's, and for --vertices."""
+    as_: Annotated[Literal["amass"] | None, arg(name="as", metavar="amass", help_behavior_hint="")] = None
+    """Write a motion .npz in the manner of AMASS: `poses`, `trans`, `betas`, `gender` and the rate, z up."""
+    up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
+    """What is up in a motion in AMASS's manner; z where not given."""
+    vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
+    """Vertices of --body that become markers beside the joints: numbers, NAME=NUMBER, or a text file of names and numbers."""
+    tolerance: float = TOLERANCE
+    """How far, in metres, a .glb or USD may be from a body that does not blend linearly; virtual bones bring it there."""
+    influences: int = INFLUENCES
+    """Bones that move one vertex of a .glb or USD at most; many programs read no more than 4."""
     overwrite: Flag = False
     """Replace the target where it is there."""
 
     def run(self) -> None:
-        here, there = self.source.suffix.lower(), self.target.suffix.lower()
         if self.target.exists() and not self.overwrite:
             raise InputError(f"{self.target}: this file is there already; give --overwrite to replace it.")
         if not self.source.is_file():
             raise InputError(f"{self.source}: there is no such file; check the path.")
-        if self.motion is not None and (here, there) != (".npz", ".glb"):
-            raise InputError(f"{self.motion}: --motion is for a body .npz that becomes a .glb.")
-        if (here, there) == (".npz", ".glb"):
-            self.write_body()
-        elif here in SUFFIXES:
-            mesh = read_mesh(self.source, self.unit or "m")
-            write_mesh(self.target, mesh, self.target_unit or "m")
-            say(f"{self.target}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")
-        elif there in SKELETON_WRITERS and here in SKELETON_READERS:
-            skeleton = read_skeleton(self.source, self.unit)
-            write_skeleton(self.target, skeleton, self.target_unit)
-            say(f"{self.target}: {skeleton.num_joints} joints")
-        elif here in MOTION_READERS and there in MOTION_WRITERS:
-            skeleton, motion = read_motion(self.source, self.unit)
-            write_motion(self.target, skeleton, motion, self.target_unit)
-            say(f"{self.target}: {motion.num_frames} frames at {motion.rate:g} a second")
-        else:
+        way = find_way(self.source, self.target)
+        self.check(way)
+        {
+            "body": self.write_body,
+            "motion": self.write_motion,
+            "points": self.write_points,
+            "markers": self.write_markers,
+            "mesh": self.write_mesh,
+            "skeleton": self.write_skeleton,
+        }[way]()
+
+    def check(self, way: Way) -> None:
+        """That the options given go with what is written. Raises `InputError`."""
+        given = {
+            "motion": self.motion,
+            "body": self.body,
+            "as": self.as_,
+            "vertices": self.vertices,
+            "up": self.up,
+            "tolerance": self.tolerance != TOLERANCE,
+            "influences": self.influences != INFLUENCES,
+        }
+        check_options(way, self.target, given)
+        check_units(way, self.source, self.target, self.unit, self.target_unit)
+        read = self.motion if way == "body" else self.source
+        if self.up and (read is None or not is_amass(read)):
             raise InputError(
-                f"{self.source}: '{here}' files cannot become '{there}' files; motions are read from "
-                f"{', '.join(MOTION_READERS)} and written as {', '.join(MOTION_WRITERS)}, skeletons as .skl, "
-                "bodies as .glb."
+                f"{read or self.target}: --up is for {PURPOSES['up'][0]}; other motions have y up."
             )
+
+    def read_motion(self) -> tuple[Skeleton, Motion, Body | None]:
+        """The source's motion: of the body where one is given."""
+        if self.body is None:
+            return *self.motion_of(self.source, None), None
+        body = load_body(self.body)
+        return *self.motion_of(self.source, body), body
+
+    def motion_of(self, path: Path, body: Body | None) -> tuple[Skeleton, Motion]:
+        if is_amass(path):
+            return read_amass(path, None if body is None else body.skeleton, self.up or "z")
+        if body is None:
+            return read_motion(path, self.unit)
+        return body.skeleton, read_motion_of(body, path, self.unit)
 
     def write_body(self) -> None:
         body = load_body(self.source)
-        motion = None if self.motion is None else read_motion_of(body, self.motion)
-        poses = sample_poses(body.skeleton) if motion is None else motion.poses
-        linearised = linearise(body, poses, self.tolerance, influences=self.influences)
-        linear, joints = linearised.body, body.skeleton.num_joints
-        write_gltf(self.target, linear, None if motion is None else linear_motion(linearised, motion))
-        virtual, count = linear.skeleton.num_joints - joints, poses.rotations.shape[0]
-        say(
-            f"{self.target}: {len(linear.vertices)} vertices, {joints} joints, {virtual} virtual bones; "
-            f"within {1000 * linearised.error:.2g} mm of the body, {1000 * linearised.mean_error:.2g} mm on "
-            f"average, over {count} {'sampled poses' if motion is None else 'frames'}"
-        )
-        if linearised.error > self.tolerance:
-            warn(
-                f"{self.target}: {1000 * linearised.error:.2g} mm at the worst vertex is more than the tolerance of "
-                f"{1000 * self.tolerance:.2g} mm; more --influences come nearer"
-            )
+        motion = None if self.motion is None else self.motion_of(self.motion, body)[1]
+        write_linear_body(self.target, body, motion, self.tolerance, self.influences)
+
+    def write_motion(self) -> None:
+        skeleton, motion, _ = self.read_motion()
+        if self.as_:
+            MANNERS[self.as_](self.target, skeleton, motion)
+        else:
+            write_motion(self.target, skeleton, motion, self.target_unit)
+        say(f"{self.target}: {motion.num_frames} frames at {motion.rate:g} a second")
+
+    def write_points(self) -> None:
+        # a label that is wrong is told before a long motion is read
+        labels = read_labels(self.vertices)
+        skeleton, motion, body = self.read_motion()
+        write_points(self.target, skeleton, motion, body, labels, self.target_unit)
+
+    def write_markers(self) -> None:
+        frames = read_marker_file(self.source, self.unit).frames
+        write_markers(self.target, frames, self.target_unit)
+        say(f"{self.target}: {len(frames.labels)} markers, {len(frames)} frames at {frames.rate:g} a second")
+
+    def write_mesh(self) -> None:
+        mesh = read_mesh(self.source, self.unit or "m")
+        write_mesh(self.target, mesh, self.target_unit or "m")
+        say(f"{self.target}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")
+
+    def write_skeleton(self) -> None:
+        skeleton = read_skeleton(self.source, self.unit)
+        write_skeleton(self.target, skeleton, self.target_unit)
+        say(f"{self.target}: {skeleton.num_joints} joints")

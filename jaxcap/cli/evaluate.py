@@ -1,33 +1,27 @@
 """`jaxcap evaluate`: how far the scans are from the body, and the joints from the truth."""
 
-import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 from jaxtyping import Float
 
-from ..body.body import Body, pose_body
+from ..body.body import pose_body
 from ..body.kinematics import joint_paths
-from ..body.pose import Motion, Pose, project
 from ..body.skeleton import Skeleton
 from ..errors import InputError
+from ..io.body_motion import read_motion_of
 from ..io.clouds import read_clouds
-from ..io.npz import load_arrays, load_motion, load_skeleton
+from ..io.npz import load_arrays
 from ..io.registry import read_motion
 from ..io.table import write_json
 from ..metrics import Summary, distance_summary, joint_errors, scan_to_surface
 from .options import BodySpec, CloudsSpec, OptionalCount, OptionalFile, Unit, Up, arg
 from .say import progress, say, table
 from .sources import load_body, up_rotation
-
-#: a motion whose joints stand so far from those of the body is of another body, metres
-SAME_BODY = 0.01
 
 _pose_body = eqx.filter_jit(pose_body)
 
@@ -106,58 +100,6 @@ class Evaluate:
         if self.out is not None:
             write_json(self.out, report)
             say(f"saved in {self.out}")
-
-
-def read_motion_of(body: Body, path: Path) -> Motion:
-    """A motion of a body; one from BVH is matched to its joints by name.
-
-    **Raises:** `InputError` where the file is wrong or of another body.
-    """
-    if path.suffix.lower() == ".npz":
-        motion = load_motion(path, body.skeleton)
-        # a motion may have been saved without its skeleton
-        if "centres" in load_arrays(path):
-            skeletons = (body.skeleton, load_skeleton(path))
-            _same_places(path, *(np.asarray(skeleton.centres)[None] for skeleton in skeletons))
-        return motion
-    skeleton, motion = read_motion(path)
-    target = body.skeleton
-    missing = [
-        name
-        for name in target.names
-        if name not in skeleton.names and target.names.index(name) in target.parents
-    ]
-    if missing or target.names[0] not in skeleton.names:
-        raise InputError(
-            f"{path}: there is no joint '{(missing or target.names)[0]}' in this motion; retarget it."
-        )
-    count = motion.num_frames
-    rotations = np.tile([1.0, 0, 0, 0], (count, target.num_joints, 1))
-    translations = np.zeros((count, target.num_joints, 3))
-    for joint, name in enumerate(target.names):
-        if name in skeleton.names:
-            source = skeleton.names.index(name)
-            rotations[:, joint] = motion.poses.rotations[:, source]
-            translations[:, joint] = motion.poses.translations[:, source]
-    there = np.asarray(joint_paths(skeleton, motion.poses))
-    root = there[:, skeleton.names.index(target.names[0])]
-    translations[:, 0] = root - np.asarray(target.centres)[0]
-    dtype = target.centres.dtype
-    poses = Pose(jnp.asarray(translations, dtype), jnp.asarray(rotations, dtype), jnp.ones(count, dtype))
-    poses = jax.vmap(functools.partial(project, target))(poses)
-    shared = [name for name in target.names if name in skeleton.names]
-    here = np.asarray(joint_paths(target, poses))[:, [target.names.index(name) for name in shared]]
-    _same_places(path, here, there[:, [skeleton.names.index(name) for name in shared]])
-    return Motion(poses, motion.rate)
-
-
-def _same_places(path: Path, here: np.ndarray, there: np.ndarray) -> None:
-    apart = joint_errors(here, there).max()
-    if apart > SAME_BODY:
-        raise InputError(
-            f"{path}: this motion is of another skeleton, whose joints stand up to {1000 * apart:.0f} mm from "
-            "those of the body; retarget it."
-        )
 
 
 def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], Float[np.ndarray, "F K 3"]]:

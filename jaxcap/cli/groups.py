@@ -16,6 +16,11 @@ PRIOR = """Pose priors: how likely joints turn together, learned from motions.
 
 `jaxcap prior VERB --help` explains a verb. Angles are in degrees."""
 
+EDIT = """Motions edited: given to another body, cut, joined, looped, mirrored, thinned to keys, made to look somewhere; and a
+scan that moves with its body.
+
+`jaxcap edit VERB --help` explains a verb. Results are in metres, y up."""
+
 
 @dataclass
 class Markers:
@@ -39,6 +44,14 @@ class Prior:
 
     def run(self) -> None:
         run_prior(["--help"])
+
+
+@dataclass
+class Edit:
+    """Motion editing; `jaxcap edit --help` tells its verbs."""
+
+    def run(self) -> None:
+        run_edit(["--help"])
 
 
 def run_markers(arguments: Sequence[str]) -> None:
@@ -69,5 +82,31 @@ def run_prior(arguments: Sequence[str]) -> None:
     run_verb({"learn": Learn, "info": Info}, "jaxcap prior", PRIOR, arguments)
 
 
+def run_edit(arguments: Sequence[str]) -> None:
+    """Run one verb of `jaxcap edit`."""
+    from .edit.cut import Cut
+    from .edit.gaze import Gaze
+    from .edit.glue import Glue
+    from .edit.join import Join
+    from .edit.keys import Keys
+    from .edit.loop import Loop
+    from .edit.mirror import Mirror
+    from .edit.resample import Resample
+    from .edit.retarget import Retarget
+
+    verbs = {
+        "retarget": Retarget,
+        "gaze": Gaze,
+        "glue": Glue,
+        "cut": Cut,
+        "join": Join,
+        "loop": Loop,
+        "resample": Resample,
+        "mirror": Mirror,
+        "keys": Keys,
+    }
+    run_verb(verbs, "jaxcap edit", EDIT, arguments)
+
+
 #: what takes the words behind a group's name
-GROUPS = {"markers": run_markers, "limits": run_limits, "prior": run_prior}
+GROUPS = {"markers": run_markers, "limits": run_limits, "prior": run_prior, "edit": run_edit}

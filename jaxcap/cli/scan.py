@@ -15,13 +15,13 @@ from ..body.body import Body, deform_all, pose_body
 from ..body.pose import Motion, Pose
 from ..errors import InputError
 from ..geometry.camera import Camera, check_sees, ring_of_cameras
+from ..io.body_motion import read_motion_of
 from ..io.cameras import read_cameras, write_cameras
 from ..io.npz import save_motion
 from ..io.ply import write_ply
 from ..scanner.fuse import Scan as Fused
 from ..scanner.scan import dropped_views, scan_frame
 from ..scanner.settings import Scanner, check_scanner
-from .evaluate import read_motion_of
 from .options import BodySpec, Flag, OptionalCount, OptionalFile, arg
 from .say import progress, say, warn
 from .scan_folder import begin_folder, frame_path, gather_clouds

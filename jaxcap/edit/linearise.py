@@ -65,7 +65,8 @@ def linearise(
     Virtual bones are added where vertices are furthest off until no vertex is further than
     `tolerance` from where `body` has it in any of the `poses`, or until there are `most` of them;
     `error` tells what was reached. Bodies that blend linearly already need none; where one of
-    their vertices follows more than `influences` bones, the strongest are kept, and `error` tells
+    their vertices follows more than `influences` bones, the strongest are kept, or, where that takes
+    it further than half of `tolerance`, those that follow it best with weights of their own; `error` tells
     what that costs.
 
     **Arguments:** `poses` are stacked, `(F, J, ...)`: a motion's, or `sample_poses`; `tolerance` is
@@ -80,9 +81,12 @@ def linearise(
     count = poses.rotations.shape[0]
     chosen = np.unique(np.linspace(0, count - 1, min(count, _POSES)).round().astype(int))
     blend = _start(body, influences)
+    if isinstance(body.skin, (LinearSkin, RigidSkin)):
+        blend = _fewer(body, blend, take_poses(poses, chosen), tolerance, influences)
+        largest, mean = _errors(body, blend, poses)
+        return Linearised(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
     while True:
-        if not isinstance(body.skin, (LinearSkin, RigidSkin)):
-            blend = _follow(body, blend, take_poses(poses, chosen), tolerance, influences, most)
+        blend = _follow(body, blend, take_poses(poses, chosen), tolerance, influences, most)
         largest, mean = _errors(body, blend, poses)
         # the poses that these bones and weights do worst, where they do not do
         worst = np.argsort(-largest)[:_MORE]
@@ -143,6 +147,22 @@ def _start(body: Body, influences: int) -> _Blend:
     candidates = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
     weights = np.take_along_axis(weights, candidates, 1)
     return _Blend(no_rows(body.skeleton.num_joints), candidates, weights / weights.sum(1, keepdims=True))
+
+
+def _fewer(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int) -> _Blend:
+    """With other bones and weights where keeping the strongest is too far off, and others are nearer."""
+    frames, targets = own_frames(body, poses)
+    vertices, own = np.array(body.vertices, float), np.array(body.skin.influence(body.skeleton.num_joints))
+    errors = blend_errors(vertices, targets, frames, blend.candidates, blend.weights).max(0)
+    again = np.flatnonzero(errors > tolerance / 2)
+    choice = np.argsort(-own[again], axis=1, kind="stable")[:, : max(_CHOICE, influences)]
+    choice = np.where(np.take_along_axis(own[again], choice, 1) > 0, choice, -1)
+    weights, nearer = fit_linear_weights(vertices[again], targets[:, again], frames, choice, influences)
+    better = nearer < errors[again]
+    gap = ((0, 0), (0, choice.shape[1] - blend.candidates.shape[1]))
+    candidates, kept = np.pad(blend.candidates, gap, constant_values=-1), np.pad(blend.weights, gap)
+    candidates[again[better]], kept[again[better]] = choice[better], weights[better]
+    return _Blend(blend.rows, candidates, kept)
 
 
 def _follow(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int, most: int) -> _Blend:

@@ -16,11 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.kinematics import forward_kinematics, joint_positions
+from ..body.kinematics import forward_kinematics, joint_paths, joint_positions
 from ..body.pose import Motion, Pose, rest_pose, universal_angles
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
 from .joint_names import GIRDLES, LEGS, match_names, plain_name, sided
+
+#: the vertical where nothing else is said, and the share of frames in which a motion is below its floor
+UP, LOWEST = np.array([0.0, 1.0, 0.0]), 0.02
 
 
 class _Plan(NamedTuple):
@@ -34,21 +37,31 @@ class _Plan(NamedTuple):
     anchors: tuple[np.ndarray, np.ndarray]
     #: target metres for one source metre
     ratio: float
+    #: (3,) the vertical of the source's world; zero where no legs show it
+    up: np.ndarray
 
 
 def retarget(
-    motion: Motion, source: Skeleton, target: Skeleton, names: Mapping[str, str] | None = None
+    motion: Motion,
+    source: Skeleton,
+    target: Skeleton,
+    names: Mapping[str, str] | None = None,
+    *,
+    floor: float | None = None,
 ) -> Motion:
     """The `motion` of `source` as a motion of `target`, in the world of the source.
 
     Matched limb bones point where the source's point, exactly so where the target's joints
     are ball joints; a revolute or universal joint takes the part that its axes allow. A
     joint without a match stays as it is at rest. The middle of the hips follows that of the
-    source, scaled by the ratio of the leg lengths, so that feet keep to the floor; without
-    matched legs the root does, scaled by the ratio of all matched bones.
+    source, scaled by the ratio of the leg lengths about the floor, so that feet keep to it; without
+    matched legs the root does, scaled by the ratio of all matched bones about the origin.
 
     **Arguments:** `names` leads from source to target names; where it is not given, equal
-    names and the names that ASF, CMU BVH and the embedded human have for one joint match.
+    names and the names that ASF, CMU BVH and the embedded human have for one joint match. `floor` is
+    how high the floor of the source lies, metres; where it is not given, the lowest joint stands on
+    it (`floor_of`), which is some centimetres too high for a body whose soles are below its toes'
+    joints: the feet then miss the floor by that times one less the ratio.
 
     **Raises:** `ValueError` when `names` holds a name that a skeleton does not have, when
     fewer than three joints match, or when the motion has other joints than `source`.
@@ -59,32 +72,50 @@ def retarget(
             f"{source.num_joints}; give the skeleton that the motion was read with."
         )
     plan = _plan(source, target, match_names(source.names, target.names, names))
+    if floor is None:
+        floor = floor_of(joint_paths(source, motion.poses), plan.up)
+    dtype = target.centres.dtype
     poses = _retarget_frames(
         source,
         target,
         motion.poses,
         jnp.asarray(plan.sources),
-        jnp.asarray(plan.alignment, target.centres.dtype),
+        jnp.asarray(plan.alignment, dtype),
         (jnp.asarray(plan.anchors[0]), jnp.asarray(plan.anchors[1])),
-        jnp.asarray(plan.ratio, target.centres.dtype),
+        jnp.asarray(plan.ratio, dtype),
+        jnp.asarray((1.0 - plan.ratio) * floor * plan.up, dtype),
     )
     return Motion(poses, motion.rate)
 
 
+def size_ratio(source: Skeleton, target: Skeleton, names: Mapping[str, str] | None = None) -> float:
+    """Metres of the target for one of the source, by which `retarget` scales places: that of the legs,
+    or of all matched bones. Raises as `retarget` does."""
+    return _plan(source, target, match_names(source.names, target.names, names)).ratio
+
+
+def floor_of(points: Float[Array | np.ndarray, "F N 3"], up: np.ndarray = UP) -> float:
+    """How high along `up` the floor of a motion lies, by the lowest of its points, metres: as high as the lowest
+    point of a frame is in a fiftieth of all frames, so that a single frame through the floor does not count."""
+    heights = np.asarray(points, float) @ up
+    return float(np.quantile(heights.min(axis=1), LOWEST)) if heights.size else 0.0
+
+
 @eqx.filter_jit
-def _retarget_frames(source, target, poses, sources, alignment, anchors, ratio) -> Pose:
-    frame = lambda pose: _retarget_frame(source, target, pose, sources, alignment, anchors, ratio)  # noqa: E731
+def _retarget_frames(source, target, poses, sources, alignment, anchors, ratio, lift) -> Pose:
+    frame = lambda pose: _retarget_frame(source, target, pose, sources, alignment, anchors, ratio, lift)  # noqa: E731
     return jax.vmap(frame)(poses)
 
 
-def _retarget_frame(source, target, pose, sources, alignment, anchors, ratio) -> Pose:
+def _retarget_frame(source, target, pose, sources, alignment, anchors, ratio, lift) -> Pose:
     moved = forward_kinematics(source, pose)
     whole = rotation.from_matrix(moved.rotations / pose.scale)
     wanted = rotation.multiply(whole[jnp.maximum(sources, 0)], alignment)
     rotations = _local_rotations(target, wanted, sources >= 0)
     still = Pose(jnp.zeros_like(target.centres), rotations, jnp.ones((), rotations.dtype))
     reached = joint_positions(target, forward_kinematics(target, still))
-    shift = ratio * jnp.mean(joint_positions(source, moved)[anchors[0]], 0) - jnp.mean(reached[anchors[1]], 0)
+    anchor = ratio * jnp.mean(joint_positions(source, moved)[anchors[0]], 0) + lift
+    shift = anchor - jnp.mean(reached[anchors[1]], 0)
     return Pose(still.translations.at[0].set(shift), rotations, still.scale)
 
 
@@ -163,7 +194,18 @@ def _plan(source: Skeleton, target: Skeleton, matches: dict[int, int]) -> _Plan:
     here = np.linalg.norm(target_centres[last] - target_centres[first], axis=-1).sum()
     there = np.linalg.norm(source_centres[sources[last]] - source_centres[sources[first]], axis=-1).sum()
     anchors = np.array([leg[0] for leg in legs] or [joints[0]])
-    return _Plan(sources, alignment, (sources[anchors], anchors), float(here / there) if there > 0 else 1.0)
+    ratio = float(here / there) if there > 0 else 1.0
+    return _Plan(sources, alignment, (sources[anchors], anchors), ratio, _up(source_centres, sources, legs))
+
+
+def _up(centres: np.ndarray, sources: np.ndarray, legs: list[list[int]]) -> np.ndarray:
+    """(3,) the coordinate axis from the feet to the hips at rest; zero without legs."""
+    if not legs:
+        return np.zeros(3)
+    thighs, _, feet = sources[np.array(legs)].T
+    leg = (centres[thighs] - centres[feet]).mean(0)
+    largest = int(np.argmax(np.abs(leg)))
+    return np.sign(leg[largest]) * np.eye(3)[largest]
 
 
 def _hinge_twist(source, target, sources, follows, joint: int, alignment: np.ndarray) -> float:

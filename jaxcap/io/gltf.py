@@ -10,23 +10,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
+from jaxtyping import Float
 
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..body.skin import LinearSkin, RigidSkin
 from ..errors import InputError
 from .atomic import replacing
 from .glb import INDICES, VERTICES, Blob
 from .mesh import vertex_normals
+from .skinned import SET, bind_frames, check_motion, check_skin, influences, moving_frames, rest_frames
 
 if TYPE_CHECKING:
     import pygltflib
 
-#: joints in one attribute of a vertex
-_SET = 4
 #: a channel is written where a number leaves its rest by more than single precision shows
 _STILL = 1e-7
 
@@ -46,11 +43,8 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
     path = Path(path)
     if path.suffix.lower() != ".glb":
         raise InputError(f"{path}: skinned bodies are not written as '{path.suffix}' files; use .glb.")
-    if not isinstance(body.skin, (LinearSkin, RigidSkin)):
-        raise InputError(
-            f"{path}: glTF blends linearly and this body has a {type(body.skin).__name__}; linearise it first."
-        )
-    _check_motion(path, body.skeleton, motion)
+    check_skin(path, body, "glTF")
+    check_motion(path, body.skeleton, motion)
     document = pygltflib.GLTF2(asset=pygltflib.Asset(version="2.0", generator="jaxcap"))
     blob = Blob(document)
     roots = [joint for joint, parent in enumerate(body.skeleton.parents) if parent < 0]
@@ -80,42 +74,16 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
         beside.write_bytes(blob.file())
 
 
-def _check_motion(path: Path, skeleton: Skeleton, motion: Motion | None) -> None:
-    if motion is None:
-        return
-    joints = motion.poses.rotations.shape[1]
-    if joints != skeleton.num_joints:
-        raise InputError(f"{path}: the motion moves {joints} joints and the body has {skeleton.num_joints}.")
-    if motion.num_frames == 0:
-        raise InputError(f"{path}: the motion has no frames; give one at least.")
-    for values in (motion.poses.translations, motion.poses.rotations, motion.poses.scale):
-        wrong = ~np.isfinite(np.asarray(values)).reshape(motion.num_frames, -1).all(1)
-        if wrong.any():
-            raise InputError(
-                f"{path}: frame {int(wrong.argmax())} of the motion has numbers that are not finite."
-            )
-
-
 def _free_name(name: str, skeleton: Skeleton) -> str:
     while name in skeleton.names:
         name += "_"
     return name
 
 
-def _frames(skeleton: Skeleton) -> tuple[Float[np.ndarray, "J 3"], Rotation, Rotation]:
-    """Per joint: its centre seen from its parent's, its frame, and its parent's frame, at rest."""
-    parents, centres = np.array(skeleton.parents), np.array(skeleton.centres, float)
-    frames = np.asarray(skeleton.orientations, float)
-    above = np.where(parents[:, None] < 0, [1.0, 0, 0, 0], frames[parents])
-    steps = centres - np.where(parents[:, None] < 0, 0.0, centres[parents])
-    return steps, Rotation.from_quat(frames, scalar_first=True), Rotation.from_quat(above, scalar_first=True)
-
-
 def _joint_nodes(skeleton: Skeleton) -> "list[pygltflib.Node]":
     import pygltflib
 
-    steps, frames, above = _frames(skeleton)
-    places, turns = above.inv().apply(steps), (above.inv() * frames).as_quat()
+    places, turns = rest_frames(skeleton)
     return [
         pygltflib.Node(
             name=name,
@@ -130,10 +98,10 @@ def _joint_nodes(skeleton: Skeleton) -> "list[pygltflib.Node]":
 
 def _inverse_bind(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:
     """From the world at rest into each joint's frame."""
-    _, frames, _ = _frames(skeleton)
-    inverse = np.tile(np.eye(4), (skeleton.num_joints, 1, 1))
-    inverse[:, :3, :3] = frames.inv().as_matrix()
-    inverse[:, :3, 3] = -frames.inv().apply(np.array(skeleton.centres, float))
+    bind = bind_frames(skeleton)
+    inverse = np.tile(np.eye(4), (len(bind), 1, 1))
+    inverse[:, :3, :3] = bind[:, :3, :3].swapaxes(1, 2)
+    inverse[:, :3, 3] = -np.einsum("jba,jb->ja", bind[:, :3, :3], bind[:, :3, 3])
     return inverse.astype("<f4")
 
 
@@ -150,8 +118,8 @@ def _surface(blob: Blob, body: Body) -> "pygltflib.Primitive":
     )
     joints, weights = influences(np.asarray(body.skin.influence(body.skeleton.num_joints), float))
     number = "u1" if body.skeleton.num_joints <= 256 else "<u2"
-    for place in range(joints.shape[1] // _SET):
-        part = slice(_SET * place, _SET * (place + 1))
+    for place in range(joints.shape[1] // SET):
+        part = slice(SET * place, SET * (place + 1))
         setattr(attributes, f"JOINTS_{place}", blob.add(joints[:, part].astype(number), VERTICES))
         setattr(attributes, f"WEIGHTS_{place}", blob.add(weights[:, part], VERTICES))
     # the largest number of a type ends a strip, so it cannot be a vertex
@@ -160,23 +128,6 @@ def _surface(blob: Blob, body: Body) -> "pygltflib.Primitive":
     return pygltflib.Primitive(
         attributes=attributes, indices=indices, material=0, mode=4 if len(faces) else 0
     )
-
-
-def influences(
-    weights: Float[np.ndarray, "V J"],
-) -> tuple[Int[np.ndarray, "V K"], Float[np.ndarray, "V K"]]:
-    """The joints of each vertex, the strongest first, and their weights in single precision,
-    which sum to one; K is a multiple of four, and what is over is joint 0 with weight 0."""
-    weights = weights.astype("<f4")
-    most = int((weights > 0).sum(1).max(initial=1))
-    count = -(-most // _SET) * _SET
-    weights = np.pad(weights, ((0, 0), (0, max(count - weights.shape[1], 0))))
-    joints = np.argsort(-weights, axis=1, kind="stable")[:, :count]
-    chosen = np.take_along_axis(weights, joints, 1)
-    chosen /= chosen.sum(1, keepdims=True)
-    # the strongest takes what rounding has left
-    chosen[:, 0] += (1.0 - chosen.sum(1, dtype=float)).astype("<f4")
-    return np.where(chosen > 0, joints, 0), chosen
 
 
 def _animations(blob: Blob, skeleton: Skeleton, motion: Motion) -> "list[pygltflib.Animation]":
@@ -202,23 +153,10 @@ def _animations(blob: Blob, skeleton: Skeleton, motion: Motion) -> "list[pygltfl
             pygltflib.AnimationChannel(sampler=len(animation.samplers) - 1, target=target)
         )
 
-    steps, frames, above = _frames(skeleton)
-    moves = np.asarray(motion.poses.translations, float)
-    quaternions = np.asarray(motion.poses.rotations, float)
+    rest, moving = rest_frames(skeleton), moving_frames(skeleton, motion)
     for joint in range(skeleton.num_joints):
-        back = above[joint].inv()
-        places = back.apply(steps[joint] + moves[:, joint])
-        turns = back * Rotation.from_quat(quaternions[:, joint], scalar_first=True) * frames[joint]
-        rest = (back * frames[joint]).as_quat()
-        channel(joint, "translation", places, back.apply(steps[joint]))
-        channel(joint, "rotation", _continuous(turns.as_quat(), rest), rest)
+        channel(joint, "translation", moving.places[:, joint], rest.places[joint])
+        channel(joint, "rotation", moving.turns[:, joint], rest.turns[joint])
     scales = np.repeat(np.asarray(motion.poses.scale, float)[:, None], 3, 1)
     channel(skeleton.num_joints, "scale", scales, np.ones(3))
     return [animation] if animation.channels else []
-
-
-def _continuous(turns: Float[np.ndarray, "F 4"], rest: Float[np.ndarray, "4"]) -> Float[np.ndarray, "F 4"]:
-    """The same rotations with signs that do not jump, for programs that blend numbers."""
-    before = np.concatenate([rest[None], turns[:-1]])
-    flips = np.where(np.sum(before * turns, 1) < 0, -1.0, 1.0)
-    return turns * np.cumprod(flips)[:, None]

@@ -82,15 +82,16 @@ def resume_journal(path: str | Path, header: Mapping[str, object]) -> Journal:
     there, body, start = _read(path)
     width = int(str(there.pop("width")))
     check_same_run(path, there, header)
-    size = 8 * width + 4
-    records = []
-    for at in range(0, len(body) - size + 1, size):
-        data, (total,) = body[at : at + size - 4], struct.unpack("<I", body[at + size - 4 : at + size])
-        if zlib.crc32(data) != total:
-            break
-        records.append(np.frombuffer(data, "<f8"))
-    whole = np.stack(records) if records else np.zeros((0, width))
-    return Journal(path, width, whole, start + size * len(records))
+    whole = _records(body, width)
+    return Journal(path, width, whole, start + (8 * width + 4) * len(whole))
+
+
+def read_records(path: str | Path, after: int = 0) -> Float[np.ndarray, "N width"]:
+    """The whole records behind the first `after`, while another program writes the journal: one that is
+    half written is not there yet. Raises `InputError` where the file is no journal."""
+    there, body, _ = _read(Path(path))
+    width = int(str(there["width"]))
+    return _records(body[(8 * width + 4) * after :], width)
 
 
 def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str, object]) -> None:
@@ -106,6 +107,18 @@ def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str,
                 f"{path}: this run was begun with {name} {_short(there.get(name))}, not {_short(now.get(name))}; "
                 "resume it with the same settings, or overwrite it."
             )
+
+
+def _records(body: bytes, width: int) -> Float[np.ndarray, "N width"]:
+    """The records up to the first that is torn."""
+    size = 8 * width + 4
+    records = []
+    for at in range(0, len(body) - size + 1, size):
+        data, (total,) = body[at : at + size - 4], struct.unpack("<I", body[at + size - 4 : at + size])
+        if zlib.crc32(data) != total:
+            break
+        records.append(np.frombuffer(data, "<f8"))
+    return np.stack(records) if records else np.zeros((0, width))
 
 
 def _read(path: Path) -> tuple[dict[str, object], bytes, int]:

@@ -2,7 +2,7 @@
 
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -128,7 +128,7 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
         if names != skeleton.names or joints != skeleton.num_joints:
             raise InputError(
                 f"{path}: this motion is of the {joints} joints {', '.join(names)}, not of the skeleton's "
-                f"{', '.join(skeleton.names)}; retarget it."
+                f"{', '.join(skeleton.names)}; give it to that one by `jaxcap edit retarget`."
             )
     return motion
 
@@ -189,9 +189,9 @@ def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
         np.savez_compressed(file, **everything)
 
 
-def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """All arrays of any `.npz` file. Raises `InputError` where it is not one, is damaged, or
-    holds pickled objects, which are never read."""
+def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
+    """The arrays of any `.npz` file whose names are `wanted`, all where not given. Raises `InputError` where it is not
+    one, is damaged, or holds pickled objects among these, which are never read."""
     try:
         with open(path, "rb") as raw:
             start = raw.read(6)
@@ -201,7 +201,7 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
                 raise InputError(f"{path}: this is not an .npz file.")
             raw.seek(0)
             with np.load(raw, allow_pickle=False) as file:
-                return {name: file[name] for name in file.files}
+                return {name: file[name] for name in file.files if wanted(name)}
     except InputError:
         raise
     except FileNotFoundError:

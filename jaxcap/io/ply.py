@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from .atomic import replacing
 
@@ -14,9 +14,11 @@ def write_ply(
     normals: Float[np.ndarray, "N 3"],
     views: Int[np.ndarray, "N"] | None = None,
     faces: Int[np.ndarray, "F 3"] | None = None,
+    colours: UInt8[np.ndarray, "N C"] | None = None,
 ) -> None:
     """Write points with normals, metres, as single floats; `views`, where given, as the integers `view`,
-    and `faces` as triangles. The file appears whole or not at all.
+    `faces` as triangles, and `colours` as red, green, blue and, where there are four, alpha. The file appears
+    whole or not at all.
 
     **Raises:** `InputError` where the file cannot be written.
     """
@@ -24,11 +26,17 @@ def write_ply(
     fields, head = [(name, "<f4") for name in names], [f"property float {name}" for name in names]
     if views is not None:
         fields, head = [*fields, ("view", "<i4")], [*head, "property int view"]
+    colours = np.zeros((len(points), 0), np.uint8) if colours is None else colours
+    shown = ("red", "green", "blue", "alpha")[: colours.shape[1]]
+    fields = [*fields, *((name, "u1") for name in shown)]
+    head = [*head, *(f"property uchar {name}" for name in shown)]
     rows = np.zeros(len(points), fields)
     for name, values in zip(names, np.concatenate([points, normals], 1).T, strict=True):
         rows[name] = values
     if views is not None:
         rows["view"] = views
+    for column, name in enumerate(shown):
+        rows[name] = colours[:, column]
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *head]
     corners = np.zeros(0 if faces is None else len(faces), [("count", "u1"), ("corners", "<i4", 3)])
     if len(corners):

@@ -15,16 +15,21 @@ from ..body.skeleton import Skeleton
 from ..body.skin import RigidSkin
 from ..errors import InputError
 from ..observe import MarkerFrames
+from .amass import is_amass, read_amass, write_amass
 from .amc import read_amc
 from .asf import read_asf
 from .bvh import read_bvh, write_bvh
 from .c3d import read_c3d, write_c3d
+from .gltf import write_gltf
+from .gltf_reader import read_gltf
 from .marker_file import SIZE, MarkerFile, check_extent, pick_subject
 from .marker_table import read_marker_table, write_marker_table
 from .mesh import SUFFIXES, check_mesh, check_size, read_mesh
 from .npz import load_body, load_motion, load_skeleton, save_motion
 from .skl import read_skl, write_skl
 from .trc import read_trc, write_trc
+from .usd import SUFFIXES as USD_SUFFIXES
+from .usd import write_usd
 from .vj import read_vj
 
 #: suffix -> function of (path, unit)
@@ -32,17 +37,27 @@ SKELETON_READERS: dict[str, Callable[[Path, Any], Skeleton]] = {
     ".skl": read_skl,
     ".bvh": lambda path, unit: read_bvh(path, unit)[0],
     ".asf": lambda path, unit: read_asf(path).skeleton,
-    ".npz": lambda path, unit: load_skeleton(path),
+    ".npz": lambda path, unit: read_amass(path)[0] if is_amass(path) else load_skeleton(path),
 }
 SKELETON_WRITERS: dict[str, Callable[[Path, Skeleton, Any], None]] = {".skl": write_skl}
 MOTION_READERS: dict[str, Callable[[Path, Any], tuple[Skeleton, Motion]]] = {
     ".bvh": read_bvh,
     ".amc": lambda path, unit: _read_acclaim(path),
-    ".npz": lambda path, unit: (load_skeleton(path), load_motion(path)),
+    ".npz": lambda path, unit: (
+        read_amass(path) if is_amass(path) else (load_skeleton(path), load_motion(path))
+    ),
+    ".glb": lambda path, unit: _read_animation(path),
 }
 MOTION_WRITERS: dict[str, Callable[[Path, Skeleton, Motion, Any], None]] = {
     ".bvh": write_bvh,
     ".npz": lambda path, skeleton, motion, unit: save_motion(path, motion, skeleton),
+}
+#: what an `.npz` may be in another manner than our own
+MANNERS: dict[str, Callable[[Path, Skeleton, Motion], None]] = {"amass": write_amass}
+#: of bodies that blend linearly, with the motion where there is one
+BODY_WRITERS: dict[str, Callable[[Path, Body, Motion | None], None]] = {
+    ".glb": write_gltf,
+    **dict.fromkeys(USD_SUFFIXES, write_usd),
 }
 #: these say their unit themselves where `unit` is None
 MARKER_READERS: dict[str, Callable[[Path, Any], MarkerFile]] = {
@@ -75,8 +90,8 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, unit: str | float | Non
 
 
 def read_motion(path: str | Path, unit: str | float | None = None) -> tuple[Skeleton, Motion]:
-    """A motion with its skeleton from `.bvh`, `.npz`, or `.amc` with the `.asf` beside it;
-    `unit` and errors as in `read_skeleton`."""
+    """A motion with its skeleton from `.bvh`, `.npz` (ours, or in AMASS's manner with a skeleton), `.glb`, or `.amc` with
+    the `.asf` beside it; `unit` and errors as in `read_skeleton`."""
     return _of(MOTION_READERS, path, "motions", "read")(Path(path), _unit(path, unit))
 
 
@@ -85,6 +100,15 @@ def write_motion(
 ) -> None:
     """Write a motion as `.bvh` or `.npz`; `unit` and errors as in `read_skeleton`."""
     _of(MOTION_WRITERS, path, "motions", "written")(Path(path), skeleton, motion, _unit(path, unit))
+
+
+def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> None:
+    """Write a body that blends linearly as `.glb`, `.usda`, `.usdc` or `.usdz`, with a motion as its animation where there
+    is one; other bodies become so by `jaxcap.linearise`.
+
+    **Raises:** `InputError` as `write_gltf` and `write_usd` do.
+    """
+    _of(BODY_WRITERS, path, "skinned bodies", "written")(Path(path), body, motion)
 
 
 def read_body(
@@ -170,6 +194,13 @@ def _of(table: dict[str, Any], path: str | Path, what: str, done: str) -> Any:
 
 def _unit(path: str | Path, unit: str | float | None) -> str | float:
     return DEFAULT_UNITS.get(Path(path).suffix.lower(), "m") if unit is None else unit
+
+
+def _read_animation(path: Path) -> tuple[Skeleton, Motion]:
+    skeleton, motion = read_gltf(path)
+    if motion is None:
+        raise InputError(f"{path}: there is no animation in this file; export it with one.")
+    return skeleton, motion
 
 
 def _read_acclaim(path: Path) -> tuple[Skeleton, Motion]:

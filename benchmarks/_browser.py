@@ -1,0 +1,62 @@
+"""Chromium without a screen, drawing in software, and what a window of viser has in its page."""
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+#: WebGL without a graphics card: SwiftShader comes with the browser, `gl-egl` is what the machine has (Mesa)
+ANGLES = {
+    "swiftshader": ("--enable-unsafe-swiftshader", "--use-angle=swiftshader"),
+    "gl-egl": ("--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl"),
+}
+#: of a node of the scene, where it has come
+GEOMETRY = """name => {
+    const node = window.__viserMutable.nodeRefFromName[name];
+    let found = null;
+    if (node) node.traverse(o => { if (o.geometry && o.geometry.attributes.position && found === null)
+        found = o.geometry.attributes.position.array; });
+    return found;
+}"""
+RENDERER = """() => {
+    const gl = document.createElement('canvas').getContext('webgl2');
+    if (gl === null) return null;
+    return gl.getParameter(gl.getExtension('WEBGL_debug_renderer_info').UNMASKED_RENDERER_WEBGL);
+}"""
+
+
+def find_chromium() -> str | None:
+    """The path of a browser, if there is one."""
+    return next(filter(None, map(shutil.which, PROGRAMS)), None)
+
+
+@contextlib.contextmanager
+def launched(angle: str = "swiftshader") -> Iterator:
+    """Playwright's browser, as long as the context lasts. Raises `RuntimeError` where there is none."""
+    from playwright.sync_api import sync_playwright
+
+    program = find_chromium()
+    if program is None:
+        raise RuntimeError(f"There is none of {', '.join(PROGRAMS)}; install one.")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=program, args=["--headless=new", "--no-sandbox", *ANGLES[angle]]
+        )
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def open_page(browser, url: str, size: tuple[int, int], patience: float = 60.0):
+    """A page of a window, once it is connected; `patience` is in seconds, for this and all that is waited for."""
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page.set_default_timeout(1000 * patience)
+    page.goto(url)
+    page.wait_for_function("window.__viserMutable !== undefined")
+    return page
+
+
+def wait_for_node(page, name: str) -> None:
+    """Until a node of the scene has a geometry in the page."""
+    page.wait_for_function(f"({GEOMETRY})('{name}') !== null")

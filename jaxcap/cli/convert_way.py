@@ -1,0 +1,77 @@
+"""What `jaxcap convert` makes of which suffixes, and which of its options go with that."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from ..errors import InputError
+from ..io.mesh import SUFFIXES
+from ..io.registry import (
+    BODY_WRITERS,
+    MARKER_READERS,
+    MARKER_WRITERS,
+    MOTION_READERS,
+    MOTION_WRITERS,
+    SKELETON_READERS,
+    SKELETON_WRITERS,
+)
+
+Way = Literal["body", "motion", "points", "markers", "mesh", "skeleton"]
+#: what each option is for, and the ways that take it
+PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
+    "motion": ("a body .npz that becomes a .glb or USD", ("body",)),
+    "body": ("a motion that is to be a body's own", ("motion", "points")),
+    "as": ("a motion that becomes an .npz", ("motion",)),
+    "vertices": ("a motion that becomes .trc, .c3d or .csv", ("points",)),
+    "up": ("a motion in AMASS's manner", ("body", "motion", "points")),
+    "tolerance": ("a body .npz that becomes a .glb or USD", ("body",)),
+    "influences": ("a body .npz that becomes a .glb or USD", ("body",)),
+}
+#: these are in metres, or say what they are in
+_OWN_UNIT = (".npz", ".glb", ".asf", ".amc")
+
+
+def find_way(source: Path, target: Path) -> Way:
+    """What the suffixes ask for. Raises `InputError` where there is no such way."""
+    here, there = source.suffix.lower(), target.suffix.lower()
+    if here == ".npz" and there in BODY_WRITERS:
+        return "body"
+    if here in MOTION_READERS and there in MOTION_WRITERS:
+        return "motion"
+    if here in MOTION_READERS and there in MARKER_WRITERS:
+        return "points"
+    if here in MARKER_READERS and there in MARKER_WRITERS:
+        return "markers"
+    if here in SUFFIXES:
+        return "mesh"
+    if here in SKELETON_READERS and there in SKELETON_WRITERS:
+        return "skeleton"
+    raise InputError(
+        f"{source}: '{here}' files cannot become '{there}' files; motions are read from {', '.join(MOTION_READERS)} and "
+        f"written as {', '.join(MOTION_WRITERS)}, their joint centres as {', '.join(MARKER_WRITERS)}, skeletons as .skl, "
+        f"bodies (.npz) as {', '.join(BODY_WRITERS)}."
+    )
+
+
+def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
+    """That the options given, by their names in `PURPOSES` (None, nothing, or False where one is not), go with what is
+    written. Raises `InputError`."""
+    for name, (purpose, ways) in PURPOSES.items():
+        if given[name] and way not in ways:
+            raise InputError(f"{target}: --{name} is for {purpose}.")
+    if given["as"] and target.suffix.lower() != ".npz":
+        raise InputError(f"{target}: --as {given['as']} is written as .npz; give a name that ends so.")
+    if given["vertices"] and given["body"] is None:
+        raise InputError(f"{target}: --vertices are of a body; name it by --body.")
+
+
+def check_units(way: Way, source: Path, target: Path, unit: str | None, target_unit: str | None) -> None:
+    """That units are given where files have none of their own. Raises `InputError`."""
+    if unit and way != "mesh" and source.suffix.lower() in _OWN_UNIT:
+        raise InputError(
+            f"{source}: '{source.suffix}' files say their unit themselves; leave --unit {unit} out."
+        )
+    if target_unit and way != "mesh" and target.suffix.lower() in (".npz", *BODY_WRITERS):
+        raise InputError(
+            f"{target}: '{target.suffix}' files are written in metres; leave --target-unit {target_unit} out."
+        )

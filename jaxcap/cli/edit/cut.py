@@ -1,0 +1,37 @@
+"""`jaxcap edit cut`: some frames of a motion."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from ...edit.clips import cut
+from ...errors import InputError
+from ..options import Flag, OptionalUnit, arg
+from .files import Frames, MotionFile, OutMotion, check_out, frames_of, read_edited, save
+
+
+@dataclass
+class Cut:
+    """Some frames of a motion, the first and the last of them included."""
+
+    motion: MotionFile
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    out: OutMotion
+    """The frames, .bvh or .npz."""
+    frames: Frames = None
+    """First and last frame, counted from 0."""
+    seconds: Annotated[tuple[float, float] | None, arg(metavar="FIRST LAST", help_behavior_hint="")] = None
+    """The same in seconds."""
+    unit: OptionalUnit = None
+    """Unit of the motion's lengths, in place of what it says."""
+    overwrite: Flag = False
+    """Replace the motion where it is there."""
+
+    def run(self) -> None:
+        check_out(self.out, self.overwrite)
+        if (self.frames is None) == (self.seconds is None):
+            raise InputError("Say what to keep by --frames or by --seconds, and by one of them.")
+        skeleton, motion = read_edited(self.motion, self.unit)
+        frames = self.frames
+        if self.seconds is not None:
+            frames = (round(self.seconds[0] * motion.rate), round(self.seconds[1] * motion.rate))
+        save(self.out, skeleton, cut(motion, *frames_of(motion, frames, self.motion)))

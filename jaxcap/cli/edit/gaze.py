@@ -1,0 +1,131 @@
+"""`jaxcap edit gaze`: where a person looks."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from ...body.skeleton import Skeleton
+from ...edit.gaze import look_at_target
+from ...edit.gaze_line import GazeLine, gaze_shares, human_line, line_of_joint, line_of_vertices
+from ...errors import InputError
+from ...io.body_motion import read_motion_of
+from ...io.limits import read_limits
+from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..say import say, warn
+from ..sources import load_body
+from .files import Frames, MotionFile, OutMotion, check_out, frames_of, read_edited, save
+
+Place = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z", help_behavior_hint="")]
+#: what is further away than this is likely to be in another unit, metres
+FAR = 50.0
+
+
+@dataclass
+class Gaze:
+    """Make a person look at a point, or into a direction: chest, neck and head turn by 10, 40 and 50 per cent.
+
+    Frames outside of --frames stay as they are."""
+
+    motion: MotionFile
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    out: OutMotion
+    """The motion, .bvh or .npz."""
+    target: Place = None
+    """A point to look at, metres, y up, in the motion's world."""
+    direction: Place = None
+    """A direction to look into, in place of a point."""
+    frames: Frames = None
+    """First and last frame of the gaze, with its fades; all where not given."""
+    fade: Annotated[float, arg(metavar="SECONDS")] = 0.5
+    """Over which the gaze comes and goes."""
+    most: Annotated[float, arg(metavar="DEGREES")] = 90.0
+    """Most that it turns, all joints together."""
+    joints: Annotated[str | None, arg(metavar="CHEST,NECK,HEAD", help_behavior_hint="")] = None
+    """The joints that turn; guessed from their names where not given."""
+    body: Annotated[str | None, arg(metavar="BODY", help_behavior_hint="")] = None
+    """The body that the motion is of, whose face tells the line of the gaze; of `human`s it is known."""
+    line: Annotated[tuple[int, int] | None, arg(metavar="BACK FRONT", help_behavior_hint="")] = None
+    """Vertices of --body at the back of the head and between the eyes."""
+    limits: OptionalFile = None
+    """Joint limits that the gaze keeps: of `jaxcap limits learn`, .cst or .asf."""
+    unit: OptionalUnit = None
+    """Unit of the motion's lengths, in place of what it says."""
+    overwrite: Flag = False
+    """Replace the motion where it is there."""
+
+    def run(self) -> None:
+        self.check()
+        skeleton, motion = read_edited(self.motion, self.unit)
+        try:
+            if self.body is None:
+                shares = self.shares(skeleton)
+                line = line_of_joint(skeleton, list(shares)[-1])
+            else:
+                skeleton, shares, line = self.of_body()
+                motion = read_motion_of(load_body(self.body)[0], self.motion, self.unit)
+            first, last = frames_of(motion, self.frames, self.motion)
+            found = look_at_target(
+                skeleton,
+                motion,
+                line,
+                np.asarray(self.direction if self.target is None else self.target, float),
+                shares,
+                direction=self.target is None,
+                first=first,
+                last=last,
+                fade=self.fade,
+                most=self.most,
+                limits=None if self.limits is None else read_limits(self.limits, skeleton),
+            )
+        except InputError:
+            raise
+        except ValueError as error:
+            raise InputError(f"{self.motion}: {error}") from None
+        self.tell(found, first, last, shares)
+        save(self.out, skeleton, found.motion)
+
+    def check(self) -> None:
+        """That the options go together. Raises `InputError`."""
+        check_out(self.out, self.overwrite)
+        if (self.target is None) == (self.direction is None):
+            raise InputError("Say where to look by --target or by --direction, and by one of them.")
+        if not 0 <= self.fade < np.inf:
+            raise InputError(f"--fade is {self.fade:g}; it must be at least 0 seconds.")
+        if not 0 < self.most <= 180:
+            raise InputError(f"--most is {self.most:g}; it must be above 0 and at most 180 degrees.")
+        if self.line is not None and self.body is None:
+            raise InputError("--line names vertices, and there is no --body that has them.")
+        if self.target is not None and np.linalg.norm(self.target) > FAR:
+            warn(f"--target is {np.linalg.norm(self.target):.0f} m from the origin; it is in metres")
+
+    def shares(self, skeleton: Skeleton) -> dict[str, float]:
+        names = None if self.joints is None else [word.strip() for word in self.joints.split(",")]
+        return gaze_shares(skeleton, names)
+
+    def of_body(self) -> tuple[Skeleton, dict[str, float], GazeLine]:
+        assert self.body is not None
+        body = load_body(self.body)[0]
+        shares = self.shares(body.skeleton)
+        head = list(shares)[-1]
+        line = human_line(body) if self.line is None else line_of_vertices(body, *self.line, head)
+        if line is None:
+            warn(
+                f"{self.body}: its face is not known; the gaze goes along the head's own front, or give --line"
+            )
+            line = line_of_joint(body.skeleton, head)
+        return body.skeleton, shares, line
+
+    def tell(self, found, first: int, last: int, shares: dict[str, float]) -> None:
+        full = found.magnitude == 1.0
+        parts = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
+        say(f"frames {first} to {last}, {int(full.sum())} of them looking: {parts}")
+        if full.any():
+            say(
+                f"off the target by {found.before[full].mean():.1f}° before and {found.after[full].mean():.2f}° after"
+            )
+        if found.held.any():
+            warn(
+                f"{int(found.held.sum())} frames do not reach the target, as the turn is held at {self.most:g}° or by limits; "
+                f"the first is frame {int(np.argmax(found.held))}"
+            )

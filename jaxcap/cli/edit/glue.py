@@ -1,0 +1,129 @@
+"""`jaxcap edit glue`: a raw scan that moves."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import equinox as eqx
+import numpy as np
+import tyro
+from jaxtyping import Float, UInt8
+
+from ...body.body import pose_body
+from ...edit.glue import animate_scan, glue_scan
+from ...errors import InputError
+from ...io.atomic import write_text
+from ...io.body_motion import read_motion_of
+from ...io.colours import read_colours
+from ...io.mesh import Mesh, read_mesh, vertex_normals
+from ...io.ply import write_ply
+from ..options import BodySpec, Flag, OptionalFile, Unit, arg
+from ..results import make_writable
+from ..say import progress, say, warn
+from ..sources import load_body
+from .files import Frames, frames_of
+
+_pose_body = eqx.filter_jit(pose_body)
+#: points further from the body than this are told of, metres
+LOOSE = 0.05
+
+
+@dataclass
+class Glue:
+    """Move a raw scan by the body that is fitted to it: each of its points is glued to the body's closest triangle.
+
+    Writes a mesh for each frame, with the scan's own triangles and colours."""
+
+    scan: tyro.conf.Positional[Annotated[Path, arg(metavar="SCAN")]]
+    """A mesh or cloud (.ply, .obj, .off, .glb) of the person."""
+    body: BodySpec
+    """`human` (with options) or a body .npz, fitted to the scan."""
+    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
+    """What the scan is to do: a motion of the body, .npz or .bvh."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
+    """Folder for glued_0000.ply, glued_0001.ply, ..."""
+    fitted: OptionalFile = None
+    """The motion in which the body is posed as in the scan; MOTION where not given."""
+    frame: int = 0
+    """The frame of it that the scan is of."""
+    frames: Frames = None
+    """First and last frame of MOTION to write; all where not given."""
+    reach: Annotated[float, arg(metavar="METRES")] = 0.3
+    """No point of the scan may be further from the body."""
+    kind: Annotated[Literal["ply", "obj"], arg(name="as")] = "ply"
+    """Format of the meshes."""
+    unit: Unit = "m"
+    """Unit of the scan: m, dm, cm, mm, in or ft."""
+    overwrite: Flag = False
+    """Replace the meshes of the folder."""
+
+    def run(self) -> None:
+        if not 0 < self.reach < np.inf:
+            raise InputError(f"--reach is {self.reach:g}; it must be above 0 metres.")
+        body, _ = load_body(self.body)
+        scan = read_mesh(self.scan, self.unit)
+        colours = read_colours(self.scan, len(scan.vertices))
+        motion = read_motion_of(body, self.motion)
+        where = self.motion if self.fitted is None else self.fitted
+        fitted = motion if self.fitted is None else read_motion_of(body, self.fitted)
+        if not 0 <= self.frame < len(fitted):
+            raise InputError(
+                f"{where}: there is no frame {self.frame} in it; it has {len(fitted)}, 0 to {len(fitted) - 1}."
+            )
+        first, last = frames_of(motion, self.frames, self.motion)
+        vertices = np.asarray(_pose_body(body, fitted[self.frame]).vertices, float)
+        self.check_size(scan, vertices)
+        try:
+            glue = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.reach)
+        except ValueError as error:
+            raise InputError(f"{self.scan}: {error}") from None
+        off = np.abs(np.asarray(glue.heights))
+        if (off > LOOSE).any():
+            warn(
+                f"{self.scan}: {100 * (off > LOOSE).mean():.1f} % of the points are more than {1000 * LOOSE:.0f} mm off the body; "
+                "what is not the person moves with it too"
+            )
+        self.begin()
+        numbers = range(first, last + 1)
+        for frame in progress(numbers, len(numbers), label="gluing"):
+            self.write(frame, scan, np.asarray(animate_scan(glue, body, motion[frame]), float), colours)
+        said = "with their colours" if colours is not None else "without colours, as the scan has none"
+        say(
+            f"{len(numbers)} meshes of {len(scan.vertices)} points and {len(scan.faces)} triangles, {said}, are in {self.out}"
+        )
+
+    def check_size(self, scan: Mesh, vertices: Float[np.ndarray, "V 3"]) -> None:
+        sizes = [float(np.ptp(points, axis=0).max()) for points in (scan.vertices, vertices)]
+        if not 1 / 5.0 < sizes[0] / max(sizes[1], 1e-9) < 5.0:
+            raise InputError(
+                f"{self.scan}: the scan is {sizes[0]:.4g} m long and the body {sizes[1]:.4g} m; say by --unit what it is in."
+            )
+
+    def begin(self) -> None:
+        """Make the folder ready. Raises `InputError`."""
+        make_writable(self.out)
+        there = [path for path in self.out.iterdir() if re.fullmatch(r"glued_\d{4,}\.(ply|obj)", path.name)]
+        if there and not self.overwrite:
+            raise InputError(f"{self.out}: this folder holds glued scans; give --overwrite to replace them.")
+        for path in there:
+            path.unlink()
+
+    def write(
+        self,
+        frame: int,
+        scan: Mesh,
+        points: Float[np.ndarray, "N 3"],
+        colours: UInt8[np.ndarray, "N 4"] | None,
+    ) -> None:
+        path = self.out / f"glued_{frame:04d}.{self.kind}"
+        if self.kind == "ply":
+            write_ply(path, points, vertex_normals(points, scan.faces), faces=scan.faces, colours=colours)
+            return
+        # behind a place its colour, from 0 to 1, as most programs read it
+        tints = [""] * len(points) if colours is None else [
+            f" {r:.4g} {g:.4g} {b:.4g}" for r, g, b in colours[:, :3] / 255.0
+        ]  # fmt: skip
+        rows = [f"v {x:.9g} {y:.9g} {z:.9g}{tint}" for (x, y, z), tint in zip(points, tints, strict=True)]
+        rows += [f"f {a} {b} {c}" for a, b, c in scan.faces + 1]
+        write_text(path, "\n".join(rows) + "\n")

@@ -1,0 +1,73 @@
+"""`jaxcap edit join`: one motion goes over into another."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ...edit.between import resample
+from ...edit.clips import cut, join
+from ...edit.transitions import find_transitions
+from ...errors import InputError
+from ..options import Flag, OptionalUnit, arg
+from ..say import say, warn
+from .files import OutMotion, check_out, check_same, read_edited, save
+
+#: windows that are further apart than this show a jump, metres
+UNLIKE = 0.15
+
+
+@dataclass
+class Join:
+    """Put one motion behind another: the second goes on where the first ends, and they are blended.
+
+    The second is turned about the vertical and shifted along the floor; both stand on one floor."""
+
+    first: tyro.conf.Positional[Annotated[Path, arg(metavar="FIRST")]]
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    second: tyro.conf.Positional[Annotated[Path, arg(metavar="SECOND")]]
+    """Another motion of the same skeleton."""
+    out: OutMotion
+    """The motion, .bvh or .npz."""
+    blend: Annotated[float, arg(metavar="SECONDS")] = 0.3
+    """Over which one goes over into the other; 0 puts them behind each other."""
+    find: Flag = False
+    """Leave the first and enter the second where they are most alike, not at the end and the beginning."""
+    unit: OptionalUnit = None
+    """Unit of the motions' lengths, in place of what they say."""
+    overwrite: Flag = False
+    """Replace the motion where it is there."""
+
+    def run(self) -> None:
+        check_out(self.out, self.overwrite)
+        if not 0 <= self.blend < np.inf:
+            raise InputError(f"--blend is {self.blend:g}; it must be at least 0 seconds.")
+        skeleton, a = read_edited(self.first, self.unit)
+        other, b = read_edited(self.second, self.unit)
+        check_same((self.first, skeleton), (self.second, other))
+        if abs(a.rate - b.rate) > 1e-6 * a.rate:
+            warn(f"{self.second}: it has {b.rate:g} frames a second and becomes one of {a.rate:g}")
+            b = resample(b, a.rate)
+        frames = round(self.blend * a.rate)
+        if frames > min(len(a), len(b)):
+            raise InputError(
+                f"--blend is {self.blend:g} s, {frames} frames, and the motions have {len(a)} and {len(b)}; blend over less."
+            )
+        window = max(frames, 1)
+        if self.find:
+            found = find_transitions(skeleton, a, b, window)[0]
+            a, b = cut(a, 0, found.first + window - 1), cut(b, found.second)
+            say(
+                f"from frame {found.first} of {self.first.name} to frame {found.second} of {self.second.name}, "
+                f"{1000 * found.distance:.0f} mm apart at the joints"
+            )
+        else:
+            found = find_transitions(skeleton, cut(a, len(a) - window), cut(b, 0, window - 1), window)[0]
+        if found.distance > UNLIKE:
+            warn(
+                f"joints are {1000 * found.distance:.0f} mm apart where the motions meet; blend over more, or --find where "
+                "they are alike"
+            )
+        save(self.out, skeleton, join(skeleton, a, b, frames))

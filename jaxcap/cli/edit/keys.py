@@ -1,0 +1,111 @@
+"""`jaxcap edit keys`: a motion by few keys."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...edit.keys import Keys as Found
+from ...edit.keys import find_keys
+from ...errors import InputError
+from ...io.npz import save_arrays, skeleton_arrays
+from ...io.table import write_json
+from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..say import say, table
+from .files import MotionFile, check_new, check_out, read_edited, save
+
+OptionalOut = Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")]
+
+
+@dataclass
+class Keys:
+    """Few keys that give a motion back within a tolerance, rotations interpolated along the shortest arc."""
+
+    motion: MotionFile
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    out: OptionalOut = None
+    """The motion that the keys give, .bvh or .npz."""
+    keys: OptionalFile = None
+    """The keys themselves, .json or .npz."""
+    degrees: float = 1.0
+    """How far rotations of joints may be off."""
+    millimetres: float = 5.0
+    """How far joints may be off their places."""
+    per_joint: Flag = False
+    """Keys of each joint by itself, not of whole poses."""
+    unit: OptionalUnit = None
+    """Unit of the motion's lengths, in place of what it says."""
+    overwrite: Flag = False
+    """Replace results where they are there."""
+
+    def run(self) -> None:
+        if self.out is None and self.keys is None:
+            raise InputError("There is nothing to write; name a motion by -o, or a file by --keys.")
+        if self.out is not None:
+            check_out(self.out, self.overwrite)
+        if self.keys is not None and self.keys.suffix.lower() not in (".json", ".npz"):
+            raise InputError(f"{self.keys}: keys are written as .json or .npz; give a name that ends so.")
+        check_new(self.keys, self.overwrite)
+        for name, value in (("--degrees", self.degrees), ("--millimetres", self.millimetres)):
+            if not 0 < value < np.inf:
+                raise InputError(f"{name} is {value:g}; it must be above 0.")
+        skeleton, motion = read_edited(self.motion, self.unit)
+        found = find_keys(skeleton, motion, self.degrees, self.millimetres / 1000, self.per_joint)
+        tell(self.motion.name, skeleton, found, self.per_joint)
+        if self.keys is not None:
+            write_keys(self.keys, skeleton, motion, found)
+            say(f"written: {self.keys}")
+        if self.out is not None:
+            save(self.out, skeleton, found.motion)
+
+
+def tell(name: str, skeleton: Skeleton, found: Found, per_joint: bool) -> None:
+    frames, joints = found.keyed.shape
+    if per_joint:
+        counts = found.keyed.sum(0)
+        most = np.argsort(-counts, kind="stable")[:8]
+        table(["joint", "keys"], [[skeleton.names[joint], str(counts[joint])] for joint in most])
+        what = f"{found.count} keys of {joints} joints"
+    else:
+        what = f"{int(found.keyed[:, 0].sum())} poses"
+    share = 100 * found.count / (frames * joints)
+    say(
+        f"{name}: {what} for {frames} frames ({share:.1f} % of the numbers); at most {found.degrees:.2f}° and "
+        f"{1000 * found.metres:.1f} mm off"
+    )
+
+
+def write_keys(path: Path, skeleton: Skeleton, motion: Motion, found: Found) -> None:
+    """Keys with the frames that they are of: as JSON by joint, as .npz all keys one behind the other.
+
+    Rotations are `wxyz` from rest, in the frame of the parent; translations in metres. Raises `InputError`.
+    """
+    rotations, translations = (
+        np.asarray(x, float) for x in (motion.poses.rotations, motion.poses.translations)
+    )
+    if path.suffix.lower() == ".json":
+        joints = {}
+        for joint, name in enumerate(skeleton.names):
+            frames = np.flatnonzero(found.keyed[:, joint])
+            own: dict = {
+                "frames": frames.tolist(),
+                "rotations": np.round(rotations[frames, joint], 7).tolist(),
+            }
+            if np.any(translations[:, joint]):
+                own["translations"] = np.round(translations[frames, joint], 7).tolist()
+            joints[name] = own
+        write_json(path, {"frames": len(found.keyed), "rate": motion.rate, "joints": joints})
+        return
+    frames, joints = np.nonzero(found.keyed)
+    arrays = {
+        "frames": frames,
+        "joints": joints,
+        "rotations": rotations[frames, joints],
+        "translations": translations[frames, joints],
+        "count": np.array(len(found.keyed)),
+        "rate": np.array(motion.rate, float),
+    }
+    save_arrays(path, "jaxcap keys", {**skeleton_arrays(skeleton), **arrays})

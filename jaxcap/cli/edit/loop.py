@@ -1,0 +1,70 @@
+"""`jaxcap edit loop`: a motion that begins again where it ends."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from ...edit.clips import make_loop
+from ...edit.transitions import find_loops
+from ...errors import InputError
+from ..options import Flag, OptionalUnit, arg
+from ..say import say, table
+from .files import Frames, MotionFile, OutMotion, check_out, read_edited, save
+
+Seconds = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")]
+
+
+@dataclass
+class Loop:
+    """Make a loop without a seam of the frames of a motion that are most alike, or of frames you name.
+
+    Its last frame is its first again, in pose and in velocity; leave it out where a program plays in a circle."""
+
+    motion: MotionFile
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    out: OutMotion
+    """The loop, .bvh or .npz."""
+    frames: Frames = None
+    """First and last frame of the loop; found where not given."""
+    blend: Annotated[float, arg(metavar="SECONDS")] = 0.2
+    """Over which the end goes over into what comes before the beginning."""
+    least: Seconds = None
+    """Shortest loop that is looked for; a half where not given."""
+    most: Seconds = None
+    """Longest loop that is looked for; as long as the motion where not given."""
+    in_place: Flag = False
+    """Take out how far it goes and turns in a round, evenly."""
+    unit: OptionalUnit = None
+    """Unit of the motion's lengths, in place of what it says."""
+    overwrite: Flag = False
+    """Replace the loop where it is there."""
+
+    def run(self) -> None:
+        check_out(self.out, self.overwrite)
+        for name, value in (("--blend", self.blend), ("--least", self.least), ("--most", self.most)):
+            if value is not None and not 0 < value < np.inf:
+                raise InputError(f"{name} is {value:g}; it must be above 0 seconds.")
+        skeleton, motion = read_edited(self.motion, self.unit)
+        frames = max(2, round(self.blend * motion.rate))
+        try:
+            first, last = self.frames or self.find(skeleton, motion, frames)
+            loop = make_loop(skeleton, motion, first, last, frames, self.in_place)
+        except ValueError as error:
+            raise InputError(f"{self.motion}: {error}") from None
+        goes = "stays in place"
+        if not self.in_place:
+            metres, degrees = float(np.linalg.norm(loop.travel.shift)), np.degrees(loop.travel.heading)
+            goes = f"turns by {degrees:.0f}° and goes by {metres:.2f} m"
+        say(f"frames {first} to {last}: a round takes {(last - first) / motion.rate:.2f} s and {goes}")
+        save(self.out, skeleton, loop.motion)
+
+    def find(self, skeleton, motion, frames: int) -> tuple[int, int]:
+        least = round((0.5 if self.least is None else self.least) * motion.rate)
+        most = len(motion) if self.most is None else round(self.most * motion.rate)
+        found = find_loops(skeleton, motion, frames, max(least, frames), most, count=3)
+        table(
+            ["first", "last", "apart"],
+            [[str(f.first + frames), str(f.second + frames), f"{1000 * f.distance:.0f} mm"] for f in found],
+        )
+        return found[0].first + frames, found[0].second + frames

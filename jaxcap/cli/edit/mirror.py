@@ -1,0 +1,31 @@
+"""`jaxcap edit mirror`: left for right."""
+
+from dataclasses import dataclass
+
+from ...edit.mirror import mirror
+from ...errors import InputError
+from ..options import Flag, OptionalUnit
+from .files import MotionFile, OutMotion, check_out, read_edited, save
+
+
+@dataclass
+class Mirror:
+    """A motion in a mirror: what the left does the right does."""
+
+    motion: MotionFile
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    out: OutMotion
+    """The motion, .bvh or .npz."""
+    unit: OptionalUnit = None
+    """Unit of the motion's lengths, in place of what it says."""
+    overwrite: Flag = False
+    """Replace the motion where it is there."""
+
+    def run(self) -> None:
+        check_out(self.out, self.overwrite)
+        skeleton, motion = read_edited(self.motion, self.unit)
+        try:
+            found = mirror(skeleton, motion)
+        except ValueError as error:
+            raise InputError(f"{self.motion}: {error}") from None
+        save(self.out, skeleton, found)

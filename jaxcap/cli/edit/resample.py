@@ -1,0 +1,34 @@
+"""`jaxcap edit resample`: a motion at another rate."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from ...edit.between import resample
+from ...errors import InputError
+from ..options import Flag, OptionalUnit, arg
+from .files import MotionFile, OutMotion, check_out, read_edited, save
+
+
+@dataclass
+class Resample:
+    """A motion at another rate; new frames are between old ones."""
+
+    motion: MotionFile
+    """.bvh, .amc (with its .asf beside it) or .npz."""
+    out: OutMotion
+    """The motion, .bvh or .npz."""
+    rate: Annotated[float, arg(metavar="RATE")]
+    """Frames a second."""
+    unit: OptionalUnit = None
+    """Unit of the motion's lengths, in place of what it says."""
+    overwrite: Flag = False
+    """Replace the motion where it is there."""
+
+    def run(self) -> None:
+        check_out(self.out, self.overwrite)
+        skeleton, motion = read_edited(self.motion, self.unit)
+        try:
+            found = resample(motion, self.rate)
+        except ValueError as error:
+            raise InputError(f"--rate: {error}") from None
+        save(self.out, skeleton, found)

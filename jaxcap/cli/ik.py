@@ -1,0 +1,168 @@
+"""`jaxcap ik`: points of a body are held and dragged, and the body follows."""
+
+import threading
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from ..body.limits import AbstractLimits, AllLimits
+from ..body.pose import Pose, stack_poses
+from ..edit import ik_session as ik
+from ..edit.constraints import describe
+from ..edit.ik_session import IkSession, IkSettings
+from ..edit.inverse_kinematics import Solver
+from ..energy.pair_prior import MahalanobisPrior
+from ..errors import InputError
+from ..io.body_motion import read_motion_of
+from ..io.constraints import read_constraints
+from ..io.limits import read_limits
+from ..io.prior import load_prior
+from ..io.registry import MOTION_WRITERS, write_motion
+from .options import BodySpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
+from .say import say, table, warn
+from .sources import load_body
+
+#: solves from a file of constraints, each from the pose before, until nothing moves
+ROUNDS = 20
+#: a target that is further off, metres, is told as not reached
+REACHED = 0.005
+
+
+@dataclass
+class Ik:
+    """Inverse kinematics in the browser: click the body to hold a point, drag its ball, and the body follows.
+
+    With --constraints and -o there is no window: the pose that meets the constraints is written."""
+
+    body: BodySpec
+    """`human` (with options: `human:female,height=1.7`), a body .npz, or a mesh with .skl and .vj."""
+    pose: OptionalFile = None
+    """Motion (.npz, .bvh) of the body whose pose to begin with; rest where not given."""
+    frame: OptionalCount = None
+    """Which frame of it, counted from 0; the first where not given."""
+    constraints: OptionalFile = None
+    """Constraints (.json) to begin with, as the window saves them."""
+    out: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
+    """Write the pose that meets the constraints, .npz or .bvh, and open no window."""
+    skl: OptionalFile = None
+    """Skeleton of a mesh; beside it where not given."""
+    vj: OptionalFile = None
+    """Joint of each vertex of a mesh; beside it where not given."""
+    cst: OptionalFile = None
+    """Joint limits to keep, of a mesh's skeleton."""
+    limits: OptionalFile = None
+    """Joint limits to keep: those that `jaxcap limits learn` wrote, or a .cst or .asf file."""
+    prior: OptionalFile = None
+    """Which poses are likely: what `jaxcap prior learn` wrote."""
+    solver: Solver = "levenberg-marquardt"
+    """priorities puts limits before pinned constraints, these before the others, and is slower."""
+    hold_root: Flag = False
+    """Keep the root where it is."""
+    unit: Unit = "m"
+    """Unit of mesh and skeleton: m, dm, cm, mm, in or ft."""
+    up: Up = "y"
+    """Axis that points up in mesh and skeleton."""
+    port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
+    """Port to listen at; 8080 where it is free, else another."""
+    host: str = "127.0.0.1"
+    """Address to listen at; 0.0.0.0 lets other machines in."""
+    no_browser: Flag = False
+    """Only tell the address."""
+    overwrite: Flag = False
+    """Replace the result where it is there."""
+
+    def run(self) -> None:
+        self.check()
+        session = self.session()
+        if self.out is None:
+            self.serve(session)
+        else:
+            self.write(self.out, session)
+
+    def check(self) -> None:
+        """That options go together. Raises `InputError`."""
+        if self.frame is not None and self.pose is None:
+            raise InputError(
+                f"--frame {self.frame}: there is no motion to take it from; give one with --pose."
+            )
+        if self.out is None:
+            return
+        if self.constraints is None:
+            raise InputError(
+                f"{self.out}: there are no constraints to meet; give a file of them with --constraints."
+            )
+        if self.out.suffix.lower() not in MOTION_WRITERS:
+            raise InputError(
+                f"{self.out}: poses are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}."
+            )
+        if self.out.exists() and not self.overwrite:
+            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+
+    def session(self) -> IkSession:
+        """What the options ask for, before anything is solved."""
+        body, ranges = load_body(self.body, self.skl, self.vj, self.cst, unit=self.unit, up=self.up)
+        if not len(body.vertices):
+            raise InputError(f"{self.body}: this body has no vertices to hold; give one with a surface.")
+        learned = None if self.limits is None else read_limits(self.limits, body.skeleton)
+        parts = tuple(part for part in (ranges, learned) if part is not None)
+        limits: AbstractLimits | None = (
+            None if not parts else parts[0] if len(parts) == 1 else AllLimits(parts)
+        )
+        prior = None if self.prior is None else MahalanobisPrior(load_prior(self.prior, body.skeleton))
+        pose = None
+        if self.pose is not None:
+            pose = self.one_pose(read_motion_of(body, self.pose).poses, self.pose)
+        settings = IkSettings(self.solver, True, prior is not None, self.hold_root)
+        session = ik.begin_session(body, pose, limits, prior, settings)
+        if self.constraints is None:
+            return session
+        held = read_constraints(self.constraints, body)
+        return session._replace(state=session.state._replace(constraints=held))
+
+    def one_pose(self, poses: Pose, path: Path) -> Pose:
+        """The frame that was asked for. Raises `InputError` where there is none."""
+        count, frame = len(poses.scale), self.frame or 0
+        if not 0 <= frame < count:
+            raise InputError(
+                f"{path}: there is no frame {frame} in this motion; its frames are 0 to {count - 1}."
+            )
+        return Pose(poses.translations[frame], poses.rotations[frame], poses.scale[frame])
+
+    def write(self, out: Path, session: IkSession) -> None:
+        """Solve and write; the distances to all targets are told."""
+        session = ik.grab(session)
+        for _ in range(ROUNDS):
+            before = np.asarray(session.state.pose.rotations)
+            session = ik.solved(session)
+            if np.abs(np.asarray(session.state.pose.rotations) - before).max() < 1e-5:
+                break
+        held, apart = session.state.constraints, ik.distances(session)
+        write_motion(out, session.body.skeleton, stack_poses([session.state.pose]))
+        rows = [
+            [describe(one.point), f"{1000 * metres:.1f}"] for one, metres in zip(held, apart, strict=True)
+        ]
+        table(["constraint", "mm from its target"], rows)
+        say(f"written: {out}")
+        missed = [row[0] for row, metres in zip(rows, apart, strict=True) if metres > REACHED]
+        if missed:
+            warn(f"{len(missed)} of {len(held)} targets are not reached: {', '.join(missed[:8])}")
+
+    def serve(self, session: IkSession) -> None:
+        """A window until Ctrl-C."""
+        from ..view.ik import serve_ik
+        from ..view.serve import address, close_server, open_server
+
+        if session.state.constraints:
+            session = ik.solved(session)
+        server = open_server(self.port, self.host, "jaxcap ik")
+        try:
+            serve_ik(server, session)
+            say(f"{self.body}: {address(server)} (Ctrl-C ends)")
+            if not self.no_browser:
+                webbrowser.open(address(server))
+            threading.Event().wait()
+        finally:
+            close_server(server)

@@ -1,0 +1,90 @@
+"""`jaxcap view`: files in a window of the browser."""
+
+import threading
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ..body.body import Body
+from ..errors import InputError
+from ..view.app import serve_contents
+from ..view.load import load
+from ..view.serve import HOST, address, close_server, open_server
+from .options import Flag, OptionalUnit, Up, arg
+from .say import say, warn
+from .sources import load_body, up_rotation
+
+Names = Annotated[tuple[str, ...], arg(metavar="...")]
+
+
+@dataclass
+class View:
+    """Look at files in the browser: bodies, motions, runs, scans, markers, meshes, cameras; several side by side.
+
+    Ctrl-C closes the window's server."""
+
+    files: tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES")]]
+    """Files, folders of runs or scans, patterns of clouds, `human`; motions stand beside each other."""
+    body: Names = ()
+    """Bodies to put on the motions: `human` (with options), a body .npz, or a mesh with .skl and .vj."""
+    clouds: Names = ()
+    """Clouds to compare with: a printf pattern, a quoted glob, a folder or an .npz."""
+    follow: Flag = False
+    """Wait for a run that has not begun; one that is not over is followed in any case."""
+    spacing: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
+    """Metres between motions; 0 puts them over each other. As their widths ask where not given."""
+    rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
+    """Frames a second of a run that is not over."""
+    unit: OptionalUnit = None
+    """Unit of files that do not say it: m, dm, cm, mm, in or ft."""
+    up: Up = "y"
+    """Axis that points up in clouds and meshes."""
+    port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
+    """Port to listen at; 8080 where it is free, else another."""
+    host: str = HOST
+    """Address to listen at; 0.0.0.0 lets other machines look."""
+    no_browser: Flag = False
+    """Only tell the address."""
+
+    def run(self) -> None:
+        if self.rate is not None and not 0 < self.rate < float("inf"):
+            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames a second.")
+        if self.spacing is not None and not 0 <= self.spacing < float("inf"):
+            raise InputError(f"--spacing is {self.spacing:g}; it must be at least 0 metres.")
+        bodies, files = self.bodies()
+        contents = load(
+            files,
+            bodies,
+            self.clouds,
+            unit=self.unit,
+            turn=up_rotation(self.up),
+            rate=self.rate,
+            follow=self.follow,
+        )
+        for told in contents.told:
+            warn(told)
+        if contents.empty:
+            raise InputError(
+                f"{', '.join(self.files) or 'nothing'}: there is nothing in it to look at; give a body, a motion, clouds, "
+                "markers, meshes or cameras."
+            )
+        server = open_server(self.port, self.host, "jaxcap view")
+        try:
+            serve_contents(server, contents, self.spacing)
+            say(f"{', '.join(Path(name).name for name in self.files)}: {address(server)} (Ctrl-C ends)")
+            if not self.no_browser:
+                webbrowser.open(address(server))
+            threading.Event().wait()
+        finally:
+            close_server(server)
+
+    def bodies(self) -> tuple[list[tuple[str, Body]], list[str]]:
+        """The bodies that were asked for by name, and the files that are left."""
+        named = [name for name in self.files if name.split(":")[0] == "human" and not Path(name).exists()]
+        return (
+            [(name, load_body(name, unit=self.unit or "m", up=self.up)[0]) for name in (*self.body, *named)],
+            [name for name in self.files if name not in named],
+        )

@@ -1,0 +1,66 @@
+"""Poses between poses: rotations along the shortest arc, translations and scale straight."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..body.pose import Motion, Pose
+from ..geometry import rotation
+
+
+def pick(poses: Pose, frames: Int[np.ndarray, "K"] | slice) -> Pose:
+    """Some poses of a stack, by their numbers."""
+    return Pose(poses.translations[frames], poses.rotations[frames], poses.scale[frames])
+
+
+def concatenate(parts: list[Pose]) -> Pose:
+    """Stacks of poses, one behind the other."""
+    return Pose(
+        jnp.concatenate([part.translations for part in parts]),
+        jnp.concatenate([part.rotations for part in parts]),
+        jnp.concatenate([part.scale for part in parts]),
+    )
+
+
+@jax.jit
+def between(here: Pose, there: Pose, share: Float[Array, "F"]) -> Pose:
+    """The poses a `share` of the way from `here` to `there`, frame by frame (Shoemake 1985): exactly the
+    former at 0, and the latter at 1 but for rounding. Stacks of F poses each."""
+    share = jnp.asarray(share, here.rotations.dtype)
+    mix = lambda a, b, t: a + t * (b - a)  # noqa: E731
+    rotations = rotation.normalise(
+        rotation.slerp(
+            here.rotations, there.rotations, jnp.broadcast_to(share[:, None], here.rotations.shape[:2])
+        )
+    )
+    rotations = jnp.where((share == 0)[:, None, None], here.rotations, rotations)
+    rotations = jnp.where((share == 1)[:, None, None], there.rotations, rotations)
+    translations = mix(here.translations, there.translations, share[:, None, None])
+    return Pose(translations, rotations, mix(here.scale, there.scale, share))
+
+
+def ease(share: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
+    """From 0 to 1 with no slope at either end, `3 t^2 - 2 t^3` (Kovar et al. 2002, section 5)."""
+    share = np.clip(share, 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def resample(motion: Motion, rate: float | int) -> Motion:
+    """The motion at another rate, frames a second: each new frame is between the two that it falls
+    between; it begins with the same frame and ends at most one new frame before the end.
+
+    **Raises:** `ValueError` for a rate that is not above 0, or a motion without frames.
+    """
+    if not 0 < rate < np.inf:
+        raise ValueError(f"The rate is {rate:g}; it must be above 0 frames a second.")
+    if len(motion) == 0:
+        raise ValueError("The motion has no frames; there is nothing to resample.")
+    count = int(np.floor((len(motion) - 1) * rate / motion.rate + 1e-9)) + 1
+    times = np.minimum(np.arange(count) * (motion.rate / rate), len(motion) - 1)
+    # a time that rounding puts beside a frame is that frame
+    times = np.where(np.abs(times - np.round(times)) < 1e-9 * len(motion), np.round(times), times)
+    before = np.floor(times).astype(int)
+    after = np.minimum(before + 1, len(motion) - 1)
+    poses = between(pick(motion.poses, before), pick(motion.poses, after), jnp.asarray(times - before))
+    return Motion(poses, float(rate))

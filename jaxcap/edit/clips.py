@@ -1,0 +1,134 @@
+"""Clips cut, joined and closed to loops."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..body.kinematics import joint_paths
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton
+from .between import between, concatenate, ease, pick
+from .planar import Planar, align, move, power
+
+
+class Loop(NamedTuple):
+    """A motion whose last frame is its first again, in another place where it travels."""
+
+    motion: Motion
+    #: what leads from the first frame to the last, none where it is in place
+    travel: Planar
+
+
+def cut(motion: Motion, first: int = 0, last: int | None = None) -> Motion:
+    """Frames `first` to `last`, both included; negative numbers count from the end.
+
+    **Raises:** `ValueError` where the motion has no such frames, or the last comes before the first.
+    """
+    count = len(motion)
+    last = count - 1 if last is None else last
+    for name, frame in (("first", first), ("last", last)):
+        if not -count <= frame < count:
+            raise ValueError(
+                f"The {name} frame is {frame}, and the motion has {count} frames, 0 to {count - 1}."
+            )
+    first, last = first % count, last % count
+    if last < first:
+        raise ValueError(f"The last frame, {last}, comes before the first, {first}; give them the other way.")
+    return motion.slice(slice(first, last + 1))
+
+
+def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
+    """One motion of two: `b` is turned about the vertical and shifted along the floor so that it goes on
+    where `a` ends, and the last `frames` of `a` become the first ones of `b` (Kovar et al. 2002, section 5).
+
+    Over them rotations go along the shortest arc and translations straight, by an easing without slope at its
+    ends. Where `frames` is 0, `b` follows one step behind `a`, at the speed that `a` has at its end.
+    A blend never changes heights, so both have to stand on one floor.
+
+    **Raises:** `ValueError` where a motion is shorter than the blend, moves other joints than the skeleton,
+    has no frames, or has another rate.
+    """
+    _check(skeleton, a, b)
+    if not 0 <= frames <= min(len(a), len(b)):
+        raise ValueError(
+            f"A blend over {frames} frames does not fit between motions of {len(a)} and {len(b)} frames."
+        )
+    window = max(frames, 1)
+    end, start = pick(a.poses, slice(len(a) - window, None)), pick(b.poses, slice(0, window))
+    here, there = np.asarray(joint_paths(skeleton, start)), np.asarray(joint_paths(skeleton, end))
+    if frames == 0 and len(a) > 1:
+        # a step on along the floor
+        before = np.asarray(joint_paths(skeleton, pick(a.poses, slice(len(a) - 2, len(a) - 1))))
+        there = there + np.mean(there - before, axis=1, keepdims=True) * [1.0, 0.0, 1.0]
+    moved = move(skeleton, align(here.reshape(-1, 3), there.reshape(-1, 3)), b.poses)
+    parts = [pick(a.poses, slice(0, len(a) - frames)), pick(moved, slice(frames, None))]
+    if frames:
+        share = ease((np.arange(frames) + 1.0) / (frames + 1.0))
+        blend = between(end, pick(moved, slice(0, frames)), jnp.asarray(share))
+        parts = [parts[0], blend, parts[1]]
+    return Motion(concatenate(parts), a.rate)
+
+
+def make_loop(
+    skeleton: Skeleton, motion: Motion, first: int, last: int, frames: int, in_place: bool = False
+) -> Loop:
+    """Frames `first` to `last` as a loop without a seam.
+
+    The `frames` that lead to `last` are blended into those that lead to `first`, turned and shifted there. Its last two
+    frames are those before and at `first`, so over the seam go three frames that follow each other in `motion`: the
+    last frame is the first, in pose and in velocity, to the machine's precision.
+
+    **Arguments:** `in_place` takes the travel out, evenly over the loop: the last frame is then in the place of
+    the first. `find_loops` finds where motions are alike.
+
+    **Raises:** `ValueError` where the frames are not in the motion, there are fewer than `frames` before
+    the first, or `frames` is less than 2 or more than the loop has.
+    """
+    _check(skeleton, motion, motion)
+    if not 0 <= first < last < len(motion):
+        raise ValueError(
+            f"A loop from frame {first} to {last} is not in a motion of {len(motion)} frames, 0 to {len(motion) - 1}."
+        )
+    if not 2 <= frames <= last - first:
+        raise ValueError(
+            f"A blend over {frames} frames does not fit a loop of {last - first}; give 2 to {last - first}."
+        )
+    if first < frames:
+        raise ValueError(
+            f"The loop begins at frame {first}, and the blend takes the {frames} frames before it; begin later or "
+            "blend fewer."
+        )
+    early, late = (slice(end - frames, end + 1) for end in (first, last))
+    paths = np.asarray(joint_paths(skeleton, motion.poses))
+    travel = align(paths[early].reshape(-1, 3), paths[late].reshape(-1, 3))
+    lead = move(skeleton, travel, pick(motion.poses, early))
+    # whole one frame before the end
+    share = ease(np.arange(frames + 1) / (frames - 1.0))
+    blend = between(pick(motion.poses, late), lead, jnp.asarray(share))
+    poses = concatenate([pick(motion.poses, slice(first, last - frames)), blend])
+    if in_place:
+        poses = move(skeleton, [power(travel, -t) for t in np.linspace(0.0, 1.0, last - first + 1)], poses)
+        poses = _closed(poses)
+        travel = Planar(0.0, np.zeros(2))
+    return Loop(Motion(poses, motion.rate), travel)
+
+
+def _closed(poses: Pose) -> Pose:
+    """The last frame is the first to the last bit, which it is but for rounding."""
+    return concatenate([pick(poses, slice(0, -1)), pick(poses, slice(0, 1))])
+
+
+def _check(skeleton: Skeleton, a: Motion, b: Motion) -> None:
+    for motion in (a, b):
+        joints = motion.poses.rotations.shape[1]
+        if joints != skeleton.num_joints:
+            raise ValueError(
+                f"The motion moves {joints} joints and the skeleton has {skeleton.num_joints}; retarget it."
+            )
+        if len(motion) == 0:
+            raise ValueError("A motion has no frames; there is nothing to join.")
+    if abs(a.rate - b.rate) > 1e-6 * a.rate:
+        raise ValueError(
+            f"The motions have {a.rate:g} and {b.rate:g} frames a second; resample one of them to the other."
+        )

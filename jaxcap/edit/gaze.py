@@ -1,0 +1,249 @@
+"""Where a person looks: chest, neck and head turned so that a line through the head meets a target.
+
+After the applications of Adaptation, section 4.2.3: a line from the back of the head to between the eyes is what
+looks; a tenth of the turn is the chest's, four tenths the neck's and half the head's; and the turn is faded in
+and out by a sigmoid.
+"""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..body.kinematics import forward_kinematics
+from ..body.limits import AbstractLimits
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton
+from ..geometry import rotation
+from .gaze_line import GazeLine
+
+#: corrections of the turn for the eyes' own way, each at least four times as near
+ROUNDS = 30
+#: a target is at least so far from between the eyes, metres
+NEAR = 0.25
+
+
+class Gaze(NamedTuple):
+    """A motion that looks elsewhere, and how well it does."""
+
+    motion: Motion
+    #: (F,) how much of the turn is asked for in each frame, 0 to 1
+    magnitude: Float[np.ndarray, "F"]
+    #: (F,) degrees between the line and the target before and after
+    before: Float[np.ndarray, "F"]
+    after: Float[np.ndarray, "F"]
+    #: (F,) frames in which `most` or limits held the turn back
+    held: Bool[np.ndarray, "F"]
+
+
+def look_at_target(
+    skeleton: Skeleton,
+    motion: Motion,
+    line: GazeLine,
+    target: Float[np.ndarray | Array, "3"] | Float[np.ndarray | Array, "F 3"],
+    shares: Mapping[str, float],
+    *,
+    direction: bool = False,
+    first: int = 0,
+    last: int | None = None,
+    fade: float = 0.5,
+    most: float | None = None,
+    limits: AbstractLimits | None = None,
+) -> Gaze:
+    """The motion with the `line` of its head turned to a target from frame `first` to `last`.
+
+    All joints turn about one axis of the world by their shares of one angle, the least that brings the line onto the
+    target, so the shares make up the whole turn exactly. Frames outside of the range stay to the last bit.
+
+    **Arguments:** `target` a point, metres, or with `direction` a direction in the world; one for all frames or one
+    for each. `shares` names the joints, from the trunk to the head, with parts that add up to 1; the last one carries
+    the line (`gaze_shares` guesses them). `fade` seconds at either end over which the turn comes and goes; `most`
+    degrees of the whole turn; `limits` that the joints are turned back into.
+
+    **Raises:** `ValueError` for joints that are not there or not one below the other, shares that do not add up, a
+    range that is not in the motion or too short for its fades, or a target that is within 25 cm of the eyes.
+    """
+    chain = _chain(skeleton, line, shares)
+    first, last = _range(motion, first, last)
+    magnitude = fade_weights(len(motion), first, last, fade * motion.rate)
+    if most is not None and not 0 < most <= 180:
+        raise ValueError(
+            f"The most that the gaze may turn is {most:g} degrees; it must be above 0 and at most 180."
+        )
+    goals = np.broadcast_to(np.asarray(target, float), (len(motion), 3))
+    if not np.isfinite(goals).all():
+        raise ValueError("The target of the gaze is not finite; give three numbers.")
+    used = magnitude > 0
+    eyes, looks = (np.asarray(x) for x in _lines(skeleton, line, motion.poses))
+    lengths = np.linalg.norm(goals if direction else goals - eyes, axis=1)
+    close = used & (lengths < (1e-9 if direction else NEAR))
+    if close.any():
+        frame = int(np.argmax(close))
+        raise ValueError(
+            "A direction of no length is none to look into."
+            if direction
+            else f"In frame {frame} the target is {100 * lengths[frame]:.0f} cm from between the eyes; nobody looks at "
+            f"what is nearer than {100 * NEAR:.0f} cm. Check its unit, and that it is in the motion's world."
+        )
+    dtype = motion.poses.rotations.dtype
+    cap = np.radians(180.0 if most is None else most)
+    turned = _turn_frames(
+        skeleton,
+        motion.poses,
+        line,
+        chain,
+        jnp.asarray(goals, dtype),
+        jnp.asarray(magnitude, dtype),
+        jnp.asarray(cap, dtype),
+        limits,
+        direction,
+    )
+    rows = jnp.asarray(used)[:, None, None]
+    poses = eqx.tree_at(
+        lambda p: p.rotations, motion.poses, jnp.where(rows, turned.rotations, motion.poses.rotations)
+    )
+    moved, looked = (np.asarray(x) for x in _lines(skeleton, line, poses))
+    before = _degrees(looks, goals if direction else goals - eyes)
+    after = _degrees(looked, goals if direction else goals - moved)
+    # what full magnitude does not reach, something holds
+    held = (magnitude == 1.0) & (after > 0.1)
+    return Gaze(Motion(poses, motion.rate), magnitude, before, after, held)
+
+
+def fade_weights(count: int, first: int, last: int, frames: float) -> Float[np.ndarray, "F"]:
+    """How much of a change applies in each frame: 0 outside of `first` to `last`, and within it a sigmoid up over
+    `frames` frames, 1, and down again.
+
+    The sigmoid is the logistic function of `1/(1-t) - 1/t`: 0 and 1 at its ends with every derivative zero.
+
+    **Raises:** `ValueError` where the two fades do not fit into the range.
+    """
+    if not 0 <= frames < np.inf:
+        raise ValueError(f"The fade takes {frames:g} frames; it must be at least 0.")
+    if 2 * frames > last - first:
+        raise ValueError(
+            f"Two fades of {frames:g} frames do not fit into frames {first} to {last}; take a longer range or fade faster."
+        )
+    number = np.arange(count)
+    inside = (number >= first) & (number <= last)
+    if frames == 0:
+        return inside.astype(float)
+    share = np.clip(np.minimum(number - first, last - number) / frames, 0.0, 1.0)
+    between = (share > 0) & (share < 1)
+    t = np.where(between, share, 0.5)
+    exponent = np.clip(1.0 / t - 1.0 / (1.0 - t), -500.0, 500.0)
+    return np.where(between, 1.0 / (1.0 + np.exp(exponent)), share) * inside
+
+
+class _Chain(NamedTuple):
+    """The joints that turn, from the trunk on, and what each turns by with all before it."""
+
+    joints: Int[Array, "C"]
+    parents: Int[Array, "C"]
+    shares: Float[Array, "C"]
+
+
+def _chain(skeleton: Skeleton, line: GazeLine, shares: Mapping[str, float]) -> _Chain:
+    if not shares:
+        raise ValueError("No joint is to turn; name at least the head.")
+    for name, share in shares.items():
+        if name not in skeleton.names:
+            raise ValueError(f"There is no joint '{name}'; the skeleton has {', '.join(skeleton.names)}.")
+        kind = skeleton.kinds[skeleton.names.index(name)]
+        if kind not in ("ball", "free"):
+            raise ValueError(f"The joint '{name}' is {kind}; only joints that turn freely can share a gaze.")
+        if not share > 0:
+            raise ValueError(f"The share of '{name}' is {share:g}; it must be above 0.")
+    if abs(sum(shares.values()) - 1.0) > 1e-6:
+        raise ValueError(
+            f"The shares of the joints add up to {sum(shares.values()):g}; they must add up to 1."
+        )
+    joints = [skeleton.names.index(name) for name in shares]
+    for above, below in pairwise(joints):
+        if above == below or not skeleton.descent[above, below]:
+            raise ValueError(
+                f"The joint '{skeleton.names[below]}' does not hang on '{skeleton.names[above]}'; name joints from the "
+                "trunk to the head."
+            )
+    if not skeleton.descent[joints[-1], line.joint]:
+        raise ValueError(
+            f"The line of the gaze is of '{skeleton.names[line.joint]}', which does not hang on "
+            f"'{skeleton.names[joints[-1]]}', the last joint that turns."
+        )
+    dtype = skeleton.centres.dtype
+    parents = [skeleton.parents[joint] for joint in joints]
+    parts = np.array(list(shares.values())) / sum(shares.values())
+    return _Chain(jnp.asarray(joints), jnp.asarray(parents), jnp.asarray(parts, dtype))
+
+
+def _range(motion: Motion, first: int, last: int | None) -> tuple[int, int]:
+    last = len(motion) - 1 if last is None else last
+    if not 0 <= first <= last < len(motion):
+        raise ValueError(
+            f"Frames {first} to {last} are not in a motion of {len(motion)} frames, 0 to {len(motion) - 1}."
+        )
+    return first, last
+
+
+@eqx.filter_jit
+def _turn_frames(skeleton, poses: Pose, line, chain, goals, magnitude, cap, limits, direction: bool) -> Pose:
+    def one(frame):
+        pose, goal, share = frame
+        turn = jnp.zeros(3, pose.rotations.dtype)
+
+        def again(_, turn):
+            eyes, look = gaze_of(skeleton, line, turn_chain(skeleton, pose, chain, turn))
+            wanted = goal if direction else goal - eyes
+            more = rotation.shortest_arc(look, wanted / jnp.linalg.norm(wanted))
+            return rotation.log(rotation.multiply(more, rotation.exp(turn)))
+
+        turn = jax.lax.fori_loop(0, ROUNDS, again, turn)
+        angle = jnp.linalg.norm(turn)
+        turn = turn * (share * jnp.minimum(1.0, cap / jnp.maximum(angle, 1e-9)))
+        moved = turn_chain(skeleton, pose, chain, turn)
+        return moved if limits is None else _within(limits, skeleton, pose, moved, chain)
+
+    return jax.lax.map(one, (poses, goals, magnitude))
+
+
+def turn_chain(skeleton: Skeleton, pose: Pose, chain: _Chain, turn: Float[Array, "3"]) -> Pose:
+    """One pose with every joint of a chain turned by its share of the rotation vector `turn`, in the world.
+
+    With one axis for all, what hangs on the last joint is turned by all of `turn`: a joint's local turn is
+    `W^T exp(share turn) W`, with `W` the rotation that its parent had before.
+    """
+    before = forward_kinematics(skeleton, pose).rotations / pose.scale
+    above = jnp.where(
+        (chain.parents < 0)[:, None, None], jnp.eye(3, dtype=before.dtype), before[chain.parents]
+    )
+    own = chain.shares[:, None] * jnp.einsum("cba,b->ca", above, turn)
+    local = rotation.multiply(rotation.exp(own), pose.rotations[chain.joints])
+    return Pose(pose.translations, pose.rotations.at[chain.joints].set(rotation.normalise(local)), pose.scale)
+
+
+def gaze_of(skeleton: Skeleton, line: GazeLine, pose: Pose) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Where the eyes are, metres, and the unit direction in which they look, of one pose."""
+    transforms = forward_kinematics(skeleton, pose)
+    r, t = transforms.rotations[line.joint], transforms.translations[line.joint]
+    return r @ line.eyes + t, r @ line.direction / pose.scale
+
+
+@eqx.filter_jit
+def _lines(skeleton, line, poses: Pose):
+    return jax.lax.map(lambda pose: gaze_of(skeleton, line, pose), poses)
+
+
+def _within(limits, skeleton, before: Pose, pose: Pose, chain: _Chain) -> Pose:
+    """The joints of the chain within their limits, where they turn at all."""
+    nearest = limits.nearest(skeleton, pose).rotations[chain.joints]
+    return Pose(pose.translations, pose.rotations.at[chain.joints].set(nearest), pose.scale)
+
+
+def _degrees(looks: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    sine = np.linalg.norm(np.cross(looks, wanted), axis=1)
+    return np.degrees(np.arctan2(sine, np.sum(looks * wanted, axis=1)))

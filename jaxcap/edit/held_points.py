@@ -1,0 +1,44 @@
+"""A skin of points that are held: some are on a body's surface, others fixed to its bones."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ..body.skin import AbstractSkin, RigidSkin
+
+
+class HeldSkin(AbstractSkin):
+    """Points of a skin beside points that move rigidly with a bone, such as joint centres, one row for each.
+
+    Both skins have all rows, and `rigid (C,)` says whose counts. For a handful of points that costs nothing, and which
+    rows are rigid is data: it may change without a retrace.
+    """
+
+    skin: AbstractSkin
+    bones: RigidSkin
+    rigid: Bool[Array, "C"]
+
+    def deform(self, vertices, skeleton, pose, transforms):
+        on_bones = self.bones.deform(vertices, skeleton, pose, transforms)
+        return jnp.where(
+            self.rigid[:, None], on_bones, self.skin.deform(vertices, skeleton, pose, transforms)
+        )
+
+    def parts(self):
+        return jnp.where(self.rigid, self.bones.parts(), self.skin.parts())
+
+    def influence(self, num_bones):
+        return jnp.where(self.rigid[:, None], self.bones.influence(num_bones), self.skin.influence(num_bones))
+
+    def take(self, vertices):
+        return HeldSkin(self.skin.take(vertices), self.bones.take(vertices), self.rigid[vertices])
+
+    def carry(self, corners, shares, skeleton):
+        """There are no triangles between held points. Raises `NotImplementedError`."""
+        raise NotImplementedError("Held points have no surface; carry the skin of the body that they are of.")
+
+    def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
+        on_bones, on_skin = (
+            skin.jacobian(vertices, directions, skeleton, pose, transforms, rates)
+            for skin in (self.bones, self.skin)
+        )
+        return jnp.where(self.rigid[:, None, None], on_bones, on_skin)

@@ -1,0 +1,43 @@
+"""Where the points of a body are that constraints hold, and how its bones are turned."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body, pose_body
+from ..body.pose import Pose
+from ..geometry import rotation
+from .constraints import Constraint, Constraints, Place, Turn, constrained_body, make_constraints
+
+
+def places_of(body: Body, pose: Pose, constraints: Sequence[Constraint]) -> list[Place]:
+    """Where the points of constraints are in a pose, metres. Raises `ValueError` as `make_constraints` does."""
+    arrays = make_constraints(body, constraints)
+    vertices, joints = (np.asarray(found, float) for found in _places(body, pose, arrays))
+    rows = iter(vertices)
+    found = [
+        joints[body.skeleton.index(c.point)] if isinstance(c.point, str) else next(rows) for c in constraints
+    ]
+    return [(float(x), float(y), float(z)) for x, y, z in found]
+
+
+def bone_turns(body: Body, pose: Pose) -> list[Turn]:
+    """How every bone is turned from rest, in the world: `wxyz`."""
+    return [(float(w), float(x), float(y), float(z)) for w, x, y, z in np.asarray(_turns(body, pose), float)]
+
+
+@eqx.filter_jit
+def _places(
+    body: Body, pose: Pose, constraints: Constraints
+) -> tuple[Float[Array, "C 3"], Float[Array, "J 3"]]:
+    posed = pose_body(constrained_body(body, constraints), pose)
+    return posed.vertices, posed.joints
+
+
+@eqx.filter_jit
+def _turns(body: Body, pose: Pose) -> Float[Array, "J 4"]:
+    whole = pose_body(body, pose).transforms.rotations / pose.scale
+    return rotation.from_matrix(jnp.asarray(whole))

@@ -1,0 +1,171 @@
+"""The pose in which points of a body reach given places, fast enough to follow a hand that drags them."""
+
+from typing import Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from ..body.anatomy import rest_deviations
+from ..body.body import Body, Posed, pose_body
+from ..body.limits import AbstractLimits
+from ..body.pose import Pose, project
+from ..body.skeleton import Skeleton
+from ..energy.landmarks import VertexLandmarks
+from ..energy.limits import JointLimits
+from ..energy.term import AbstractEnergy
+from ..fit.gauss_newton import GaussNewton
+from ..fit.levenberg_marquardt import LevenbergMarquardt
+from ..fit.priority import solve_in_order
+from ..fit.solve import solve
+from ..geometry import rotation
+from .constraints import Constraints, constrained_body
+
+Solver = Literal["levenberg-marquardt", "gauss-newton", "priorities"]
+SOLVERS: tuple[str, ...] = get_args(Solver)
+
+#: deviation of a constraint of weight one, metres
+METRES = 0.01
+#: how many times as much a pinned constraint weighs as one that is not, where weights decide
+PINNED = 1e3
+#: of limits, per squared radian, where weights decide
+LIMITS = 1e6
+#: how freely roots move before all else has, metres and radians; and hardly at all where they are held, both
+ROOT, HELD = (0.05, 0.1), 1e-4
+#: radians of a joint that no anatomy knows
+UNKNOWN = 0.5
+
+
+class IkOptions(eqx.Module):
+    """What a pose is held to besides its constraints, and how it is found. Switches and weights are data, so that
+    turning one compiles nothing."""
+
+    #: `levenberg-marquardt`, `gauss-newton` (Kineben, algorithm 1), or `priorities`: limits before pinned
+    #: constraints, these before the others, and what is natural last, each without a loss to the ones before
+    solver: Solver = eqx.field(static=True, default="levenberg-marquardt")
+    limits: AbstractLimits | None = None
+    #: which poses are likely, in units of deviations: `MahalanobisPrior`, `RestPrior`, or one's own
+    prior: AbstractEnergy | None = None
+    keep_limits: Bool[Array, ""] = eqx.field(default=True, converter=jnp.asarray)
+    use_prior: Bool[Array, ""] = eqx.field(default=True, converter=jnp.asarray)
+    #: keep roots where they are, unless a constraint on one of them outweighs it
+    hold_root: Bool[Array, ""] = eqx.field(default=False, converter=jnp.asarray)
+    #: of the pull to the reference, and of the prior, where a constraint of weight one is `METRES` off
+    stiffness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
+    naturalness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
+    #: most steps of one solve
+    max_steps: int = eqx.field(static=True, default=32)
+
+
+class NearPose(AbstractEnergy):
+    """`sum (t / m)^2 + sum (w / s)^2` over shifts and turns from a reference pose, the turns as rotation vectors about
+    the axes of their joints' own frames, with standard deviations `m (J,)` in metres and `s (J, 3)` in radians
+    (infinite: free): an elbow that leaves the reference bends rather than shears."""
+
+    reference: Pose
+    metres: Float[Array, "J"]
+    radians: Float[Array, "J 3"]
+
+    def residual(self, posed: Posed):
+        here, there = self.reference, posed.pose
+        turns = rotation.log(rotation.multiply(rotation.conjugate(here.rotations), there.rotations))
+        own = rotation.rotate(rotation.conjugate(posed.body.skeleton.orientations), turns)
+        shifts = (there.translations - here.translations) / self.metres[:, None]
+        return jnp.concatenate([shifts.reshape(-1), (own / self.radians).reshape(-1)])
+
+
+class IkSolution(eqx.Module):
+    """The outcome of `solve_ik`."""
+
+    pose: Pose
+    #: how far each point of the constraints is from its target, metres; zero where it is padding
+    distances: Float[Array, "C"]
+    num_steps: Int[Array, ""]
+    #: `RESULTS.successful`, or why the solver stopped before it converged
+    result: optx.RESULTS
+
+
+def solve_ik(
+    body: Body,
+    start: Pose,
+    constraints: Constraints,
+    options: IkOptions | None = None,
+    reference: Pose | None = None,
+) -> IkSolution:
+    """The pose near a start in which constrained points are nearest to their targets (Kineben, section 4.2.1).
+
+    Only the constrained vertices are posed, whatever the size of the body. What constraints leave free stays near
+    the `reference` pose, the start where it is not given: while one target moves, keep the reference and start
+    from the last solution, and the pose depends on where the targets are and not on the way there. Pinned
+    constraints weigh `PINNED` times as much, or come first where the solver is `priorities`.
+
+    Where `options.limits` are kept, the pose is within them (`AbstractLimits.nearest`). Targets out of reach end in
+    the nearest pose. Nothing is raised where the solver fails: see `IkSolution.result`.
+    """
+    options = IkOptions() if options is None else options
+    reference = start if reference is None else reference
+    if options.solver != "priorities":
+        return _solve_weighted(body, start, constraints, options, reference)
+    few, groups = _in_order(body, constraints, options, reference)
+    found = solve_in_order(groups, few, start, max_steps=options.max_steps)
+    return _finished(few, constraints, options, found.pose, found.num_steps, found.result)
+
+
+@eqx.filter_jit
+def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
+    few = constrained_body(body, constraints)
+    solver = GaussNewton() if options.solver == "gauss-newton" else LevenbergMarquardt()
+    energy = _reach(constraints, jnp.where(constraints.pinned, PINNED, 1.0))
+    energy = energy + _natural(few.skeleton, options, reference, options.hold_root)
+    if options.limits is not None:
+        energy = energy + LIMITS * options.keep_limits * JointLimits(options.limits)
+    found = solve(energy, few, start, solver, options.max_steps)
+    return _finished(few, constraints, options, found.pose, found.num_steps, found.result)
+
+
+@eqx.filter_jit
+def _in_order(body, constraints, options, reference) -> tuple[Body, tuple[AbstractEnergy, ...]]:
+    """The small body, and groups of energies with the first first."""
+    few = constrained_body(body, constraints)
+    roots = np.array(few.skeleton.parents) < 0
+    still = jnp.asarray(np.where(roots, HELD, np.inf), few.vertices.dtype)
+    stay = options.hold_root * NearPose(reference, still, jnp.tile(still[:, None], (1, 3)))
+    groups = (
+        _reach(constraints, jnp.where(constraints.pinned, 1.0, 0.0)) + stay,
+        _reach(constraints, jnp.where(constraints.pinned, 0.0, 1.0)),
+        _natural(few.skeleton, options, reference, False),
+    )
+    if options.limits is None:
+        return few, groups
+    return few, (options.keep_limits * JointLimits(options.limits), *groups)
+
+
+@eqx.filter_jit
+def _finished(few, constraints, options, pose, num_steps, result) -> IkSolution:
+    if options.limits is not None:
+        within = project(few.skeleton, options.limits.nearest(few.skeleton, pose))
+        pose = jax.tree.map(lambda a, b: jnp.where(options.keep_limits, a, b), within, pose)
+    apart = jnp.linalg.norm(pose_body(few, pose).vertices - constraints.targets, axis=-1)
+    return IkSolution(pose, jnp.where(constraints.weights > 0, apart, 0.0), num_steps, result)
+
+
+def _reach(constraints: Constraints, more: Float[Array, "C"]) -> AbstractEnergy:
+    """All points at their targets, weighted besides by so much."""
+    order = jnp.arange(len(constraints.vertices))
+    return VertexLandmarks(order, constraints.targets, constraints.weights * more / METRES**2)
+
+
+def _natural(skeleton: Skeleton, options: IkOptions, reference: Pose, hold_root) -> AbstractEnergy:
+    """What decides where constraints do not: the reference, with roots that hardly leave it where they are held, and
+    which poses are likely."""
+    own, roots = rest_deviations(skeleton, UNKNOWN), np.array(skeleton.parents) < 0
+    dtype = skeleton.centres.dtype
+    stiffness = options.stiffness.astype(dtype)
+    still = jnp.where(hold_root, HELD, jnp.inf) * jnp.sqrt(stiffness)
+    metres = jnp.where(roots, jnp.minimum(ROOT[0], still), ROOT[0]).astype(dtype)
+    radians = jnp.where(roots[:, None], jnp.minimum(ROOT[1], still), own).astype(dtype)
+    near = stiffness * NearPose(reference, metres, radians)
+    return near if options.prior is None else near + options.use_prior * options.naturalness * options.prior

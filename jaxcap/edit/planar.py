@@ -1,0 +1,75 @@
+"""Turns about the vertical and shifts along the floor: what may be done to a motion without changing it."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..body.pose import Pose
+from ..body.skeleton import Skeleton
+from ..geometry import rotation
+
+#: radians below which a turn's arc is a straight line
+STRAIGHT = 1e-7
+
+
+class Planar(NamedTuple):
+    """`x' = R x + shift`, with `R` the turn about the vertical y by `heading`."""
+
+    #: radians
+    heading: float
+    #: metres along x and z
+    shift: Float[np.ndarray, "2"]
+
+
+def align(here: Float[np.ndarray, "N 3"], there: Float[np.ndarray, "N 3"]) -> Planar:
+    """The planar motion that brings points `here` nearest to those `there`, in closed form (Kovar et al. 2002,
+    section 3.2, equation 4)."""
+    a, b = (np.asarray(points, float)[:, [0, 2]] for points in (there, here))
+    middle_a, middle_b = a.mean(0), b.mean(0)
+    a, b = a - middle_a, b - middle_b
+    heading = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
+    return Planar(heading, middle_a - _matrix(heading) @ middle_b)
+
+
+def power(planar: Planar, share: float) -> Planar:
+    """A `share` of a planar motion, along the arc that leads from none to the whole of it; -1 undoes it."""
+    u = np.linalg.solve(_arc(planar.heading), planar.shift)
+    heading = share * planar.heading
+    return Planar(heading, _arc(heading) @ (share * u))
+
+
+def move(skeleton: Skeleton, planar: list[Planar] | Planar, poses: Pose) -> Pose:
+    """Poses of a stack in another place: the roots are turned and shifted, nothing else. One `planar` for
+    all frames, or one for each."""
+    each = planar if isinstance(planar, list) else [planar] * len(poses.scale)
+    dtype = poses.rotations.dtype
+    headings = jnp.asarray([one.heading for one in each], dtype)
+    shifts = jnp.asarray([[one.shift[0], 0.0, one.shift[1]] for one in each], dtype).reshape(-1, 3)
+    turns = rotation.exp(headings[:, None] * jnp.asarray([0.0, 1.0, 0.0], dtype))
+    # the pose's scale comes last, so it is in the way of a shift of the world
+    shifts = shifts / poses.scale[:, None]
+    translations, rotations = poses.translations, poses.rotations
+    for root in np.flatnonzero(np.array(skeleton.parents) < 0):
+        centre = skeleton.centres[root]
+        place = rotation.rotate(turns, centre + translations[:, root]) + shifts
+        translations = translations.at[:, root].set(place - centre)
+        rotations = rotations.at[:, root].set(
+            rotation.normalise(rotation.multiply(turns, rotations[:, root]))
+        )
+    return Pose(translations, rotations, poses.scale)
+
+
+def _matrix(heading: float) -> Float[np.ndarray, "2 2"]:
+    """The turn of (x, z) about y."""
+    c, s = np.cos(heading), np.sin(heading)
+    return np.array([[c, s], [-s, c]])
+
+
+def _arc(heading: float) -> Float[np.ndarray, "2 2"]:
+    """The mean of the turns from 0 to `heading`: the V of the exponential map of SE(2)."""
+    if abs(heading) < STRAIGHT:
+        return np.eye(2)
+    c, s = (1.0 - np.cos(heading)) / heading, np.sin(heading) / heading
+    return np.array([[s, c], [-c, s]])

@@ -1,0 +1,193 @@
+"""The motion of one body for another of the same mesh: surfaces in the same pose, whatever the joints are.
+
+Adaptation, section 4.2.3, automatic retargeting by exploiting mesh topology: pose parameters cannot be copied between
+bodies whose joints lie elsewhere, but vertices correspond, and a pose is fitted to them as to a registered mesh.
+Vertices of another build are not where one's own have to be, so the source's surface is first carried over to the
+target's build (`transfer`): a limb is then as long and as thick as the target's and in the pose of the source's.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..body.body import Body, deform_all
+from ..body.pose import Motion, Pose
+from ..fit.registered import fit_meshes
+from ..geometry.procrustes import nearest_rotation
+from ..observe import MeshSequence
+from .between import concatenate, pick
+from .ground import lowest
+from .retarget import UP, floor_of
+from .transfer import make_transfer, transfer_pose
+
+#: frames that are fitted in one call, and vertices that they are fitted by
+BLOCK, FITTED = 32, 1500
+#: vertices within so many metres of the lowest one bear the body
+SUPPORT = 0.01
+#: share of a limb's moment that draws its turn to none where its shape shows none
+FLAT = 0.02
+#: rest poses differ where the surfaces of a limb are turned by so much, radians
+OTHER_REST = np.radians(30.0)
+
+
+class ShapeRetarget(NamedTuple):
+    """A motion of the target, and how well it was met."""
+
+    motion: Motion
+    #: (F,) root mean square distance of the vertices from the source's pose in the target's build, metres
+    rmse: Float[np.ndarray, "F"]
+    #: target metres for one source metre
+    ratio: float
+    #: how high the floor lies that both stand on, metres
+    floor: float
+
+
+def retarget_shape(
+    source: Body,
+    target: Body,
+    motion: Motion,
+    *,
+    floor: float | None = None,
+    progress: Callable[[list], Iterable] = iter,
+) -> ShapeRetarget:
+    """The `motion` of `source` for `target`, whose vertices are the same points of a person in the same order.
+
+    Every frame is fitted by `fit_meshes` to the source's surface in the target's build. Then the target is put
+    where its lowest point is as high over the floor as the source's, times the ratio of their sizes, so that it
+    neither floats nor sinks in; and it goes along the floor so that the part of the surface that bears it slides as much as
+    the source's does: feet that stand still stay where they are, and a shorter person covers less ground. It starts at
+    the source's place scaled about the origin.
+
+    Results are of scale 1. Rest poses must be alike, as those of bodies adapted from one template are.
+
+    **Arguments:** `floor` metres up the y axis, the source's lowest where not given (`floor_of`).
+    `progress` passes the blocks of frames through that are fitted in one call.
+
+    **Raises:** `ValueError` where vertices or triangles are not the same, the motion moves other joints than the
+    source, has no frames, or the bodies rest in different poses.
+    """
+    _check(source, target, motion)
+    rests = [np.asarray(body.vertices, float) for body in (source, target)]
+    transfer = make_transfer(rests[0], rests[1], np.asarray(source.faces))
+    ratio = float(np.ptp(rests[1][:, 1]) / np.ptp(rests[0][:, 1]))
+    chosen = _spread(rests[1], FITTED)
+    # one length for all blocks, so that they are compiled once; the last one goes on with the last frame
+    length = min(BLOCK, len(motion))
+    blocks = [
+        (start, np.minimum(np.arange(start, start + length), len(motion) - 1))
+        for start in range(0, len(motion), length)
+    ]
+    surface = lambda frames: np.asarray(deform_all(source, pick(motion.poses, frames)), float)  # noqa: E731
+    if floor is None:
+        floor = floor_of(lowest(source, motion.poses)[:, None, None] * UP)
+    parts, errors, path = [], [], _Path(ratio, float(floor))
+    scale = np.asarray(motion.poses.scale, float)
+    for start, frames in progress(blocks):
+        there, count = surface(frames), min(length, len(motion) - start)
+        wanted = np.stack(
+            [transfer_pose(transfer, x, float(scale[frame])) for x, frame in zip(there, frames, strict=True)]
+        )
+        fit = fit_meshes(target, MeshSequence(wanted, target.faces), vertices=chosen)
+        here = np.asarray(deform_all(target, fit.motion.poses), float)
+        offsets = np.stack([path.step(there[i], here[i]) for i in range(count)])
+        parts.append(_shift(target, pick(fit.motion.poses, slice(0, count)), offsets))
+        errors.append(np.asarray(fit.rmse, float)[:count])
+    return ShapeRetarget(Motion(concatenate(parts), motion.rate), np.concatenate(errors), ratio, float(floor))
+
+
+class _Path:
+    """Where a body stands, frame by frame, from how its surface and the source's move."""
+
+    def __init__(self, ratio: float, floor: float):
+        self.ratio, self.floor = ratio, floor
+        self.before: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    def step(self, there: np.ndarray, here: np.ndarray) -> np.ndarray:
+        """(3,) the shift that puts the target, `here`, in its place while the source is `there`."""
+        bears = np.exp(-(there[:, 1] - there[:, 1].min()) / SUPPORT)
+        offset = np.zeros(3)
+        if self.before is None:
+            offset = self.ratio * there.mean(0) - here.mean(0)
+        else:
+            last_there, last_here, share = self.before
+            # what bears in both frames
+            share = np.sqrt(share * bears) + 1e-12
+            slide = (share @ (self.ratio * (there - last_there) - (here - last_here))) / share.sum()
+            offset = self.offset + slide
+        low = self.floor + self.ratio * (there[:, 1].min() - self.floor)
+        offset[1] = low - here[:, 1].min()
+        self.before, self.offset = (there, here, bears), offset
+        return offset
+
+
+def _shift(body: Body, poses: Pose, offsets: np.ndarray) -> Pose:
+    roots = np.flatnonzero(np.array(body.skeleton.parents) < 0)
+    moved = poses.translations.at[:, roots].add(jnp.asarray(offsets, poses.translations.dtype)[:, None])
+    return eqx.tree_at(lambda p: p.translations, poses, moved)
+
+
+def _spread(vertices: np.ndarray, count: int) -> np.ndarray:
+    """About `count` vertices, evenly over the surface: one of each cube of a grid."""
+    if len(vertices) <= count:
+        return np.arange(len(vertices))
+    low, high = 1e-4 * np.ptp(vertices), np.ptp(vertices)
+    for _ in range(30):
+        side = np.sqrt(low * high)
+        cubes = np.unique(np.floor(vertices / side).astype(int), axis=0, return_index=True)[1]
+        low, high = (low, side) if len(cubes) < count else (side, high)
+    return np.sort(cubes)
+
+
+def _check(source: Body, target: Body, motion: Motion) -> None:
+    counts = len(source.vertices), len(target.vertices)
+    if counts[0] != counts[1]:
+        raise ValueError(
+            f"The source has {counts[0]} vertices and the target {counts[1]}; only bodies of one mesh correspond vertex by "
+            "vertex. Retarget by the names of joints."
+        )
+    if not np.array_equal(np.asarray(source.faces), np.asarray(target.faces)):
+        raise ValueError(
+            "The source and the target have other triangles, so their vertices are not the same points of a person. "
+            "Retarget by the names of joints."
+        )
+    if len(source.faces) == 0:
+        raise ValueError("The bodies have no faces; without a surface, retarget by the names of joints.")
+    joints = motion.poses.rotations.shape[1]
+    if joints != source.skeleton.num_joints:
+        raise ValueError(
+            f"The motion moves {joints} joints and the source has {source.skeleton.num_joints}; give the body that it is of."
+        )
+    if len(motion) == 0:
+        raise ValueError("The motion has no frames; there is nothing to retarget.")
+    root = target.skeleton.kinds[0]
+    if root not in ("free", "translate"):
+        raise ValueError(
+            f"The target's root '{target.skeleton.names[0]}' is {root} and cannot go anywhere; make it free."
+        )
+    _check_rest(source, target)
+
+
+def _check_rest(source: Body, target: Body) -> None:
+    """That limbs rest alike: the best rotation of each bone's own vertices from one rest to the other is small."""
+    here, there = (np.asarray(body.vertices, float) for body in (source, target))
+    parts = np.asarray(source.skin.parts())
+    if len(parts) != len(here):
+        return
+    for bone in np.unique(parts):
+        own = parts == bone
+        if own.mean() < 0.01:
+            continue
+        a, b = (x[own] - x[own].mean(0) for x in (here, there))
+        cross = b.T @ a
+        # what vertices on a line or in a plane leave open is no turn
+        turn = nearest_rotation(cross + FLAT * np.trace(a.T @ a) * np.eye(3))
+        angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
+        if angle > OTHER_REST:
+            raise ValueError(
+                f"At rest the surfaces around '{source.skeleton.names[bone]}' are turned by {np.degrees(angle):.0f} degrees "
+                "from each other; bodies have to rest in the same pose."
+            )

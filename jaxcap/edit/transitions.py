@@ -1,0 +1,96 @@
+"""Where one motion may go over into another: how alike short windows of them are.
+
+The distance of Kovar, Gleicher and Pighin, *Motion Graphs* (2002), section 3: joint positions of a window of
+frames, which hold velocities too, after the best turn about the vertical and shift along the floor.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..body.kinematics import joint_paths
+from ..body.pose import Motion
+from ..body.skeleton import Skeleton
+
+
+class Transition(NamedTuple):
+    """Windows that are alike: they begin at these frames."""
+
+    first: int
+    second: int
+    #: root mean square distance of the joints over the window, metres
+    distance: float
+
+
+def transition_distances(skeleton: Skeleton, a: Motion, b: Motion, window: int) -> Float[np.ndarray, "N M"]:
+    """The distance of each window of `window` frames of `a` to each of `b`, root mean square over joints and
+    frames, metres; row and column are the windows' first frames.
+
+    **Raises:** `ValueError` where a motion is shorter than the window or moves other joints.
+    """
+    for motion in (a, b):
+        if motion.poses.rotations.shape[1] != skeleton.num_joints:
+            raise ValueError(
+                f"The motion moves {motion.poses.rotations.shape[1]} joints and the skeleton has "
+                f"{skeleton.num_joints}; retarget it."
+            )
+        if not 1 <= window <= len(motion):
+            raise ValueError(
+                f"A window of {window} frames does not fit into a motion of {len(motion)}; give fewer, at least one."
+            )
+    (xa, ya, za), (xb, yb, zb) = (_windows(skeleton, motion, window) for motion in (a, b))
+    flat = [np.sum(x**2, 1) + np.sum(z**2, 1) for x, z in ((xa, za), (xb, zb))]
+    along, across = xa @ xb.T + za @ zb.T, xa @ zb.T - za @ xb.T
+    level = flat[0][:, None] + flat[1][None] - 2.0 * np.hypot(along, across)
+    upright = np.sum(ya**2, 1)[:, None] + np.sum(yb**2, 1)[None] - 2.0 * ya @ yb.T
+    return np.sqrt(np.maximum(level + upright, 0.0) / xa.shape[1])
+
+
+def find_transitions(
+    skeleton: Skeleton, a: Motion, b: Motion, window: int, count: int = 1
+) -> list[Transition]:
+    """The `count` best windows to go from `a` over into `b`, the best first: least distances of their
+    neighbourhood, none within a window of a better one. Raises as `transition_distances` does."""
+    return _best(transition_distances(skeleton, a, b, window), window, count)
+
+
+def find_loops(
+    skeleton: Skeleton, motion: Motion, window: int, least: int, most: int | None = None, count: int = 1
+) -> list[Transition]:
+    """The best frames to close a loop, for `make_loop`: a loop goes from frame `first + window` to frame
+    `second + window`, and what comes before each of them is alike.
+
+    **Arguments:** `least` and `most` frames of a loop.
+
+    **Raises:** `ValueError` where no loop of these lengths fits into the motion.
+    """
+    most = len(motion) if most is None else most
+    if not 1 <= least <= most or least + window >= len(motion):
+        raise ValueError(
+            f"A loop of {least} to {most} frames with {window} before it does not fit into a motion of "
+            f"{len(motion)} frames; ask for a shorter one."
+        )
+    # the window's last frame is where a loop begins, so it is one frame longer
+    distances = transition_distances(skeleton, motion, motion, window + 1)
+    length = np.arange(len(distances))[None] - np.arange(len(distances))[:, None]
+    return _best(np.where((length >= least) & (length <= most), distances, np.inf), window, count)
+
+
+def _windows(skeleton: Skeleton, motion: Motion, window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, y and z of all joints of each window, (N, window J); x and z about their mean."""
+    paths = np.asarray(joint_paths(skeleton, motion.poses), float)
+    count, joints = len(paths) - window + 1, paths.shape[1]
+    frames = np.arange(count)[:, None] + np.arange(window)[None]
+    x, y, z = np.moveaxis(paths[frames].reshape(count, window * joints, 3), 2, 0)
+    return x - x.mean(1, keepdims=True), y, z - z.mean(1, keepdims=True)
+
+
+def _best(distances: np.ndarray, apart: int, count: int) -> list[Transition]:
+    distances, found = distances.copy(), []
+    while len(found) < count and np.isfinite(distances).any():
+        row, column = np.unravel_index(int(np.argmin(distances)), distances.shape)
+        found.append(Transition(int(row), int(column), float(distances[row, column])))
+        near = [slice(max(0, int(i) - apart), int(i) + apart + 1) for i in (row, column)]
+        distances[near[0], near[1]] = np.inf
+    return found

@@ -1,0 +1,137 @@
+"""Constraints of inverse kinematics as JSON that a person can read and write.
+
+    {
+     "format": "jaxcap constraints",
+     "version": 1,
+     "vertices": 13380,
+     "constraints": [
+      {"vertex": 4021, "target": [0.55, 1.2, 0.31]},
+      {"joint": "LeftFoot", "target": [0.14, -0.73, 0.02], "weight": 2.0, "pinned": true}
+     ]
+    }
+
+Targets are in metres. `weight` is 1 and `pinned` false where they are left out; `orientation`, a quaternion `w, x, y, z`,
+is for joints. `vertices` is how many the body has, as their numbers mean nothing on another one; it may be left out.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..body.body import Body
+from ..edit.constraints import Constraint, check_constraints, describe
+from ..errors import InputError
+from .atomic import write_text
+from .text import read_text
+
+KIND, VERSION = "jaxcap constraints", 1
+_FIELDS = ("vertex", "joint", "target", "weight", "pinned", "orientation")
+
+
+def write_constraints(path: str | Path, constraints: Sequence[Constraint], body: Body) -> None:
+    """Write constraints of a body, every number to the last bit.
+
+    **Raises:** `InputError` where they are not of this body, or the file cannot be written.
+    """
+    _check(constraints, body, path)
+    rows = ",\n".join(f"  {json.dumps(_row(constraint))}" for constraint in constraints)
+    head = f' "format": "{KIND}",\n "version": {VERSION},\n "vertices": {len(body.vertices)},\n'
+    write_text(path, f'{{\n{head} "constraints": [\n{rows}\n ]\n}}\n')
+
+
+def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
+    """Constraints that `write_constraints` or a person wrote.
+
+    **Raises:** `InputError` where the file is not one, is damaged, is of a body with another number of vertices, names
+    a vertex or a joint that this one does not have, or says something else that is wrong: which row, and what.
+    """
+    text = read_text(path)
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}); mend it there.") from None
+    except (ValueError, RecursionError):
+        raise InputError(
+            f"{path}: this JSON is nested too deeply, or has numbers of too many digits, for a file of constraints."
+        ) from None
+    found = content.get("format") if isinstance(content, dict) else None
+    if found != KIND:
+        raise InputError(f'{path}: this is not a file of constraints; they begin with "format": "{KIND}".')
+    if content.get("version") != VERSION:
+        raise InputError(
+            f"{path}: this file has version {content.get('version')}; this program reads version {VERSION}."
+        )
+    rows = content.get("constraints")
+    if not isinstance(rows, list):
+        raise InputError(
+            f'{path}: there is no list of "constraints" in this file; write one, if an empty one.'
+        )
+    constraints = tuple(
+        _constraint(row, f"{path}: constraint {number}") for number, row in enumerate(rows, 1)
+    )
+    count = content.get("vertices", len(body.vertices))
+    if count != len(body.vertices) and any(not isinstance(one.point, str) for one in constraints):
+        raise InputError(
+            f"{path}: these constraints are of a body with {count} vertices, and this one has {len(body.vertices)}; "
+            "give that body."
+        )
+    _check(constraints, body, path)
+    return constraints
+
+
+def _row(constraint: Constraint) -> dict[str, object]:
+    where = "joint" if isinstance(constraint.point, str) else "vertex"
+    row: dict[str, object] = {where: constraint.point, "target": list(constraint.target)}
+    row |= {"weight": constraint.weight, "pinned": constraint.pinned}
+    return row if constraint.orientation is None else {**row, "orientation": list(constraint.orientation)}
+
+
+def _constraint(row: Any, where: str) -> Constraint:
+    if not isinstance(row, dict):
+        raise InputError(f'{where}: this is not a constraint; write {{"joint": NAME, "target": [x, y, z]}}.')
+    strange = [name for name in row if name not in _FIELDS]
+    if strange:
+        raise InputError(f"{where}: '{strange[0]}' is not known; a constraint has {', '.join(_FIELDS)}.")
+    if ("vertex" in row) == ("joint" in row):
+        raise InputError(f'{where}: give either a "vertex" or a "joint".')
+    point: Any = row.get("joint", row.get("vertex"))
+    if "joint" in row and not isinstance(point, str):
+        raise InputError(f"{where}: the joint is {point!r}; give its name.")
+    if "vertex" in row and (not isinstance(point, int) or isinstance(point, bool)):
+        raise InputError(f"{where}: the vertex is {point!r}; give its index, counted from 0.")
+    target = _numbers(row, "target", 3, f"{where} ({describe(point)})")
+    weight, pinned = row.get("weight", 1.0), row.get("pinned", False)
+    if not _is_number(weight) or weight < 0:
+        raise InputError(
+            f"{where} ({describe(point)}): the weight is {weight!r}; give a number of at least 0."
+        )
+    if not isinstance(pinned, bool):
+        raise InputError(f'{where} ({describe(point)}): "pinned" is {pinned!r}; give true or false.')
+    orientation = row.get("orientation")
+    turn = None if orientation is None else _numbers(row, "orientation", 4, f"{where} ({describe(point)})")
+    return Constraint(point, target, float(weight), pinned, turn)
+
+
+def _numbers(row: Mapping[str, Any], name: str, count: int, where: str) -> Any:
+    values = row.get(name)
+    if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
+        raise InputError(f'{where}: the "{name}" is {values!r}; give {count} finite numbers in brackets.')
+    return tuple(float(value) for value in values)
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
+
+
+def _check(constraints: Sequence[Constraint], body: Body, path: str | Path) -> None:
+    try:
+        check_constraints(constraints, body.skeleton, len(body.vertices))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None

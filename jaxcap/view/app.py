@@ -1,0 +1,84 @@
+"""The viewer: one loop for every browser, which shows the frame that its timeline is at."""
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from .column import Choice
+from .contents import Contents
+from .controls import Controls
+from .live import OFTEN, RunFollower
+from .serve import each_client
+from .stage import Stage
+
+if TYPE_CHECKING:
+    from viser import ClientHandle, ViserServer
+else:
+    ClientHandle = ViserServer = Any
+
+#: frames a second that a browser is sent at most
+FASTEST = 60.0
+#: seconds in which a closed browser is noticed
+PATIENCE = 0.25
+
+
+def serve_contents(
+    server: ViserServer, contents: Contents, spacing: float | None = None
+) -> list[RunFollower]:
+    """Show `contents` to every browser that comes, each with a timeline and choices of its own.
+
+    **Arguments:** `spacing` of takes as in `Stage.place`. Runs that are not over are followed until the
+    followers that come back are stopped.
+    """
+    followers = [RunFollower(take) for take in contents.takes if take.running is not None]
+    for follower in followers:
+        follower.start()
+    each_client(server, lambda client, gone: Window(client, contents, spacing, followers).run(gone))
+    return followers
+
+
+class Window:
+    """What one browser sees."""
+
+    def __init__(
+        self, client: ClientHandle, contents: Contents, spacing: float | None, followers: list[RunFollower]
+    ):
+        self.client, self.contents, self.followers = client, contents, followers
+        self._wake = threading.Event()
+        for take in contents.takes:
+            # compiles, which must not hold back anything below
+            take.motion.frame(0)
+        with client.atomic():
+            self.stage = Stage(client.scene, contents)
+            self.controls = Controls(client.gui, contents, spacing, self._wake.set)
+            self.stage.place(spacing)
+            eye, target = self.stage.view()
+            client.camera.position, client.camera.look_at = tuple(eye), tuple(target)
+
+    def run(self, gone: threading.Event) -> None:
+        """Show what the timeline and the choices ask for, until the browser closes."""
+        shown: tuple[int, Choice, tuple[int, ...]] | None = None
+        spacing, live = self.controls.spacing, any(take.running for take in self.contents.takes)
+        while not gone.is_set():
+            self._wake.clear()
+            start = time.monotonic()
+            frames = self.contents.frames
+            if frames != self.controls.timeline.frames:
+                self.controls.grow(frames)
+            versions = tuple(take.motion.version for take in self.contents.takes)
+            wanted = (self.controls.timeline.frame(start), self.controls.choice, versions)
+            if spacing != self.controls.spacing:
+                spacing = self.controls.spacing
+                self.stage.place(spacing)
+            if wanted != shown:
+                # computed before anything is held back that the browser could have meanwhile
+                looks = self.stage.look(wanted[0], wanted[1])
+                told = [follower.told for follower in self.followers] + [look.wrong for look in looks]
+                with self.client.atomic():
+                    self.stage.draw(wanted[0], looks, wanted[1])
+                    self.controls.draw(wanted[0], next(filter(None, told), ""))
+                shown = wanted
+            now = time.monotonic()
+            rest = self.controls.timeline.wait(now)
+            rest = max(rest, start + 1.0 / FASTEST - now, 0.0)
+            self._wake.wait(min(rest, OFTEN if live else PATIENCE))

@@ -1,0 +1,109 @@
+"""What a window shows: takes, scans, meshes, markers and cameras, from files or from a program."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..body.body import Body
+from ..body.pose import Motion, Pose, rest_pose
+from ..body.skeleton import Skeleton
+from ..geometry.camera import Camera
+from ..markers.subject import Subject
+from ..observe import MarkerFrames
+from .clouds import SeenClouds
+from .posing import PosedMotion
+
+
+@dataclass(frozen=True)
+class Take:
+    """A body, or a skeleton without one, as it moves."""
+
+    name: str
+    motion: PosedMotion
+    rate: float = 30.0
+    #: whose markers go along with the bones
+    subject: Subject | None = None
+    #: deviations of a tracker's mixture, metres, and the names of the clouds it saw, by frame
+    sigmas: tuple[float, ...] = ()
+    clouds: tuple[str, ...] = ()
+    #: the folder of a run that may not be over
+    running: Path | None = None
+
+    @property
+    def still(self) -> bool:
+        """Whether it is at rest and nothing more comes."""
+        return len(self.motion) == 1 and self.running is None
+
+
+@dataclass(frozen=True)
+class Meshes:
+    """Surfaces of one topology, or one alone; a cloud where there are no faces."""
+
+    name: str
+    vertices: Float[np.ndarray, "F V 3"]
+    faces: Int[np.ndarray, "T 3"]
+    rate: float | None = None
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Trajectories of markers."""
+
+    name: str
+    frames: MarkerFrames
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Everything that is looked at in one window."""
+
+    takes: list[Take] = field(default_factory=list)
+    clouds: list[SeenClouds] = field(default_factory=list)
+    meshes: list[Meshes] = field(default_factory=list)
+    markers: list[Markers] = field(default_factory=list)
+    cameras: list[Camera] = field(default_factory=list)
+    #: what was given and has no picture, a sentence each
+    told: list[str] = field(default_factory=list)
+
+    @property
+    def empty(self) -> bool:
+        return not (self.takes or self.clouds or self.meshes or self.markers or self.cameras)
+
+    @property
+    def rate(self) -> float:
+        """Frames a second of the timeline: of the first that moves and says so."""
+        said = [take.rate for take in self.takes if not take.still]
+        said += [markers.frames.rate for markers in self.markers]
+        said += [meshes.rate for meshes in self.meshes if meshes.rate is not None]
+        return said[0] if said else 30.0
+
+    @property
+    def frames(self) -> int:
+        """Frames of the timeline, to the end of the longest."""
+        rate = self.rate
+        lengths = [len(take.motion) * rate / take.rate for take in self.takes]
+        lengths += [len(markers.frames) * rate / markers.frames.rate for markers in self.markers]
+        lengths += [len(meshes.vertices) * rate / (meshes.rate or rate) for meshes in self.meshes]
+        lengths += [float(len(clouds)) for clouds in self.clouds]
+        return max(1, *(round(length) for length in lengths), 1)
+
+
+def make_take(
+    name: str, skeleton: Skeleton, body: Body | None = None, motion: Motion | Pose | None = None, **more
+) -> Take:
+    """A take of a motion, of one pose, or of the rest pose where neither is given.
+
+    **Raises:** `ValueError` where the motion has another number of joints.
+    """
+    poses = motion.poses if isinstance(motion, Motion) else rest_pose(skeleton) if motion is None else motion
+    if poses.rotations.ndim == 2:
+        poses = Pose(poses.translations[None], poses.rotations[None], poses.scale[None])
+    if poses.rotations.shape[1] != skeleton.num_joints:
+        raise ValueError(
+            f"{name}: the motion has {poses.rotations.shape[1]} joints and the skeleton {skeleton.num_joints}; "
+            "give the motion of this skeleton, or retarget it."
+        )
+    rate = motion.rate if isinstance(motion, Motion) else 30.0
+    return Take(name, PosedMotion(skeleton, body, poses), rate, **more)

@@ -1,0 +1,165 @@
+"""Handles that a hand drags in a window: a ball at a target, and a line to the point that is to reach it."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from ..edit.constraints import Constraint, Place, Turn
+from .figure import Colour
+
+if TYPE_CHECKING:
+    from viser import SceneApi, SceneNodeDragEvent, TransformControlsEvent
+else:
+    SceneApi = SceneNodeDragEvent = TransformControlsEvent = Any
+
+Phase = Literal["start", "update", "end"]
+#: what is told of a drag: which point, how far it is, where its target is now, and how a joint is turned
+Told = Callable[[int | str, Phase, Place | None, Turn | None], None]
+
+#: of a target that is met, that is not, and that is pinned
+MET: Colour = (72, 168, 92)
+APART: Colour = (212, 64, 56)
+PINNED: Colour = (58, 110, 200)
+LINE: Colour = (60, 60, 60)
+#: a point within so many metres of its target has met it
+CLOSE = 0.005
+
+
+class Handles:
+    """The handles of one window's constraints.
+
+    **Arguments:** `scene` of one client; `radius` of the balls, metres; `told` is called while a hand drags one,
+    in viser's own loop, so it must not wait.
+    """
+
+    def __init__(self, scene: SceneApi, radius: float, told: Told):
+        self.radius = radius
+        self._scene, self._told = scene, told
+        self._balls: dict[int | str, _Handle] = {}
+        self._arrows: _Arrows | None = None
+        self._made = 0
+
+    def show(
+        self,
+        constraints: Sequence[Constraint],
+        places: Sequence[Place],
+        turns: Sequence[Turn],
+        selected: int | str | None,
+        arrows: bool,
+    ) -> None:
+        """Draw a handle for each constraint, whose point is at its place, and for joints is turned so; with arrows
+        at the selected one."""
+        here = {constraint.point for constraint in constraints}
+        for point in [point for point in self._balls if point not in here]:
+            self._balls.pop(point).remove()
+        for constraint, place in zip(constraints, places, strict=True):
+            if constraint.point not in self._balls:
+                self._made += 1
+                self._balls[constraint.point] = _Handle(
+                    self._scene, f"/handles/{self._made}", constraint, self.radius, self._told
+                )
+            self._balls[constraint.point].show(constraint, place, constraint.point == selected)
+        chosen = next((number for number, one in enumerate(constraints) if one.point == selected), None)
+        if self._arrows is not None and (
+            chosen is None
+            or not arrows
+            or self._arrows.point != selected
+            or self._balls[self._arrows.point].held
+        ):
+            self._arrows.remove()
+            self._arrows = None
+        if chosen is not None and arrows and not self._balls[constraints[chosen].point].held:
+            if self._arrows is None:
+                self._arrows = _Arrows(self._scene, constraints[chosen].point, 8 * self.radius, self._moved)
+            self._arrows.show(constraints[chosen], turns[chosen])
+
+    def _moved(self, point: int | str, phase: Phase, place: Place | None, turn: Turn | None) -> None:
+        if place is not None and point in self._balls:
+            self._balls[point].put(place)
+        self._told(point, phase, place, turn)
+
+
+class _Handle:
+    """One ball, its line, and the dot at the point itself."""
+
+    def __init__(self, scene: SceneApi, name: str, constraint: Constraint, radius: float, told: Told):
+        self.point, self.held = constraint.point, False
+        self._told, self._offset = told, np.zeros(3)
+        self._target = np.array(constraint.target)
+        self._line = scene.add_line_segments(
+            f"{name}/line", np.zeros((1, 2, 3), np.float32), LINE, thickness=2.0, thickness_units="screen"
+        )
+        self._dot = scene.add_icosphere(f"{name}/dot", 0.4 * radius, LINE, subdivisions=1, cast_shadow=False)
+        self._ball = scene.add_icosphere(f"{name}/ball", radius, APART, subdivisions=2, cast_shadow=False)
+        # in the plane that faces the eye, under the mouse; async, as only these keep their order
+        self._ball.on_drag("left")(self._dragged)
+
+    def show(self, constraint: Constraint, place: Place, selected: bool) -> None:
+        if not self.held:
+            self.put(constraint.target)
+        apart = float(np.linalg.norm(np.subtract(place, self._target)))
+        self._ball.color = PINNED if constraint.pinned else MET if apart < CLOSE else APART
+        self._ball.opacity = None if selected else 0.6
+        self._dot.position = place
+        self._line.points = np.array([[place, self._target]], np.float32)
+
+    def put(self, target: Place) -> None:
+        self._target = np.array(target)
+        self._ball.position = target
+
+    def remove(self) -> None:
+        for node in (self._line, self._dot, self._ball):
+            node.remove()
+
+    async def _dragged(self, event: SceneNodeDragEvent) -> None:
+        if event.phase == "start":
+            # where the ball was taken stays under the mouse
+            self.held, self._offset = True, self._target - np.array(event.start_position)
+        place = _place(np.array(event.end_position) + self._offset)
+        if event.phase == "end":
+            self.held = False
+        else:
+            self.put(place)
+        self._told(self.point, event.phase, None if event.phase == "end" else place, None)
+
+
+class _Arrows:
+    """Arrows along the axes at one handle, and rings for a joint's turn."""
+
+    def __init__(self, scene: SceneApi, point: int | str, size: float, told: Told):
+        self.point, self.held = point, False
+        self._told, self._before = told, np.zeros(4)
+        self._node = scene.add_transform_controls(
+            "/arrows",
+            scale=size,
+            line_width=3.0,
+            disable_rotations=not isinstance(point, str),
+            depth_test=False,
+        )
+        self._node.on_update(self._updated)
+
+    def show(self, constraint: Constraint, turn: Turn) -> None:
+        if not self.held:
+            self._node.position = constraint.target
+            self._node.wxyz = turn if constraint.orientation is None else constraint.orientation
+
+    def remove(self) -> None:
+        self._node.remove()
+
+    async def _updated(self, event: TransformControlsEvent) -> None:
+        if event.phase == "start":
+            self.held, self._before = True, np.array(event.target.wxyz)
+        place = _place(np.array(event.target.position))
+        turn = np.array(event.target.wxyz, float)
+        # a joint that was only moved may turn as before
+        turned = isinstance(self.point, str) and float(np.abs(turn - self._before).max()) > 1e-4
+        if event.phase == "end":
+            self.held = False
+        w, x, y, z = (float(value) for value in turn)
+        self._told(self.point, event.phase, place, (w, x, y, z) if turned else None)
+
+
+def _place(values: np.ndarray) -> Place:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

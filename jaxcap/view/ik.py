@@ -1,0 +1,219 @@
+"""Inverse kinematics in a window: click a point of the body, drag it, and the body follows (Kineben, section 4.2.1).
+
+Each browser has a session of its own, and one thread that solves for it. What a hand drags faster than that thread solves
+is passed over: it always takes the newest target.
+"""
+
+import threading
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from ..body.body import Body, pose_body
+from ..body.pose import Pose
+from ..edit import ik_session as ik
+from ..edit.constraints import Place, Turn
+from ..edit.ik_places import bone_turns, places_of
+from ..edit.ik_session import IkSession
+from .figure import BodyFigure, SkeletonFigure
+from .handles import Handles, Phase
+from .ik_controls import IkControls
+from .ik_files import constraints_file, pose_file, with_file
+from .ik_inbox import Inbox
+from .ik_pick import nearest_handle, pick_point
+from .serve import each_client
+
+if TYPE_CHECKING:
+    from viser import ClientHandle, SceneClickEvent, ViserServer
+else:
+    ClientHandle = SceneClickEvent = ViserServer = Any
+
+#: seconds in which a browser that has closed is noticed
+PATIENCE = 0.25
+#: of a handle's ball, in the body's size
+BALL = 0.011
+#: of the surface while joints are shown inside it
+GLASS = 0.45
+
+
+class Shown(NamedTuple):
+    """What of a session a window has drawn, metres."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    joints: Float[np.ndarray, "J 3"]
+
+
+def serve_ik(server: ViserServer, session: IkSession) -> list["IkWindow"]:
+    """Give every browser that comes a window with a session that begins as `session`. The list that comes back holds the
+    windows that are open."""
+    windows: list[IkWindow] = []
+
+    def visit(client: ClientHandle, gone: threading.Event) -> None:
+        window = IkWindow(client, session)
+        windows.append(window)
+        try:
+            window.run(gone)
+        finally:
+            windows.remove(window)
+
+    each_client(server, visit)
+    return windows
+
+
+class IkWindow:
+    """One browser's window; its `session` changes in the thread of `run` alone."""
+
+    def __init__(self, client: ClientHandle, session: IkSession):
+        self.client, self.session = client, session
+        self.selected: int | str | None = None
+        #: what was wrong with what was asked for last, in a sentence
+        self.note = "Preparing the solver."
+        self._inbox, body = Inbox(), session.body
+        with client.atomic():
+            self._surface = BodyFigure(client.scene, "/body", body)
+            self._skeleton = SkeletonFigure(client.scene, "/skeleton", body.skeleton)
+            self._skeleton.visible = False
+            places = np.concatenate([np.asarray(body.vertices), np.asarray(body.skeleton.centres)])
+            low, high = places.min(0), places.max(0)
+            self.size = float((high - low).max())
+            self.handles = Handles(client.scene, BALL * self.size, self._dragged)
+            self.controls = IkControls(
+                client, session, self._inbox.put, self._hold, self._redraw, self._save, self._load
+            )
+            client.scene.add_grid(
+                "/ground", width=4 * self.size, height=4 * self.size, plane="xz",
+                position=(0.0, float(low[1]), 0.0), cell_size=0.1 * self.size, section_size=0.5 * self.size,
+            )  # fmt: skip
+            middle = (low + high) / 2
+            # in this order, as what is looked at moves with the eye
+            client.camera.position = middle + self.size * np.array([0.3, 0.2, 1.15])
+            client.camera.look_at = middle
+        self.shown = self._show()
+        client.scene.on_click()(self._clicked)
+
+    def run(self, gone: threading.Event) -> None:
+        """Do what is asked for and show it, until the browser closes."""
+        # the first solve compiles, better before a hand waits for it; it changes nothing
+        preparing = self.note
+        self._tried(ik.solved)
+        self.note = "" if self.note == preparing else self.note
+        self.shown = self._show()
+        while not gone.is_set():
+            verbs = self._inbox.take(0.0 if self._unfinished() else PATIENCE)
+            if verbs:
+                self.note = ""
+            for verb in verbs or ([ik.solved] if self._unfinished() else []):
+                self.session = self._tried(verb)
+                verbs = verbs or [verb]
+            if verbs and not gone.is_set():
+                self.shown = self._show()
+
+    def _tried(self, verb: ik.Verb) -> IkSession:
+        try:
+            return verb(self.session)
+        except ValueError as error:
+            self.note = str(error)
+        except Exception as error:
+            # whatever a solver or an energy of somebody's own may raise: the session before it is whole
+            self.note = f"This could not be done ({type(error).__name__}: {error}); the pose is as it was."
+        return self.session
+
+    def _unfinished(self) -> bool:
+        """Whether a drag goes on whose last solve had too few steps."""
+        solution = self.session.solution
+        if self.session.grabbed is None or solution is None:
+            return False
+        return bool(solution.result == optx.RESULTS.nonlinear_max_steps_reached)
+
+    def _show(self) -> Shown:
+        session, state = self.session, self.session.state
+        vertices, joints, rotations = (np.asarray(found) for found in _posed(session.body, state.pose))
+        places = places_of(session.body, state.pose, state.constraints)
+        whole = bone_turns(session.body, state.pose)
+        names = session.body.skeleton.names
+        turns = [
+            whole[names.index(one.point)] if isinstance(one.point, str) else whole[0]
+            for one in state.constraints
+        ]
+        if all(one.point != self.selected for one in state.constraints):
+            self.selected = None
+        with self.client.atomic():
+            self._surface.show(vertices)
+            self._skeleton.show(joints, rotations)
+            self._skeleton.visible = self.controls.skeleton
+            surface = self.client.scene.get_handle_by_name(f"{self._surface.name}/surface")
+            wanted = GLASS if self.controls.skeleton else None
+            if surface is not None and getattr(surface, "opacity", wanted) != wanted:
+                surface.opacity = wanted  # pyright: ignore[reportAttributeAccessIssue]
+            self.handles.show(state.constraints, places, turns, self.selected, self.controls.arrows)
+            self.controls.draw(session, self.selected, self.note)
+        return Shown(vertices, joints)
+
+    def _clicked(self, event: SceneClickEvent) -> None:
+        """A handle is chosen, a point of the body held."""
+        shown, session = self.shown, self.session
+        eye, ray = np.array(event.ray_origin), np.array(event.ray_direction)
+        held = session.state.constraints
+        targets = np.array([one.target for one in held]).reshape(-1, 3)
+        handle = nearest_handle(targets, eye, ray, self.handles.radius)
+        if handle is not None:
+            self._choose(held[handle].point)
+            return
+        joints = shown.joints if self.controls.skeleton else None
+        point = pick_point(
+            eye, ray, shown.vertices, np.asarray(session.body.faces), joints, session.body.skeleton.names
+        )
+        if point is not None:
+            self._hold(point)
+
+    def _hold(self, point: int | str) -> None:
+        def held(session: IkSession) -> IkSession:
+            self.selected = point
+            return ik.add_constraint(session, point)
+
+        self._inbox.put(held)
+
+    def _dragged(self, point: int | str, phase: Phase, place: Place | None, turn: Turn | None) -> None:
+        if phase == "start":
+            self.selected = point
+            self._inbox.put(ik.grab)
+        if place is not None or turn is not None:
+            self._inbox.put(lambda session: ik.drag(session, point, place, turn), ("drag", point))
+        if phase == "end":
+            self._inbox.put(ik.release)
+
+    def _choose(self, point: int | str) -> None:
+        def chosen(session: IkSession) -> IkSession:
+            self.selected = point
+            return session
+
+        self._inbox.put(chosen)
+
+    def _redraw(self) -> None:
+        self._inbox.put(lambda session: session)
+
+    def _save(self, suffix: str) -> None:
+        def saved(session: IkSession) -> IkSession:
+            if suffix == ".json":
+                name, content = "constraints.json", constraints_file(session)
+            else:
+                name, content = f"pose{suffix}", pose_file(session, suffix)
+            self.client.send_file_download(name, content, save_immediately=True)
+            return session
+
+        self._inbox.put(saved)
+
+    def _load(self, name: str, content: bytes) -> None:
+        self._inbox.put(lambda session: with_file(session, name, content))
+
+
+@eqx.filter_jit
+def _posed(body: Body, pose: Pose) -> tuple[Float[Array, "V 3"], Float[Array, "J 3"], Float[Array, "J 3 3"]]:
+    posed = pose_body(body, pose)
+    found = posed.vertices, posed.joints, posed.transforms.rotations
+    return jax.tree.map(lambda values: values.astype(jnp.float32), found)

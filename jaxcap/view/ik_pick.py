@@ -1,0 +1,81 @@
+"""Which point of a posed body a click means."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+#: a click this share of the body's size beside a joint, or beside a vertex that has no triangle, means it
+NEAR = 0.02
+
+
+def pick_point(
+    origin: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    joints: Float[np.ndarray, "J 3"] | None = None,
+    names: Sequence[str] = (),
+) -> int | str | None:
+    """The point that a ray from `origin` along `direction` meets: the name of a joint, the index of a vertex, or None.
+
+    A joint that the ray passes by is meant, also behind the surface; joints that are not shown are not given. Else it
+    is the corner nearest to where the ray meets the first triangle, and where there are no triangles, the vertex
+    nearest to the ray.
+    """
+    direction = np.asarray(direction, float) / np.linalg.norm(direction)
+    size = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
+    if joints is not None and len(joints):
+        near = NEAR * max(size, float(np.ptp(joints, axis=0).max()))
+        joint = _nearest_to_ray(joints, origin, direction, near)
+        if joint is not None:
+            return names[joint]
+    if not len(vertices):
+        return None
+    if not len(faces):
+        return _nearest_to_ray(vertices, origin, direction, NEAR * size)
+    return _nearest_corner(vertices, faces, origin, direction)
+
+
+def nearest_handle(
+    places: Float[np.ndarray, "N 3"],
+    origin: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+    radius: float,
+) -> int | None:
+    """The first of spheres with a `radius` in metres around `places` that a ray meets; None where it meets none."""
+    direction = np.asarray(direction, float) / np.linalg.norm(direction)
+    along = (places - origin) @ direction
+    beside = np.linalg.norm(places - origin - along[:, None] * direction, axis=1)
+    met = np.flatnonzero((beside <= radius) & (along > 0))
+    return int(met[np.argmin(along[met])]) if len(met) else None
+
+
+def _nearest_to_ray(points: np.ndarray, origin: np.ndarray, direction: np.ndarray, near: float) -> int | None:
+    along = (points - origin) @ direction
+    beside = np.linalg.norm(points - origin - along[:, None] * direction, axis=1)
+    beside = np.where(along > 0, beside, np.inf)
+    best = int(np.argmin(beside))
+    return best if beside[best] <= near else None
+
+
+def _nearest_corner(
+    vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, direction: np.ndarray
+) -> int | None:
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    triangle = int(mesh.ray.intersects_first([origin], [direction])[0])
+    if triangle < 0:
+        return None
+    corners = np.asarray(vertices[faces[triangle]], float)
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    steep = float(normal @ direction)
+    # Embree says which triangle; where the ray meets its plane is one division
+    along = (
+        float(normal @ (corners[0] - origin)) / steep
+        if steep
+        else float((corners.mean(0) - origin) @ direction)
+    )
+    met = origin + along * direction
+    return int(faces[triangle][np.argmin(np.linalg.norm(corners - met, axis=1))])

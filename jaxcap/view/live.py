@@ -1,0 +1,117 @@
+"""A run of `jaxcap track` while it goes on: its frames as soon as they are solved, from its journal.
+
+A record that is half written is not there yet, and a journal that does not exist yet may come.
+"""
+
+import threading
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..body.body import Body
+from ..body.pose import Pose, rest_pose
+from ..body.skeleton import Skeleton
+from ..errors import InputError
+from ..io.journal import read_header, read_records
+from .contents import Take
+from .posing import PosedMotion
+
+JOURNAL = "journal"
+#: seconds between two looks
+OFTEN = 0.2
+#: numbers of a record in front of the pose: the seconds it took
+BEFORE = 1
+
+
+def record_poses(path: Path, skeleton: Skeleton, records: Float[np.ndarray, "N width"]) -> Pose:
+    """The poses in a run's records: behind the seconds that a frame took come its translations, rotations
+    and scale, and behind them what only the tracker needs.
+
+    **Raises:** `InputError` where the records are of another skeleton.
+    """
+    joints = skeleton.num_joints
+    # pose and seconds; four statistics and whether it is lost; pose, sigma, priors, change; three usual values
+    width = BEFORE + (7 * joints + 1) + 4 + 1 + (7 * joints + 1) + 1 + joints + skeleton.num_dofs + 3
+    if records.shape[1] != width:
+        raise InputError(
+            f"{path}: this run is of another body: its records have {records.shape[1]} numbers and those of this body's "
+            f"{joints} joints {width}; give the run's own body with --body."
+        )
+    at = np.cumsum([BEFORE, 3 * joints, 4 * joints, 1])
+    return Pose(
+        jnp.asarray(records[:, at[0] : at[1]].reshape(-1, joints, 3), jnp.float32),
+        jnp.asarray(records[:, at[1] : at[2]].reshape(-1, joints, 4), jnp.float32),
+        jnp.asarray(records[:, at[2]], jnp.float32),
+    )
+
+
+def follow_run(folder: Path, body: Body, rate: float = 30.0) -> Take:
+    """The take of a run that is not over, with the frames that it has; one at rest where it has none yet.
+
+    **Raises:** `InputError` where its journal is none, or of another body.
+    """
+    motion = PosedMotion(body.skeleton, body, _one(rest_pose(body.skeleton)))
+    take = Take(folder.name, motion, rate, running=folder)
+    RunFollower(take).look()
+    return take
+
+
+class RunFollower:
+    """Looks after a running take: `look` once, or `start` to look again and again in a thread."""
+
+    def __init__(self, take: Take):
+        assert take.running is not None
+        self.take, self.path = take, take.running / JOURNAL
+        #: how many frames of the run are in the take: at first there may be one at rest, which is none
+        self.count = 0
+        #: what was wrong when it last looked, in a sentence
+        self.told = ""
+        self._size = -1
+        self._header: object = None
+        self._stop = threading.Event()
+
+    def look(self) -> bool:
+        """Take up what is new; whether there was anything. Raises `InputError` where the run is of another body."""
+        try:
+            size = self.path.stat().st_size
+        except OSError:
+            return False
+        if size == self._size:
+            return False
+        header = read_header(self.path)
+        if header != self._header or size < self._size:
+            # it was begun anew
+            self.count, self._header = 0, header
+        records = read_records(self.path, self.count)
+        self._size = size
+        if not len(records):
+            return False
+        poses = record_poses(self.path, self.take.motion.skeleton, records)
+        if self.count:
+            self.take.motion.extend(poses)
+        else:
+            self.take.motion.replace(poses)
+        self.count += len(records)
+        return True
+
+    def start(self) -> None:
+        """Look every fifth of a second, until `stop`."""
+        threading.Thread(target=self._go_on, daemon=True).start()
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def _go_on(self) -> None:
+        while not self._stop.wait(OFTEN):
+            try:
+                self.look()
+                self.told = ""
+            except InputError as error:
+                # a header that is half written is one that is not there yet
+                self.told = str(error)
+
+
+def _one(pose: Pose) -> Pose:
+    return Pose(pose.translations[None], pose.rotations[None], pose.scale[None])

@@ -1,0 +1,280 @@
+"""Files into what a window shows: whatever `jaxcap info` knows, and the folders that runs and scans leave."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..body.body import Body
+from ..body.skeleton import Skeleton
+from ..errors import InputError
+from ..io.body_motion import read_motion_of
+from ..io.cameras import read_cameras
+from ..io.checkpoint import KIND as CHECKPOINT
+from ..io.clouds import read_clouds
+from ..io.constraints import KIND as CONSTRAINTS
+from ..io.limits import KIND as LIMITS
+from ..io.mesh import SUFFIXES, read_mesh
+from ..io.meshes import read_meshes
+from ..io.npz import body_of, load_arrays, load_body, motion_of
+from ..io.prior import KIND as PRIOR
+from ..io.registry import (
+    MARKER_READERS,
+    MOTION_READERS,
+    SKELETON_READERS,
+    read_marker_file,
+    read_motion,
+    read_skeleton,
+)
+from ..io.subject import KIND as SUBJECT
+from ..io.subject import load_subject
+from ..io.text import read_text
+from ..io.usd import SUFFIXES as USD_SUFFIXES
+from ..markers.subject import Subject
+from .clouds import SeenClouds
+from .contents import Contents, Markers, Meshes, Take, make_take
+from .live import JOURNAL, follow_run
+
+#: what has numbers in it and no shape, and what tells about it instead
+SHAPELESS = {
+    LIMITS: "these are limits of joints; `jaxcap info` tells what they hold, and `jaxcap limits check` how a motion keeps them",
+    PRIOR: "this is a prior of poses; `jaxcap info` tells what it holds",
+}
+#: the same by suffix
+OTHERS = {
+    **dict.fromkeys((".html", ".png", ".svg"), "this is a report; open it in a browser"),
+    **dict.fromkeys(
+        USD_SUFFIXES, "this is for other programs; give the body and the motion that it was made of"
+    ),
+    ".cst": "these are limits of joints; give them to a verb by --cst",
+    ".vj": "this is which joint moves each vertex; give the mesh beside it by --body",
+    ".csv": "these are the statistics of a run; give its folder",
+}
+
+
+def load(
+    files: Sequence[str],
+    bodies: Sequence[tuple[str, Body]] = (),
+    clouds: Sequence[str] = (),
+    *,
+    unit: str | None = None,
+    turn: Float[np.ndarray, "3 3"] | None = None,
+    rate: float | None = None,
+    follow: bool = False,
+) -> Contents:
+    """What is in files, folders and patterns.
+
+    **Arguments:** `files`, as a user names them; `bodies` by name, each of which is put on every motion that is
+    its own; `clouds`, sources that hold scans and nothing else; `unit` of lengths where a file does not say it;
+    `turn (3, 3)`, what brings scans and meshes upright; `rate` of a run that is not over; `follow`, whether a
+    run may have no frame yet.
+
+    **Raises:** `InputError` where a file is wrong, or a motion is of no body that was given.
+    """
+    return _Loader(list(bodies), unit, turn, rate, follow).load(files, clouds)
+
+
+class _Loader:
+    """What has been found so far. Motions come last, as their bodies may be named behind them."""
+
+    def __init__(self, bodies, unit: str | None, turn, rate: float | None, follow: bool):
+        self.bodies: list[tuple[str, Body]] = bodies
+        self.unit, self.turn, self.rate, self.follow = unit, turn, rate, follow
+        self.found = Contents()
+        self.motions: list[Path] = []
+        self.subjects: list[tuple[str, Subject]] = []
+        self.skeletons: list[tuple[str, Skeleton]] = []
+        self.runs: list[Path] = []
+
+    def load(self, files: Sequence[str], clouds: Sequence[str]) -> Contents:
+        for name in files:
+            self.take(name)
+        for source in clouds:
+            self.clouds(source)
+        used: set[str] = set()
+        for path in self.motions:
+            self.found.takes.append(self.moving(path, used))
+        for folder in self.runs:
+            self.found.takes.append(self.running(folder, used))
+        rest = [make_take(name, body.skeleton, body) for name, body in self.bodies if name not in used]
+        rest += [
+            make_take(name, subject.skeleton, subject=subject)
+            for name, subject in self.subjects
+            if name not in used
+        ]
+        rest += [make_take(name, skeleton) for name, skeleton in self.skeletons]
+        self.found.takes.extend(rest)
+        return self.found
+
+    def take(self, name: str) -> None:
+        path, suffix = Path(name), Path(name).suffix.lower()
+        if path.is_dir():
+            self.folder(path)
+        elif not path.is_file():
+            self.clouds(name)
+        elif suffix in (".npz", ".partial"):
+            self.arrays(path)
+        elif suffix == ".json":
+            self.json(path)
+        elif suffix in OTHERS and (suffix != ".csv" or path.name == "statistics.csv"):
+            self.found.told.append(f"{path}: {OTHERS[suffix]}.")
+        elif suffix in MARKER_READERS:
+            self.found.markers.append(Markers(path.name, read_marker_file(path, self.unit).frames))
+        elif suffix in MOTION_READERS and not (suffix in SUFFIXES and not _animated(path)):
+            self.motions.append(path)
+        elif suffix in SKELETON_READERS:
+            self.skeletons.append((path.name, read_skeleton(path, self.unit)))
+        elif suffix in SUFFIXES:
+            mesh = read_mesh(path, self.unit or "m")
+            self.found.meshes.append(Meshes(path.name, self.upright(mesh.vertices)[None], mesh.faces))
+        else:
+            known = sorted({*SUFFIXES, *MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, ".json"})
+            raise InputError(f"{path}: '{suffix}' files are not known; give one of {', '.join(known)}.")
+
+    def folder(self, folder: Path) -> None:
+        if (folder / "motion.npz").is_file():
+            self.motions.append(folder / "motion.npz")
+        elif (folder / JOURNAL).is_file() or (self.follow and not any(folder.iterdir())):
+            self.runs.append(folder)
+        elif (folder / "cameras.json").is_file():
+            self.found.cameras.extend(read_cameras(folder / "cameras.json"))
+            if (folder / "truth.npz").is_file():
+                self.motions.append(folder / "truth.npz")
+            packed = folder / "clouds.npz"
+            self.clouds(str(packed if packed.is_file() else folder))
+        else:
+            self.clouds(str(folder))
+
+    def clouds(self, source: str) -> None:
+        self.found.clouds.append(SeenClouds(read_clouds(source, unit=self.unit or "m"), self.turn))
+
+    def arrays(self, path: Path) -> None:
+        arrays = load_arrays(path)
+        kind = str(arrays["format"]) if "format" in arrays else ""
+        if kind == "jaxcap body":
+            self.bodies.append((path.name, load_body(path)))
+        elif kind == "jaxcap motion" or (not kind and "poses" in arrays):
+            self.motions.append(path)
+        elif kind == SUBJECT:
+            self.subjects.append((path.name, load_subject(path)))
+        elif kind == CHECKPOINT:
+            parts = {
+                group: {
+                    name.removeprefix(group): values
+                    for name, values in arrays.items()
+                    if name.startswith(group)
+                }
+                for group in ("body.", "motion.")
+            }
+            body = body_of(parts["body."], path)
+            self.found.takes.append(
+                make_take(path.name, body.skeleton, body, motion_of(parts["motion."], path))
+            )
+        elif kind in SHAPELESS:
+            self.found.told.append(f"{path}: {SHAPELESS[kind]}.")
+        elif "vertices" in arrays and {"faces", "face_counts"} & set(arrays):
+            meshes = read_meshes(path, self.unit or "m")
+            there = self.upright(np.asarray(meshes.vertices))
+            self.found.meshes.append(Meshes(path.name, there, np.asarray(meshes.faces), meshes.rate))
+        elif {"points", "vertices"} & set(arrays):
+            self.clouds(str(path))
+        else:
+            self.found.told.append(
+                f"{path}: there is nothing in it that has a shape, but {', '.join(arrays)}."
+            )
+
+    def json(self, path: Path) -> None:
+        try:
+            content = json.loads(read_text(path))
+        except json.JSONDecodeError:
+            content = {"cameras": None}
+        if isinstance(content, dict) and "cameras" in content:
+            self.found.cameras.extend(read_cameras(path))
+        elif isinstance(content, dict) and content.get("format") == CONSTRAINTS:
+            self.found.told.append(
+                f"{path}: these are constraints of a pose; `jaxcap ik --constraints` shows them."
+            )
+        else:
+            self.found.told.append(
+                f"{path}: there are no cameras in it; where it is of a run, give the run's folder."
+            )
+
+    def moving(self, path: Path, used: set[str]) -> Take:
+        """The take of a motion, with the body or the subject that it is of."""
+        more = _statistics(path)
+        # that of a run is known by its folder
+        name = path.resolve().parent.name if more else path.name
+        why: list[str] = []
+        for body_name, body in self.bodies:
+            try:
+                motion = read_motion_of(body, path)
+            except InputError as error:
+                why.append(str(error))
+                continue
+            used.add(body_name)
+            return make_take(name, body.skeleton, body, motion, **more)
+        given = ", ".join(body_name for body_name, _ in self.bodies)
+        if path.suffix.lower() == ".npz" and not {"names", "poses"} & set(load_arrays(path)):
+            # a motion alone
+            hint = f"it is not of {given}: {_short(why[0], path)}" if why else "give its body by --body."
+            raise InputError(f"{path}: this motion does not say its skeleton, and {hint}")
+        skeleton, motion = read_motion(path, self.unit)
+        for subject_name, subject in self.subjects:
+            if subject.skeleton.names == skeleton.names:
+                used.add(subject_name)
+                return make_take(name, subject.skeleton, motion=motion, subject=subject, **more)
+        if why:
+            raise InputError(f"{path}: this motion is not of {given}: {_short(why[0], path)}")
+        return make_take(name, skeleton, motion=motion, **more)
+
+    def running(self, folder: Path, used: set[str]) -> Take:
+        """The take of a run that is not over."""
+        if not self.bodies:
+            raise InputError(
+                f"{folder}: this run is not over, and its journal does not say of which body it is; give the body "
+                "by --body, as it was given to the run."
+            )
+        why = []
+        for name, body in self.bodies:
+            try:
+                taken = follow_run(folder, body, self.rate or 30.0)
+            except InputError as error:
+                why.append(error)
+            else:
+                used.add(name)
+                return taken
+        raise why[0]
+
+    def upright(self, vertices: np.ndarray) -> np.ndarray:
+        return vertices if self.turn is None else vertices @ self.turn.T
+
+
+def _short(why: str, path: Path) -> str:
+    return why.removeprefix(f"{path}: ")
+
+
+def _statistics(path: Path) -> dict[str, Any]:
+    """What a run's statistics beside its motion tell of each frame."""
+    beside = path.with_name("statistics.json")
+    if path.name != "motion.npz" or not beside.is_file():
+        return {}
+    try:
+        rows = json.loads(read_text(beside))["frames"]
+        return {
+            "sigmas": tuple(float(row["sigma"]) for row in rows),
+            "clouds": tuple(str(row["cloud"]) for row in rows),
+        }
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{beside}: these are not the statistics of a run; remove the file.") from None
+
+
+def _animated(path: Path) -> bool:
+    """Whether a mesh file has a skeleton that moves."""
+    try:
+        read_motion(path)
+    except InputError:
+        return False
+    return True

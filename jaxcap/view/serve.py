@@ -1,0 +1,164 @@
+"""A server of windows: opened on a port that is free, and a window of its own for every browser.
+
+viser is imported when a window is opened and not before, as it comes with an extra.
+"""
+
+import atexit
+import contextlib
+import errno
+import io
+import socket
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from viser import ClientHandle, ViserServer
+else:
+    # what only a type checker sees
+    ClientHandle = ViserServer = Any
+
+#: where a window is looked for first
+PORT = 8080
+#: nobody but this machine
+HOST = "127.0.0.1"
+
+
+def open_server(port: int | None = None, host: str = HOST, title: str | None = None) -> ViserServer:
+    """A server with y up, light and nothing to see, at `address(server)`. It says nothing on its own.
+
+    **Arguments:** `port`, where None is 8080 if that is free and any free one else; `host`, the
+    address of this machine that it listens at: `0.0.0.0` is every one, for browsers elsewhere;
+    `title`, which stands above the controls.
+
+    **Raises:** `InputError` where viser is not installed, the port is taken or the host is not of
+    this machine.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise InputError(
+            'viser: the windows need it and it is not installed; run pip install "jaxcap[view]".'
+        ) from None
+    # viser goes on to the next port without a word, so it is given one that we have held
+    free = _free_port(host, port)
+    # a browser that closes while a frame is on its way is no fault
+    warnings.filterwarnings("ignore", message="Queued an? .* on a closed connection")
+    with _silent():
+        server = viser.ViserServer(host=host, port=free, label=title, verbose=False)
+    if server.get_port() != free:
+        close_server(server)
+        raise _taken(host, free)
+    # before viser's own, which tells of its end
+    atexit.register(close_server, server)
+    server.scene.set_up_direction("+y")
+    _light(server)
+    return server
+
+
+def close_server(server: ViserServer) -> None:
+    """End a server, its port and its windows. Once more does nothing."""
+    atexit.unregister(close_server)
+    with _silent(), contextlib.suppress(RuntimeError):
+        server.stop()
+
+
+def address(server: ViserServer) -> str:
+    """What to give a browser."""
+    host = server.get_host()
+    return f"http://{'localhost' if host in ('0.0.0.0', HOST) else host}:{server.get_port()}"
+
+
+def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Event], None]) -> None:
+    """Call `build(client, gone)` for every browser that opens the window, in a thread of its own.
+
+    What `build` puts into `client.scene` and `client.gui` no other browser sees. `gone` is set
+    when this browser closes: a loop of `build` ends with `while not gone.wait(...)`. What is sent
+    afterwards goes nowhere, without a traceback, so a solve need not be stopped. A `ValueError` is
+    told in the browser.
+    """
+    leaving: dict[int, threading.Event] = {}
+
+    # both in the server's loop and in its order, so that no browser leaves before it came
+    @server.on_client_connect
+    async def _(client: ClientHandle) -> None:
+        gone = leaving[client.client_id] = threading.Event()
+        threading.Thread(target=_visit, args=(build, client, gone), daemon=True).start()
+
+    @server.on_client_disconnect
+    async def _(client: ClientHandle) -> None:
+        if (gone := leaving.pop(client.client_id, None)) is not None:
+            gone.set()
+
+
+def tell(client: ClientHandle, title: str, text: str) -> None:
+    """A sentence in a corner of one browser, until it is closed there."""
+    client.add_notification(title, text, color="orange", auto_close_seconds=None)
+
+
+def _light(server: ViserServer) -> None:
+    """The sky, the ground and a sun without shadows. viser's own picture of surroundings and its shadows look no
+    better on a grey body, and take a browser that draws in software three times as long."""
+    scene = server.scene
+    scene.configure_default_lights(False)
+    scene.configure_environment_map(None)
+    scene.add_light_hemisphere("/lights/sky", ground_color=(120, 116, 112), intensity=2.2)
+    scene.add_light_directional("/lights/sun", intensity=1.6, position=(1.0, 2.0, 2.0))
+
+
+def _visit(
+    build: Callable[[ClientHandle, threading.Event], None], client: ClientHandle, gone: threading.Event
+) -> None:
+    try:
+        build(client, gone)
+    except ValueError as error:
+        tell(client, "This cannot be shown", str(error))
+    except Exception:
+        # half of a window is gone with its browser
+        if not gone.is_set():
+            raise
+
+
+def _free_port(host: str, port: int | None) -> int:
+    if port is not None:
+        return _hold(host, port)
+    try:
+        return _hold(host, PORT)
+    except InputError:
+        return _hold(host, 0)
+
+
+def _hold(host: str, port: int) -> int:
+    """The number of a port that nobody listens at, let go again; for 0 the system chooses."""
+    try:
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as door:
+            # one that was just left is free, as it is for viser
+            door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            door.bind((host, port))
+            # bound is not enough: two may be, and one may listen
+            door.listen(1)
+            return door.getsockname()[1]
+    except OverflowError:
+        raise InputError(f"port {port}: ports go from 0 to 65535; give one of these with --port.") from None
+    except PermissionError:
+        raise InputError(f"port {port}: this is the system's own; give one above 1023 with --port.") from None
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise _taken(host, port) from None
+        raise InputError(
+            f"host {host}: this is no address of this machine; give {HOST} or 0.0.0.0 with --host."
+        ) from None
+
+
+def _taken(host: str, port: int) -> InputError:
+    return InputError(f"port {port}: another program listens there at {host}; give another one with --port.")
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Without viser's own table on the screen, which tells ports and not what is shown."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield

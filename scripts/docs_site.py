@@ -1,0 +1,118 @@
+"""What `mkdocs` needs to make a site of pages that also read well where they lie.
+
+Links out of `docs` become links inside of the site: figures of `assets` and rendered notebooks are taken along, other
+files are named without a link, and a function with its file, ``[`solve`](../jaxcap/fit/solve.py)``, leads to its own
+reference. Pages of the reference say which parts of the package they are of, `<!-- names of energy -->`, and get the
+public names from there.
+"""
+
+import ast
+import posixpath
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import jaxcap
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+    from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[1]
+#: a function with its file, any other link, and where names are to stand
+FUNCTION = re.compile(r"\[`([\w.]+)`\]\((?:\.\./)+(jaxcap/[\w/]+)\.py\)")
+LINK = re.compile(r"(!?\[[^\]]*\])\((\.\.?/[^)#\s]+)(#[^)\s]*)?\)")
+NAMES = re.compile(r"<!-- names of ([\w ,]+) -->")
+#: functions of the papers that are not among the public names have a page of their own
+PAPERS, RENDERED = "reference/papers.md", "notebooks/rendered/"
+
+
+def on_files(files: "Files", config: "MkDocsConfig") -> "Files":
+    """Take figures and notebooks along, and add the page of functions that only the papers' tables name."""
+    from mkdocs.structure.files import File
+
+    for path in sorted((ROOT / "assets").iterdir()):
+        if path.suffix in (".png", ".webp"):
+            files.append(File.generated(config, f"assets/{path.name}", abs_src_path=str(path)))
+    for path in sorted((ROOT / RENDERED).rglob("*")):
+        if path.is_file():
+            name = path.relative_to(ROOT / RENDERED).as_posix()
+            files.append(File.generated(config, f"notebooks/{name}", abs_src_path=str(path)))
+    content = "# Functions of the papers\n\nWhat the tables of equations name and `import jaxcap` does not bring.\n\n"
+    content += "\n".join(f"::: {name}\n" for name in paper_functions())
+    files.append(File.generated(config, PAPERS, content=content))
+    return files
+
+
+def on_page_markdown(markdown: str, page: "Page", config: "MkDocsConfig", files: "Files") -> str:
+    """Links and lists of one page."""
+    del config
+    where = page.file.src_uri
+    folder = posixpath.dirname(where)
+    if where.startswith("notebooks/"):
+        # as it lies in the checkout
+        folder = posixpath.join("..", RENDERED.rstrip("/"))
+    markdown = FUNCTION.sub(lambda found: f"[`{found[1]}`][{dotted(found[2])}.{found[1]}]", markdown)
+
+    def inside(found: re.Match) -> str:
+        target = posixpath.normpath(posixpath.join("docs", folder, found[2]))
+        uri = site_path(target)
+        if uri is not None and files.get_file_from_path(uri):
+            return f"{found[1]}({posixpath.relpath(uri, posixpath.dirname(where) or '.')}{found[3] or ''})"
+        if target.startswith("docs/"):
+            return found[0]
+        return found[1].strip("[]")
+
+    markdown = LINK.sub(inside, markdown)
+    return NAMES.sub(lambda found: "\n".join(f"::: jaxcap.{n}\n" for n in names_of(found[1])), markdown)
+
+
+def site_path(target: str) -> str | None:
+    """Where a file of the checkout lies in the site; None where it is not in it."""
+    if target.startswith("docs/"):
+        return target.removeprefix("docs/")
+    if target.startswith(RENDERED):
+        return "notebooks/" + target.removeprefix(RENDERED)
+    if re.fullmatch(r"notebooks/\w+\.py", target):
+        return target.removesuffix(".py") + ".md"
+    return target if target.startswith("assets/") else None
+
+
+def dotted(path: str) -> str:
+    return path.replace("/", ".").removesuffix(".__init__")
+
+
+def public_names() -> dict[str, str]:
+    """The module that each public name comes from, without `jaxcap`, in the order of `jaxcap/__init__.py`."""
+    tree = ast.parse((ROOT / "jaxcap" / "__init__.py").read_text())
+    return {
+        alias.asname or alias.name: str(node.module)
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
+def names_of(wings: str) -> list[str]:
+    """Public names of some parts of the package: `body, geometry`."""
+    wanted = [wing.strip() for wing in wings.split(",")]
+    return [name for name, module in public_names().items() if module.split(".")[0] in wanted]
+
+
+def paper_functions() -> list[str]:
+    """What the papers' tables name and is not public, by its full name."""
+    public = {f"{it.__module__}.{it.__qualname__}" for it in (getattr(jaxcap, n) for n in public_names())}
+    found: dict[str, None] = {}
+    for name in functions_of(sorted((ROOT / "docs").rglob("*.md"))):
+        if name not in public:
+            found[name] = None
+    return sorted(found)
+
+
+def functions_of(pages: list[Path]) -> Iterator[str]:
+    """The full names of all functions that pages link to by their files."""
+    for page in pages:
+        for name, path in FUNCTION.findall(page.read_text()):
+            yield f"{dotted(path)}.{name}"

@@ -1,0 +1,113 @@
+"""What pages hold: blocks of Python, commands, and what a page takes to be there before its first line."""
+
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxcap as jc
+from jaxcap.body.anatomy import rest_deviations
+from jaxcap.markers.anatomical import anatomical_markers
+from tests.markers_limb import moving, seen_by, truth, wrong
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+class Block(NamedTuple):
+    """What stands between two fences."""
+
+    language: str
+    text: str
+    #: lines of the page before the first one of the block
+    before: int
+
+
+def all_pages() -> list[str]:
+    """Pages for readers, as paths in the checkout."""
+    pages = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *sorted((CHECKOUT / "docs").rglob("*.md"))]
+    return [page.relative_to(CHECKOUT).as_posix() for page in pages]
+
+
+def blocks_of(page: str) -> list[Block]:
+    text = (CHECKOUT / page).read_text("utf-8")
+    return [Block(f[1], f[2], text.count("\n", 0, f.start()) + 1) for f in BLOCK.finditer(text)]
+
+
+def python_of(page: str) -> list[Block]:
+    return [block for block in blocks_of(page) if block.language == "python"]
+
+
+def commands_of(page: str) -> list[list[str]]:
+    """The words behind `jaxcap` of every command in a page's blocks; remarks are left out."""
+    commands = []
+    for block in blocks_of(page):
+        if block.language not in ("", "bash", "sh", "console", "shell"):
+            continue
+        for line in block.text.replace("\\\n", " ").splitlines():
+            for part in line.removeprefix("$ ").split("&&"):
+                if part.strip().startswith("jaxcap "):
+                    commands.append(shlex.split(part, comments=True)[1:])
+    return commands
+
+
+def markers_page(folder: Path) -> dict[str, object]:
+    """Takes of a limb with markers, a person who stands with landmarks, and names for both."""
+    rng = np.random.default_rng(0)
+    subject = truth()
+    frames = seen_by(subject, moving(rng, 60), rng)
+    for name in ("trial", "rom"):
+        jc.write_markers(folder / f"{name}.c3d", frames)
+    jc.write_markers(folder / "static.c3d", frames[:10])
+    (folder / "corrections.txt").write_text("trunk_0 - 0\n")
+    template = wrong(subject, rng)
+
+    body = jc.human(resolution="low", joints="tracking")
+    pose = jc.rest_pose(body.skeleton)
+    names = [f"{side}{mark}" for side in "LR" for mark in ("ASIS", "PSIS", "LFE", "MFE", "LM", "MM", "SAE")]
+    names += ["C7", "SUP"]
+    held = anatomical_markers(names, "low")
+    spots = np.asarray(held.places(jc.pose_body(body, pose)), float)
+    jc.write_markers(
+        folder / "standing.c3d", jc.make_markers(np.repeat(spots[None], 5, 0), held.labels, 100.0)
+    )
+    nearest = np.argmin(np.linalg.norm(spots[:, None] - np.asarray(body.vertices), axis=2), axis=1)
+    turned = jc.sample_poses(body.skeleton, count=2)
+    return {
+        "trajectories": np.asarray(frames.places),
+        "labels": frames.labels,
+        "places": np.asarray(frames.places[0]),
+        "skeleton": template.skeleton,
+        "bones": template.bones,
+        "offsets": template.offsets,
+        "trial": frames,
+        "body": body,
+        "pose": pose,
+        "start": pose,
+        "other_pose": jax.tree.map(lambda leaf: leaf[1], turned),
+        "spots": spots,
+        "names": held.labels,
+        "seen": np.ones(len(spots), bool),
+        "deviations": jnp.asarray(rest_deviations(body.skeleton, 1.0)),
+        "vertices": dict(zip(held.labels, nearest.tolist(), strict=True)),
+        "calibrated_skeleton": body.skeleton,
+    }
+
+
+def files_page(folder: Path) -> dict[str, object]:
+    """A body with a motion."""
+    del folder
+    body = jc.human(resolution="low")
+    return {"jc": jc, "body": body, "motion": jc.Motion(jc.sample_poses(body.skeleton, count=3), 30.0)}
+
+
+#: what is there before a page's first line: files in its folder, and names
+GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
+    "docs/markers.md": markers_page,
+    "docs/files.md": files_page,
+}

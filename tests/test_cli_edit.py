@@ -1,0 +1,239 @@
+"""`jaxcap edit` as a user types it, and what is refused."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from cli import fails, runs
+
+import jaxcap as jc
+from jaxcap.body.kinematics import joint_paths
+from jaxcap.edit.ground import lowest
+from jaxcap.geometry import rotation
+from jaxcap.io.registry import read_motion
+
+SKELETON = jc.make_skeleton(
+    ["Hips", "Chest", "Neck", "Head", "LeftArm", "RightArm"],
+    [-1, 0, 1, 2, 1, 1],
+    ["free"] + ["ball"] * 5,
+    [[0, 1.0, 0], [0, 1.3, 0], [0, 1.5, 0], [0, 1.6, 0.02], [0.2, 1.4, 0], [-0.2, 1.4, 0]],
+)
+
+
+def gait(frames=60, speed=0.04, rate=30.0):
+    phase = 2 * np.pi * np.arange(frames)[:, None, None] / 20
+    vectors = 0.3 * np.sin(phase + np.arange(6)[:, None] + np.arange(3))
+    translations = np.zeros((frames, 6, 3))
+    translations[:, 0, 2] = speed * np.arange(frames)
+    return jc.Motion(
+        jc.Pose(jnp.asarray(translations), rotation.exp(jnp.asarray(vectors)), jnp.ones(frames)), rate
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("edit")
+    jc.save_motion(folder / "a.npz", gait(), SKELETON)
+    jc.write_bvh(folder / "b.bvh", SKELETON, gait(40))
+    other = jc.make_skeleton(["x", "y"], [-1, 0], ["free", "ball"], [[0, 0, 0], [0, 1.0, 0]])
+    still = jc.Pose(jnp.zeros((5, 2, 3)), jnp.tile(jnp.array([1.0, 0, 0, 0]), (5, 2, 1)), jnp.ones(5))
+    jc.save_motion(folder / "other.npz", jc.Motion(still, 30.0), other)
+    return folder
+
+
+def test_clips_are_cut_resampled_joined_looped_and_mirrored(capsys, folder):
+    a, out = folder / "a.npz", folder / "out.npz"
+    assert "20 frames at 30" in runs(capsys, "edit", "cut", a, "-o", out, "--frames", 10, 29)
+    runs(capsys, "edit", "cut", a, "-o", folder / "s.npz", "--seconds", 0.5, 1.0)
+    assert len(jc.load_motion(folder / "s.npz")) == 16
+    assert "119 frames at 60" in runs(capsys, "edit", "resample", a, "-o", out, "--rate", 60, "--overwrite")
+    told = runs(
+        capsys, "edit", "join", a, folder / "b.bvh", "-o", out, "--blend", 0.2, "--find", "--overwrite"
+    )
+    assert "from frame" in told and "0 mm apart" in told
+    told = runs(capsys, "edit", "loop", a, "-o", out, "--in-place", "--overwrite")
+    assert "a round takes 0.67 s and stays in place" in told
+    x = np.asarray(joint_paths(SKELETON, jc.load_motion(out).poses))
+    assert len(x) == 21
+    np.testing.assert_array_equal(x[0], x[-1])
+    runs(capsys, "edit", "mirror", a, "-o", out, "--overwrite")
+    mirrored = np.asarray(joint_paths(SKELETON, jc.load_motion(out).poses))
+    own = np.asarray(joint_paths(SKELETON, gait().poses))
+    np.testing.assert_allclose(mirrored, own[:, [0, 1, 2, 3, 5, 4]] * [-1, 1, 1], atol=1e-6)
+
+
+def test_keys_are_written_by_joint_and_as_a_motion(capsys, folder):
+    a, out, keys = folder / "a.npz", folder / "keys.npz", folder / "keys.json"
+    told = runs(
+        capsys,
+        "edit",
+        "keys",
+        a,
+        "-o",
+        out,
+        "--keys",
+        keys,
+        "--per-joint",
+        "--degrees",
+        3,
+        "--millimetres",
+        20,
+    )
+    assert "keys of 6 joints for 60 frames" in told
+    content = json.loads(keys.read_text())
+    assert content["frames"] == 60 and set(content["joints"]) == set(SKELETON.names)
+    head = content["joints"]["Head"]
+    np.testing.assert_allclose(
+        head["rotations"], np.asarray(gait().poses.rotations)[head["frames"], 3], atol=1e-6
+    )
+    found = jc.load_motion(out)
+    assert np.degrees(rotation.distance(found.poses.rotations, gait().poses.rotations)).max() <= 3
+    runs(capsys, "edit", "keys", a, "--keys", folder / "all.npz")
+    with np.load(folder / "all.npz", allow_pickle=False) as arrays:
+        assert arrays["rotations"].shape == (len(arrays["frames"]), 4)
+
+
+def test_gaze_goes_to_a_target_for_some_frames(capsys, folder):
+    a, out = folder / "a.npz", folder / "gaze.npz"
+    told = runs(
+        capsys, "edit", "gaze", a, "-o", out, "--target", 1, 1.8, 3, "--frames", 10, 49, "--fade", 0.3
+    )
+    assert "Chest 10 %, Neck 40 %, Head 50 %" in told and "and 0.00° after" in told
+    found = jc.load_motion(out).poses.rotations
+    np.testing.assert_array_equal(found[:10], gait().poses.rotations[:10])
+    assert np.abs(found[30] - gait().poses.rotations[30]).max() > 0.01
+
+
+def test_retarget_brings_feet_to_the_floor_and_hands_together(capsys, folder):
+    from jaxcap.demo.performance import walk_and_wave
+
+    tall = jc.human(resolution="low", height=1.9)
+    jc.save_motion(folder / "tall.npz", walk_and_wave(tall.skeleton, 0.4, 10.0), tall.skeleton)
+    (folder / "points.txt").write_text("LeftHand LeftHand\nRightHand RightHand 2  # twice\n")
+    told = runs(capsys, "edit", "retarget", folder / "tall.npz", "human:height=1.5,low", "-o", folder / "short.npz",
+                "--by", "names", "--source", "human:height=1.9,low", "--ground", "--points", folder / "points.txt")  # fmt: skip
+    assert "by the names of joints" in told and "LeftHand and LeftHand: " in told
+    moved = jc.load_motion(folder / "short.npz")
+    short = jc.human(resolution="low", height=1.5)
+    assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.02
+    told = runs(capsys, "edit", "retarget", folder / "tall.npz", "human:height=1.5,low", "-o", folder / "skin.npz",
+                "--source", "human:height=1.9,low")  # fmt: skip
+    assert "retargeted by the surface" in told
+    moved = jc.load_motion(folder / "skin.npz")
+    assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.01
+
+
+def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
+    body = jc.human(resolution="low")
+    jc.save_body(folder / "body.npz", body)
+    rest = jc.rest_pose(body.skeleton)
+    lifted = jc.Pose(rest.translations.at[0, 1].add(0.5), rest.rotations, rest.scale)
+    jc.save_motion(folder / "lift.npz", jc.stack_poses([rest, lifted]), body.skeleton)
+    rng = np.random.default_rng(1)
+    scan = trimesh.Trimesh(np.asarray(body.vertices) + 0.005, np.asarray(body.faces), process=False)
+    scan.visual.vertex_colors = rng.integers(0, 255, (len(scan.vertices), 4)).astype(np.uint8)
+    scan.export(folder / "scan.ply")
+    told = runs(
+        capsys,
+        "edit",
+        "glue",
+        folder / "scan.ply",
+        folder / "body.npz",
+        folder / "lift.npz",
+        "-o",
+        folder / "glued",
+    )
+    assert "2 meshes of" in told and "with their colours" in told
+    for frame, lift in ((0, 0.0), (1, 0.5)):
+        found = trimesh.load(folder / "glued" / f"glued_{frame:04d}.ply", process=False)
+        np.testing.assert_allclose(found.vertices, scan.vertices + [0, lift, 0], atol=1e-5)
+        np.testing.assert_array_equal(found.faces, scan.faces)
+        np.testing.assert_array_equal(found.visual.vertex_colors, scan.visual.vertex_colors)
+    runs(capsys, "edit", "glue", folder / "scan.ply", folder / "body.npz", folder / "lift.npz", "-o", folder / "glued",
+         "--as", "obj", "--frames", 1, 1, "--overwrite")  # fmt: skip
+    assert [path.name for path in (folder / "glued").iterdir()] == ["glued_0001.obj"]
+    again = jc.read_mesh(folder / "glued" / "glued_0001.obj")
+    np.testing.assert_allclose(again.vertices, scan.vertices + [0, 0.5, 0], atol=1e-5)
+    said = fails(
+        capsys,
+        "edit",
+        "glue",
+        folder / "scan.ply",
+        folder / "body.npz",
+        folder / "lift.npz",
+        "-o",
+        folder / "glued",
+    )
+    assert "give --overwrite" in said
+    said = fails(
+        capsys,
+        "edit",
+        "glue",
+        folder / "scan.ply",
+        folder / "body.npz",
+        folder / "lift.npz",
+        "-o",
+        folder / "g2",
+        "--unit",
+        "cm",
+    )
+    assert "say by --unit" in said
+    said = fails(
+        capsys,
+        "edit",
+        "glue",
+        folder / "scan.ply",
+        folder / "body.npz",
+        folder / "lift.npz",
+        "-o",
+        folder / "g2",
+        "--frame",
+        2,
+    )
+    assert "there is no frame 2" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("cut a.npz -o new.txt --frames 0 3", "not written as '.txt'"),
+        ("cut a.npz -o new.npz --frames 0 60", "frames 0 to 60 are not in this motion"),
+        ("cut a.npz -o new.npz", "by --frames or by --seconds"),
+        ("cut a.npz -o a.npz --frames 0 3", "give --overwrite"),
+        ("cut none.npz -o new.npz --frames 0 3", "none.npz"),
+        ("cut b.bvh -o new.npz --frames 0 3 --unit m", "say by --unit"),
+        ("resample a.npz -o new.npz --rate 0", "above 0 frames a second"),
+        ("join a.npz other.npz -o new.npz", "another skeleton than"),
+        ("join a.npz b.bvh -o new.npz --blend 9", "blend over less"),
+        ("loop a.npz -o new.npz --frames 2 30", "takes the 6 frames before it"),
+        ("loop a.npz -o new.npz --least 5", "does not fit into a motion"),
+        ("mirror other.npz -o new.npz", "No joint has a twin"),
+        ("keys a.npz -o new.npz --degrees 0", "--degrees is 0"),
+        ("keys a.npz", "nothing to write"),
+        ("keys a.npz --keys keys.txt", "written as .json or .npz"),
+        ("gaze a.npz -o new.npz", "--target or by --direction"),
+        ("gaze a.npz -o new.npz --target 0 1.6 0.05", "from between the eyes"),
+        ("gaze a.npz -o new.npz --target 0 1.6 3 --joints Head,Neck,Chest", "does not hang on"),
+        ("gaze a.npz -o new.npz --target 0 1.6 3 --frames 0 9", "do not fit into frames 0 to 9"),
+        ("gaze other.npz -o new.npz --target 0 1.6 3", "name chest, neck and head"),
+        ("retarget a.npz other.npz -o new.npz", "say which do with a table"),
+        ("retarget a.npz a.npz -o new.npz --by surface", "give it by --source"),
+        ("retarget a.npz a.npz -o new.npz --ground", "this is a skeleton"),
+        ("retarget a.npz a.npz -o new.npz --points one.txt", "one.txt:1: this line has 1 words"),
+    ],
+)  # fmt: skip
+def test_wrong_input_ends_in_one_sentence(capsys, folder, monkeypatch, words, said):
+    monkeypatch.chdir(folder)
+    (folder / "one.txt").write_text("LeftHand\n")
+    assert said in fails(capsys, "edit", *words.split())
+    assert not (folder / "new.npz").exists()
+
+
+def test_a_skeleton_is_retargeted_to_itself(capsys, folder):
+    runs(capsys, "edit", "retarget", folder / "a.npz", folder / "b.bvh", "-o", folder / "same.bvh")
+    skeleton, moved = read_motion(folder / "same.bvh")
+    names = [skeleton.names.index(name) for name in SKELETON.names]
+    here = np.asarray(joint_paths(skeleton, moved.poses))[:, names]
+    np.testing.assert_allclose(here, joint_paths(SKELETON, gait().poses), atol=2e-4)

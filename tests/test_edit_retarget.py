@@ -1,0 +1,144 @@
+"""Retargeting by surfaces and by points, where the answer is known exactly."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import chain_body, chain_skeleton, random_pose
+
+from jaxcap.body.body import deform_all
+from jaxcap.body.kinematics import joint_paths
+from jaxcap.body.pose import Motion, Pose, stack_poses
+from jaxcap.body.skin import LinearSkin
+from jaxcap.edit.meet_points import PointPair, meet_points
+from jaxcap.edit.retarget_shape import retarget_shape
+from jaxcap.edit.transfer import make_transfer, transfer_pose
+from jaxcap.geometry import rotation
+
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def body():
+    return chain_body()
+
+
+@pytest.fixture(scope="module")
+def motion(body):
+    rng = np.random.default_rng(2)
+    return stack_poses([random_pose(body.skeleton, rng, 0.15) for _ in range(FRAMES)], 25.0)
+
+
+def resized(body, size):
+    skeleton = eqx.tree_at(lambda s: s.centres, body.skeleton, size * body.skeleton.centres)
+    return eqx.tree_at(lambda b: (b.skeleton, b.vertices), body, (skeleton, size * body.vertices))
+
+
+def test_transferred_to_itself_a_surface_is_as_posed(body, motion):
+    """The chain's three tubes hang together by nothing; bridges keep them where they belong."""
+    rest, posed = np.asarray(body.vertices), np.asarray(deform_all(body, motion.poses))[0]
+    transfer = make_transfer(rest, rest, np.asarray(body.faces))
+    pieces = np.repeat(np.arange(3), 16)
+    found = transfer_pose(transfer, posed)
+    for piece in range(3):
+        here, there = found[pieces == piece], posed[pieces == piece]
+        np.testing.assert_allclose(here - here.mean(0), there - there.mean(0), atol=1e-10)
+    # a rigid motion is carried over whole, and so is a size
+    turn = np.asarray(rotation.to_matrix(rotation.exp(jnp.array([0.3, 1.0, -0.5]))))
+    larger = make_transfer(rest, 1.7 * rest, np.asarray(body.faces))
+    found = transfer_pose(larger, 2.0 * rest @ turn.T + 3.0, scale=2.0)
+    np.testing.assert_allclose(found, 1.7 * (rest - rest.mean(0)) @ turn.T, atol=1e-10)
+
+
+def test_other_builds_keep_their_lengths(body, motion):
+    """A target that is twice as thick, bent: sides along the limb are as long as at rest."""
+    rest = np.asarray(body.vertices)
+    posed = np.asarray(deform_all(body, motion.poses))[1]
+    thick = rest * [1.0, 1.5, 1.5]
+    found = transfer_pose(make_transfer(rest, thick, np.asarray(body.faces)), posed)
+    faces = np.asarray(body.faces)
+    lengths = lambda x: np.linalg.norm(x[faces[:, 1]] - x[faces[:, 0]], axis=1)  # noqa: E731
+    ratio = lengths(found) / lengths(thick)
+    own = lengths(posed) / lengths(rest)
+    assert np.median(np.abs(ratio / own - 1)) < 0.1
+
+
+@pytest.mark.parametrize("size", [1.0, 0.7])
+def test_a_body_of_another_size_does_the_same_in_its_size(body, motion, size):
+    target = resized(body, size)
+    found = retarget_shape(body, target, motion)
+    assert found.ratio == pytest.approx(size) and found.motion.rate == 25.0
+    there, here = deform_all(body, motion.poses), deform_all(target, found.motion.poses)
+    want = size * np.asarray(there) + (1 - size) * np.array([0, found.floor, 0])
+    # the first frame stands where the source's is, scaled, and so do all that follow
+    np.testing.assert_allclose(here, want, atol=1e-5)
+    np.testing.assert_allclose(
+        rotation.distance(found.motion.poses.rotations, motion.poses.rotations), 0.0, atol=1e-4
+    )
+    assert found.rmse.max() < 1e-5
+    if size == 1.0:
+        np.testing.assert_allclose(
+            found.motion.poses.translations[:, 0], motion.poses.translations[:, 0], atol=1e-5
+        )
+
+
+def test_moved_joints_take_another_pose_for_the_same_surface(body, motion, rng):
+    """Copied, the pose would bring the surface elsewhere; on rigid parts it can be met where joints differ along bones."""
+    centres = body.skeleton.centres + 0.03 * rng.normal(size=body.skeleton.centres.shape)
+    moved = eqx.tree_at(lambda b: b.skeleton.centres, body, jnp.asarray(centres))
+    found = retarget_shape(body, moved, motion)
+    there = np.asarray(deform_all(body, motion.poses))
+    off = lambda poses: np.sqrt(np.mean(np.sum((np.asarray(deform_all(moved, poses)) - there) ** 2, -1)))  # noqa: E731
+    assert off(found.motion.poses) < 0.6 * off(motion.poses)
+
+
+def test_bodies_that_do_not_correspond_are_told(body, motion):
+    other = eqx.tree_at(lambda b: b.faces, body, body.faces[:, ::-1])
+    fewer = eqx.tree_at(
+        lambda b: (b.vertices, b.skin), body, (body.vertices[:-1], LinearSkin(body.skin.weights[:-1]))
+    )
+    turned = eqx.tree_at(
+        lambda b: b.vertices, body, body.vertices[:, jnp.array([1, 0, 2])] * jnp.array([1, -1, 1])
+    )
+    for target, words in (
+        (other, "other triangles"),
+        (fewer, "48 vertices and the target 47"),
+        (turned, "same pose"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            retarget_shape(body, target, motion)
+    with pytest.raises(ValueError, match="no frames"):
+        retarget_shape(body, body, motion.slice(slice(0, 0)))
+
+
+def test_points_meet_and_what_they_do_not_ask_for_stays(body, motion):
+    skeleton = chain_skeleton()
+    pairs = [PointPair("hand", "hand"), PointPair(40, 40, 2.0)]
+    same = meet_points(motion, body, motion, body, pairs)
+    assert same.distances.max() < 1e-9
+    np.testing.assert_allclose(same.motion.poses.rotations, motion.poses.rotations, atol=1e-7)
+    # the source shifted by a centimetre, which the target's points follow
+    shift = np.array([0.01, -0.004, 0.006])
+    moved = Motion(
+        Pose(motion.poses.translations.at[:, 0].add(shift), motion.poses.rotations, motion.poses.scale), 25.0
+    )
+    met = meet_points(motion, body, moved, body, pairs)
+    assert met.distances.max() < 5e-4
+    # of skeletons without a surface, in another size, about a floor
+    met = meet_points(motion, skeleton, motion, skeleton, pairs[:1], ratio=1.02, floor=-0.5)
+    hand = skeleton.index("hand")
+    want = 1.02 * np.asarray(joint_paths(skeleton, motion.poses))[:, hand] + 0.02 * np.array([0, 0.5, 0])
+    np.testing.assert_allclose(np.asarray(joint_paths(skeleton, met.motion.poses))[:, hand], want, atol=5e-4)
+    for call, words in (
+        (lambda: meet_points(motion, body, motion, body, []), "No pairs"),
+        (
+            lambda: meet_points(motion, body, motion, body, [PointPair("hand", "foot")]),
+            "no joint 'foot' in the target",
+        ),
+        (lambda: meet_points(motion, body, motion, body, [PointPair(48, 0)]), "no vertex 48 in the source"),
+        (lambda: meet_points(motion, skeleton, motion, body, [PointPair(3, 3)]), "without a surface"),
+        (lambda: meet_points(motion, body, motion, body, [PointPair(3, 3, 0.0)]), "weighs 0"),
+        (lambda: meet_points(motion, body, motion.slice(slice(0, 2)), body, pairs), "4 and 2 frames"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()

@@ -1,0 +1,197 @@
+"""Motions in AMASS's keys: there and back, held to SMPL's own map, and what is refused."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import chain_skeleton, random_pose
+from scipy.spatial.transform import Rotation
+
+from jaxcap.body.human import human
+from jaxcap.body.kinematics import joint_paths
+from jaxcap.body.pose import stack_poses
+from jaxcap.body.skeleton import make_skeleton
+from jaxcap.demo.performance import walk_and_wave
+from jaxcap.errors import InputError
+from jaxcap.io.amass import TREES, is_amass, read_amass, write_amass
+from jaxcap.io.npz import save_motion
+from jaxcap.io.registry import read_motion, read_skeleton
+
+
+@pytest.fixture(scope="module")
+def walk():
+    skeleton = human(resolution="low").skeleton
+    return skeleton, walk_and_wave(skeleton, seconds=0.3, rate=50.0)
+
+
+def smpl_joints(poses, trans, parents, centres):
+    """Joints as SMPL's forward map has them (Loper et al., 2015, eqs. 3 and 4): homogeneous transforms of steps between
+    rest joints, and `trans` added to all."""
+    found = []
+    for rows, move in zip(poses.reshape(len(poses), -1, 3), trans, strict=True):
+        world = []
+        for joint, parent in enumerate(parents):
+            local = np.eye(4)
+            local[:3, :3] = Rotation.from_rotvec(rows[joint]).as_matrix()
+            local[:3, 3] = centres[joint] - (centres[parent] if parent >= 0 else 0)
+            world.append(local if parent < 0 else world[parent] @ local)
+        found.append(np.array(world)[:, :3, 3] + move)
+    return np.array(found)
+
+
+def smpl_like(joints: int, rng):
+    """A skeleton with the joints of one of SMPL's family, at places of chance."""
+    names = [f"joint{number}" for number in range(joints)]
+    kinds = ["free"] + ["ball"] * (joints - 1)
+    return make_skeleton(names, TREES[joints], kinds, rng.normal(size=(joints, 3)))
+
+
+def amass_file(path, rng, joints=52, frames=4, **changed):
+    """A file as AMASS has it."""
+    arrays = {
+        "trans": rng.normal(size=(frames, 3)),
+        "gender": np.array("male"),
+        "mocap_framerate": np.array(120.0),
+        "betas": rng.normal(size=16),
+        "dmpls": rng.normal(size=(frames, 8)),
+        "poses": rng.normal(size=(frames, 3 * joints)),
+    }
+    arrays = {name: value for name, value in (arrays | changed).items() if value is not None}
+    np.savez(path, **arrays)
+    return arrays
+
+
+def test_there_and_back(walk, tmp_path):
+    skeleton, motion = walk
+    write_amass(tmp_path / "m.npz", skeleton, motion)
+    assert is_amass(tmp_path / "m.npz")
+    for back_skeleton, back in (read_amass(tmp_path / "m.npz"), read_motion(tmp_path / "m.npz")):
+        assert (back_skeleton.names, back_skeleton.parents, back_skeleton.kinds) == (
+            skeleton.names, skeleton.parents, skeleton.kinds,
+        )  # fmt: skip
+        np.testing.assert_array_equal(back_skeleton.orientations, skeleton.orientations)
+        assert back.rate == 50.0
+        np.testing.assert_allclose(back.poses.translations, motion.poses.translations, atol=1e-14)
+        same = np.abs(np.sum(np.asarray(back.poses.rotations) * np.asarray(motion.poses.rotations), -1))
+        np.testing.assert_allclose(same, 1.0, atol=1e-14)
+    np.testing.assert_array_equal(read_skeleton(tmp_path / "m.npz").centres, skeleton.centres)
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as file:
+        assert file["poses"].shape == (15, 3 * 31)
+        assert file["trans"].shape == (15, 3)
+        assert str(file["gender"]) == "neutral"
+        assert file["betas"].tolist() == [0.0] * 16
+        assert float(file["mocap_framerate"]) == float(file["mocap_frame_rate"]) == 50.0
+
+
+def test_what_is_written_is_what_smpl_would_make_of_it(walk, tmp_path):
+    """With the scale in the skeleton, and z up."""
+    skeleton, motion = walk
+    motion = eqx.tree_at(lambda m: m.poses.scale, motion, jnp.full(len(motion), 1.2))
+    write_amass(tmp_path / "m.npz", skeleton, motion)
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as file:
+        seen = smpl_joints(file["poses"], file["trans"], file["skeleton.parents"], file["skeleton.centres"])
+    ours = np.asarray(joint_paths(skeleton, motion.poses))
+    np.testing.assert_allclose(seen, ours[..., [0, 2, 1]] * [1, -1, 1], atol=1e-12)
+    assert np.ptp(seen[0, :, 2]) > 1.2
+    again = read_amass(tmp_path / "m.npz")
+    np.testing.assert_allclose(joint_paths(again[0], again[1].poses), ours, atol=1e-12)
+
+
+@pytest.mark.parametrize("joints", [24, 52])
+def test_files_of_amass_itself_need_a_body(tmp_path, rng, joints):
+    given = smpl_like(joints, rng)
+    arrays = amass_file(tmp_path / "m.npz", rng, joints)
+    skeleton, motion = read_amass(tmp_path / "m.npz", given)
+    assert skeleton is given
+    assert motion.rate == 120.0
+    seen = smpl_joints(arrays["poses"], arrays["trans"], TREES[joints], np.asarray(given.centres))
+    ours = np.asarray(joint_paths(given, motion.poses))
+    np.testing.assert_allclose(ours, seen[..., [0, 2, 1]] * [1, 1, -1], atol=1e-12)
+    upright = read_amass(tmp_path / "m.npz", given, up="y")[1]
+    np.testing.assert_allclose(joint_paths(given, upright.poses), seen, atol=1e-12)
+
+
+def test_trees_of_smpl():
+    """Counted by hand: fingers of three joints on each wrist, a jaw and two eyes on the head."""
+    for joints, parents in TREES.items():
+        assert len(parents) == joints
+        assert all(parent < joint for joint, parent in enumerate(parents))
+    for joints in (52, 55):
+        chains = [j for j in range(joints) if TREES[joints][j] in (20, 21)]
+        assert len(chains) == 10
+    assert [TREES[52].count(wrist) for wrist in (20, 21)] == [5, 5]
+    assert TREES[55][22:25] == (15, 15, 15)
+    # each finger is a chain
+    assert TREES[52][22:28] == (20, 22, 23, 20, 25, 26)
+    assert TREES[52][37:43] == (21, 37, 38, 21, 40, 41)
+
+
+def test_a_pickled_gender_is_not_read_and_a_pickled_pose_is_refused(tmp_path, rng):
+    given = smpl_like(52, rng)
+    amass_file(tmp_path / "m.npz", rng, gender=np.array("female", dtype=object))
+    assert len(read_amass(tmp_path / "m.npz", given)[1]) == 4
+    amass_file(tmp_path / "m.npz", rng, poses=np.array([None, 1.0], dtype=object))
+    with pytest.raises(InputError, match="pickled objects, which are never read"):
+        read_amass(tmp_path / "m.npz", given)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"mocap_framerate": None}, "the rate is not known"),
+        ({"mocap_framerate": np.array(-1.0)}, "number above zero"),
+        ({"mocap_framerate": np.array("fast")}, "number above zero"),
+        ({"poses": np.zeros((4, 155))}, "frames x 3 times joints"),
+        ({"poses": np.zeros((3, 156))}, "'trans' has the shape"),
+        ({"poses": np.full((4, 156), np.nan)}, "not finite, first in frame 0"),
+        ({"poses": np.zeros((4, 66))}, "22 joints, as of SMPL without hands, and the body has 52 joints"),
+        ({"poses": np.zeros((0, 156)), "trans": np.zeros((0, 3))}, "no frames"),
+        ({"trans": None}, "'trans' is missing"),
+    ],
+)
+def test_wrong_files_are_told(tmp_path, rng, changed, said):
+    amass_file(tmp_path / "m.npz", rng, **changed)
+    with pytest.raises(InputError, match=said):
+        read_amass(tmp_path / "m.npz", smpl_like(52, rng))
+
+
+def test_bodies_that_do_not_fit_are_told(walk, tmp_path, rng):
+    skeleton, motion = walk
+    amass_file(tmp_path / "m.npz", rng)
+    with pytest.raises(InputError, match="52 joints, as of SMPL-H, and no skeleton in this file"):
+        read_amass(tmp_path / "m.npz")
+    given = smpl_like(52, rng)
+    turned = make_skeleton(given.names, (-1, *range(51)), given.kinds, given.centres)
+    with pytest.raises(InputError, match="joint 2, 'joint2', hangs on another one"):
+        read_amass(tmp_path / "m.npz", turned)
+    write_amass(tmp_path / "own.npz", skeleton, motion)
+    assert read_amass(tmp_path / "own.npz", skeleton)[0] is skeleton
+    with pytest.raises(InputError, match="not of the body's joint0"):
+        read_amass(tmp_path / "own.npz", given)
+    taller = eqx.tree_at(lambda s: s.centres, skeleton, 1.1 * skeleton.centres)
+    with pytest.raises(InputError, match="of another body"):
+        read_amass(tmp_path / "own.npz", taller)
+
+
+def test_motions_that_amass_cannot_hold(walk, tmp_path, rng):
+    skeleton, motion = walk
+    chain = chain_skeleton()
+    slides = stack_poses([random_pose(chain, rng)])
+    grows = eqx.tree_at(lambda m: m.poses.scale, motion, jnp.linspace(1, 1.2, len(motion)))
+    two = make_skeleton(["a", "b"], [-1, -1], ["free", "free"], np.zeros((2, 3)))
+    still = stack_poses([random_pose(two, rng)])
+    for tree, moves, said in (
+        (chain, slides, "'slide' moves away from its place"),
+        (skeleton, grows, "scale changes from frame to frame"),
+        (two, still, "2 roots, a, b"),
+        (skeleton, motion.slice(slice(0, 0)), "no frames"),
+    ):
+        with pytest.raises(InputError, match=said):
+            write_amass(tmp_path / "m.npz", tree, moves)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_files_are_not_taken_for_it(walk, tmp_path):
+    save_motion(tmp_path / "ours.npz", walk[1], walk[0])
+    (tmp_path / "text.npz").write_text("no")
+    assert not any(is_amass(tmp_path / name) for name in ("ours.npz", "text.npz", "none.npz"))

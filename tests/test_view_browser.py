@@ -1,0 +1,185 @@
+"""The viewer in a real browser: what is asked for there arrives there, and nowhere else."""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from browser import chromium, shown, vertices, wait_for_node, wait_for_vertex  # noqa: F401
+from helpers import chain_body, random_pose
+
+from jaxcap.body.body import deform_all
+from jaxcap.body.pose import Motion, stack_poses
+from jaxcap.cli.results import pack, record_width
+from jaxcap.fit.em import FrameStatistics
+from jaxcap.fit.recover import TrackedFrame
+from jaxcap.fit.track import make_tracker, start_state
+from jaxcap.io.clouds import Scans
+from jaxcap.io.journal import begin_journal
+from jaxcap.view import show
+from jaxcap.view.app import serve_contents
+from jaxcap.view.clouds import SeenClouds
+from jaxcap.view.contents import Contents, make_take
+from jaxcap.view.live import follow_run
+from jaxcap.view.serve import address, close_server, open_server
+
+SURFACE = "/0/body/surface"
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    rng, skeleton = np.random.default_rng(5), chain_body().skeleton
+    return stack_poses([random_pose(skeleton, rng, 0.3) for _ in range(40)], rate=20.0)
+
+
+@pytest.fixture(scope="module")
+def posed(motion) -> np.ndarray:
+    return np.asarray(deform_all(chain_body(), motion.poses))
+
+
+@pytest.fixture(scope="module")
+def window(motion, posed):
+    """The address of a body in motion, with scans that are 10 mm off."""
+    body = chain_body()
+    rng = np.random.default_rng(6)
+    shift = [0.01 * rng.normal(size=posed.shape[1:]) for _ in posed]
+    scans = Scans([f"scan{i}" for i in range(len(posed))], lambda i: (posed[i] + shift[i], None))
+    server = open_server(0)
+    take = make_take("a take", body.skeleton, body, motion)
+    serve_contents(server, Contents(takes=[take], clouds=[SeenClouds(scans)]))
+    yield address(server)
+    close_server(server)
+
+
+def test_a_scrub_brings_the_frame_and_changes_the_picture(chromium, window, posed):  # noqa: F811
+    page = chromium(window)
+    wait_for_node(page, SURFACE)
+    wait_for_vertex(page, SURFACE, 0, posed[0, 0])
+    before = page.screenshot()
+    page.locator("[role=slider]").first.press("End")
+    wait_for_vertex(page, SURFACE, 47, posed[-1, 47])
+    np.testing.assert_allclose(vertices(page, SURFACE), posed[-1], atol=1e-5)
+    page.wait_for_timeout(500)
+    assert page.screenshot() != before
+    page.locator("[role=slider]").first.press("ArrowLeft")
+    wait_for_vertex(page, SURFACE, 0, posed[-2, 0])
+    page.close()
+
+
+def test_it_plays_and_stops(chromium, window, posed):  # noqa: F811
+    page = chromium(window)
+    wait_for_node(page, SURFACE)
+    page.get_by_role("button", name="Play").click()
+    seen = set()
+    deadline = time.monotonic() + 20
+    while len(seen) < 5 and time.monotonic() < deadline:
+        here = vertices(page, SURFACE)
+        apart = np.abs(posed - here).max((1, 2))
+        # every vertex of one frame, never a part of the next one
+        assert apart.min() < 1e-5
+        seen.add(int(apart.argmin()))
+    assert len(seen) >= 5
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("button", name="Play").wait_for()
+    page.wait_for_timeout(300)
+    still = vertices(page, SURFACE)
+    page.wait_for_timeout(300)
+    np.testing.assert_array_equal(vertices(page, SURFACE), still)
+    page.close()
+
+
+def test_two_users_do_not_see_each_others_edits(chromium, window, posed):  # noqa: F811
+    first, second = chromium(window), chromium(window)
+    for page in (first, second):
+        wait_for_vertex(page, SURFACE, 0, posed[0, 0])
+    first.locator("[role=slider]").first.press("End")
+    first.get_by_label("Skeleton").check()
+    wait_for_vertex(first, SURFACE, 0, posed[-1, 0])
+    first.wait_for_function("window.__viserMutable.nodeRefFromName['/0/skeleton'].visible")
+    np.testing.assert_allclose(vertices(second, SURFACE), posed[0], atol=1e-5)
+    assert not shown(second, "/0/skeleton/bones")
+    first.close()
+    second.close()
+
+
+def test_what_is_hidden_is_not_sent(chromium, window, posed):  # noqa: F811
+    page = chromium(window)
+    wait_for_vertex(page, SURFACE, 0, posed[0, 0])
+    page.get_by_label("Surface").uncheck()
+    page.wait_for_function("!window.__viserMutable.nodeRefFromName['/0/body'].visible")
+    page.get_by_label("Skeleton").check()
+    page.locator("[role=slider]").first.press("End")
+    # the skeleton has come, so the surface would have, too
+    page.wait_for_function("window.__viserMutable.nodeRefFromName['/0/skeleton'].visible")
+    page.wait_for_timeout(500)
+    np.testing.assert_allclose(vertices(page, SURFACE), posed[0], atol=1e-5)
+    page.get_by_label("Surface").check()
+    wait_for_vertex(page, SURFACE, 0, posed[-1, 0])
+    page.close()
+
+
+def test_distances_paint_the_surface_in_bands(chromium, window):  # noqa: F811
+    page = chromium(window)
+    wait_for_node(page, SURFACE)
+    page.get_by_label("Colours").click()
+    page.get_by_role("option", name="distance to the scan").click()
+    page.wait_for_function("!window.__viserMutable.nodeRefFromName['/0/body/surface'].visible")
+    bands = [name for name in (f"/0/body/colour{band}" for band in range(13)) if shown(page, name)]
+    assert len(bands) > 2
+    page.close()
+
+
+def test_a_browser_that_closes_is_let_go(chromium, window, capfd):  # noqa: F811
+    page = chromium(window)
+    wait_for_node(page, SURFACE)
+    page.get_by_role("button", name="Play").click()
+    page.close()
+    time.sleep(1.5)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_running_track_appears_frame_by_frame(chromium, tmp_path, motion, posed):  # noqa: F811
+    body = chain_body()
+    tracker = make_tracker(body)
+    number = jnp.zeros(())
+
+    def record(frame: int) -> np.ndarray:
+        state = start_state(tracker, motion[frame])
+        numbers = FrameStatistics(number, number, number, number)
+        return pack(TrackedFrame(motion[frame], numbers, False, state, (0.0, 0.0, 0.0)), 0.1)
+
+    server = open_server(0)
+    with begin_journal(tmp_path / "journal", {}, record_width(tracker)) as journal:
+        followers = serve_contents(server, Contents(takes=[follow_run(tmp_path, body)]))
+        page = chromium(address(server))
+        wait_for_vertex(page, SURFACE, 0, body.vertices[0])
+        journal.append(record(3))
+        wait_for_vertex(page, SURFACE, 0, posed[3, 0])
+        journal.append(record(4))
+        wait_for_vertex(page, SURFACE, 0, posed[4, 0])
+        # half of a record is none
+        with open(journal.path, "ab") as file:
+            file.write(record(5).tobytes()[:200])
+        page.wait_for_timeout(600)
+        np.testing.assert_allclose(vertices(page, SURFACE), posed[4], atol=1e-5)
+        assert followers[0].told == ""
+        page.close()
+    for follower in followers:
+        follower.stop()
+    close_server(server)
+    jax.clear_caches()
+
+
+def test_a_recording_plays_without_a_server(chromium, tmp_path, motion, posed):  # noqa: F811
+    (tmp_path / "take.html").write_text(show(chain_body(), motion).page(frames=10))
+    page = chromium((tmp_path / "take.html").as_uri())
+    wait_for_node(page, SURFACE)
+    seen = set()
+    deadline = time.monotonic() + 30
+    while len(seen) < 3 and time.monotonic() < deadline:
+        apart = np.abs(posed[::4] - vertices(page, SURFACE)).max((1, 2))
+        assert apart.min() < 1e-5
+        seen.add(int(apart.argmin()))
+    assert len(seen) >= 3
+    page.close()
