@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=ASSETS)
     options = parser.parse_args()
 
-    actor, body = jc.human(resolution="full"), jc.human(resolution="medium", joints="tracking")
+    actor, body = jc.human(), jc.human(resolution="medium", joints="tracking")
     performance = perform(actor.skeleton)
     parents, faces = body.skeleton.parents, np.asarray(body.faces)
     frames = list(follow(actor, performance, body))

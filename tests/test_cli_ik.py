@@ -47,7 +47,8 @@ def test_constraints_are_met_and_the_pose_is_written(folder, capsys):
 
 def test_limits_are_kept(folder, capsys):
     (folder / "leg.cst").write_text("KBCST 1\nknee 0 0.5\n")
-    runs(capsys, "ik", folder / "leg.npz", "--limits", folder / "leg.cst", "--constraints", folder / "near.json", "-o",
+    (folder / "behind.json").write_text(HEAD + '[{"vertex": 0, "target": [0, 0.3, -0.3]}]}')
+    runs(capsys, "ik", folder / "leg.npz", "--limits", folder / "leg.cst", "--constraints", folder / "behind.json", "-o",
          folder / "kept.npz")  # fmt: skip
     body = jc.load_body(folder / "leg.npz")
     pose = jc.load_motion(folder / "kept.npz", body.skeleton)[0]

@@ -157,9 +157,10 @@ def test_files_go_to_the_browser_and_come_from_it(chromium, served, body, tmp_pa
     pose = jc.load_motion(tmp_path / "pose.npz", body.skeleton)[0]
     np.testing.assert_allclose(pose.rotations, window.session.state.pose.rotations, atol=1e-6)
 
+    path = path.with_name("wrong.json")
     path.write_text("{}")
     chooser.set_input_files(str(path))
-    page.get_by_text("held.json: this is not a file of constraints").wait_for()
+    page.get_by_text("wrong.json: this is not a file of constraints").wait_for()
     assert window.session.state.constraints == (held,)
     page.close()
 

@@ -131,8 +131,11 @@ def test_a_real_walk_on_the_floor(shared, height):
     moved = retarget(motion, asf.skeleton, body.skeleton)
     # the floor of this capture rises by four centimetres along the walk, and the body goes with it
     ratio = size_ratio(asf.skeleton, body.skeleton)
-    off = lowest(body, moved.poses) - ratio * np.asarray(positions(asf.skeleton, motion.poses))[..., 1].min(1)
-    assert np.abs(np.median(off)) < 0.015 and np.abs(off).max() < 0.05
+    low = lowest(body, moved.poses)
+    off = low - ratio * np.asarray(positions(asf.skeleton, motion.poses))[..., 1].min(1)
+    assert np.abs(low[:6]).max() < 0.035
+    # soles are below the lowest joint, by as much in every frame
+    assert np.ptp(off) < 0.025
 
 
 def test_soles_are_told_by_the_joints_that_bear():

@@ -232,15 +232,24 @@ def test_an_unfinished_run_asks_for_its_body(tmp_path, body, motion):
         journal.append(_record(tracker, motion, 0))
     with pytest.raises(InputError, match="--body"):
         load([str(tmp_path)])
-    (take,) = load([str(tmp_path)], [("body", body)]).takes
-    assert take.running == tmp_path and len(take.motion) == 1
+    # one that was stopped has both; it is followed where that is asked for
+    save_motion(tmp_path / "motion.npz", motion, body.skeleton)
+    assert load([str(tmp_path)]).takes[0].running is None
+    assert load([str(tmp_path)], [("body", body)], follow=True).takes[0].running == tmp_path
+    (tmp_path / "motion.npz").unlink()
+    np.savez(tmp_path / "clouds.npz", points=np.zeros((9, 4, 3)))
+    found = load([str(tmp_path)], [("body", body)], [str(tmp_path / "clouds.npz")])
+    assert found.takes[0].running == tmp_path and len(found.takes[0].motion) == 1
+    # its end is the last frame solved, whatever scans wait
+    assert found.frames == 1
 
 
 def test_a_window_may_wait_for_a_run(tmp_path, body):
     with pytest.raises(InputError):
         load([str(tmp_path)], [("body", body)])
-    (take,) = load([str(tmp_path)], [("body", body)], follow=True).takes
-    assert take.running == tmp_path and not take.still
+    for folder in (tmp_path, tmp_path / "later"):
+        (take,) = load([str(folder)], [("body", body)], follow=True).takes
+        assert take.running == folder and not take.still
 
 
 def test_the_timeline_leaves_frames_out_and_is_never_late():
@@ -284,7 +293,9 @@ def test_bands_hold_what_the_legend_says():
     assert len(np.unique(heat_palette(), axis=0)) == BANDS + 1
 
 
-def test_points_on_a_part_have_its_colour(body):
+@pytest.mark.parametrize("faces", [True, False])
+def test_points_on_a_part_have_its_colour(body, faces):
+    body = body if faces else Body(body.skeleton, body.skin, body.vertices, body.faces[:0])
     colours = make_part_colours(body)
     vertices = np.asarray(body.vertices)
     far = np.array([[5.0, 5.0, 5.0]])

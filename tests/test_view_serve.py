@@ -15,8 +15,12 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.pose import stack_poses
 from jaxcap.errors import InputError
+from jaxcap.io.clouds import Scans
 from jaxcap.io.npz import save_body, save_motion
 from jaxcap.view import show
+from jaxcap.view.clouds import SeenClouds
+from jaxcap.view.column import DISTANCE, Choice, Column
+from jaxcap.view.contents import make_take
 from jaxcap.view.figure import BodyFigure, SkeletonFigure
 from jaxcap.view.serve import address, close_server, open_server
 
@@ -134,6 +138,27 @@ def test_a_body_without_faces_is_its_points():
     turned = np.asarray(body.skeleton.orientations)
     alike = np.abs(np.sum(skeleton._axes.batched_wxyzs * turned, 1))
     np.testing.assert_allclose(alike, 1.0, atol=1e-5)
+    close_server(server)
+
+
+def test_a_scan_that_is_being_written_is_told_and_tried_again():
+    body, there = chain_body(), []
+
+    def read(frame):
+        if not there:
+            raise InputError("scan.ply: this is not a whole file.")
+        return np.asarray(body.vertices), None
+
+    server = open_server(0)
+    take = make_take("take", body.skeleton, body)
+    column = Column(server.scene, "/0", 0, take, SeenClouds(Scans(["scan.ply"], read)))
+    look = column.look(0.0, 0, Choice(colours=DISTANCE))
+    column.draw(look, Choice(colours=DISTANCE))
+    assert look.wrong == "scan.ply: this is not a whole file." and look.points is None
+    there.append(True)
+    look = column.look(0.0, 0, Choice(colours=DISTANCE))
+    column.draw(look, Choice(colours=DISTANCE))
+    assert look.wrong == "" and column.scan is not None and column.scan.node.visible
     close_server(server)
 
 

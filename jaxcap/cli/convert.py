@@ -27,7 +27,7 @@ from .convert_body import write_linear_body
 from .convert_points import read_labels, write_points
 from .convert_way import PURPOSES, Way, check_options, check_units, find_way
 from .options import Flag, OptionalFile, OptionalUnit, arg
-from .say import say
+from .say import say, warn
 
 #: metres, and bones a vertex
 TOLERANCE, INFLUENCES = 0.001, 4
@@ -135,8 +135,11 @@ class Convert:
         write_points(self.target, skeleton, motion, body, labels, self.target_unit)
 
     def write_markers(self) -> None:
-        frames = read_marker_file(self.source, self.unit).frames
+        file = read_marker_file(self.source, self.unit)
+        frames = file.frames
         write_markers(self.target, frames, self.target_unit)
+        for sentence in file.told:
+            warn(f"{self.source.name}: {sentence}")
         say(f"{self.target}: {len(frames.labels)} markers, {len(frames)} frames at {frames.rate:g} a second")
 
     def write_mesh(self) -> None:

@@ -33,7 +33,7 @@ class View:
     clouds: Names = ()
     """Clouds to compare with: a printf pattern, a quoted glob, a folder or an .npz."""
     follow: Flag = False
-    """Wait for a run that has not begun; one that is not over is followed in any case."""
+    """Wait for a run that has not begun, or goes on again; one that has no results yet is followed in any case."""
     spacing: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
     """Metres between motions; 0 puts them over each other. As their widths ask where not given."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None

@@ -112,7 +112,7 @@ class _Points:
                 )
         vertices = np.array([point for point in points if not isinstance(point, str)], int)
         none = jnp.zeros((0, 3), int)
-        if isinstance(owner, Skeleton):
+        if isinstance(owner, Skeleton) or len(vertices) == 0:
             self.body = Body(
                 skeleton, RigidSkin(jnp.zeros(0, int)), jnp.zeros((0, 3), skeleton.centres.dtype), none
             )

@@ -14,8 +14,10 @@ import scipy.sparse.linalg
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from ..geometry.mesh import mesh_edges
+from ..geometry.procrustes import nearest_rotation
 
 #: what a side that joins two pieces of a surface weighs, beside sides within them
 BRIDGE = 1.0
@@ -36,6 +38,8 @@ class Transfer(NamedTuple):
     weights: Float[np.ndarray, "E"]
     factor: scipy.sparse.linalg.SuperLU
     count: int
+    #: (B, 3, 3) for the bridges, the last of the sides: what turns and stretches a source's at rest to the target's
+    bridges: Float[np.ndarray, "B 3 3"]
 
 
 def make_transfer(
@@ -93,6 +97,7 @@ def make_transfer(
         weights,
         factor,
         count,
+        _similarities(source, target, bridges),
     )
 
 
@@ -103,7 +108,15 @@ def transfer_pose(
     by than at rest, and the target is not."""
     deformations = _frames(np.asarray(posed, float), transfer.faces) @ transfer.frames / scale
     each = 0.5 * (deformations[transfer.owners[:, 0]] + deformations[transfer.owners[:, 1]])
-    wanted = transfer.weights[:, None] * np.einsum("eab,eb->ea", each, transfer.sides)
+    wanted = np.einsum("eab,eb->ea", each, transfer.sides)
+    count = len(transfer.bridges)
+    if count:
+        # between pieces nothing is deformed: the source's own way, as much longer and elsewhere as at rest
+        turns = nearest_rotation(each[-count:])
+        ends = np.asarray(posed, float)[transfer.ends[-count:]]
+        own = np.einsum("eba,eb->ea", turns, ends[:, 0] - ends[:, 1]) / scale
+        wanted[-count:] = np.einsum("eab,ebc,ec->ea", turns, transfer.bridges, own)
+    wanted *= transfer.weights[:, None]
     right = np.zeros((transfer.count, 3))
     np.add.at(right, transfer.ends[:, 0], wanted)
     np.subtract.at(right, transfer.ends[:, 1], wanted)
@@ -120,6 +133,18 @@ def _frames(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = normal / np.sqrt(np.maximum(length, 1e-12 * max(float(length.max()), 1e-300)))
     return np.stack([first, second, normal], 2)
+
+
+def _similarities(source: np.ndarray, target: np.ndarray, bridges: np.ndarray) -> np.ndarray:
+    """(B, 3, 3) the shortest turn of a way at rest onto another, times the ratio of their lengths."""
+    found = np.tile(np.eye(3), (len(bridges), 1, 1))
+    for row, (end, start) in enumerate(bridges):
+        here, there = source[end] - source[start], target[end] - target[start]
+        lengths = np.linalg.norm(here), np.linalg.norm(there)
+        if min(lengths) > 1e-9:
+            turn = Rotation.align_vectors(there[None], here[None])[0].as_matrix()
+            found[row] = lengths[1] / lengths[0] * turn
+    return found
 
 
 def _bridges(vertices: np.ndarray, faces: np.ndarray) -> Int[np.ndarray, "B 2"]:

@@ -32,8 +32,8 @@ else:
 PLAIN, DISTANCE, POSTERIOR = "plain", "distance to the scan", "parts of the posterior"
 #: of takes beside each other
 TAKES: tuple[Colour, ...] = (CLAY, (121, 178, 160), (201, 151, 166), (158, 154, 205), (200, 183, 120))
-#: frames whose distances are kept; each is some 60 kB
-HEATS = 2_000
+#: frames whose distances are kept; each is some 80 kB
+HEATS = 1_000
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,8 @@ class Column:
     def _heat(self, frame: int, cloud: SeenCloud, posed: PosedFrame, faces: np.ndarray) -> ScanHeat:
         running = self.take is not None and self.take.running is not None
         if frame not in self._heats or running:
-            self._heats[frame] = scan_heat(cloud, posed.vertices, faces)
+            heat = scan_heat(cloud, posed.vertices, faces)
+            self._heats[frame] = ScanHeat(*(values.astype(np.float32) for values in heat))
             while len(self._heats) > HEATS:
                 self._heats.popitem(last=False)
         return self._heats[frame]

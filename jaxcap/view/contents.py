@@ -86,7 +86,9 @@ class Contents:
         lengths = [len(take.motion) * rate / take.rate for take in self.takes]
         lengths += [len(markers.frames) * rate / markers.frames.rate for markers in self.markers]
         lengths += [len(meshes.vertices) * rate / (meshes.rate or rate) for meshes in self.meshes]
-        lengths += [float(len(clouds)) for clouds in self.clouds]
+        if not any(take.running for take in self.takes):
+            # the newest frame of a run is the last one solved, whatever scans wait
+            lengths += [float(len(clouds)) for clouds in self.clouds]
         return max(1, *(round(length) for length in lengths), 1)
 
 

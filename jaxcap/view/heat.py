@@ -123,7 +123,11 @@ def posterior_colours(
     the share of no part (Kineben, eq. 20). `sigma` is the mixture's deviation, metres."""
     rows = _judged(len(cloud.points))
     points = cloud.points[rows]
-    normals = estimate_normals(points) if cloud.normals is None else cloud.normals[rows]
+    if len(colours.body.faces) == 0:
+        # without a side to its vertices any normal will do
+        normals = np.zeros_like(points)
+    else:
+        normals = estimate_normals(points) if cloud.normals is None else cloud.normals[rows]
     judged = make_cloud(points, normals)
     found = _posterior(colours, np.asarray(vertices), judged, np.asarray(sigma))
     parts, weights, outlier = (

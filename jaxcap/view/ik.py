@@ -113,6 +113,19 @@ class IkWindow:
             if verbs and not gone.is_set():
                 self.shown = self._show()
 
+    def pixel(self, place: Place, width: int, height: int) -> tuple[float, float]:
+        """Where a place is on a screen of so many pixels, by the camera that the browser tells."""
+        camera = self.client.camera
+        eye = np.array(camera.position)
+        ahead = np.array(camera.look_at) - eye
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, camera.up_direction)
+        right /= np.linalg.norm(right)
+        away = np.asarray(place) - eye
+        x, y = (float(away @ axis) for axis in (right, np.cross(right, ahead)))
+        share = float(away @ ahead) * np.tan(camera.fov / 2)
+        return (width + height * x / share) / 2, height * (1 - y / share) / 2
+
     def _tried(self, verb: ik.Verb) -> IkSession:
         try:
             return verb(self.session)
@@ -132,7 +145,7 @@ class IkWindow:
 
     def _show(self) -> Shown:
         session, state = self.session, self.session.state
-        vertices, joints, rotations = (np.asarray(found) for found in _posed(session.body, state.pose))
+        vertices, joints, rotations = (np.asarray(found) for found in posed_arrays(session.body, state.pose))
         places = places_of(session.body, state.pose, state.constraints)
         whole = bone_turns(session.body, state.pose)
         names = session.body.skeleton.names
@@ -145,7 +158,8 @@ class IkWindow:
         with self.client.atomic():
             self._surface.show(vertices)
             self._skeleton.show(joints, rotations)
-            self._skeleton.visible = self.controls.skeleton
+            if self._skeleton.visible != self.controls.skeleton:
+                self._skeleton.visible = self.controls.skeleton
             surface = self.client.scene.get_handle_by_name(f"{self._surface.name}/surface")
             wanted = GLASS if self.controls.skeleton else None
             if surface is not None and getattr(surface, "opacity", wanted) != wanted:
@@ -213,7 +227,10 @@ class IkWindow:
 
 
 @eqx.filter_jit
-def _posed(body: Body, pose: Pose) -> tuple[Float[Array, "V 3"], Float[Array, "J 3"], Float[Array, "J 3 3"]]:
+def posed_arrays(
+    body: Body, pose: Pose
+) -> tuple[Float[Array, "V 3"], Float[Array, "J 3"], Float[Array, "J 3 3"]]:
+    """The vertices, the joints and the bones' turns of a posed body, in single precision for a window."""
     posed = pose_body(body, pose)
     found = posed.vertices, posed.joints, posed.transforms.rotations
     return jax.tree.map(lambda values: values.astype(jnp.float32), found)

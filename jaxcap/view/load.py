@@ -70,7 +70,7 @@ def load(
     **Arguments:** `files`, as a user names them; `bodies` by name, each of which is put on every motion that is
     its own; `clouds`, sources that hold scans and nothing else; `unit` of lengths where a file does not say it;
     `turn (3, 3)`, what brings scans and meshes upright; `rate` of a run that is not over; `follow`, whether a
-    run may have no frame yet.
+    run may not have begun yet, or goes on where it has been stopped.
 
     **Raises:** `InputError` where a file is wrong, or a motion is of no body that was given.
     """
@@ -111,7 +111,7 @@ class _Loader:
 
     def take(self, name: str) -> None:
         path, suffix = Path(name), Path(name).suffix.lower()
-        if path.is_dir():
+        if path.is_dir() or (self.follow and not suffix and not path.exists()):
             self.folder(path)
         elif not path.is_file():
             self.clouds(name)
@@ -135,9 +135,13 @@ class _Loader:
             raise InputError(f"{path}: '{suffix}' files are not known; give one of {', '.join(known)}.")
 
     def folder(self, folder: Path) -> None:
-        if (folder / "motion.npz").is_file():
+        begun = (folder / JOURNAL).is_file()
+        empty = not folder.exists() or not any(folder.iterdir())
+        if self.follow and (begun or empty):
+            self.runs.append(folder)
+        elif (folder / "motion.npz").is_file():
             self.motions.append(folder / "motion.npz")
-        elif (folder / JOURNAL).is_file() or (self.follow and not any(folder.iterdir())):
+        elif begun:
             self.runs.append(folder)
         elif (folder / "cameras.json").is_file():
             self.found.cameras.extend(read_cameras(folder / "cameras.json"))

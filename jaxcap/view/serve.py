@@ -69,7 +69,8 @@ def close_server(server: ViserServer) -> None:
 def address(server: ViserServer) -> str:
     """What to give a browser."""
     host = server.get_host()
-    return f"http://{'localhost' if host in ('0.0.0.0', HOST) else host}:{server.get_port()}"
+    named = "localhost" if host in ("0.0.0.0", HOST) else f"[{host}]" if ":" in host else host
+    return f"http://{named}:{server.get_port()}"
 
 
 def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Event], None]) -> None:

@@ -1,0 +1,161 @@
+"""How long a dragged point takes to be where the hand is: `python -m benchmarks.ik_latency`.
+
+The embedded human with 13,380 vertices and ten constraints, nine of them held and one dragged around a loop, half of
+which is out of reach; float32. A solve is timed from the new target to the posed surface that is there in NumPy. Then a
+window in Chromium: real moves of a mouse on a ball, from the page's own mouse event to the change of the surface's buffer
+in the page, both by the page's clock; without a browser on the machine that part is left out. A frame that is drawn by
+the processor and not by a graphics card waits for the one before it, which is part of what is measured. Run it with
+nothing else beside.
+"""
+
+import argparse
+import shutil
+import time
+
+import numpy as np
+
+from benchmarks.report import finish, progress
+from jaxcap.body.human import human
+from jaxcap.edit import ik_session as ik
+from jaxcap.edit.ik_session import IkSession, IkSettings
+from jaxcap.view.ik import posed_arrays, serve_ik
+from jaxcap.view.serve import address, close_server, open_server
+
+JOINTS = ("LeftHand", "RightHand", "LeftFoot", "RightFoot", "Head", "Spine1", "LeftForeArm", "RightForeArm",
+          "LeftLeg", "RightLeg")  # fmt: skip
+#: of software rendering, which any machine has
+ARGUMENTS = ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader")
+
+
+def ten_constraints(solver: str) -> tuple[IkSession, int]:
+    """A session with vertices near ten joints held; the first is the one that is dragged."""
+    body = human()
+    places, centres = np.asarray(body.vertices), np.asarray(body.skeleton.centres)
+    session = ik.begin_session(body, settings=IkSettings(solver))  # pyright: ignore[reportArgumentType]
+    held = []
+    for name in JOINTS:
+        apart = np.linalg.norm(places - centres[body.skeleton.index(name)], axis=1)
+        held.append(int(np.argmin(apart)))
+        session = ik.add_constraint(session, held[-1])
+    return session, held[0]
+
+
+def loop_of(place: tuple[float, float, float], count: int) -> list[tuple[float, float, float]]:
+    """Targets around a hand: half of the loop is further than the arm is long."""
+    turns = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    around = np.stack([np.cos(turns) - 1, np.sin(turns), 0.3 * np.sin(2 * turns)], 1)
+    return [(float(x), float(y), float(z)) for x, y, z in np.asarray(place) + 0.25 * around]
+
+
+def solve_milliseconds(solver: str, count: int) -> list[float]:
+    session, hand = ten_constraints(solver)
+    targets = loop_of(ik.constraint_at(session, hand).target, count)
+    session, taken = ik.grab(session), []
+    for target in targets[:3] + targets:
+        start = time.perf_counter()
+        session = ik.drag(session, hand, target)
+        np.asarray(posed_arrays(session.body, session.state.pose)[0])
+        taken.append(1000 * (time.perf_counter() - start))
+    return taken[3:]
+
+
+#: keeps, in the page, the time of every mouse move and of every change of the surface's vertices
+WATCH = """() => {
+    window.moves = []; window.changes = [];
+    addEventListener('pointermove', () => window.moves.push(performance.now()), true);
+    let last = null, version = -1;
+    const look = () => {
+        const node = window.__viserMutable.nodeRefFromName['/body/surface'];
+        if (node) node.traverse(o => {
+            const p = o.geometry && o.geometry.attributes.position;
+            if (p && (p !== last || p.version !== version)) {
+                if (last !== null) window.changes.push(performance.now());
+                last = p; version = p.version;
+            }
+        });
+        setTimeout(look, 1);
+    };
+    look();
+}"""
+
+
+def browser_milliseconds(moves: int, rest: float) -> list[float]:
+    """From a mouse's move to the change that follows it, each with time to settle before the next."""
+    from playwright.sync_api import sync_playwright
+
+    session, hand = ten_constraints("levenberg-marquardt")
+    server = open_server(0)
+    windows = serve_ik(server, session)
+    taken: list[float] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
+        page = browser.new_page(viewport={"width": 960, "height": 640})
+        page.set_default_timeout(300_000)
+        page.goto(address(server))
+        page.wait_for_function("window.__viserMutable?.nodeRefFromName['/body/surface'] !== undefined")
+        while not windows or windows[0].note:
+            time.sleep(0.1)
+        window = windows[0]
+        at = window.pixel(ik.constraint_at(window.session, hand).target, 960, 640)
+        page.mouse.move(*at)
+        page.mouse.down()
+        page.mouse.move(at[0] + 6, at[1] - 6)
+        page.mouse.move(at[0] + 8, at[1] - 8)
+        time.sleep(2.0)
+        page.evaluate(WATCH)
+        for number in range(moves):
+            turn = 2 * np.pi * number / moves
+            page.evaluate("() => { window.moves = []; window.changes = []; }")
+            page.mouse.move(at[0] + 20 * np.cos(turn), at[1] - 30 + 20 * np.sin(turn))
+            time.sleep(rest)
+            moved, changed = page.evaluate("[window.moves, window.changes]")
+            later = [change for change in changed if moved and change > moved[0]]
+            if later:
+                taken.append(later[0] - moved[0])
+        page.mouse.up()
+        browser.close()
+    close_server(server)
+    return taken
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.ik_latency", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument("--frames", type=int, default=200)
+    parser.add_argument("--moves", type=int, default=60)
+    parser.add_argument("--rest", type=float, default=0.5, help="seconds between two moves in the browser")
+    parser.add_argument("--no-browser", action="store_true")
+    options = parser.parse_args()
+    figures, seconds = {}, {}
+    for solver, name in (
+        ("levenberg-marquardt", "solve"),
+        ("gauss-newton", "gauss_newton"),
+        ("priorities", "priorities"),
+    ):
+        start = time.perf_counter()
+        taken = solve_milliseconds(solver, options.frames if name == "solve" else options.frames // 4)
+        seconds[name] = time.perf_counter() - start
+        figures |= {
+            f"{name}_median_ms": float(np.median(taken)),
+            f"{name}_p99_ms": float(np.percentile(taken, 99)),
+        }
+        progress(
+            f"{solver}: median {np.median(taken):.1f} ms, 99th percentile {np.percentile(taken, 99):.1f} ms"
+        )
+    if not options.no_browser and shutil.which("chromium"):
+        shown = browser_milliseconds(options.moves, options.rest)
+        figures |= {
+            "browser_median_ms": float(np.median(shown)),
+            "browser_p90_ms": float(np.percentile(shown, 90)),
+            "browser_share_answered": len(shown) / options.moves,
+        }
+        progress(
+            f"in the browser: median {np.median(shown):.0f} ms, of {len(shown)} of {options.moves} moves"
+        )
+    sizes = {"vertices": 13380, "constraints": len(JOINTS), "frames": options.frames, "moves": options.moves}
+    finish("ik_latency", figures, {"solve_median_ms": ("<=", 30.0)}, sizes, seconds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""Write assets/ik.png, Kineben's figure 5 in the browser: a body, points that are held, one that is dragged, the body after it.
+
+`python scripts/ik_picture.py` opens the window of `jaxcap ik` in Chromium without a screen and works it with a mouse.
+"""
+
+import io
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+from playwright.sync_api import sync_playwright
+
+import jaxcap as jc
+from jaxcap.edit import ik_session as ik
+from jaxcap.view.ik import IkWindow, serve_ik
+from jaxcap.view.serve import address, close_server, open_server
+
+OUT = Path(__file__).resolve().parents[1] / "assets" / "ik.png"
+WIDTH, HEIGHT = 1080, 760
+#: of a picture, where the body is; the controls stand beside it
+LEFT, RIGHT = 300, 700
+TITLES = ("(a) The body.", "(b) Points are held; in blue, pinned.", "(c) One is dragged: its target is out of reach.",
+          "(d) Within reach it arrives.")  # fmt: skip
+HELD = ("LeftToeBase", "RightToeBase", "LeftLeg", "RightLeg")
+
+
+def main() -> None:
+    body = jc.human()
+    server = open_server(0)
+    windows = serve_ik(server, ik.begin_session(body))
+    with sync_playwright() as playwright:
+        program = shutil.which("chromium") or shutil.which("google-chrome")
+        arguments = [
+            "--headless=new",
+            "--no-sandbox",
+            "--enable-unsafe-swiftshader",
+            "--use-angle=swiftshader",
+        ]
+        browser = playwright.chromium.launch(executable_path=program, args=arguments)
+        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+        page.set_default_timeout(300_000)
+        page.goto(address(server))
+        page.wait_for_function("window.__viserMutable?.nodeRefFromName['/body/surface'] !== undefined")
+        while not windows or windows[0].note:
+            time.sleep(0.1)
+        window, pictures = windows[0], []
+        pictures.append(picture(page))
+        hold(page, window)
+        pictures.append(picture(page))
+        hand = window.session.state.constraints[-1]
+        page.mouse.move(*window.pixel(hand.target, WIDTH, HEIGHT))
+        page.mouse.down()
+        for target, title in (((-0.95, 0.55, 0.75), "c"), ((-0.35, 0.35, 0.55), "d")):
+            drag_to(page, window, target, title)
+            pictures.append(picture(page))
+        page.mouse.up()
+        browser.close()
+    close_server(server)
+    write(pictures)
+
+
+def hold(page, window: IkWindow) -> None:
+    """Pin feet and knees by their vertices in front, and click a hand."""
+    body = window.session.body
+    places, centres = np.asarray(body.vertices), np.asarray(body.skeleton.centres)
+    points = []
+    for name in (*HELD, "RightHand"):
+        near = np.flatnonzero(np.linalg.norm(places - centres[body.skeleton.index(name)], axis=1) < 0.07)
+        points.append(places[near[np.argmax(places[near, 2])]])
+    for number, point in enumerate(points, 1):
+        page.mouse.click(*window.pixel(tuple(point), WIDTH, HEIGHT))
+        settle(lambda number=number: len(window.session.state.constraints) == number)
+        if number <= len(HELD):
+            page.locator("input[type=checkbox]").first.dispatch_event("click")
+            settle(lambda: window.session.state.constraints[-1].pinned)
+
+
+def drag_to(page, window: IkWindow, target, title: str) -> None:
+    """Move the mouse until the ball is where a target is on the screen."""
+    end = np.array(window.pixel(target, WIDTH, HEIGHT))
+    start = np.array(window.pixel(window.session.state.constraints[-1].target, WIDTH, HEIGHT))
+    for share in np.linspace(0, 1, 13)[1:]:
+        page.mouse.move(*(start + share * (end - start)))
+        time.sleep(0.15)
+    settle(
+        lambda: (
+            np.linalg.norm(
+                np.array(window.pixel(window.session.state.constraints[-1].target, WIDTH, HEIGHT)) - end
+            )
+            < 3
+        )
+    )
+
+
+def settle(happened, seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not happened():
+        if time.monotonic() > end:
+            raise RuntimeError("the window did not follow")
+        time.sleep(0.05)
+
+
+def picture(page) -> Image.Image:
+    time.sleep(3.0)
+    whole = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    return whole.crop((LEFT, 60, RIGHT, HEIGHT - 60))
+
+
+def write(pictures: list[Image.Image]) -> None:
+    width, height = pictures[0].size
+    sheet = Image.new("RGB", (2 * width, 2 * (height + 30)), "white")
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
+    for number, (one, title) in enumerate(zip(pictures, TITLES, strict=True)):
+        x, y = number % 2 * width, number // 2 * (height + 30)
+        sheet.paste(one, (x, y))
+        pen.text((x + width / 2, y + height + 14), title, "black", font, anchor="mm")
+    sheet.quantize(128).save(OUT, optimize=True)
+    print(f"{OUT}: {OUT.stat().st_size // 1000} kB")
+
+
+if __name__ == "__main__":
+    main()
