@@ -8,7 +8,13 @@ PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL without a graphics card: SwiftShader comes with the browser, `gl-egl` is what the machine has (Mesa)
 ANGLES = {
     "swiftshader": ("--enable-unsafe-swiftshader", "--use-angle=swiftshader"),
-    "gl-egl": ("--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl"),
+    # the page around the scene is painted without GL, which in software would take longer than the scene
+    "gl-egl": (
+        "--ignore-gpu-blocklist",
+        "--use-gl=angle",
+        "--use-angle=gl-egl",
+        "--disable-gpu-rasterization",
+    ),
 }
 #: of a node of the scene, where it has come
 GEOMETRY = """name => {

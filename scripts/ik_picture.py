@@ -73,7 +73,7 @@ def hold(page, window: IkWindow) -> None:
         page.mouse.click(*window.pixel(tuple(point), WIDTH, HEIGHT))
         settle(lambda number=number: len(window.session.state.constraints) == number)
         if number <= len(HELD):
-            page.locator("input[type=checkbox]").first.dispatch_event("click")
+            page.locator("input[type=checkbox]:visible").first.click()
             settle(lambda: window.session.state.constraints[-1].pinned)
 
 
@@ -94,7 +94,7 @@ def drag_to(page, window: IkWindow, target, title: str) -> None:
     )
 
 
-def settle(happened, seconds: float = 120.0) -> None:
+def settle(happened, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not happened():
         if time.monotonic() > end:
