@@ -8,14 +8,10 @@ PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL without a graphics card: SwiftShader comes with the browser, `gl-egl` is what the machine has (Mesa)
 ANGLES = {
     "swiftshader": ("--enable-unsafe-swiftshader", "--use-angle=swiftshader"),
-    # the page around the scene is painted without GL, which in software would take longer than the scene
-    "gl-egl": (
-        "--ignore-gpu-blocklist",
-        "--use-gl=angle",
-        "--use-angle=gl-egl",
-        "--disable-gpu-rasterization",
-    ),
+    "gl-egl": ("--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl"),
 }
+#: the page around the scene is painted without GL, which in software would take longer than the scene
+PLAIN = ("--headless=new", "--no-sandbox", "--disable-gpu-rasterization")
 #: of a node of the scene, where it has come
 GEOMETRY = """name => {
     const node = window.__viserMutable.nodeRefFromName[name];
@@ -45,9 +41,7 @@ def launched(angle: str = "swiftshader") -> Iterator:
     if program is None:
         raise RuntimeError(f"There is none of {', '.join(PROGRAMS)}; install one.")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=program, args=["--headless=new", "--no-sandbox", *ANGLES[angle]]
-        )
+        browser = playwright.chromium.launch(executable_path=program, args=[*PLAIN, *ANGLES[angle]])
         try:
             yield browser
         finally:

@@ -116,7 +116,7 @@ def write(pictures: list[Image.Image]) -> None:
         x, y = number % 2 * width, number // 2 * (height + 30)
         sheet.paste(one, (x, y))
         pen.text((x + width / 2, y + height + 14), title, "black", font, anchor="mm")
-    sheet.quantize(128).save(OUT, optimize=True)
+    sheet.save(OUT, optimize=True)
     print(f"{OUT}: {OUT.stat().st_size // 1000} kB")
 
 

@@ -12,6 +12,7 @@ import jaxcap as jc
 from jaxcap.adapt.shape_prior import shape_energy
 from jaxcap.body.body import deform_all
 from jaxcap.cli import main
+from jaxcap.cli.prior.learn import same_bones
 from jaxcap.edit.sample import sample_poses
 from jaxcap.io.mesh import Mesh, write_mesh
 from jaxcap.io.npz import load_limits
@@ -92,13 +93,31 @@ def test_what_is_refused(capsys, folder, tmp_path):
     jc.save_motion(still, jc.stack_poses([jc.rest_pose(other)] * 2), other)
     told = fails(capsys, "prior", "learn", m, still, "-o", out)
     assert "this motion is of the joints a, b, c" in told
-    assert "of one skeleton" in fails(
-        capsys, "prior", "learn", still, "--body", folder / "body.npz", "-o", out
-    )
+    assert "of one skeleton" in told
+    # carried over it is, where names tell which joint is which
+    told = fails(capsys, "prior", "learn", still, "--body", folder / "body.npz", "-o", out)
+    assert str(still) in told
     assert "There are 2 poses" in fails(capsys, "prior", "learn", still, "-o", out)
     assert "no pose prior in this file" in fails(capsys, "prior", "info", folder / "body.npz")
     assert "not a 'jaxcap prior'" in fails(capsys, "prior", "info", m)
     assert not out.exists()
+
+
+def test_motions_of_another_skeleton_are_carried_over(capsys, tmp_path):
+    human = jc.human(joints="tracking", resolution="low")
+    taller = jc.human(joints="tracking", resolution="low", height=1.95)
+    poses = sample_poses(taller.skeleton, 40)
+    jc.save_motion(tmp_path / "own.npz", jc.Motion(poses, 30.0), taller.skeleton)
+    centres = np.array(taller.skeleton.centres)
+    # an elbow, and what hangs on it, elsewhere at rest
+    centres += 0.02 * taller.skeleton.descent[taller.skeleton.index("LeftForeArm")][:, None]
+    other = eqx.tree_at(lambda s: s.centres, taller.skeleton, centres)
+    assert same_bones(human.skeleton, taller.skeleton)
+    assert not same_bones(human.skeleton, other)
+    jc.save_motion(tmp_path / "other.npz", jc.Motion(poses, 30.0), other)
+    told = runs(capsys, "prior", "learn", tmp_path / "own.npz", tmp_path / "other.npz", "--body", "human:low", "-o", tmp_path / "p.npz", "--most", 1)  # fmt: skip
+    assert "1 of 2 motions carried over to the skeleton of human:low" in told
+    assert jc.load_prior(tmp_path / "p.npz", human.skeleton).pairs
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 import pytest
 from helpers import chain_body, random_pose
@@ -17,6 +18,7 @@ from jaxcap.edit import ik_session as ik
 from jaxcap.edit import inverse_kinematics
 from jaxcap.edit.constraints import Constraint, make_constraints
 from jaxcap.edit.inverse_kinematics import METRES, SOLVERS, IkOptions, NearPose, solve_ik
+from jaxcap.fit.scaled_cholesky import ScaledCholesky
 from jaxcap.geometry import rotation
 
 _pose_body = eqx.filter_jit(pose_body)
@@ -309,6 +311,19 @@ def test_nothing_is_traced_again_for_other_counts_targets_or_switches(arm):
     off = ik.IkSettings(keep_limits=False, use_prior=False, hold_root=True)
     ik.pin(ik.change_settings(ik.remove_constraint(session, 3), off), 7)
     assert len(TRACES) == first
+
+
+@pytest.mark.float32
+def test_very_different_stiffness_is_solved_in_single_precision(rng):
+    """Against NumPy's SVD in double precision, where Cholesky of plain normal equations has no digits left."""
+    jacobian = rng.normal(size=(60, 12)) * np.repeat([1.0, 3e3], 6)
+    right = rng.normal(size=60)
+    operator = lx.MatrixLinearOperator(jnp.asarray(jacobian, jnp.float32))
+    found = lx.linear_solve(operator, jnp.asarray(right, jnp.float32), ScaledCholesky(), throw=False)
+    best = np.linalg.lstsq(jacobian, right)[0]
+    np.testing.assert_allclose(
+        np.asarray(found.value) * np.repeat([1.0, 3e3], 6), best * np.repeat([1.0, 3e3], 6), atol=1e-4
+    )
 
 
 @pytest.mark.float32

@@ -20,6 +20,7 @@ from ..energy.term import AbstractEnergy
 from ..fit.gauss_newton import GaussNewton
 from ..fit.levenberg_marquardt import LevenbergMarquardt
 from ..fit.priority import solve_in_order
+from ..fit.scaled_cholesky import ScaledCholesky
 from ..fit.solve import solve
 from ..geometry import rotation
 from .constraints import Constraints, constrained_body
@@ -117,7 +118,12 @@ def solve_ik(
 @eqx.filter_jit
 def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
     few = constrained_body(body, constraints)
-    solver = GaussNewton() if options.solver == "gauss-newton" else LevenbergMarquardt()
+    # pinned points weigh so much that normal equations as they are would have no digits left for the others
+    solver = (
+        GaussNewton()
+        if options.solver == "gauss-newton"
+        else LevenbergMarquardt(linear_solver=ScaledCholesky())
+    )
     energy = _reach(constraints, jnp.where(constraints.pinned, PINNED, 1.0))
     energy = energy + _natural(few.skeleton, options, reference, options.hold_root)
     if options.limits is not None:

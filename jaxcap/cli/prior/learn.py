@@ -13,18 +13,23 @@ from ...adapt.zeroing import num_zeroed
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
+from ...edit.retarget import retarget
 from ...errors import InputError
-from ...io.npz import load_body, load_limits
+from ...io.npz import load_limits
 from ...io.prior import save_prior
 from ...io.registry import read_motion
-from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..options import Flag, OptionalUnit, arg
 from ..say import progress, say, table
+from ..sources import load_body
 from .shape import learn_shape
 
 MotionsSpec = tyro.conf.Positional[
     Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
 ]
 OptionalMeshes = Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]
+
+#: sine of an angle by which bones may differ at rest: 3 degrees
+ALIKE = 0.05
 
 
 @dataclass
@@ -36,11 +41,12 @@ class Learn:
     shape around every vertex."""
 
     motions: MotionsSpec
-    """.bvh, .amc (with its .asf beside it) or .npz motions of one skeleton."""
+    """.bvh, .amc (with its .asf beside it) or .npz motions; of one skeleton, unless --body says whose they are to be."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """The prior, .npz."""
-    body: OptionalFile = None
-    """A body of the same skeleton, .npz, that is written with the prior in it."""
+    body: Annotated[str | None, arg(metavar="BODY", help_behavior_hint="")] = None
+    """The body that the prior is for, `human` (with options: `human:female`) or a body .npz; it is written with the prior in
+    it. Motions of other skeletons are carried over to its own."""
     meshes: OptionalMeshes = ()
     """Registered meshes of the body, to learn the shape around its vertices from as well: mesh files, a folder,
     a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
@@ -59,7 +65,7 @@ class Learn:
 
     def run(self) -> None:
         self.check()
-        body = None if self.body is None else load_body(self.body)
+        body = None if self.body is None else load_body(self.body)[0]
         skeleton, motions = self.read(body)
         frames = sum(len(motion) for motion in motions)
         say(f"{len(motions)} motions, {frames} poses learned from")
@@ -76,7 +82,8 @@ class Learn:
             prior, boxes = pair_prior_of(skeleton, learned), learn_ranges(skeleton, motions)
         except ValueError as error:
             raise InputError(f"{', '.join(self.motions)}: {error}") from None
-        limits = None if self.body is None else load_limits(self.body)
+        own = self.body is not None and Path(self.body).suffix.lower() == ".npz"
+        limits = load_limits(str(self.body)) if own else None
         save_prior(self.out, prior, boxes, body, limits, shape)
         tell(learned)
         say(f"written: {self.out}")
@@ -102,23 +109,47 @@ class Learn:
 
     def read(self, body: Body | None) -> tuple[Skeleton, list[Motion]]:
         """The skeleton that the prior is of, and the thinned motions. Raises `InputError` where they are
-        of different skeletons."""
+        of different skeletons, and cannot be carried over to the body's."""
         pairs = [read_motion(path, self.unit) for path in self.motions]
         skeleton = pairs[0][0] if body is None else body.skeleton
-        source = self.motions[0] if self.body is None else str(self.body)
-        for path, (other, _) in zip(self.motions, pairs, strict=True):
-            if (other.names, other.parents) != (skeleton.names, skeleton.parents):
-                raise InputError(
-                    f"{path}: this motion is of the joints {', '.join(other.names)}, that of {source} are "
-                    f"{', '.join(skeleton.names)}; give motions of one skeleton, or retarget them."
-                )
-        # a hair off, so that a rate that is not quite whole is thinned like a whole one
-        steps = [max(1, int(motion.rate / self.rate + 1e-3)) for _, motion in pairs]
-        return skeleton, [m.slice(slice(None, None, step)) for (_, m), step in zip(pairs, steps, strict=True)]
+        motions, carried = [], 0
+        for path, (other, motion) in zip(self.motions, pairs, strict=True):
+            # a hair off, so that a rate that is not quite whole is thinned like a whole one
+            step = max(1, int(motion.rate / self.rate + 1e-3))
+            motion = motion.slice(slice(None, None, step))
+            if not same_bones(skeleton, other):
+                if body is None:
+                    raise InputError(
+                        f"{path}: this motion is of the joints {', '.join(other.names)}, that of {self.motions[0]} are "
+                        f"{', '.join(skeleton.names)}, or stand otherwise at rest; give motions of one skeleton, or the body "
+                        "that they are to be carried over to, by --body."
+                    )
+                try:
+                    motion, carried = retarget(motion, other, skeleton), carried + 1
+                except ValueError as error:
+                    raise InputError(f"{path}: {error}") from None
+            motions.append(motion)
+        if carried:
+            say(f"{carried} of {len(motions)} motions carried over to the skeleton of {self.body}")
+        return skeleton, motions
 
     def read_shape(self, body: Body | None) -> ShapePrior | None:
         """The shape that meshes show; None where there are none."""
         return learn_shape(body, self.meshes, self.unit or "m") if self.meshes and body is not None else None
+
+
+def same_bones(one: Skeleton, other: Skeleton) -> bool:
+    """Whether the rotations of one skeleton are those of the other: the same joints, whose bones point the same way at
+    rest, however long they are."""
+    if (one.names, one.parents) != (other.names, other.parents):
+        return False
+    below = [joint for joint, parent in enumerate(one.parents) if parent >= 0]
+    above = [one.parents[joint] for joint in below]
+    ways = [np.asarray(s.centres, float)[below] - np.asarray(s.centres, float)[above] for s in (one, other)]
+    lengths = [np.linalg.norm(way, axis=1) for way in ways]
+    apart = np.linalg.norm(np.cross(*ways), axis=1) > ALIKE * lengths[0] * lengths[1]
+    turned = np.sum(ways[0] * ways[1], axis=1) < 0
+    return not np.any(apart | turned)
 
 
 def tell(learned: tuple[LearnedPair, ...]) -> None:
