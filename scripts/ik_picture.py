@@ -21,8 +21,8 @@ OUT = Path(__file__).resolve().parents[1] / "assets" / "ik.png"
 WIDTH, HEIGHT = 1080, 760
 #: of a picture, where the body is; the controls stand beside it
 LEFT, RIGHT = 300, 700
-TITLES = ("(a) The body.", "(b) Points are held; in blue, pinned.", "(c) One is dragged: its target is out of reach.",
-          "(d) Within reach it arrives.")  # fmt: skip
+TITLES = ("(a) The body.", "(b) Points are held; in blue, pinned.", "(c) One is dragged; the body follows.",
+          "(d) And on, until it is let go.")  # fmt: skip
 HELD = ("LeftToeBase", "RightToeBase", "LeftLeg", "RightLeg")
 
 
@@ -52,7 +52,7 @@ def main() -> None:
         hand = window.session.state.constraints[-1]
         page.mouse.move(*window.pixel(hand.target, WIDTH, HEIGHT))
         page.mouse.down()
-        for target, title in (((-0.95, 0.55, 0.75), "c"), ((-0.35, 0.35, 0.55), "d")):
+        for target, title in (((-0.68, 0.62, 0.3), "c"), ((-0.3, 0.8, 0.3), "d")):
             drag_to(page, window, target, title)
             pictures.append(picture(page))
         page.mouse.up()

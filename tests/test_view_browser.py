@@ -11,7 +11,7 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import deform_all
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.cli.results import pack, record_width
+from jaxcap.cli.results import pack, record_width, whose_poses
 from jaxcap.fit.em import FrameStatistics
 from jaxcap.fit.recover import TrackedFrame
 from jaxcap.fit.track import make_tracker, start_state
@@ -150,7 +150,7 @@ def test_a_running_track_appears_frame_by_frame(chromium, tmp_path, motion, pose
         return pack(TrackedFrame(motion[frame], numbers, False, state, (0.0, 0.0, 0.0)), 0.1)
 
     server = open_server(0)
-    with begin_journal(tmp_path / "journal", {}, record_width(tracker)) as journal:
+    with begin_journal(tmp_path / "journal", whose_poses(body.skeleton), record_width(tracker)) as journal:
         followers = serve_contents(server, Contents(takes=[follow_run(tmp_path, body)]))
         page = chromium(address(server))
         wait_for_vertex(page, SURFACE, 0, body.vertices[0])

@@ -8,7 +8,7 @@ from helpers import chain_body, chain_skeleton, random_pose
 from jaxcap.body.body import Body, deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
-from jaxcap.cli.results import pack, record_width
+from jaxcap.cli.results import pack, record_width, whose_poses
 from jaxcap.errors import InputError
 from jaxcap.fit.em import FrameStatistics
 from jaxcap.fit.recover import TrackedFrame
@@ -198,10 +198,10 @@ def _record(tracker, motion, frame) -> np.ndarray:
 
 
 def test_a_journal_tells_the_poses(tmp_path, body, motion):
-    tracker = make_tracker(body)
+    tracker, whose = make_tracker(body), whose_poses(body.skeleton)
     follower = RunFollower(follow_run(tmp_path, body))
     assert not follower.look()
-    with begin_journal(tmp_path / "journal", {"a": 1}, record_width(tracker)) as journal:
+    with begin_journal(tmp_path / "journal", {"a": 1, **whose}, record_width(tracker)) as journal:
         assert not follower.look()
         for frame in range(3):
             journal.append(_record(tracker, motion, frame))
@@ -211,24 +211,26 @@ def test_a_journal_tells_the_poses(tmp_path, body, motion):
         with open(journal.path, "ab") as file:
             file.write(whole[:100])
         assert not follower.look() and len(read_records(journal.path)) == 3
-    with resume_journal(tmp_path / "journal", {"a": 1}) as journal:
+    with resume_journal(tmp_path / "journal", {"a": 1, **whose}) as journal:
         journal.append(_record(tracker, motion, 4))
         follower.look()
     joints = np.asarray(joint_paths(body.skeleton, motion.poses))
     for shown, frame in ((2, 2), (3, 4)):
         np.testing.assert_allclose(follower.take.motion.frame(shown).joints, joints[frame], atol=1e-5)
     # begun anew, and with another body
-    begin_journal(tmp_path / "journal", {"a": 2}, record_width(tracker)).close()
-    with resume_journal(tmp_path / "journal", {"a": 2}) as journal:
+    begin_journal(tmp_path / "journal", {"a": 2, **whose}, record_width(tracker)).close()
+    with resume_journal(tmp_path / "journal", {"a": 2, **whose}) as journal:
         journal.append(_record(tracker, motion, 7))
     assert follower.look() and len(follower.take.motion) == 1
     with pytest.raises(InputError, match="another body"):
-        record_poses(tmp_path, body.skeleton, np.zeros((1, 12)))
+        record_poses(tmp_path, body.skeleton, {"joints": ["a"], "pose at": 1}, np.zeros((1, 12)))
+    with pytest.raises(InputError, match="no run of jaxcap track"):
+        record_poses(tmp_path, body.skeleton, {}, np.zeros((1, 12)))
 
 
 def test_an_unfinished_run_asks_for_its_body(tmp_path, body, motion):
     tracker = make_tracker(body)
-    with begin_journal(tmp_path / "journal", {}, record_width(tracker)) as journal:
+    with begin_journal(tmp_path / "journal", whose_poses(body.skeleton), record_width(tracker)) as journal:
         journal.append(_record(tracker, motion, 0))
     with pytest.raises(InputError, match="--body"):
         load([str(tmp_path)])

@@ -22,6 +22,8 @@ from ..io.clouds import Scans
 from ..io.npz import save_motion
 from ..io.table import write_csv, write_json
 
+#: numbers of a row in front of its pose
+POSE_AT = 1
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
 
@@ -74,6 +76,11 @@ def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
     }
 
 
+def whose_poses(skeleton: Skeleton) -> dict[str, object]:
+    """What tells one who follows a run where poses are in its rows, and whose."""
+    return {"joints": list(skeleton.names), "pose at": POSE_AT}
+
+
 def pack(frame: TrackedFrame, seconds: float) -> Float[np.ndarray, "R"]:
     """A frame as one row of numbers, exact in both precisions."""
     return np.concatenate(
@@ -84,7 +91,7 @@ def pack(frame: TrackedFrame, seconds: float) -> Float[np.ndarray, "R"]:
 def unpack(tracker: Tracker, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame, float]:
     """The frame of a row that `pack` made, to the last bit."""
     leaves, tree = jax.tree.flatten(_template(tracker))
-    numbers, at = [], 1
+    numbers, at = [], POSE_AT
     for leaf in leaves:
         size = np.size(leaf)
         values = row[at : at + size].reshape(np.shape(leaf))

@@ -19,7 +19,7 @@ from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
 from ..io.limits import read_limits
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
-from .results import check_folder, fingerprint, pack, record_width, unpack, write_results
+from .results import check_folder, fingerprint, pack, record_width, unpack, whose_poses, write_results
 from .say import progress, say, warn
 from .sources import load_body, load_cloud, load_clouds
 from .timed import timed
@@ -91,7 +91,7 @@ class Track:
         # the first cloud shows most of what may be wrong, before anything is written
         load_cloud(scans, 0, body, self.up)
         tracker = self.tracker(body, limits)
-        header = {**self.settings(), **fingerprint(tracker, scans)}
+        header = {**self.settings(), **fingerprint(tracker, scans), **whose_poses(body.skeleton)}
         path = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
         going_on = self.resume and path.is_file()
         journal = (

@@ -4,6 +4,7 @@ A record that is half written is not there yet, and a journal that does not exis
 """
 
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -21,29 +22,31 @@ from .posing import PosedMotion
 JOURNAL = "journal"
 #: seconds between two looks
 OFTEN = 0.2
-#: numbers of a record in front of the pose: the seconds it took
-BEFORE = 1
 
 
-def record_poses(path: Path, skeleton: Skeleton, records: Float[np.ndarray, "N width"]) -> Pose:
-    """The poses in a run's records: behind the seconds that a frame took come its translations, rotations
-    and scale, and behind them what only the tracker needs.
+def record_poses(
+    path: Path, skeleton: Skeleton, header: Mapping[str, object], records: Float[np.ndarray, "N width"]
+) -> Pose:
+    """The poses in a run's records: translations, rotations and scale, from the number on that the header tells.
 
-    **Raises:** `InputError` where the records are of another skeleton.
+    **Raises:** `InputError` where the header tells of none, or of another skeleton.
     """
-    joints = skeleton.num_joints
-    # pose and seconds; four statistics and whether it is lost; pose, sigma, priors, change; three usual values
-    width = BEFORE + (7 * joints + 1) + 4 + 1 + (7 * joints + 1) + 1 + joints + skeleton.num_dofs + 3
-    if records.shape[1] != width:
+    at, names = header.get("pose at"), header.get("joints")
+    if not isinstance(at, int) or not isinstance(names, list):
         raise InputError(
-            f"{path}: this run is of another body: its records have {records.shape[1]} numbers and those of this body's "
-            f"{joints} joints {width}; give the run's own body with --body."
+            f"{path}: this journal does not tell where its poses are; it is of no run of jaxcap track."
         )
-    at = np.cumsum([BEFORE, 3 * joints, 4 * joints, 1])
+    if tuple(names) != skeleton.names:
+        raise InputError(
+            f"{path}: this run is of another body: it moves {len(names)} joints, {', '.join(names)}, and this body has "
+            f"{', '.join(skeleton.names)}; give the run's own body with --body."
+        )
+    joints = skeleton.num_joints
+    ends = at + np.cumsum([0, 3 * joints, 4 * joints, 1])
     return Pose(
-        jnp.asarray(records[:, at[0] : at[1]].reshape(-1, joints, 3), jnp.float32),
-        jnp.asarray(records[:, at[1] : at[2]].reshape(-1, joints, 4), jnp.float32),
-        jnp.asarray(records[:, at[2]], jnp.float32),
+        jnp.asarray(records[:, ends[0] : ends[1]].reshape(-1, joints, 3), jnp.float32),
+        jnp.asarray(records[:, ends[1] : ends[2]].reshape(-1, joints, 4), jnp.float32),
+        jnp.asarray(records[:, ends[2]], jnp.float32),
     )
 
 
@@ -88,7 +91,7 @@ class RunFollower:
         self._size = size
         if not len(records):
             return False
-        poses = record_poses(self.path, self.take.motion.skeleton, records)
+        poses = record_poses(self.path, self.take.motion.skeleton, header, records)
         if self.count:
             self.take.motion.extend(poses)
         else:
