@@ -125,17 +125,10 @@ def test_cameras_that_took_other_scans(folder, capsys, camera, what):
     assert not list(folder.glob("a*"))
 
 
-@pytest.mark.parametrize(
-    ("option", "what"),
-    [
-        (("--aperture",), "--aperture is of cameras"),
-        (("--pair-angle", "0"), "--pair-angle is 0; it must be above 0"),
-        (("--pair-reach", "-1"), "--pair-reach is -1; it must be above 0 metres"),
-    ],
-)
-def test_pairs_that_are_none(folder, capsys, option, what):
-    assert what in fails(capsys, *words(folder, *option))
-    assert not list(folder.glob("a*"))
+def test_pairs_that_are_none(folder, capsys):
+    assert "--aperture is of cameras" in fails(capsys, *words(folder, "--aperture"))
+    assert "--pair-angle is 0; it must be above 0" in fails(capsys, *words(folder, "--pair-angle", 0))
+    assert "--pair-reach is -1; it must be above 0" in fails(capsys, *words(folder, "--pair-reach", -1))
 
 
 def test_how_pairs_are_made_is_what_was_asked(folder, scene):
