@@ -12,8 +12,8 @@ from ..geometry.laplacian import Conformance, neighbour_pairs
 
 #: mean squared turn, radians, below which a motion counts as too little to tell: 1 degree
 LITTLE = 0.02**2
-#: the same where a skeleton says where its joints stand: 6 degrees
-LITTLE_GIVEN = 0.1**2
+#: the same where a skeleton says where its joints stand: 17 degrees
+LITTLE_GIVEN = 0.3**2
 #: how many times stiffer a centre is held where it stands than it is pulled
 HOLD = 30.0
 #: radii of its cut within which a centre may be
@@ -50,7 +50,7 @@ def given_anchors(body: Body, poses: Pose, centres: Float[Array, "J 3"]) -> Anch
     weights = np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     weights *= (np.array(body.skeleton.parents) >= 0)[:, None, None]
     dtype = body.vertices.dtype
-    return Anchors(*(jnp.asarray(field, dtype) for field in (centres, weights, HOLD * weights, told)))
+    return Anchors(*(jnp.asarray(field, dtype) for field in (centres, weights, weights, told)))
 
 
 def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -> Anchors:
