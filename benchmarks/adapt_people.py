@@ -144,7 +144,7 @@ def first_pose(motion: jc.Motion, actor: jc.Body, template: jc.Body, start: str)
 def learned_template(poses: int = 60) -> jc.Body:
     """A body learned from meshes of the embedded human with its skeleton, of which the first is at rest."""
     human = jc.human(joints="tracking", resolution="medium")
-    return learn(varied_meshes(shared_folder(), human, poses), skeleton=human.skeleton).body
+    return learn(varied_meshes(shared_folder(), human, poses), skeleton=human.skeleton, keep_joints=True).body
 
 
 def template_of(name: str) -> jc.Body:

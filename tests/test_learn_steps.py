@@ -186,3 +186,6 @@ def test_joints_that_no_motion_tells_stay_where_a_skeleton_has_them(rng):
     assert np.linalg.norm(off.skeleton.centres[still] - given[still]) < 0.001
     away = np.linalg.norm(np.asarray(off.skeleton.centres - body.skeleton.centres), axis=1)
     assert away[turning].max() < 0.004
+    kept = improve_joints(off, poses, targets, metric, curvature, NONE, damping, value, given=off.skeleton.centres, keep=True)  # fmt: skip
+    assert kept.value < value
+    np.testing.assert_allclose(kept.body.skeleton.centres, off.skeleton.centres, atol=1e-6)

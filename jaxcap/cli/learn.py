@@ -52,6 +52,8 @@ class Learn:
     """Left and right joints to be alike, by number, or by name with --skeleton: 3:5,4:6."""
     skeleton: OptionalFile = None
     """A skeleton that stands in the first mesh (.skl, .bvh, .asf, .npz), in place of one that is found."""
+    keep_joints: Flag = False
+    """The joints of --skeleton stay where it has them; without it they go where motion tells that they are."""
     free_bones: Flag = False
     """Bones that hang on nothing, one more than --joints; the skin is lbs."""
     rounds: Annotated[int, arg(metavar="N")] = 30
@@ -123,12 +125,24 @@ class Learn:
             )
         if self.skeleton is not None and self.joints is not None:
             raise InputError("--skeleton has its own joints; leave --joints out.")
+        if self.keep_joints and self.skeleton is None:
+            raise InputError("--keep-joints is of a skeleton; give it by --skeleton.")
         if self.free_bones and (self.skeleton is not None or self.pairs is not None):
             raise InputError("--free-bones have no skeleton and no pairs; leave --skeleton and --pairs out.")
 
     def settings(self) -> dict[str, object]:
         """What the result depends on, by the names that the user knows."""
-        names = ("joints", "alpha", "skin", "symmetry", "pairs", "free_bones", "unit", "hold_out")
+        names = (
+            "joints",
+            "alpha",
+            "skin",
+            "symmetry",
+            "pairs",
+            "keep_joints",
+            "free_bones",
+            "unit",
+            "hold_out",
+        )
         skeleton = None if self.skeleton is None else hashlib.sha256(self.skeleton.read_bytes()).hexdigest()
         skin = "lbs" if self.free_bones else self.skin
         return {**{name: getattr(self, name) for name in names}, "skin": skin, "skeleton": skeleton}
@@ -178,6 +192,7 @@ class Learn:
                     alpha=self.alpha,
                     symmetry=symmetry,
                     skeleton=skeleton,
+                    keep_joints=self.keep_joints,
                     free_bones=self.free_bones,
                     rounds=self.rounds,
                     on_round=on_round,

@@ -14,6 +14,8 @@ from ..geometry.laplacian import Conformance, neighbour_pairs
 LITTLE = 0.02**2
 #: the same where a skeleton says where its joints stand: 17 degrees
 LITTLE_GIVEN = 0.3**2
+#: how much a centre that is kept weighs beside a turn of one radian
+KEPT = 1e4
 #: how many times stiffer a centre is held where it stands than it is pulled
 HOLD = 30.0
 #: radii of its cut within which a centre may be
@@ -42,12 +44,12 @@ class Anchors(eqx.Module):
     told: Float[Array, "J 3 3"]
 
 
-def given_anchors(body: Body, poses: Pose, centres: Float[Array, "J 3"]) -> Anchors:
-    """Anchors where a given skeleton has its joints. Bones that share their vertices with the next ones, as those of a
-    spine do, have no cut, and would else wander along the limb."""
+def given_anchors(body: Body, poses: Pose, centres: Float[Array, "J 3"], keep: bool = False) -> Anchors:
+    """Anchors where a given skeleton has its joints: a prior beside what motion tells, or all that counts (`keep`). Bones
+    that share their vertices with the next ones, as those of a spine do, have no cut, and would else wander along the limb."""
     told, values, axes = _told(poses)
     pull = LITTLE_GIVEN**2 / (np.maximum(values, 0.0) + LITTLE_GIVEN)
-    weights = np.einsum("jab,jb,jcb->jac", axes, pull, axes)
+    weights = np.full_like(told, KEPT) * np.eye(3) if keep else np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     weights *= (np.array(body.skeleton.parents) >= 0)[:, None, None]
     dtype = body.vertices.dtype
     return Anchors(*(jnp.asarray(field, dtype) for field in (centres, weights, weights, told)))

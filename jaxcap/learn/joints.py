@@ -65,6 +65,7 @@ def improve_joints(
     value: float,
     tries: int = 5,
     given: Float[Array, "J 3"] | None = None,
+    keep: bool = False,
 ) -> JointStep:
     """One step of Gauss-Newton (Adaptation, 3.2.2) that never raises Q.
 
@@ -73,14 +74,14 @@ def improve_joints(
     changes nothing). The bones of left and right `pairs` of joints stay equally long, which is
     the limit of the paper's heavy `lambda Q_sym` (eqs. 3.23 to 3.26). Where a step would raise
     Q it is damped more, up to `tries` times, and then left. What no motion tells of a centre is left
-    to where a skeleton has it, `given`, or else to the cut between parts.
+    to where a skeleton has it, `given`, or else to the cut between parts; with `keep` no centre leaves that place.
     """
     slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
     arrow = normal_equations(body, poses, targets, metric, curvature, slots)
     anchors = (
         cut_anchors(body, poses, metric, value / targets.size)
         if given is None
-        else given_anchors(body, poses, given)
+        else given_anchors(body, poses, given, keep)
     )
     strengths = jnp.asarray([1.0, 0.0], targets.dtype)
     pulled, held = (_anchored(arrow, body.skeleton, anchors, slots, strength) for strength in strengths)

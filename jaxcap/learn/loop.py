@@ -68,6 +68,7 @@ def learn_body(
     alpha: float = 100.0,
     symmetry: bool | Int[np.ndarray, "P 2"] = True,
     skeleton: Skeleton | None = None,
+    keep_joints: bool = False,
     free_bones: bool = False,
     rounds: int = 30,
     on_round: Callable[[LearnState], None] | None = None,
@@ -87,14 +88,15 @@ def learn_body(
     end where None; `skin` says how
     vertices follow; `alpha` weighs shape against distance; `symmetry` keeps left and right bones
     equally long, in pairs that are found or given as `(P, 2)` indices of joints; `skeleton`, which
-    stands in the first mesh, replaces the joints that would be found; `free_bones` hang on
+    stands in the first mesh, replaces the joints that would be found: a prior for them beside what motion
+    tells, or with `keep_joints` all that counts; `free_bones` hang on
     nothing, and blend linearly. `on_round` sees the state after every round; `resume` goes on
     from one, to the same result.
 
     **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned.
     """
     exchanging: Exchanging = "no" if skeleton is not None else "free" if joints is None else "fixed"
-    given = None if skeleton is None else skeleton.centres
+    given = None if skeleton is None else Given(skeleton.centres, keep_joints)
     fine = _stage(meshes, alpha, "", given)
     coarse = coarsen(meshes)
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
@@ -117,6 +119,13 @@ def learn_body(
     return Learned(state.body, state.motion, state.pairs, state.history, state.curve)
 
 
+class Given(NamedTuple):
+    """Where a given skeleton has its joints, and whether they stay there."""
+
+    centres: Float[Array, "J 3"]
+    keep: bool
+
+
 class _Stage(NamedTuple):
     """The meshes that rounds work on, their metric, and what their steps are called by."""
 
@@ -125,11 +134,10 @@ class _Stage(NamedTuple):
     vertices: VertexSolver
     curvature: Curvature
     prefix: str
-    #: where a given skeleton has its joints
-    given: Float[Array, "J 3"] | None
+    given: Given | None
 
 
-def _stage(meshes: MeshSequence, alpha: float, prefix: str, given: Float[Array, "J 3"] | None) -> _Stage:
+def _stage(meshes: MeshSequence, alpha: float, prefix: str, given: Given | None) -> _Stage:
     metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
     return _Stage(meshes, metric, VertexSolver(metric), make_curvature(metric), prefix, given)
 
@@ -283,7 +291,8 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             state.pairs,
             state.damping,
             state.history[-1][1],
-            given=stage.given,
+            given=None if stage.given is None else stage.given.centres,
+            keep=stage.given is not None and stage.given.keep,
         )
         state = state._replace(
             body=found.body,
