@@ -201,6 +201,7 @@ def test_a_stopped_run_goes_on_to_the_same_result(inputs, tmp_path, capsys, slow
         (["--pairs", "1-2"], "'1-2'"),
         (["--free-bones", "--pairs", "1:2"], "--free-bones"),
         (["--skeleton", "nowhere.skl"], "nowhere.skl"),
+        (["--keep-joints"], "--keep-joints is of a skeleton"),
         (["--hold-out", "2", "--motion", "m.bvh"], "m.bvh"),
     ],
 )
