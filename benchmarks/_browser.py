@@ -3,6 +3,11 @@
 import contextlib
 import shutil
 from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL without a graphics card: SwiftShader comes with the browser, `gl-egl` is what the machine has (Mesa)
@@ -60,3 +65,16 @@ def open_page(browser, url: str, size: tuple[int, int], patience: float = 60.0):
 def wait_for_node(page, name: str) -> None:
     """Until a node of the scene has a geometry in the page."""
     page.wait_for_function(f"({GEOMETRY})('{name}') !== null")
+
+
+def pixel(camera: Any, place: ArrayLike, size: tuple[int, int]) -> Float[np.ndarray, "2"]:
+    """Where a place in the scene is on a page of so many pixels, by the camera that a browser tells (`client.camera`)."""
+    eye, (width, height) = np.array(camera.position), size
+    ahead = np.array(camera.look_at) - eye
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, camera.up_direction)
+    right /= np.linalg.norm(right)
+    away = np.asarray(place) - eye
+    x, y = (float(away @ axis) for axis in (right, np.cross(right, ahead)))
+    share = float(away @ ahead) * np.tan(camera.fov / 2)
+    return np.array([(width + height * x / share) / 2, height * (1 - y / share) / 2])

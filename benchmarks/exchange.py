@@ -21,12 +21,12 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcap as jc
+from benchmarks._browser import find_chromium
 from benchmarks._exchange import Case, Truth, Written, make_cases, truth_of, write_case
 from benchmarks._programs.run import (
     HEIGHT,
     WIDTH,
     blender,
-    chromium,
     in_blender,
     in_three,
     in_usd,
@@ -209,7 +209,7 @@ def main() -> None:
     cases = [case for case in cases if not options.cases or case.name in options.cases]
     python = blender(options.programs) if "blender" in options.only else None
     home = node_modules(options.programs) if {"validator", "three"} & set(options.only) else None
-    there = {"validator": home, "three": home and chromium(), "blender": python, "usd": True}
+    there = {"validator": home, "three": home and find_chromium(), "blender": python, "usd": True}
     parts: dict[str, Callable[[Work], Iterator[Part]]] = {
         "validator": lambda work: of_validator(home, work),
         "three": lambda work: of_three(home, work, options.keep),

@@ -9,12 +9,13 @@ nothing else beside.
 """
 
 import argparse
-import shutil
 import time
 
 import numpy as np
 
+from benchmarks._browser import find_chromium, launched, open_page, pixel, wait_for_node
 from benchmarks.report import finish, progress
+from jaxcap.body.body import Body
 from jaxcap.body.human import human
 from jaxcap.edit import ik_session as ik
 from jaxcap.edit.ik_session import IkSession, IkSettings
@@ -23,13 +24,11 @@ from jaxcap.view.serve import address, close_server, open_server
 
 JOINTS = ("LeftHand", "RightHand", "LeftFoot", "RightFoot", "Head", "Spine1", "LeftForeArm", "RightForeArm",
           "LeftLeg", "RightLeg")  # fmt: skip
-#: of software rendering, which any machine has
-ARGUMENTS = ("--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader")
+SURFACE, SIZE = "/body/surface", (960, 640)
 
 
-def ten_constraints(solver: str) -> tuple[IkSession, int]:
+def ten_constraints(body: Body, solver: str) -> tuple[IkSession, int]:
     """A session with vertices near ten joints held; the first is the one that is dragged."""
-    body = human()
     places, centres = np.asarray(body.vertices), np.asarray(body.skeleton.centres)
     session = ik.begin_session(body, settings=IkSettings(solver))  # pyright: ignore[reportArgumentType]
     held = []
@@ -47,8 +46,8 @@ def loop_of(place: tuple[float, float, float], count: int) -> list[tuple[float, 
     return [(float(x), float(y), float(z)) for x, y, z in np.asarray(place) + 0.25 * around]
 
 
-def solve_milliseconds(solver: str, count: int) -> list[float]:
-    session, hand = ten_constraints(solver)
+def solve_milliseconds(body: Body, solver: str, count: int) -> list[float]:
+    session, hand = ten_constraints(body, solver)
     targets = loop_of(ik.constraint_at(session, hand).target, count)
     session, taken = ik.grab(session), []
     for target in targets[:3] + targets:
@@ -60,12 +59,12 @@ def solve_milliseconds(solver: str, count: int) -> list[float]:
 
 
 #: keeps, in the page, the time of every mouse move and of every change of the surface's vertices
-WATCH = """() => {
+WATCH = """surface => {
     window.moves = []; window.changes = [];
     addEventListener('pointermove', () => window.moves.push(performance.now()), true);
     let last = null, version = -1;
     const look = () => {
-        const node = window.__viserMutable.nodeRefFromName['/body/surface'];
+        const node = window.__viserMutable.nodeRefFromName[surface];
         if (node) node.traverse(o => {
             const p = o.geometry && o.geometry.attributes.position;
             if (p && (p !== last || p.version !== version)) {
@@ -79,30 +78,25 @@ WATCH = """() => {
 }"""
 
 
-def browser_milliseconds(moves: int, rest: float) -> list[float]:
+def browser_milliseconds(body: Body, moves: int, rest: float) -> list[float]:
     """From a mouse's move to the change that follows it, each with time to settle before the next."""
-    from playwright.sync_api import sync_playwright
-
-    session, hand = ten_constraints("levenberg-marquardt")
+    session, hand = ten_constraints(body, "levenberg-marquardt")
     server = open_server(0)
     windows = serve_ik(server, session)
     taken: list[float] = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
-        page = browser.new_page(viewport={"width": 960, "height": 640})
-        page.set_default_timeout(300_000)
-        page.goto(address(server))
-        page.wait_for_function("window.__viserMutable?.nodeRefFromName['/body/surface'] !== undefined")
+    with launched() as browser:
+        page = open_page(browser, address(server), SIZE, 300.0)
+        wait_for_node(page, SURFACE)
         while not windows or windows[0].note:
             time.sleep(0.1)
         window = windows[0]
-        at = window.pixel(ik.constraint_at(window.session, hand).target, 960, 640)
+        at = pixel(window.client.camera, ik.constraint_at(window.session, hand).target, SIZE)
         page.mouse.move(*at)
         page.mouse.down()
         page.mouse.move(at[0] + 6, at[1] - 6)
         page.mouse.move(at[0] + 8, at[1] - 8)
         time.sleep(2.0)
-        page.evaluate(WATCH)
+        page.evaluate(WATCH, SURFACE)
         for number in range(moves):
             turn = 2 * np.pi * number / moves
             page.evaluate("() => { window.moves = []; window.changes = []; }")
@@ -113,7 +107,6 @@ def browser_milliseconds(moves: int, rest: float) -> list[float]:
             if later:
                 taken.append(later[0] - moved[0])
         page.mouse.up()
-        browser.close()
     close_server(server)
     return taken
 
@@ -127,6 +120,7 @@ def main() -> None:
     parser.add_argument("--rest", type=float, default=0.5, help="seconds between two moves in the browser")
     parser.add_argument("--no-browser", action="store_true")
     options = parser.parse_args()
+    body = human()
     figures, seconds = {}, {}
     for solver, name in (
         ("levenberg-marquardt", "solve"),
@@ -134,7 +128,7 @@ def main() -> None:
         ("priorities", "priorities"),
     ):
         start = time.perf_counter()
-        taken = solve_milliseconds(solver, options.frames if name == "solve" else options.frames // 4)
+        taken = solve_milliseconds(body, solver, options.frames if name == "solve" else options.frames // 4)
         seconds[name] = time.perf_counter() - start
         figures |= {
             f"{name}_median_ms": float(np.median(taken)),
@@ -143,8 +137,8 @@ def main() -> None:
         progress(
             f"{solver}: median {np.median(taken):.1f} ms, 99th percentile {np.percentile(taken, 99):.1f} ms"
         )
-    if not options.no_browser and shutil.which("chromium"):
-        shown = browser_milliseconds(options.moves, options.rest)
+    if not options.no_browser and find_chromium() is not None:
+        shown = browser_milliseconds(body, options.moves, options.rest)
         figures |= {
             "browser_median_ms": float(np.median(shown)),
             "browser_p90_ms": float(np.percentile(shown, 90)),
@@ -153,7 +147,9 @@ def main() -> None:
         progress(
             f"in the browser: median {np.median(shown):.0f} ms, of {len(shown)} of {options.moves} moves"
         )
-    sizes = {"vertices": 13380, "constraints": len(JOINTS), "frames": options.frames, "moves": options.moves}
+    sizes = {
+        "vertices": len(body.vertices), "constraints": len(JOINTS), "frames": options.frames, "moves": options.moves,
+    }  # fmt: skip
     finish("ik_latency", figures, {"solve_median_ms": ("<=", 30.0)}, sizes, seconds)
 
 

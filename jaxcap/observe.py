@@ -1,6 +1,7 @@
 """What sensors saw."""
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import overload
 
 import equinox as eqx
@@ -154,14 +155,15 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     )
 
 
-def padded_size(count: int) -> int:
-    """The next size on the ladder 64, 80, 96, 112, 128, 160, ...: four rungs to a doubling."""
-    rung = 16
-    while True:
-        for quarters in (4, 5, 6, 7):
-            if count <= rung * quarters:
-                return rung * quarters
-        rung *= 2
+def padded_size(count: int, rungs: Sequence[int] = (64, 80, 96, 112), growth: int = 2) -> int:
+    """The first size of a ladder that is large enough, so that few sizes are ever compiled for.
+
+    The ladder is the ascending `rungs`, then `growth` times as much of each, and so on; by default 64, 80, 96, 112,
+    128, 160, ..., four rungs to a doubling."""
+    scale = 1
+    while count > scale * rungs[-1]:
+        scale *= growth
+    return next(scale * rung for rung in rungs if count <= scale * rung)
 
 
 def stack_clouds(clouds: list[Cloud]) -> Cloud:

@@ -10,6 +10,7 @@ import ast
 import posixpath
 import re
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,14 +86,28 @@ def dotted(path: str) -> str:
 
 
 def public_names() -> dict[str, str]:
-    """The module that each public name comes from, without `jaxcap`, in the order of `jaxcap/__init__.py`."""
-    tree = ast.parse((ROOT / "jaxcap" / "__init__.py").read_text())
-    return {
-        alias.asname or alias.name: str(node.module)
-        for node in tree.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
+    """The module that each public name comes from, without `jaxcap`, in the order of `jaxcap/__init__.py`; then those
+    of its namespaces, as `edit.cut`, that do not stand there by themselves."""
+    found, namespaces = {}, []
+    for module, name in _imports(ROOT / "jaxcap" / "__init__.py"):
+        if module:
+            found[name] = module
+        else:
+            namespaces.append(name)
+    flat = set(found)
+    for space in namespaces:
+        for module, name in _imports(ROOT / "jaxcap" / space / "__init__.py"):
+            if name not in flat:
+                found[f"{space}.{name}"] = f"{space}.{module}"
+    return found
+
+
+def _imports(path: Path) -> Iterator[tuple[str, str]]:
+    """What a package brings, with the module that it is from; none for a module itself."""
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                yield node.module or "", alias.asname or alias.name
 
 
 def names_of(wings: str) -> list[str]:
@@ -103,7 +118,7 @@ def names_of(wings: str) -> list[str]:
 
 def paper_functions() -> list[str]:
     """What the papers' tables name and is not public, by its full name."""
-    public = {f"{it.__module__}.{it.__qualname__}" for it in (getattr(jaxcap, n) for n in public_names())}
+    public = {f"{it.__module__}.{it.__qualname__}" for it in (attrgetter(n)(jaxcap) for n in public_names())}
     found: dict[str, None] = {}
     for name in functions_of(sorted((ROOT / "docs").rglob("*.md"))):
         if name not in public:

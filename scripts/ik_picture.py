@@ -1,24 +1,23 @@
 """Write assets/ik.png, Kineben's figure 5 in the browser: a body, points that are held, one that is dragged, the body after it.
 
-`python scripts/ik_picture.py` opens the window of `jaxcap ik` in Chromium without a screen and works it with a mouse.
+`python -m scripts.ik_picture` opens the window of `jaxcap ik` in Chromium without a screen and works it with a mouse.
 """
 
 import io
-import shutil
 import time
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from playwright.sync_api import sync_playwright
 
 import jaxcap as jc
+from benchmarks._browser import launched, open_page, pixel, wait_for_node
 from jaxcap.edit import ik_session as ik
 from jaxcap.view.ik import IkWindow, serve_ik
 from jaxcap.view.serve import address, close_server, open_server
 
 OUT = Path(__file__).resolve().parents[1] / "assets" / "ik.png"
-WIDTH, HEIGHT = 1080, 760
+SIZE = WIDTH, HEIGHT = 1080, 760
 #: of a picture, where the body is; the controls stand beside it
 LEFT, RIGHT = 300, 700
 TITLES = ("(a) The body.", "(b) Points are held; in blue, pinned.", "(c) One is dragged; the body follows.",
@@ -30,19 +29,9 @@ def main() -> None:
     body = jc.human()
     server = open_server(0)
     windows = serve_ik(server, ik.begin_session(body))
-    with sync_playwright() as playwright:
-        program = shutil.which("chromium") or shutil.which("google-chrome")
-        arguments = [
-            "--headless=new",
-            "--no-sandbox",
-            "--enable-unsafe-swiftshader",
-            "--use-angle=swiftshader",
-        ]
-        browser = playwright.chromium.launch(executable_path=program, args=arguments)
-        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-        page.set_default_timeout(300_000)
-        page.goto(address(server))
-        page.wait_for_function("window.__viserMutable?.nodeRefFromName['/body/surface'] !== undefined")
+    with launched() as browser:
+        page = open_page(browser, address(server), SIZE, 300.0)
+        wait_for_node(page, "/body/surface")
         while not windows or windows[0].note:
             time.sleep(0.1)
         window, pictures = windows[0], []
@@ -50,13 +39,12 @@ def main() -> None:
         hold(page, window)
         pictures.append(picture(page))
         hand = window.session.state.constraints[-1]
-        page.mouse.move(*window.pixel(hand.target, WIDTH, HEIGHT))
+        page.mouse.move(*pixel(window.client.camera, hand.target, SIZE))
         page.mouse.down()
         for target, title in (((-0.68, 0.62, 0.3), "c"), ((-0.3, 0.8, 0.3), "d")):
             drag_to(page, window, target, title)
             pictures.append(picture(page))
         page.mouse.up()
-        browser.close()
     close_server(server)
     write(pictures)
 
@@ -70,7 +58,7 @@ def hold(page, window: IkWindow) -> None:
         near = np.flatnonzero(np.linalg.norm(places - centres[body.skeleton.index(name)], axis=1) < 0.07)
         points.append(places[near[np.argmax(places[near, 2])]])
     for number, point in enumerate(points, 1):
-        page.mouse.click(*window.pixel(tuple(point), WIDTH, HEIGHT))
+        page.mouse.click(*pixel(window.client.camera, point, SIZE))
         settle(lambda number=number: len(window.session.state.constraints) == number)
         if number <= len(HELD):
             page.locator("input[type=checkbox]:visible").first.click()
@@ -79,19 +67,12 @@ def hold(page, window: IkWindow) -> None:
 
 def drag_to(page, window: IkWindow, target, title: str) -> None:
     """Move the mouse until the ball is where a target is on the screen."""
-    end = np.array(window.pixel(target, WIDTH, HEIGHT))
-    start = np.array(window.pixel(window.session.state.constraints[-1].target, WIDTH, HEIGHT))
+    ball = lambda: pixel(window.client.camera, window.session.state.constraints[-1].target, SIZE)  # noqa: E731
+    start, end = ball(), pixel(window.client.camera, target, SIZE)
     for share in np.linspace(0, 1, 13)[1:]:
         page.mouse.move(*(start + share * (end - start)))
         time.sleep(0.15)
-    settle(
-        lambda: (
-            np.linalg.norm(
-                np.array(window.pixel(window.session.state.constraints[-1].target, WIDTH, HEIGHT)) - end
-            )
-            < 3
-        )
-    )
+    settle(lambda: np.linalg.norm(ball() - end) < 3)
 
 
 def settle(happened, seconds: float = 60.0) -> None:

@@ -9,7 +9,7 @@ from jaxcap.body.body import deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.io.amass import write_amass
 from jaxcap.io.bvh import read_bvh, write_bvh
-from jaxcap.io.npz import load_body, load_motion, load_skeleton
+from jaxcap.io.npz import load_body, load_motion, load_skeleton, save_motion
 from jaxcap.io.registry import read_markers
 from jaxcap.io.vertex_list import read_vertex_list
 
@@ -131,6 +131,16 @@ def test_a_motion_of_a_body(inputs, tmp_path, capsys):
     same_motion(load_motion(tmp_path / "m.npz", body.skeleton), motion, 1e-6)
 
 
+def test_the_human_is_a_body_without_a_file(inputs, tmp_path, capsys):
+    runs(capsys, "convert", "human:low", tmp_path / "a.glb", "--motion", inputs / "truth.npz")
+    runs(capsys, "convert", inputs / "body.npz", tmp_path / "b.glb", "--motion", inputs / "truth.npz")
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+    runs(
+        capsys, "convert", inputs / "truth.npz", tmp_path / "a.trc", "--body", "human:low", "--vertices", "7"
+    )
+    assert "'huge' is not an option" in fails(capsys, "convert", "human:huge", tmp_path / "c.glb")
+
+
 def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
     body, motion, out = inputs / "body.npz", inputs / "truth.npz", tmp_path / "out"
     (tmp_path / "three.txt").write_text("LFHD 7 8\n")
@@ -139,6 +149,8 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
     (tmp_path / "minus.txt").write_text("LFHD -3\n")
     (tmp_path / "twice.txt").write_text("LFHD 3\nLFHD 4\n")
     marked = (motion, "out.trc", "--body", body, "--vertices")
+    skeleton = load_body(body).skeleton
+    save_motion(inputs / "still.npz", load_motion(motion).slice(slice(0, 0)), skeleton)
     before = tree(tmp_path)
     for source, target, *options, said in (
         (motion, "out.fbx", "cannot become"),
@@ -167,6 +179,8 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
         (*marked, tmp_path / "minus.txt", "count from 0"),
         (*marked, tmp_path / "twice.txt", "stands twice"),
         (tmp_path / "none.npz", "out.bvh", "no such file"),
+        (inputs / "still.npz", "out.bvh", "there are no frames in this motion"),
+        (body, "out.glb", "--motion", inputs / "still.npz", "there are no frames in this motion"),
     ):
         assert said in fails(capsys, "convert", source, out.with_name(target), *options)
     assert tree(tmp_path) == before

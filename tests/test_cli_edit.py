@@ -10,8 +10,10 @@ from cli import fails, runs
 
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
-from jaxcap.edit.ground import lowest
+from jaxcap.cli import main
+from jaxcap.edit.soles import lowest
 from jaxcap.geometry import rotation
+from jaxcap.io.colours import read_colours
 from jaxcap.io.registry import read_motion
 
 SKELETON = jc.make_skeleton(
@@ -125,6 +127,65 @@ def test_retarget_brings_feet_to_the_floor_and_hands_together(capsys, folder):
     assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.01
 
 
+@pytest.fixture(scope="module")
+def upright():
+    """A stick figure on legs, and the same lying as programs with z up have it."""
+    names = ["Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot", "Head"]
+    left = [[0.1, 0.9, 0], [0.1, 0.5, 0.01], [0.1, 0.1, 0]]
+    centres = np.array([[0, 1.0, 0], *left, *(np.array(left) * [-1, 1, 1]), [0, 1.6, 0]])
+    build = lambda x: jc.make_skeleton(names, [-1, 0, 1, 2, 0, 4, 5, 0], ["free"] + ["ball"] * 7, x)  # noqa: E731
+    return build(centres), build(centres @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
+
+
+def test_the_floor_of_a_motion_with_z_up_is_below_its_feet(capsys, folder, upright):
+    """Somebody walks away along -y, half a metre over the origin, and is given to a body of three quarters."""
+    tall, lying = upright
+    steps = np.zeros((6, 8, 3))
+    steps[:, 0] = [0, -2.0, 0.4] + np.arange(6)[:, None] * [0, -0.3, 0.01]
+    still = jnp.tile(jnp.array([1.0, 0, 0, 0]), (6, 8, 1))
+    motion = jc.Motion(jc.Pose(jnp.asarray(steps), still, jnp.ones(6)), 30.0)
+    jc.write_bvh(folder / "lying.bvh", lying, motion)
+    small = jc.make_skeleton(tall.names, tall.parents, tall.kinds, 0.75 * np.asarray(tall.centres))
+    box = trimesh.creation.box((0.6, 1.2, 0.3)).subdivide()
+    vertices = jnp.asarray(box.vertices + [0, 0.6, 0])
+    body = jc.Body(small, jc.RigidSkin(jnp.zeros(len(vertices), int)), vertices, jnp.asarray(box.faces))
+    jc.save_body(folder / "small.npz", body)
+    (folder / "feet.txt").write_text("LeftFoot LeftFoot\n")
+    told = runs(capsys, "edit", "retarget", folder / "lying.bvh", folder / "small.npz", "-o", folder / "up.npz", "--ground",
+                "--points", folder / "feet.txt")  # fmt: skip
+    # the lowest joint is 0.1 m over the soles and goes from 0.5 m on
+    assert "1 m becomes 0.750 m, the floor is at 0.50" in told
+    assert "LeftFoot and LeftFoot: 0.0 mm apart, 0.0 mm at most" in told
+    moved = jc.load_motion(folder / "up.npz")
+    low = lowest(body, moved.poses, np.array([0, 0, 1.0]))
+    np.testing.assert_allclose(low, 0.501 + 0.75 * 0.01 * np.arange(6), atol=2e-3)
+    feet = np.asarray(joint_paths(small, moved.poses))[:, 3]
+    np.testing.assert_allclose(feet[:, 1], 0.75 * (-2.0 - 0.3 * np.arange(6)), atol=1e-3)
+
+
+def test_motions_that_do_not_say_whose_they_are_take_the_body(capsys, folder):
+    """AMASS's own files hold no skeleton, and ours need not."""
+    body = jc.human(resolution="low")
+    poses = jc.stack_poses([jc.rest_pose(body.skeleton)] * 3)
+    jc.save_body(folder / "human.npz", body)
+    jc.save_motion(folder / "bare.npz", poses)
+    jc.write_amass(folder / "own.npz", body.skeleton, poses)
+    with np.load(folder / "own.npz", allow_pickle=False) as arrays:
+        kept = {name: arrays[name] for name in ("poses", "trans", "mocap_framerate")}
+    np.savez(folder / "amass.npz", **kept)
+    for name in ("bare", "amass"):
+        motion, out = folder / f"{name}.npz", folder / f"{name}_out.npz"
+        fails(capsys, "edit", "gaze", motion, "-o", out, "--target", 1, 0.5, 3, "--fade", 0)
+        told = runs(
+            capsys, "edit", "gaze", motion, "-o", out, "--target", 1, 0.5, 3, "--fade", 0, "--body", folder / "human.npz"
+        )  # fmt: skip
+        assert "3 of them looking" in told and "and 0.00° after" in told
+        runs(capsys, "edit", "retarget", motion, folder / "human.npz", "-o", out, "--source", folder / "human.npz",
+             "--by", "names", "--overwrite")  # fmt: skip
+        found = joint_paths(body.skeleton, jc.load_motion(out).poses)
+        np.testing.assert_allclose(found, joint_paths(body.skeleton, poses.poses), atol=1e-5)
+
+
 def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
     body = jc.human(resolution="low")
     jc.save_body(folder / "body.npz", body)
@@ -155,6 +216,13 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
          "--as", "obj", "--frames", 1, 1, "--overwrite")  # fmt: skip
     assert [path.name for path in (folder / "glued").iterdir()] == ["glued_0001.obj"]
     again = jc.read_mesh(folder / "glued" / "glued_0001.obj")
+    tinted = folder / "glued" / "glued_0001.obj"
+    np.testing.assert_array_equal(
+        trimesh.load(tinted, process=False).visual.vertex_colors[:, :3], scan.visual.vertex_colors[:, :3]
+    )
+    np.testing.assert_array_equal(
+        read_colours(tinted, len(scan.vertices))[:, :3], scan.visual.vertex_colors[:, :3]
+    )
     np.testing.assert_allclose(again.vertices, scan.vertices + [0, 0.5, 0], atol=1e-5)
     said = fails(
         capsys,
@@ -204,6 +272,16 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
         ("cut a.npz -o a.npz --frames 0 3", "give --overwrite"),
         ("cut none.npz -o new.npz --frames 0 3", "none.npz"),
         ("cut b.bvh -o new.npz --frames 0 3 --unit m", "say by --unit"),
+        ("cut a.npz -o new.npz --frames 0 3 --unit mm", "leave --unit mm out"),
+        ("cut a.npz -o new.npz --seconds 0 inf", "--seconds is 0 inf"),
+        ("cut a.npz -o empty.bvh --frames 0 3 --overwrite", "empty.bvh: this is a folder"),
+        ("cut bare.npz -o new.npz --frames 0 3", "does not say its skeleton"),
+        ("cut marked.npz -o new.npz --frames 0 3", "an unmarked file, not a 'jaxcap motion'"),
+        ("resample a.npz -o new.npz --rate 1e9", "that makes 2e+09 frames"),
+        ("keys a.npz -o new.npz --keys new.npz", "give them two names"),
+        ("retarget a.npz a.npz -o new.npz --names none.txt", "jaxcap: none.txt: there is no such file"),
+        ("retarget a.npz a.npz -o new.npz --source human:low", "--source human:low is not the body"),
+        ("glue cloud.obj human:low still.npz -o glued2", "still.npz: there are no frames in this motion"),
         ("resample a.npz -o new.npz --rate 0", "above 0 frames a second"),
         ("join a.npz other.npz -o new.npz", "another skeleton than"),
         ("join a.npz b.bvh -o new.npz --blend 9", "blend over less"),
@@ -227,8 +305,63 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
 def test_wrong_input_ends_in_one_sentence(capsys, folder, monkeypatch, words, said):
     monkeypatch.chdir(folder)
     (folder / "one.txt").write_text("LeftHand\n")
+    (folder / "empty.bvh").mkdir(exist_ok=True)
+    (folder / "cloud.obj").write_text("v 0 0 0\n")
+    jc.save_motion(folder / "bare.npz", gait())
+    np.savez(folder / "marked.npz", a=np.ones(3))
+    human = jc.human(resolution="low").skeleton
+    jc.save_motion(folder / "still.npz", jc.stack_poses([jc.rest_pose(human)]).slice(slice(0, 0)), human)
     assert said in fails(capsys, "edit", *words.split())
     assert not (folder / "new.npz").exists()
+
+
+def test_a_unit_may_be_a_number_of_metres(capsys, folder):
+    """As CMU's captures have it, in which a unit is a length without a name."""
+    jc.write_bvh(folder / "odd.bvh", SKELETON, gait(3), unit=0.0564)
+    runs(
+        capsys,
+        "edit",
+        "cut",
+        folder / "odd.bvh",
+        "-o",
+        folder / "metres.npz",
+        "--frames",
+        0,
+        2,
+        "--unit",
+        "0.0564",
+    )
+    found = read_motion(folder / "metres.npz")[0]
+    here = np.asarray(found.centres)[found.names.index("Head")]
+    np.testing.assert_allclose(here, np.asarray(SKELETON.centres)[3], atol=1e-5)
+    said = fails(
+        capsys,
+        "edit",
+        "cut",
+        folder / "odd.bvh",
+        "-o",
+        folder / "x.npz",
+        "--frames",
+        0,
+        2,
+        "--unit",
+        "league",
+    )
+    assert "'league' is not a unit of length" in said and "the metres in one" in said
+    said = fails(
+        capsys, "edit", "cut", folder / "odd.bvh", "-o", folder / "x.npz", "--frames", 0, 2, "--unit", "-1"
+    )
+    assert "give a number above zero" in said
+
+
+def test_a_floor_in_another_unit_is_told(capsys, folder):
+    runs(
+        capsys, "edit", "retarget", folder / "a.npz", folder / "b.bvh", "-o", folder / "low.npz", "--floor", 0
+    )
+    assert not capsys.readouterr().err
+    main(["edit", "retarget", *(str(folder / name) for name in ("a.npz", "b.bvh")), "-o", str(folder / "far.npz"),
+          "--floor", "80"])  # fmt: skip
+    assert "--floor is 80 m, and the lowest joint of the motion is at" in capsys.readouterr().err
 
 
 def test_a_skeleton_is_retargeted_to_itself(capsys, folder):

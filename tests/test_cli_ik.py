@@ -9,6 +9,7 @@ import pytest
 from cli import fails, runs
 
 import jaxcap as jc
+from jaxcap.cli import main
 
 HEAD = '{"format": "jaxcap constraints", "version": 1, "constraints": '
 
@@ -43,6 +44,18 @@ def test_constraints_are_met_and_the_pose_is_written(folder, capsys):
     runs(capsys, "ik", folder / "leg.npz", "--pose", folder / "pose.npz", "--constraints", folder / "far.json", "-o",
          folder / "far.bvh")  # fmt: skip
     assert jc.read_bvh(folder / "far.bvh")[1].num_frames == 1
+    (folder / "mm.json").write_text(HEAD + '[{"vertex": 0, "target": [0, 300, 300]}]}')
+    main(
+        [
+            "ik",
+            str(folder / "leg.npz"),
+            "--constraints",
+            str(folder / "mm.json"),
+            "-o",
+            str(folder / "mm.npz"),
+        ]
+    )
+    assert "a target is 424 m from the body; targets are in metres" in capsys.readouterr().err
 
 
 def test_limits_are_kept(folder, capsys):
@@ -61,7 +74,18 @@ def test_what_is_wrong_is_told_in_a_sentence(folder, capsys):
     (folder / "other.json").write_text(json.dumps({"format": "jaxcap constraints", "version": 1, "constraints": [
         {"vertex": 77, "target": [0, 0, 0]}]}))  # fmt: skip
     (folder / "there.npz").write_bytes(b"")
+    (folder / "empty.npz").mkdir()
+    skeleton = jc.load_body(leg).skeleton
+    jc.save_motion(
+        folder / "still.npz", jc.stack_poses([jc.rest_pose(skeleton)]).slice(slice(0, 0)), skeleton
+    )
     wrong = [
+        ([leg, "--constraints", near, "-o", folder / "none" / "out.npz"], "its folder is not there"),
+        ([leg, "--constraints", near, "-o", folder / "empty.npz"], "empty.npz: this is a folder"),
+        (
+            [leg, "--constraints", near, "-o", out, "--pose", folder / "still.npz"],
+            "there are no frames in this motion",
+        ),
         (["nowhere.obj"], "nowhere.obj: there is no such file"),
         ([leg, "--frame", "2"], "--frame 2: there is no motion to take it from"),
         ([leg, "-o", out], "there are no constraints to meet"),

@@ -85,6 +85,7 @@ def test_what_is_refused(capsys, folder, tmp_path):
     assert "--seed is -1" in fails(capsys, *learn, "--seed", -1)
     assert "written as .npz" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "p.txt")
     assert "there already" in fails(capsys, "prior", "learn", m, "-o", folder / "body.npz")
+    assert "folder is not there" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "none" / "p.npz")
     assert "no motions" in fails(capsys, "prior", "learn", "-o", out)
     assert "no such file" in fails(capsys, "prior", "learn", tmp_path / "none.npz", "-o", out)
     assert "not read as '.fbx'" in fails(capsys, "prior", "learn", tmp_path / "a.fbx", "-o", out)

@@ -12,8 +12,8 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.between import resample
 from jaxcap.edit.clips import cut, join, make_loop
-from jaxcap.edit.mirror import mirror
 from jaxcap.edit.planar import Planar, align, move, power
+from jaxcap.edit.reflection import mirror
 from jaxcap.edit.transitions import find_loops, find_transitions, transition_distances
 from jaxcap.geometry import rotation
 

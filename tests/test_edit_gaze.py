@@ -114,6 +114,25 @@ def test_limits_hold_the_turn(motion):
     assert far.held.any()
 
 
+def test_who_is_recorded_beyond_limits_comes_back_into_them_with_the_fade(motion):
+    """The head alone is turned by 50 degrees and may by 30: no frame jumps, and where the gaze is whole it is held."""
+    turned = jnp.zeros((40, 8, 3)).at[:, 4, 1].set(np.radians(50.0))
+    posed = Motion(Pose(motion.poses.translations, rotation.exp(turned), motion.poses.scale), 30.0)
+    limits = make_joint_ranges(
+        SKELETON, cones={"Head": Cone((0, 0, 1.0), np.radians(30), (0, 1.0, 0), np.pi)}
+    )
+    line, shares = line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
+    ahead = look_at_target(
+        SKELETON, posed, line, np.array([np.sin(1.2), 0, np.cos(1.2)]), shares, direction=True, first=5, last=34,
+        fade=0.4, limits=limits,
+    )  # fmt: skip
+    front = np.asarray(rotation.to_matrix(ahead.motion.poses.rotations[:, 4]))[..., 2]
+    angle = np.degrees(np.arccos(front[:, 2]))
+    share = ahead.magnitude
+    np.testing.assert_allclose(angle, 50 - 20 * share, atol=1e-4)
+    assert (share[:6] == 0).all() and (share == 1).any()
+
+
 def test_fades_are_flat_at_their_ends():
     weights = fade_weights(100, 10, 89, 20.0)
     assert (weights[:11] == 0).all() and (weights[30:70] == 1).all() and (weights[89:] == 0).all()

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import chain_body, check_energy, random_pose
+from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.jacobian import cone_gradient
@@ -16,7 +17,7 @@ from jaxcap.energy.landmarks import BoneLandmarks, VertexLandmarks, joint_landma
 from jaxcap.energy.limits import JointLimits
 from jaxcap.energy.moments import rigid_moments
 from jaxcap.energy.points import PointToPlane, PointToPoint
-from jaxcap.energy.prior import PosePrior
+from jaxcap.energy.prior import PosePrior, ReferencePrior, RestPrior
 from jaxcap.energy.term import energies
 from jaxcap.geometry import rotation
 
@@ -61,6 +62,13 @@ def some_pairs(rng, count: int = 12):
     return chosen, points, normals, weights
 
 
+def some_reference_prior(rng) -> ReferencePrior:
+    """About an ordinary pose; one joint slides freely, and one turns freely."""
+    metres = jnp.asarray(rng.uniform(0.5, 2.0, 9)).at[3].set(jnp.inf)
+    radians = jnp.asarray(rng.uniform(0.5, 2.0, (9, 3))).at[5].set(jnp.inf)
+    return ReferencePrior(random_pose(SKELETON, rng, 0.4), metres, radians)
+
+
 def test_distances_landmarks_and_priors_against_central_differences(rng):
     chosen, points, normals, weights = some_pairs(rng)
     bones = BODY.skin.parts()[chosen]
@@ -73,8 +81,21 @@ def test_distances_landmarks_and_priors_against_central_differences(rng):
         + 0.0 * joint_landmarks(SKELETON.centres + 0.1)
         + rigid_moments(bones, BODY.vertices[chosen], points, weights, SKELETON.num_joints)
         + PosePrior(random_pose(SKELETON, rng, 0.5), deviations)
+        + some_reference_prior(rng)
+        + RestPrior(jnp.asarray(rng.uniform(0.5, 2.0, (9, 3))))
     )
     check_energy(total, BODY, [random_pose(SKELETON, rng, 0.8, scale=1.2)])
+
+
+def test_the_reference_prior_is_measured_about_the_joints_own_axes(rng):
+    """Against SciPy's rotations."""
+    prior, pose = some_reference_prior(rng), random_pose(SKELETON, rng, 0.4)
+    quaternions = (prior.reference.rotations, pose.rotations, SKELETON.orientations)
+    here, there, own = (Rotation.from_quat(np.asarray(q), scalar_first=True) for q in quaternions)
+    turns = own.inv().apply((here.inv() * there).as_rotvec()) / prior.radians
+    shifts = (pose.translations - prior.reference.translations) / prior.metres[:, None]
+    expected = np.concatenate([shifts.ravel(), turns.ravel()])
+    np.testing.assert_allclose(residual_of(prior, BODY, pose), expected, atol=1e-9)
 
 
 def test_joint_limits_against_central_differences_and_their_closed_form(rng):

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
+from benchmarks._browser import find_chromium
 from benchmarks._exchange import Case, chain, truth_of
-from benchmarks._programs.run import chromium, in_blender, validated
+from benchmarks._programs.run import in_blender, validated
 from benchmarks.exchange import compared, of_blender, of_three, of_usd, of_validator, prepared
 from benchmarks.report import misses
 from jaxcap.body.skin import swing_twist_from
@@ -75,7 +76,7 @@ def test_khronos_validator_of_odd_files(tmp_path):
 def test_three(work):
     home = program("node")
     pytest.importorskip("playwright")
-    if chromium() is None:
+    if find_chromium() is None:
         pytest.skip("there is no Chromium")
     holds(of_three(home, work, None))
 

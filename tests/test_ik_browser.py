@@ -11,9 +11,12 @@ from browser import chromium, vertices, wait_for_node
 from PIL import Image
 
 import jaxcap as jc
+from benchmarks._browser import pixel as on_page
 from jaxcap.edit import ik_session as ik
+from jaxcap.edit.inverse_kinematics import SOLVERS
 from jaxcap.view.handles import MET
 from jaxcap.view.ik import serve_ik
+from jaxcap.view.ik_controls import SOLVERS as LABELS
 from jaxcap.view.serve import address, close_server, open_server
 
 __all__ = ["chromium"]
@@ -56,16 +59,9 @@ def open_window(chromium, served):
 
 
 def pixel(page, window, place) -> np.ndarray:
-    """Where a place is on the screen, by the camera that the browser tells."""
-    camera, size = window.client.camera, page.viewport_size
-    eye = np.array(camera.position)
-    ahead = np.array(camera.look_at) - eye
-    ahead /= np.linalg.norm(ahead)
-    right = np.cross(ahead, [0.0, 1.0, 0.0])
-    right /= np.linalg.norm(right)
-    away = np.asarray(place) - eye
-    x, y = (away @ right, away @ np.cross(right, ahead)) / (away @ ahead) / np.tan(camera.fov / 2)
-    return np.array([size["width"] / 2 + size["height"] / 2 * x, size["height"] / 2 * (1 - y)])
+    """Where a place is on the screen."""
+    size = page.viewport_size
+    return on_page(window.client.camera, place, (size["width"], size["height"]))
 
 
 def hand_of(body) -> int:
@@ -94,6 +90,10 @@ def looks_like(colour, wanted) -> bool:
     """The same hue under whatever light."""
     a, b = (np.asarray(c, float) - np.mean(c) for c in (colour, wanted))
     return a @ b > 0.9 * np.linalg.norm(a) * np.linalg.norm(b) and np.linalg.norm(a) > 15
+
+
+def test_every_solver_has_a_label():
+    assert sorted(LABELS.values()) == sorted(SOLVERS)
 
 
 def test_a_point_is_clicked_dragged_and_arrives(chromium, served, body):
@@ -162,6 +162,18 @@ def test_files_go_to_the_browser_and_come_from_it(chromium, served, body, tmp_pa
     chooser.set_input_files(str(path))
     page.get_by_text("wrong.json: this is not a file of constraints").wait_for()
     assert window.session.state.constraints == (held,)
+
+    # the surface lets the joints inside it be seen
+    opacity = f"""() => {{
+        let found = 1;
+        window.__viserMutable.nodeRefFromName['{SURFACE}'].traverse(o => {{ if (o.material) found = o.material.opacity; }});
+        return found;
+    }}"""
+    assert page.evaluate(opacity) == 1
+    page.get_by_label("Show joints").check()
+    page.wait_for_function(f"({opacity})() < 1")
+    page.get_by_label("Show joints").uncheck()
+    page.wait_for_function(f"({opacity})() === 1")
     page.close()
 
 

@@ -107,6 +107,11 @@ def rewrite(path, drop=(), **changes):
         (lambda p: rewrite(p, faces=np.array([[0, 1, 7]])), "vertex 7"),
         (lambda p: rewrite(p, skin=np.array("rubber")), "'rubber' is not known"),
         (lambda p: rewrite(p, **{"skin.weights": np.ones((5, 4))}), "for other bones"),
+        (
+            lambda p: rewrite(p, vertices=np.array([[np.nan] * 3] * 5)),
+            "'vertices' has numbers that are not finite, first in vertex 0",
+        ),
+        (lambda p: (p.unlink(), p.mkdir()), "Is a directory"),
         (lambda p: p.unlink(), "no such file"),
     ],
 )
@@ -116,6 +121,28 @@ def test_a_wrong_file_is_told(bodies, tmp_path, damage, said):
     damage(path)
     with pytest.raises(InputError, match=said):
         load_body(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"translations": np.array([np.zeros((2, 3)), np.full((2, 3), np.inf)])},
+            "'translations' .* frame 1",
+        ),
+        ({"rotations": np.zeros((2, 2, 4))}, "quaternions of no length"),
+        ({"rotations": np.full((2, 2, 4), "1")}, "'rotations' holds other than numbers"),
+        ({"rate": np.array(0.0)}, r"the rate is 0\.0"),
+    ],
+)
+def test_a_wrong_motion_is_told(tmp_path, changes, said):
+    path = tmp_path / "m.npz"
+    still = Pose(jnp.zeros((2, 2, 3)), jnp.tile(jnp.array([1.0, 0, 0, 0]), (2, 2, 1)), jnp.ones(2))
+    save_motion(path, Motion(still))
+    assert len(load_motion(path)) == 2
+    rewrite(path, **changes)
+    with pytest.raises(InputError, match=said):
+        load_motion(path)
 
 
 def test_what_cannot_be_written_leaves_nothing(bodies, tmp_path):

@@ -8,10 +8,15 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+from jaxcap.body.body import Body
 from jaxcap.body.limit_surface import SurfaceLimits, comfort, fits
-from jaxcap.body.pose import Motion, Pose
+from jaxcap.body.limits import allowed
+from jaxcap.body.pose import Motion, Pose, rest_pose
 from jaxcap.body.primitives import signed_distance
 from jaxcap.body.skeleton import make_skeleton
+from jaxcap.body.skin import RigidSkin
+from jaxcap.edit.constraints import Constraint, make_constraints
+from jaxcap.edit.inverse_kinematics import IkOptions, solve_ik
 from jaxcap.errors import InputError
 from jaxcap.limits.boxes import learn_boxes
 from jaxcap.limits.charts import chart_places, find_chart, middle_rotation
@@ -335,6 +340,26 @@ def test_missing_and_fixed_joints_are_told():
     stiff = make_skeleton(stiff.names, stiff.parents, ("ball", "fixed"), stiff.centres)
     with pytest.raises(ValueError, match="does not turn"):
         gather_samples([(stiff, frames)], "elbow")
+
+
+def test_inverse_kinematics_stays_within_learned_limits(learned):
+    """A hand that is pulled to where the shoulder would have to turn by 90 degrees ends about as near as any sample."""
+    limits, _ = learned
+    hand = jnp.array([[0.6, 0.0, 0.0], [0.6, 0.01, 0.0], [0.6, 0.0, 0.01]])
+    body = Body(SHOULDER, RigidSkin(jnp.array([1, 1, 1])), hand, jnp.array([[0, 1, 2]]))
+    target, rest = (0.0, 0.3, -0.5), rest_pose(SHOULDER)
+    wanted = make_constraints(body, [Constraint(0, target)])
+    kept = solve_ik(body, rest, wanted, IkOptions(limits=limits))
+    assert allowed(limits, SHOULDER, kept.pose).all()
+    broken = solve_ik(body, rest, wanted)
+    assert not allowed(limits, SHOULDER, broken.pose).all()
+    frames = coupled(np.random.default_rng(7), 20000)
+    shoulder, elbow = (
+        Rotation.from_quat(np.asarray(frames.poses.rotations[:, j]), scalar_first=True) for j in range(2)
+    )
+    hands = shoulder.apply(elbow.apply([0.3, 0.0, 0.0]) + [0.3, 0.0, 0.0])
+    nearest = np.linalg.norm(hands - target, axis=1).min()
+    assert float(broken.distances[0]) + 0.1 < float(kept.distances[0]) < nearest + 0.01
 
 
 def test_limits_tell_which_joints_a_skeleton_lacks(learned):

@@ -30,6 +30,14 @@ def test_the_ladder_of_sizes_rises_slowly():
     assert len(set(sizes)) <= 4 * np.log2(9000 / 64) + 2
     # what is on a rung stays there
     assert all(padded_size(size) == size for size in set(sizes.tolist()))
+    assert [padded_size(count, (16,), 4) for count in (0, 16, 17, 64, 65, 1025)] == [
+        16,
+        16,
+        64,
+        64,
+        256,
+        4096,
+    ]
 
 
 def test_a_cloud_holds_its_points_and_padding_that_weighs_nothing(rng):

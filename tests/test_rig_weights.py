@@ -9,7 +9,7 @@ import trimesh
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
 from jaxcap.rig.envelopes import bone_distances, default_radii, default_tails, envelope_parts
-from jaxcap.rig.heat import heat_weights, limit_influences, smooth_weights, surface_operators
+from jaxcap.rig.heat import heat_weights, prune_weights, smooth_weights, surface_operators
 from jaxcap.rig.rig import rig_mesh
 
 
@@ -125,8 +125,10 @@ def test_a_vertex_without_trust_takes_its_weights_from_around_it():
 
 
 def test_the_largest_weights_are_kept():
-    limited = limit_influences(np.array([[0.4, 0.3, 0.2, 0.0005, 0.05, 0.0495]]), 4)
+    limited = prune_weights(np.array([[0.4, 0.3, 0.2, 0.0005, 0.05, 0.0495]]), 4)
     np.testing.assert_allclose(limited, np.array([[0.4, 0.3, 0.2, 0, 0.05, 0]]) / 0.95)
+    # no more than so many where they are equal
+    np.testing.assert_allclose(prune_weights(np.full((1, 6), 1 / 6), 4), [[0.25, 0.25, 0.25, 0.25, 0, 0]])
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from jaxcap.energy.term import Sum
 from jaxcap.fit.gauss_newton import GaussNewton, damped_step
 from jaxcap.fit.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.problem import AbstractProblem, linearise
+from jaxcap.fit.scaled_cholesky import ScaledCholesky
 from jaxcap.fit.solve import solve
 
 BODY = chain_body()
@@ -137,6 +138,34 @@ def test_a_large_damping_gives_the_direction_of_the_gradient(rng):
     np.testing.assert_allclose(step * 1e9, downhill, rtol=1e-7)
     newton = damped_step(residual, jacobian, jnp.zeros(5))
     np.testing.assert_allclose(newton, np.linalg.lstsq(jacobian, -residual)[0], rtol=1e-11)
+
+
+def dependent(rng, size: float) -> Linear:
+    """Sixty unknowns of which five are determined, so heavy that a damping of one is less than rounding."""
+    matrix = size * rng.normal(size=(200, 5)) @ rng.normal(size=(5, 60))
+    return Linear(jnp.asarray(matrix), jnp.asarray(matrix @ rng.normal(size=60)), jnp.ones(60))
+
+
+@pytest.mark.float32
+def test_equations_that_rounding_makes_singular_are_damped_until_they_are_solved(rng):
+    eps = float(jnp.finfo(jnp.result_type(float)).eps)
+    problem, start = dependent(rng, eps**-0.5), jnp.zeros(60)
+    operator = lx.MatrixLinearOperator(problem.matrix)
+    once = lx.linear_solve(operator, problem.target, ScaledCholesky(), throw=False)
+    assert once.result == lx.RESULTS.singular
+    solver = LevenbergMarquardt(linear_solver=ScaledCholesky())
+    found = least_squares(problem, solver, start, 64)
+    assert found.result == optx.RESULTS.successful
+    left = np.linalg.norm(problem.residual(found.value)) / np.linalg.norm(problem.target)
+    assert left < 100 * eps
+
+
+@pytest.mark.float32
+def test_equations_that_nothing_solves_are_told(rng):
+    eps = float(jnp.finfo(jnp.result_type(float)).eps)
+    problem, start = dependent(rng, eps**-1.5), jnp.zeros(60)
+    for solver in (LevenbergMarquardt(linear_solver=ScaledCholesky()), GaussNewton()):
+        assert least_squares(problem, solver, start, 64).result == optx.RESULTS.singular
 
 
 def every_term(rng) -> Sum:

@@ -17,7 +17,7 @@ from jaxcap.fit.recover import TrackedFrame
 from jaxcap.fit.track import make_tracker, start_state
 from jaxcap.io.clouds import Scans
 from jaxcap.io.journal import begin_journal
-from jaxcap.view import show
+from jaxcap.view import controls, show
 from jaxcap.view.app import serve_contents
 from jaxcap.view.clouds import SeenClouds
 from jaxcap.view.contents import Contents, make_take
@@ -67,7 +67,9 @@ def test_a_scrub_brings_the_frame_and_changes_the_picture(chromium, window, pose
     page.close()
 
 
-def test_it_plays_and_stops(chromium, window, posed):  # noqa: F811
+def test_it_plays_and_stops(chromium, window, posed, monkeypatch):  # noqa: F811
+    # the slider does not follow while it plays: where it stands it has to
+    monkeypatch.setattr(controls, "FOLLOWING", 0.01)
     page = chromium(window)
     wait_for_node(page, SURFACE)
     page.get_by_role("button", name="Play").click()
@@ -86,6 +88,10 @@ def test_it_plays_and_stops(chromium, window, posed):  # noqa: F811
     still = vertices(page, SURFACE)
     page.wait_for_timeout(300)
     np.testing.assert_array_equal(vertices(page, SURFACE), still)
+    frame = int(np.abs(posed - still).max((1, 2)).argmin())
+    page.wait_for_function(
+        "frame => +document.querySelector('[role=slider]').getAttribute('aria-valuenow') === frame", arg=frame
+    )
     page.close()
 
 
@@ -164,6 +170,15 @@ def test_a_running_track_appears_frame_by_frame(chromium, tmp_path, motion, pose
         page.wait_for_timeout(600)
         np.testing.assert_allclose(vertices(page, SURFACE), posed[4], atol=1e-5)
         assert followers[0].told == ""
+    # begun anew with another body: a window that stands still tells it
+    other = {**whose_poses(body.skeleton), "joints": ["a"]}
+    with begin_journal(tmp_path / "journal", other, record_width(tracker)) as journal:
+        journal.append(record(6))
+        page.get_by_text("this run is of another body").wait_for()
+    with begin_journal(tmp_path / "journal", whose_poses(body.skeleton), record_width(tracker)) as journal:
+        journal.append(record(7))
+        wait_for_vertex(page, SURFACE, 0, posed[7, 0])
+        page.get_by_text("this run is of another body").wait_for(state="hidden")
         page.close()
     for follower in followers:
         follower.stop()

@@ -1,5 +1,7 @@
 """What a window shows of files, and which frame when: without a window."""
 
+import time
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -31,6 +33,7 @@ from jaxcap.io.table import write_json
 from jaxcap.markers.subject import make_subject
 from jaxcap.metrics import scan_to_surface
 from jaxcap.observe import MeshSequence, make_markers
+from jaxcap.view import live
 from jaxcap.view.clouds import SeenCloud, SeenClouds
 from jaxcap.view.column import _by_name
 from jaxcap.view.contents import Contents, make_take
@@ -85,8 +88,15 @@ def test_a_motion_of_another_body_names_both(tmp_path, motion, body):
     save_motion(tmp_path / "other.npz", other)
     with pytest.raises(InputError, match=r"other\.npz: this motion .* 4 joints"):
         load([str(tmp_path / "other.npz")], [("the body", body)])
-    with pytest.raises(InputError, match="give its body by --body"):
+    with pytest.raises(InputError, match="skeleton; give its body by --body"):
         load([str(tmp_path / "other.npz")])
+    save_motion(tmp_path / "still.npz", motion.slice(slice(0, 0)), body.skeleton)
+    for bodies in ([], [("the body", body)]):
+        with pytest.raises(InputError, match=r"still\.npz: there are no frames in this motion"):
+            load([str(tmp_path / "still.npz")], bodies)
+    np.savez(tmp_path / "clouds.npz", points=np.zeros((0, 4, 3)))
+    with pytest.raises(InputError, match=r"clouds\.npz: there are no frames in it"):
+        load([str(tmp_path / "clouds.npz")])
 
 
 def test_every_file_that_the_library_writes(tmp_path, body, motion, rng):
@@ -228,6 +238,38 @@ def test_a_journal_tells_the_poses(tmp_path, body, motion):
         record_poses(tmp_path, body.skeleton, {}, np.zeros((1, 12)))
 
 
+def test_what_is_wrong_with_a_run_is_told_until_it_is_mended(tmp_path, body, motion, monkeypatch):
+    monkeypatch.setattr(live, "OFTEN", 0.01)
+    tracker, whose = make_tracker(body), whose_poses(body.skeleton)
+    with begin_journal(tmp_path / "journal", whose, record_width(tracker)) as journal:
+        journal.append(_record(tracker, motion, 0))
+    follower = RunFollower(follow_run(tmp_path, body))
+    other = {**whose, "joints": ["a"]}
+    with begin_journal(tmp_path / "journal", other, record_width(tracker)) as journal:
+        journal.append(_record(tracker, motion, 0))
+    for _ in range(2):
+        with pytest.raises(InputError, match="another body"):
+            follower.look()
+    follower.start()
+    _until(lambda: "another body" in follower.told)
+    # a fault of another kind does not end the thread
+    with monkeypatch.context() as broken:
+        broken.setattr(live, "read_header", lambda path: 1 / 0)
+        _until(lambda: "could not be read (ZeroDivisionError" in follower.told)
+    with begin_journal(tmp_path / "journal", whose, record_width(tracker)) as journal:
+        for frame in range(2):
+            journal.append(_record(tracker, motion, frame))
+    _until(lambda: follower.told == "" and len(follower.take.motion) == 2)
+    follower.stop()
+
+
+def _until(happened) -> None:
+    end = time.monotonic() + 20.0
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
 def test_an_unfinished_run_asks_for_its_body(tmp_path, body, motion):
     tracker = make_tracker(body)
     with begin_journal(tmp_path / "journal", whose_poses(body.skeleton), record_width(tracker)) as journal:
@@ -293,12 +335,15 @@ def test_bands_hold_what_the_legend_says():
     np.testing.assert_array_equal(heat_classes(heat, limit), [0, 0, 1, 11, 11, BANDS])
     assert heat_palette().shape == (BANDS + 1, 3)
     assert len(np.unique(heat_palette(), axis=0)) == BANDS + 1
+    # one for all frames
+    assert heat_palette() is heat_palette() and not heat_palette().flags.writeable
 
 
 @pytest.mark.parametrize("faces", [True, False])
 def test_points_on_a_part_have_its_colour(body, faces):
     body = body if faces else Body(body.skeleton, body.skin, body.vertices, body.faces[:0])
     colours = make_part_colours(body)
+    assert len(np.unique(colours.palette, axis=0)) == body.skeleton.num_joints + 1
     vertices = np.asarray(body.vertices)
     far = np.array([[5.0, 5.0, 5.0]])
     cloud = SeenCloud("scan", np.concatenate([vertices, far]), np.zeros((len(vertices) + 1, 3)))

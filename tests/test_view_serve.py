@@ -6,6 +6,8 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 import urllib.request
 
 import numpy as np
@@ -21,8 +23,9 @@ from jaxcap.view import show
 from jaxcap.view.clouds import SeenClouds
 from jaxcap.view.column import DISTANCE, Choice, Column
 from jaxcap.view.contents import make_take
-from jaxcap.view.figure import BodyFigure, SkeletonFigure
+from jaxcap.view.figure import BodyFigure
 from jaxcap.view.serve import address, close_server, open_server
+from jaxcap.view.skeleton_figure import SkeletonFigure
 
 
 @pytest.fixture
@@ -45,6 +48,35 @@ def test_a_server_says_nothing_and_gives_its_port_back(capfd):
     assert again.get_port() == port
     close_server(again)
     assert capfd.readouterr() == ("", "")
+
+
+def test_what_other_threads_print_is_not_lost(capfd):
+    stop, lines = threading.Event(), []
+
+    def talk() -> None:
+        while not stop.is_set():
+            lines.append(str(len(lines)))
+            sys.stdout.write(lines[-1] + "\n")
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    close_server(open_server(0))
+    stop.set()
+    thread.join()
+    assert capfd.readouterr().out.split() == lines
+
+
+def test_each_server_ends_in_silence_with_its_program():
+    code = (
+        "from jaxcap.view.serve import close_server, open_server\n"
+        "first, second, third = (open_server(0) for _ in range(3))\n"
+        "close_server(second)"
+    )
+    ended = subprocess.run(
+        [PYTHON, "-c", code], capture_output=True, text=True, env=_environment(), timeout=120
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
 def test_a_taken_port_is_told_and_not_gone_past(taken):
@@ -185,6 +217,9 @@ def test_wrong_requests_end_in_a_sentence(capsys, tmp_path, taken):
     assert "no such file" in fails(capsys, "view", tmp_path / "none.npz")
     assert "--spacing is -1" in fails(capsys, "view", here, "--spacing", -1)
     assert "--rate is 0" in fails(capsys, "view", here, "--rate", 0)
+    assert "There is nothing to look at" in fails(capsys, "view")
+    np.savez(tmp_path / "numbers.npz", loss=np.zeros(3))
+    assert "nothing in it that has a shape" in fails(capsys, "view", tmp_path / "numbers.npz")
     assert "--body" in fails(capsys, "view", tmp_path / "motion.npz")
     told = fails(capsys, "view", tmp_path / "motion.npz", "--body", "human:low")
     assert "motion.npz" in told and "human:low" in told

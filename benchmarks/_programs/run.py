@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from benchmarks._browser import launched
 from benchmarks._rivals.environments import Rival, install
 from benchmarks.report import progress
 
@@ -23,13 +24,6 @@ BLENDER = Rival(("3.11",), ("bpy==5.0.1",))
 NODE = ("gltf-validator@2.0.0-dev.3.10", "three@0.187.0")
 #: of the pictures, pixels
 WIDTH, HEIGHT = 480, 480
-#: a browser without a display or a graphics card
-ARGUMENTS = (
-    "--no-sandbox",
-    "--enable-unsafe-swiftshader",
-    "--use-angle=swiftshader",
-    "--ignore-gpu-blocklist",
-)
 
 
 def node_modules(folder: Path) -> Path | None:
@@ -78,12 +72,6 @@ def validated(home: Path, files: list[Path]) -> dict[str, dict[str, Any]]:
     return {Path(path).name: found for path, found in json.loads(outcome.stdout)["files"].items()}
 
 
-def chromium() -> str | None:
-    """A browser of the system; None where there is none."""
-    found = (shutil.which(name) for name in ("chromium", "chromium-browser", "google-chrome"))
-    return next((path for path in found if path), None)
-
-
 class _Quiet(http.server.SimpleHTTPRequestHandler):
     def log_message(self, format, *args):
         pass
@@ -107,15 +95,12 @@ def in_three(
     home: Path, file: Path, times: list[float], centre: Float[np.ndarray, "3"], radius: float
 ) -> dict[str, Any]:
     """The body of a `.glb` in three.js at some seconds: `vertices (T, V, 3)`, `pictures` (PNG), `errors`."""
-    from playwright.sync_api import sync_playwright
-
     with tempfile.TemporaryDirectory() as folder:
         site = Path(folder)
         (site / "node_modules").symlink_to(home / "node_modules")
         shutil.copy(HERE / "page.html", site)
         shutil.copy(file, site / "body.glb")
-        with served(site) as address, sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=chromium(), args=list(ARGUMENTS))
+        with served(site) as address, launched() as browser:
             page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
             said: list[str] = []
             page.on("pageerror", lambda error: said.append(str(error)))
@@ -123,8 +108,6 @@ def in_three(
             page.goto(f"{address}/page.html?file=body.glb")
             page.wait_for_function("window.loaded", timeout=120_000)
             said += page.evaluate("window.errors")
-            # the browser asks for a picture of the page that nobody has
-            said = [line for line in said if "404" not in line]
             found: dict[str, Any] = {"errors": said, "revision": page.evaluate("window.revision")}
             if not said:
                 page.evaluate("([c, r]) => look(c, r)", [centre.tolist(), radius])
@@ -134,7 +117,6 @@ def in_three(
                     vertices.append(np.array(page.evaluate("vertices()")).reshape(-1, 3))
                     pictures.append(page.screenshot())
                 found |= {"vertices": np.array(vertices), "pictures": pictures}
-            browser.close()
     return found
 
 

@@ -48,6 +48,12 @@ def pose_body(body: Body, pose: Pose) -> Posed:
     )
 
 
+def take_vertices(body: Body, rows: Int[Array, "R"], faces: Int[Array, "F 3"] | None = None) -> Body:
+    """The body with only these vertices, in this order; `faces` are of the new rows, none where not given."""
+    faces = jnp.zeros((0, 3), body.faces.dtype) if faces is None else faces
+    return Body(body.skeleton, body.skin.take(rows), body.vertices[rows], faces)
+
+
 @eqx.filter_jit
 def deform_all(body: Body, poses: Pose) -> Float[Array, "F V 3"]:
     """The vertices of a body in every pose of a stack, metres."""

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -129,9 +130,15 @@ class JointRanges(AbstractLimits):
         boxed = jnp.where(_universal(skeleton)[:, None], rotation.multiply(first, second), first)
         rotations = jnp.where(moved[:, None], boxed, pose.rotations)
         turned = rotations[self.ball_joints]
-        for _ in range(ALTERNATIONS):
-            for axis, angle in ((self.heading, self.heading_angle), (self.bank, self.bank_angle)):
-                turned = _into_cone(turned, axis, angle)
+        turned = turned.astype(jnp.result_type(turned, self.heading, self.heading_angle))
+
+        def into_both(_, turned):
+            return _into_cone(
+                _into_cone(turned, self.heading, self.heading_angle), self.bank, self.bank_angle
+            )
+
+        # unrolled, it would be most of what a program with limits takes to compile
+        turned = jax.lax.fori_loop(0, ALTERNATIONS if len(turned) else 0, into_both, turned)
         rotations = rotations.at[self.ball_joints].set(turned)
         return Pose(pose.translations, rotations, pose.scale)
 

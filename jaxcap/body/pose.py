@@ -1,9 +1,11 @@
 """One frame's configuration of a skeleton, and how a tangent vector changes it."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..geometry import rotation
 from .skeleton import Skeleton, dof_layout
@@ -45,8 +47,7 @@ class Motion(eqx.Module):
 
     def slice(self, frames: slice) -> "Motion":
         """Some of the frames; a step divides the rate."""
-        poses = Pose(self.poses.translations[frames], self.poses.rotations[frames], self.poses.scale[frames])
-        return Motion(poses, self.rate / abs(frames.step or 1))
+        return Motion(take_poses(self.poses, frames), self.rate / abs(frames.step or 1))
 
 
 def rest_pose(skeleton: Skeleton) -> Pose:
@@ -68,6 +69,29 @@ def stack_poses(poses: list[Pose], rate: float = 30.0) -> Motion:
         ),
         rate,
     )
+
+
+def take_poses(poses: Pose, frames: Int[np.ndarray | Array, "K"] | slice) -> Pose:
+    """Some poses of a stack, by their numbers or a slice."""
+    return Pose(poses.translations[frames], poses.rotations[frames], poses.scale[frames])
+
+
+def concatenate_poses(parts: Sequence[Pose]) -> Pose:
+    """Stacks of poses, one behind the other."""
+    return Pose(
+        jnp.concatenate([part.translations for part in parts]),
+        jnp.concatenate([part.rotations for part in parts]),
+        jnp.concatenate([part.scale for part in parts]),
+    )
+
+
+def shift_roots(skeleton: Skeleton, poses: Pose, shifts: Float[np.ndarray | Array, "*frames 3"]) -> Pose:
+    """A pose, or each of a stack, moved in the world as a whole by its own `shifts`, metres."""
+    roots = np.flatnonzero(np.array(skeleton.parents) < 0)
+    # the pose's scale comes last, so it is in the way of a shift of the world
+    steps = jnp.asarray(shifts, poses.translations.dtype) / poses.scale[..., None]
+    translations = poses.translations.at[..., roots, :].add(steps[..., None, :])
+    return Pose(translations, poses.rotations, poses.scale)
 
 
 def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:

@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..io.clouds import Scans
 from ..io.registry import MOTION_WRITERS
+from .outputs import check_absent
 from .results import make_writable
 
 #: arrays of a checkpoint beside body, motion and history
@@ -35,9 +36,7 @@ def check_results(out: Path, motion: Path, report: Path | None, resume: bool, ov
     if resume and overwrite:
         raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
     every = [path for path in (out, motion, report) if path is not None]
-    there = [path for path in every if path.exists()]
-    if there and not (overwrite or resume):
-        raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+    check_absent(every, overwrite or resume)
     for path in every:
         make_writable(path.absolute().parent)
 

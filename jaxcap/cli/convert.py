@@ -13,7 +13,6 @@ from ..errors import InputError
 from ..io.amass import is_amass, read_amass
 from ..io.body_motion import read_motion_of
 from ..io.mesh import read_mesh, write_mesh
-from ..io.npz import load_body
 from ..io.registry import (
     MANNERS,
     read_marker_file,
@@ -27,7 +26,9 @@ from .convert_body import write_linear_body
 from .convert_points import read_labels, write_points
 from .convert_way import PURPOSES, Way, check_options, check_units, find_way
 from .options import Flag, OptionalFile, OptionalUnit, arg
+from .outputs import check_absent
 from .say import say, warn
+from .sources import load_body
 
 #: metres, and bones a vertex
 TOLERANCE, INFLUENCES = 0.001, 4
@@ -39,7 +40,7 @@ class Convert:
     is what.
 
     A motion (.bvh, .npz, .amc with its .asf beside it, .glb) becomes .bvh or .npz, or joint centres as .trc, .c3d or .csv.
-    A body .npz becomes a skinned, animated .glb, .usda, .usdc or .usdz."""
+    A body .npz, or `human` (with options), becomes a skinned, animated .glb, .usda, .usdc or .usdz."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
     """The file to read."""
@@ -52,7 +53,7 @@ class Convert:
     motion: OptionalFile = None
     """Motion (.npz, .bvh) of a body that becomes a .glb or USD."""
     body: OptionalFile = None
-    """The body (.npz) that a motion is of: for files that do not say where joints are, as AMASS's, and for --vertices."""
+    """The body (.npz or `human`) that a motion is of: for files that do not say where joints are, as AMASS's, and for --vertices."""
     as_: Annotated[Literal["amass"] | None, arg(name="as", metavar="amass", help_behavior_hint="")] = None
     """Write a motion .npz in the manner of AMASS: `poses`, `trans`, `betas`, `gender` and the rate, z up."""
     up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
@@ -67,11 +68,12 @@ class Convert:
     """Replace the target where it is there."""
 
     def run(self) -> None:
-        if self.target.exists() and not self.overwrite:
-            raise InputError(f"{self.target}: this file is there already; give --overwrite to replace it.")
-        if not self.source.is_file():
+        check_absent([self.target], self.overwrite)
+        human = str(self.source).split(":")[0] == "human"
+        if not human and not self.source.is_file():
             raise InputError(f"{self.source}: there is no such file; check the path.")
-        way = find_way(self.source, self.target)
+        # the human is what a body file would be
+        way = find_way(Path("human.npz") if human else self.source, self.target)
         self.check(way)
         {
             "body": self.write_body,
@@ -105,18 +107,23 @@ class Convert:
         """The source's motion: of the body where one is given."""
         if self.body is None:
             return *self.motion_of(self.source, None), None
-        body = load_body(self.body)
+        body = load_body(str(self.body))[0]
         return *self.motion_of(self.source, body), body
 
     def motion_of(self, path: Path, body: Body | None) -> tuple[Skeleton, Motion]:
         if is_amass(path):
             return read_amass(path, None if body is None else body.skeleton, self.up or "z")
-        if body is None:
-            return read_motion(path, self.unit)
-        return body.skeleton, read_motion_of(body, path, self.unit)
+        skeleton, motion = (
+            read_motion(path, self.unit)
+            if body is None
+            else (body.skeleton, read_motion_of(body, path, self.unit))
+        )
+        if not len(motion):
+            raise InputError(f"{path}: there are no frames in this motion.")
+        return skeleton, motion
 
     def write_body(self) -> None:
-        body = load_body(self.source)
+        body = load_body(str(self.source))[0]
         motion = None if self.motion is None else self.motion_of(self.motion, body)[1]
         write_linear_body(self.target, body, motion, self.tolerance, self.influences)
 

@@ -28,7 +28,7 @@ PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
     "influences": ("a body .npz that becomes a .glb or USD", ("body",)),
 }
 #: these are in metres, or say what they are in
-_OWN_UNIT = (".npz", ".glb", ".asf", ".amc")
+OWN_UNIT = (".npz", ".glb", ".asf", ".amc")
 
 
 def find_way(source: Path, target: Path) -> Way:
@@ -67,7 +67,7 @@ def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
 
 def check_units(way: Way, source: Path, target: Path, unit: str | None, target_unit: str | None) -> None:
     """That units are given where files have none of their own. Raises `InputError`."""
-    if unit and way != "mesh" and source.suffix.lower() in _OWN_UNIT:
+    if unit and way != "mesh" and source.suffix.lower() in OWN_UNIT:
         raise InputError(
             f"{source}: '{source.suffix}' files say their unit themselves; leave --unit {unit} out."
         )

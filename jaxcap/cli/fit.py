@@ -18,6 +18,7 @@ from ..io.table import write_json
 from ..observe import MeshSequence
 from ..report.pictures import error_pictures
 from .options import Flag, Unit, arg
+from .outputs import check_npz, make_folder
 from .say import say, warn
 from .scoring import score_motion, tell_scores
 
@@ -51,7 +52,7 @@ class Fit:
     """Replace the motion where it is there."""
 
     def run(self) -> None:
-        check_out(self.out, self.overwrite)
+        check_npz(self.out, self.overwrite)
         check_rate(self.rate)
         if self.body.suffix.lower() != ".npz":
             raise InputError(f"{self.body}: a body is read from an .npz; learn or rig one first.")
@@ -97,23 +98,3 @@ def check_size(body: Body, sequence: MeshSequence, where: str) -> None:
         raise InputError(
             f"{where}: the meshes are {there:.4g} m long and the body {here:.4g} m; say by --unit what they are in."
         )
-
-
-def check_out(path: Path, overwrite: bool, what: str = "a motion") -> None:
-    """That an `.npz` can be written. Raises `InputError`."""
-    if path.suffix.lower() != ".npz":
-        raise InputError(f"{path}: {what} is written as .npz; give a name that ends so.")
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: this file is there already; give --overwrite to replace it.")
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"{path}: its folder is not there; make it first.")
-
-
-def make_folder(folder: Path) -> None:
-    """Raises `InputError` where it cannot be made."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: this folder cannot be made ({error.strerror}); give another one."
-        ) from None

@@ -1,7 +1,5 @@
 """`jaxcap ik`: points of a body are held and dragged, and the body follows."""
 
-import threading
-import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -21,14 +19,19 @@ from ..io.constraints import read_constraints
 from ..io.limits import read_limits
 from ..io.prior import load_prior
 from ..io.registry import MOTION_WRITERS, write_motion
+from ..view.serve import HOST
 from .options import BodySpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
+from .outputs import check_new
 from .say import say, table, warn
 from .sources import load_body
+from .window import Port, keep_window
 
 #: solves from a file of constraints, each from the pose before, until nothing moves
 ROUNDS = 20
 #: a target that is further off, metres, is told as not reached
 REACHED = 0.005
+#: what is further away than this is likely to be in another unit, metres
+FAR = 50.0
 
 
 @dataclass
@@ -65,9 +68,9 @@ class Ik:
     """Unit of mesh and skeleton: m, dm, cm, mm, in or ft."""
     up: Up = "y"
     """Axis that points up in mesh and skeleton."""
-    port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
+    port: Port = None
     """Port to listen at; 8080 where it is free, else another."""
-    host: str = "127.0.0.1"
+    host: str = HOST
     """Address to listen at; 0.0.0.0 lets other machines in."""
     no_browser: Flag = False
     """Only tell the address."""
@@ -98,8 +101,7 @@ class Ik:
             raise InputError(
                 f"{self.out}: poses are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}."
             )
-        if self.out.exists() and not self.overwrite:
-            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+        check_new(self.out, self.overwrite)
 
     def session(self) -> IkSession:
         """What the options ask for, before anything is solved."""
@@ -120,11 +122,17 @@ class Ik:
         if self.constraints is None:
             return session
         held = read_constraints(self.constraints, body)
+        middle = np.mean(np.asarray(body.vertices, float), axis=0)
+        away = max((float(np.linalg.norm(np.asarray(one.target) - middle)) for one in held), default=0.0)
+        if away > FAR:
+            warn(f"{self.constraints}: a target is {away:.0f} m from the body; targets are in metres")
         return session._replace(state=session.state._replace(constraints=held))
 
     def one_pose(self, poses: Pose, path: Path) -> Pose:
         """The frame that was asked for. Raises `InputError` where there is none."""
         count, frame = len(poses.scale), self.frame or 0
+        if not count:
+            raise InputError(f"{path}: there are no frames in this motion.")
         if not 0 <= frame < count:
             raise InputError(
                 f"{path}: there is no frame {frame} in this motion; its frames are 0 to {count - 1}."
@@ -153,16 +161,14 @@ class Ik:
     def serve(self, session: IkSession) -> None:
         """A window until Ctrl-C."""
         from ..view.ik import serve_ik
-        from ..view.serve import address, close_server, open_server
 
         if session.state.constraints:
             session = ik.solved(session)
-        server = open_server(self.port, self.host, "jaxcap ik")
-        try:
-            serve_ik(server, session)
-            say(f"{self.body}: {address(server)} (Ctrl-C ends)")
-            if not self.no_browser:
-                webbrowser.open(address(server))
-            threading.Event().wait()
-        finally:
-            close_server(server)
+        keep_window(
+            "ik",
+            self.body,
+            lambda server: serve_ik(server, session),
+            self.port,
+            self.host,
+            not self.no_browser,
+        )

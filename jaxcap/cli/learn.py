@@ -20,8 +20,9 @@ from ..learn.loop import COARSE, Learned, LearnState, learn_body
 from ..observe import MeshSequence
 from ..report.learned import report_learning
 from ..report.scores import Scores
-from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_out, check_rate, make_folder
+from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
 from .options import Flag, OptionalCount, OptionalFile, Unit, arg
+from .outputs import check_npz, make_folder
 from .rounds import Rounds
 from .say import say, warn
 from .scoring import mesh_hashes, score_motion, tell_scores
@@ -78,8 +79,8 @@ class Learn:
         self.check()
         motion_path = self.motion or self.out.with_name(f"{self.out.stem}-motion.npz")
         kept = self.out.with_name(f"{self.out.name}.partial")
-        check_out(self.out, self.overwrite, "a body")
-        check_out(motion_path, self.overwrite)
+        check_npz(self.out, self.overwrite, "a body")
+        check_npz(motion_path, self.overwrite)
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         train, held = split(len(sequence), self.hold_out)
         if self.hold_out is not None and not held.size:

@@ -13,6 +13,7 @@ from ..io.npz import save_body
 from ..io.registry import read_skeleton
 from ..rig.rig import rig_mesh
 from .options import Flag, OptionalFile, Unit, Up, arg
+from .outputs import check_npz
 from .say import say
 from .sources import up_rotation, upright_skeleton
 
@@ -39,10 +40,7 @@ class Rig:
     """Replace the body where it is there."""
 
     def run(self) -> None:
-        if self.out.exists() and not self.overwrite:
-            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
-        if self.out.suffix.lower() != ".npz":
-            raise InputError(f"{self.out}: a body is written as .npz; give a name that ends so.")
+        check_npz(self.out, self.overwrite, "a body")
         mesh = read_mesh(self.mesh, self.unit)
         check_mesh(mesh, self.mesh)
         vertices = mesh.vertices @ up_rotation(self.up).T

@@ -31,13 +31,15 @@ def table(head: list[str], rows: list[list[str]]) -> None:
         say("  ".join(cells).rstrip())
 
 
-def progress(frames: Iterable, total: int, done: int = 0, label: str = "tracking") -> Iterator:
-    """Pass frames through; on a terminal with a bar, frames a second and the time left, and
-    else with a line every few seconds, all on stderr."""
-    yield from (_bar if sys.stderr.isatty() else _lines)(frames, total, done, label)
+def progress(
+    frames: Iterable, total: int, done: int = 0, label: str = "tracking", what: str = "frames"
+) -> Iterator:
+    """Pass frames, or `what` else there is, through; on a terminal with a bar, frames a second and the time
+    left, and else with a line every few seconds, all on stderr."""
+    yield from (_bar if sys.stderr.isatty() else _lines)(frames, total, done, label, what)
 
 
-def _bar(frames: Iterable, total: int, done: int, label: str) -> Iterator:
+def _bar(frames: Iterable, total: int, done: int, label: str, what: str) -> Iterator:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -50,18 +52,18 @@ def _bar(frames: Iterable, total: int, done: int, label: str) -> Iterator:
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(label, total=total, completed=done, rate="compiling")
-        clock = _Clock()
+        clock = _Clock(what)
         for frame in frames:
             bar.update(task, advance=1, rate=clock.tick())
             yield frame
 
 
-def _lines(frames: Iterable, total: int, done: int, label: str) -> Iterator:
-    clock, told = _Clock(), time.monotonic()
+def _lines(frames: Iterable, total: int, done: int, label: str, what: str) -> Iterator:
+    clock, told = _Clock(what), time.monotonic()
     for number, frame in enumerate(frames, done + 1):
         rate, now = clock.tick(), time.monotonic()
         if now - told > QUIET:
-            warn(f"{label}: {number} of {total} frames, {rate}, {clock.left(total - number)} left")
+            warn(f"{label}: {number} of {total} {what}, {rate}, {clock.left(total - number)} left")
             told = now
         yield frame
 
@@ -69,15 +71,15 @@ def _lines(frames: Iterable, total: int, done: int, label: str) -> Iterator:
 class _Clock:
     """Frames a second, without the first frame, which compiles."""
 
-    def __init__(self):
-        self.start, self.count = time.monotonic(), -1
+    def __init__(self, what: str):
+        self.start, self.count, self.what = time.monotonic(), -1, what
 
     def tick(self) -> str:
         self.count += 1
         if self.count == 0:
             self.start = time.monotonic()
             return "compiled"
-        return f"{self._rate():.1f} frames/s"
+        return f"{self._rate():.1f} {self.what}/s"
 
     def left(self, frames: int) -> str:
         return f"{frames / self._rate():.0f} s" if self.count > 0 else "unknown time"

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 import equinox as eqx
 import numpy as np
 import tyro
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..body.body import Body, deform_all, pose_body
-from ..body.pose import Motion, Pose
+from ..body.pose import Motion, take_poses
 from ..errors import InputError
 from ..geometry.camera import Camera, check_sees, ring_of_cameras
 from ..io.body_motion import read_motion_of
@@ -96,7 +96,7 @@ class Scan:
         body, _ = load_body(self.body)
         motion = thin_motion(read_motion_of(body, self.motion), self.rate)
         shown = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).round().astype(int))
-        places = np.asarray(deform_all(body, pick(motion.poses, shown)), float)
+        places = np.asarray(deform_all(body, take_poses(motion.poses, shown)), float)
         cameras = self.place(places)
         begin_folder(self.out, self.settings(), (body, motion, cameras), self.resume, self.overwrite)
         write_cameras(self.out / "cameras.json", cameras)
@@ -204,9 +204,4 @@ def thin_motion(motion: Motion, rate: float | None) -> Motion:
         )
     count = int(np.floor((len(motion) - 1) * rate / motion.rate + 1e-9)) + 1
     frames = np.floor(np.arange(count) * motion.rate / rate + 0.5).astype(int)
-    return Motion(pick(motion.poses, np.minimum(frames, len(motion) - 1)), float(rate))
-
-
-def pick(poses: Pose, frames: Int[np.ndarray, "K"]) -> Pose:
-    """Some of the poses of a motion, by their numbers."""
-    return Pose(poses.translations[frames], poses.rotations[frames], poses.scale[frames])
+    return Motion(take_poses(motion.poses, np.minimum(frames, len(motion) - 1)), float(rate))

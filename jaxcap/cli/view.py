@@ -1,7 +1,5 @@
 """`jaxcap view`: files in a window of the browser."""
 
-import threading
-import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -12,10 +10,11 @@ from ..body.body import Body
 from ..errors import InputError
 from ..view.app import serve_contents
 from ..view.load import load
-from ..view.serve import HOST, address, close_server, open_server
+from ..view.serve import HOST
 from .options import Flag, OptionalUnit, Up, arg
-from .say import say, warn
+from .say import warn
 from .sources import load_body, up_rotation
+from .window import Port, keep_window
 
 Names = Annotated[tuple[str, ...], arg(metavar="...")]
 
@@ -42,7 +41,7 @@ class View:
     """Unit of files that do not say it: m, dm, cm, mm, in or ft."""
     up: Up = "y"
     """Axis that points up in clouds and meshes."""
-    port: Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")] = None
+    port: Port = None
     """Port to listen at; 8080 where it is free, else another."""
     host: str = HOST
     """Address to listen at; 0.0.0.0 lets other machines look."""
@@ -64,22 +63,21 @@ class View:
             rate=self.rate,
             follow=self.follow,
         )
-        for told in contents.told:
-            warn(told)
         if contents.empty:
             raise InputError(
-                f"{', '.join(self.files) or 'nothing'}: there is nothing in it to look at; give a body, a motion, clouds, "
-                "markers, meshes or cameras."
+                " ".join(contents.told)
+                or "There is nothing to look at; give a body, a motion, clouds, markers, meshes or cameras."
             )
-        server = open_server(self.port, self.host, "jaxcap view")
-        try:
-            serve_contents(server, contents, self.spacing)
-            say(f"{', '.join(Path(name).name for name in self.files)}: {address(server)} (Ctrl-C ends)")
-            if not self.no_browser:
-                webbrowser.open(address(server))
-            threading.Event().wait()
-        finally:
-            close_server(server)
+        for told in contents.told:
+            warn(told)
+        keep_window(
+            "view",
+            ", ".join(Path(name).name for name in self.files),
+            lambda server: serve_contents(server, contents, self.spacing),
+            self.port,
+            self.host,
+            not self.no_browser,
+        )
 
     def bodies(self) -> tuple[list[tuple[str, Body]], list[str]]:
         """The bodies that were asked for by name, and the files that are left."""

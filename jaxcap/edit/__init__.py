@@ -1,0 +1,57 @@
+"""What is done with motions that are there: given to others, cut, joined, looped, made to look somewhere, thinned to keys; a
+scan that moves; and poses by a few points.
+
+`import jaxcap as jc` brings all of it as `jc.edit`: `jc.edit.cut(motion, 10, 29)`. `retarget`, `solve_ik` and what goes with
+them are in `jc` itself too. What carries a motion over takes `(motion, source, target)`; all else takes the skeleton, or the
+body, and then its motion.
+"""
+
+from .between import resample as resample
+from .clips import Loop as Loop
+from .clips import cut as cut
+from .clips import join as join
+from .clips import make_loop as make_loop
+from .constraints import Constraint as Constraint
+from .constraints import Constraints as Constraints
+from .constraints import make_constraints as make_constraints
+from .gaze import Gaze as Gaze
+from .gaze import look_at_target as look_at_target
+from .gaze_line import GazeLine as GazeLine
+from .gaze_line import gaze_shares as gaze_shares
+from .gaze_line import human_line as human_line
+from .gaze_line import line_of_joint as line_of_joint
+from .gaze_line import line_of_vertices as line_of_vertices
+from .glue import Glue as Glue
+from .glue import animate_scan as animate_scan
+from .glue import glue_scan as glue_scan
+from .glue import glued_points as glued_points
+from .influences import limit_influences as limit_influences
+from .inverse_kinematics import IkOptions as IkOptions
+from .inverse_kinematics import IkSolution as IkSolution
+from .inverse_kinematics import solve_ik as solve_ik
+from .keys import Keys as Keys
+from .keys import find_keys as find_keys
+from .keys import interpolate_keys as interpolate_keys
+from .linearise import Linearised as Linearised
+from .linearise import linear_motion as linear_motion
+from .linearise import linear_pose as linear_pose
+from .linearise import linearise as linearise
+from .point_pairs import Met as Met
+from .point_pairs import PointPair as PointPair
+from .point_pairs import meet_points as meet_points
+from .reflection import mirror as mirror
+from .retarget import floor_of as floor_of
+from .retarget import retarget as retarget
+from .retarget import size_ratio as size_ratio
+from .retarget import vertical as vertical
+from .retarget_shape import ShapeRetarget as ShapeRetarget
+from .retarget_shape import retarget_shape as retarget_shape
+from .sample import sample_poses as sample_poses
+from .soles import floor_under as floor_under
+from .soles import ground as ground
+from .soles import lowest as lowest
+from .soles import sole_heights as sole_heights
+from .transitions import Transition as Transition
+from .transitions import find_loops as find_loops
+from .transitions import find_transitions as find_transitions
+from .transitions import transition_distances as transition_distances

@@ -3,24 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from ..body.pose import Motion, Pose
+from ..body.pose import Motion, Pose, take_poses
 from ..geometry import rotation
-
-
-def pick(poses: Pose, frames: Int[np.ndarray, "K"] | slice) -> Pose:
-    """Some poses of a stack, by their numbers."""
-    return Pose(poses.translations[frames], poses.rotations[frames], poses.scale[frames])
-
-
-def concatenate(parts: list[Pose]) -> Pose:
-    """Stacks of poses, one behind the other."""
-    return Pose(
-        jnp.concatenate([part.translations for part in parts]),
-        jnp.concatenate([part.rotations for part in parts]),
-        jnp.concatenate([part.scale for part in parts]),
-    )
 
 
 @jax.jit
@@ -62,5 +48,7 @@ def resample(motion: Motion, rate: float | int) -> Motion:
     times = np.where(np.abs(times - np.round(times)) < 1e-9 * len(motion), np.round(times), times)
     before = np.floor(times).astype(int)
     after = np.minimum(before + 1, len(motion) - 1)
-    poses = between(pick(motion.poses, before), pick(motion.poses, after), jnp.asarray(times - before))
+    poses = between(
+        take_poses(motion.poses, before), take_poses(motion.poses, after), jnp.asarray(times - before)
+    )
     return Motion(poses, float(rate))

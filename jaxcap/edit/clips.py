@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..body.kinematics import joint_paths
-from ..body.pose import Motion, Pose
+from ..body.pose import Motion, Pose, concatenate_poses, take_poses
 from ..body.skeleton import Skeleton
-from .between import between, concatenate, ease, pick
+from .between import between, ease
 from .planar import Planar, align, move, power
 
 
@@ -55,19 +55,19 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
             f"A blend over {frames} frames does not fit between motions of {len(a)} and {len(b)} frames."
         )
     window = max(frames, 1)
-    end, start = pick(a.poses, slice(len(a) - window, None)), pick(b.poses, slice(0, window))
+    end, start = take_poses(a.poses, slice(len(a) - window, None)), take_poses(b.poses, slice(0, window))
     here, there = np.asarray(joint_paths(skeleton, start)), np.asarray(joint_paths(skeleton, end))
     if frames == 0 and len(a) > 1:
         # a step on along the floor
-        before = np.asarray(joint_paths(skeleton, pick(a.poses, slice(len(a) - 2, len(a) - 1))))
+        before = np.asarray(joint_paths(skeleton, take_poses(a.poses, slice(len(a) - 2, len(a) - 1))))
         there = there + np.mean(there - before, axis=1, keepdims=True) * [1.0, 0.0, 1.0]
     moved = move(skeleton, align(here.reshape(-1, 3), there.reshape(-1, 3)), b.poses)
-    parts = [pick(a.poses, slice(0, len(a) - frames)), pick(moved, slice(frames, None))]
+    parts = [take_poses(a.poses, slice(0, len(a) - frames)), take_poses(moved, slice(frames, None))]
     if frames:
         share = ease((np.arange(frames) + 1.0) / (frames + 1.0))
-        blend = between(end, pick(moved, slice(0, frames)), jnp.asarray(share))
+        blend = between(end, take_poses(moved, slice(0, frames)), jnp.asarray(share))
         parts = [parts[0], blend, parts[1]]
-    return Motion(concatenate(parts), a.rate)
+    return Motion(concatenate_poses(parts), a.rate)
 
 
 def make_loop(
@@ -102,11 +102,11 @@ def make_loop(
     early, late = (slice(end - frames, end + 1) for end in (first, last))
     paths = np.asarray(joint_paths(skeleton, motion.poses))
     travel = align(paths[early].reshape(-1, 3), paths[late].reshape(-1, 3))
-    lead = move(skeleton, travel, pick(motion.poses, early))
+    lead = move(skeleton, travel, take_poses(motion.poses, early))
     # whole one frame before the end
     share = ease(np.arange(frames + 1) / (frames - 1.0))
-    blend = between(pick(motion.poses, late), lead, jnp.asarray(share))
-    poses = concatenate([pick(motion.poses, slice(first, last - frames)), blend])
+    blend = between(take_poses(motion.poses, late), lead, jnp.asarray(share))
+    poses = concatenate_poses([take_poses(motion.poses, slice(first, last - frames)), blend])
     if in_place:
         poses = move(skeleton, [power(travel, -t) for t in np.linspace(0.0, 1.0, last - first + 1)], poses)
         poses = _closed(poses)
@@ -116,7 +116,7 @@ def make_loop(
 
 def _closed(poses: Pose) -> Pose:
     """The last frame is the first to the last bit, which it is but for rounding."""
-    return concatenate([pick(poses, slice(0, -1)), pick(poses, slice(0, 1))])
+    return concatenate_poses([take_poses(poses, slice(0, -1)), take_poses(poses, slice(0, 1))])
 
 
 def _check(skeleton: Skeleton, a: Motion, b: Motion) -> None:

@@ -10,16 +10,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from ..body.body import Body
+from ..body.body import Body, take_vertices
 from ..body.skeleton import Skeleton
 from ..body.skin import RigidSkin
+from ..observe import padded_size
 from .held_points import HeldSkin
 
 #: metres from a joint's centre to the points that hold its orientation; a turn by a twentieth of a radian counts as
 #: much as a shift by a centimetre
 ARM = 1.5**0.5 * 0.01 / 0.05
-#: counts of points that arrays are padded to, so that one more constraint compiles nothing
-LADDER = (16, 64, 256, 1024, 4096)
+#: the fewest points of padded arrays, and by how much more there are next: one more constraint compiles nothing
+FEWEST, GROWTH = 16, 4
 
 
 Place = tuple[float, float, float]
@@ -59,7 +60,7 @@ class Constraints(eqx.Module):
 
 
 def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constraints:
-    """Arrays of constraints, vertices first, padded to a count of `LADDER`.
+    """Arrays of constraints, vertices first, padded to 16, 64, 256, ... points.
 
     An orientation `R` is asked for by points at `c +- ARM e_i` around the joint's centre `c`, with targets `y +- ARM R e_i`
     and a sixth of the weight each. Their sum is `w |c' - y|^2 + w (2/3) ARM^2 |theta|^2` to second order in the angle
@@ -77,7 +78,8 @@ def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constrain
             joint = skeleton.index(c.point)
             for at, to, share in _around(c.orientation):
                 rows.append((0, True, joint, centres[joint] + at, np.add(c.target, to), share * c.weight, c.pinned))  # fmt: skip
-    rows += [(0, False, 0, np.zeros(3), np.zeros(3), 0.0, False)] * (_padded_length(len(rows)) - len(rows))
+    spare = padded_size(len(rows), (FEWEST,), GROWTH) - len(rows)
+    rows += [(0, False, 0, np.zeros(3), np.zeros(3), 0.0, False)] * spare
     vertices, rigid, bones, rest, targets, weights, pinned = (
         np.array(column) for column in zip(*rows, strict=True)
     )
@@ -94,10 +96,10 @@ def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constrain
 
 def constrained_body(body: Body, constraints: Constraints) -> Body:
     """The body with no vertices but the constrained points, in their order, and no faces."""
-    chosen = constraints.vertices
-    skin = HeldSkin(body.skin.take(chosen), RigidSkin(constraints.bones), constraints.rigid)
-    points = jnp.where(constraints.rigid[:, None], constraints.rest, body.vertices[chosen])
-    return Body(body.skeleton, skin, points, jnp.zeros((0, 3), body.faces.dtype))
+    few = take_vertices(body, constraints.vertices)
+    skin = HeldSkin(few.skin, RigidSkin(constraints.bones), constraints.rigid)
+    points = jnp.where(constraints.rigid[:, None], constraints.rest, few.vertices)
+    return Body(few.skeleton, skin, points, few.faces)
 
 
 def check_constraints(constraints: Sequence[Constraint], skeleton: Skeleton, num_vertices: int) -> None:
@@ -130,12 +132,6 @@ def check_constraints(constraints: Sequence[Constraint], skeleton: Skeleton, num
 def describe(point: int | str) -> str:
     """A point in words: `vertex 12`, `joint 'LeftHand'`."""
     return f"joint '{point}'" if isinstance(point, str) else f"vertex {point}"
-
-
-def _padded_length(count: int) -> int:
-    """The first of `LADDER` that is long enough; beyond it, the next multiple of its last."""
-    last = LADDER[-1]
-    return next((length for length in LADDER if length >= count), -(-count // last) * last)
 
 
 def _around(orientation: Turn | None) -> list[tuple[np.ndarray, np.ndarray, float]]:

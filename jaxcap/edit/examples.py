@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
 from ..body.kinematics import forward_kinematics
-from ..body.pose import Pose
+from ..body.pose import Pose, take_poses
 from ..body.skeleton import Skeleton
 from ..body.skin import AbstractSkin
 from .virtual_bones import bone_frames
@@ -18,11 +18,6 @@ from .weight_rows import Rows, skin_of, take_rows
 
 #: poses, and virtual bones, that one program does
 BLOCK = 32
-
-
-def take_poses(poses: Pose, chosen: np.ndarray) -> Pose:
-    """Some of stacked poses."""
-    return jax.tree.map(lambda values: values[chosen], poses)
 
 
 def pose_blocks(poses: Pose) -> Iterator[Pose]:

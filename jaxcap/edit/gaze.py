@@ -63,7 +63,8 @@ def look_at_target(
     **Arguments:** `target` a point, metres, or with `direction` a direction in the world; one for all frames or one
     for each. `shares` names the joints, from the trunk to the head, with parts that add up to 1; the last one carries
     the line (`gaze_shares` guesses them). `fade` seconds at either end over which the turn comes and goes; `most`
-    degrees of the whole turn; `limits` that the joints are turned back into.
+    degrees of the whole turn; `limits` that the joints are turned back into, those that are recorded beyond them
+    by and by with the fade.
 
     **Raises:** `ValueError` for joints that are not there or not one below the other, shares that do not add up, a
     range that is not in the motion or too short for its fades, or a target that is within 25 cm of the eyes.
@@ -206,7 +207,7 @@ def _turn_frames(skeleton, poses: Pose, line, chain, goals, magnitude, cap, limi
         angle = jnp.linalg.norm(turn)
         turn = turn * (share * jnp.minimum(1.0, cap / jnp.maximum(angle, 1e-9)))
         moved = turn_chain(skeleton, pose, chain, turn)
-        return moved if limits is None else _within(limits, skeleton, pose, moved, chain)
+        return moved if limits is None else _within(limits, skeleton, pose, moved, chain, share)
 
     return jax.lax.map(one, (poses, goals, magnitude))
 
@@ -238,10 +239,13 @@ def _lines(skeleton, line, poses: Pose):
     return jax.lax.map(lambda pose: gaze_of(skeleton, line, pose), poses)
 
 
-def _within(limits, skeleton, before: Pose, pose: Pose, chain: _Chain) -> Pose:
-    """The joints of the chain within their limits, where they turn at all."""
-    nearest = limits.nearest(skeleton, pose).rotations[chain.joints]
-    return Pose(pose.translations, pose.rotations.at[chain.joints].set(nearest), pose.scale)
+def _within(limits, skeleton, before: Pose, pose: Pose, chain: _Chain, share: Float[Array, ""]) -> Pose:
+    """The joints of the chain within their limits, and beyond by what the pose `before` already was, as far as the gaze
+    is faded out: so a joint that was recorded beyond its limits comes back into them as the gaze comes."""
+    held, own = (limits.nearest(skeleton, p).rotations[chain.joints] for p in (pose, before))
+    beyond = rotation.log(rotation.multiply(rotation.conjugate(own), before.rotations[chain.joints]))
+    held = rotation.multiply(held, rotation.exp((1.0 - share) * beyond))
+    return Pose(pose.translations, pose.rotations.at[chain.joints].set(rotation.normalise(held)), pose.scale)
 
 
 def _degrees(looks: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from ..body.body import Body
 from ..body.human import human
 from ..body.skeleton import Skeleton
+from ..geometry.axes import nearest_axis
 from .joint_names import twin_joints
 
 #: of the embedded human, by resolution: vertices whose mean is the back of the head, and between the eyes
@@ -131,14 +132,9 @@ def _forward(skeleton: Skeleton, head: int) -> np.ndarray:
     root = head
     while skeleton.parents[root] >= 0:
         root = skeleton.parents[root]
-    front = np.cross(_snapped(left), _snapped(centres[head] - centres[root]))
+    front = np.cross(nearest_axis(left), nearest_axis(centres[head] - centres[root]))
     if np.linalg.norm(front) < 0.5:
         raise ValueError(
             "Where the front of this skeleton is cannot be told from the names of its joints; give vertices of its head."
         )
     return front
-
-
-def _snapped(vector: np.ndarray) -> np.ndarray:
-    largest = int(np.argmax(np.abs(vector)))
-    return np.sign(vector[largest]) * np.eye(3)[largest]

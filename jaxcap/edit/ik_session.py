@@ -17,7 +17,7 @@ from ..body.pose import Pose, project, rest_pose
 from ..energy.prior import RestPrior
 from ..energy.term import AbstractEnergy
 from .constraints import Constraint, Place, Turn, check_constraints, describe, make_constraints
-from .ik_places import bone_turns, places_of
+from .ik_places import places_of
 from .inverse_kinematics import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
 
 #: how many steps back a session remembers
@@ -143,13 +143,19 @@ def grab(session: IkSession) -> IkSession:
 def drag(
     session: IkSession, point: int | str, target: Place | None = None, orientation: Turn | None = None
 ) -> IkSession:
-    """Move a target, turn a joint's, or both, and solve. Raises `ValueError` where there is no such constraint."""
+    """Move a target, turn a joint's, or both, and solve. Without `grab`, or after a drag was given up by `undo` or ended
+    by another step while the hand goes on, it does nothing.
+
+    **Raises:** `ValueError` where there is no such constraint.
+    """
+    if session.grabbed is None:
+        return session
     constraint = constraint_at(session, point)
     if target is not None:
         constraint = constraint._replace(target=target)
     if orientation is not None:
         constraint = constraint._replace(orientation=orientation)
-    return solved(_shown(session, _with(session.state, constraint)))
+    return solved(session._replace(state=_with(session.state, constraint)))
 
 
 def release(session: IkSession) -> IkSession:
@@ -260,11 +266,6 @@ def distances(session: IkSession) -> tuple[float, ...]:
     )
 
 
-def bone_turn(session: IkSession, joint: str) -> Turn:
-    """How a joint's bone is turned from rest, in the world: `orientation` of a constraint that holds it so."""
-    return bone_turns(session.body, session.state.pose)[session.body.skeleton.index(joint)]
-
-
 def _set_constraints(session: IkSession, constraints: tuple[Constraint, ...]) -> IkSession:
     return _edited(session, session.state._replace(constraints=constraints))
 
@@ -275,13 +276,8 @@ def _with(state: IkState, changed: Constraint) -> IkState:
     return state._replace(constraints=held)
 
 
-def _shown(session: IkSession, state: IkState) -> IkSession:
-    """Another state within a drag, or a step of its own."""
-    return session._replace(state=state) if session.grabbed is not None else _edited(session, state)
-
-
 def _edited(session: IkSession, state: IkState) -> IkSession:
-    """Another state, one step further; a drag that goes on is part of it."""
+    """Another state, one step further; a drag that goes on ends before it, as a step of its own."""
     session = release(session)
     past = (*session.past, session.state)[-HISTORY:]
     return session._replace(state=state, past=past, future=(), solution=None)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..body.body import Body
+from ..body.influences import strongest_weights
 from ..body.skin import LinearSkin
 
 
@@ -20,8 +21,5 @@ def limit_influences(body: Body, count: int = 4) -> Body:
         raise ValueError(
             f"Influences are limited in a LinearSkin, and this body has a {type(body.skin).__name__}; linearise it."
         )
-    weights = np.array(body.skin.weights)
-    order = np.argsort(-weights, axis=1, kind="stable")
-    np.put_along_axis(weights, order[:, count:], 0.0, axis=1)
-    weights /= weights.sum(1, keepdims=True)
+    weights = strongest_weights(np.asarray(body.skin.weights), count)
     return eqx.tree_at(lambda b: b.skin, body, LinearSkin(jnp.asarray(weights)))

@@ -10,20 +10,20 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from ..body.anatomy import rest_deviations
-from ..body.body import Body, Posed, pose_body
+from ..body.body import Body, pose_body
 from ..body.limits import AbstractLimits
 from ..body.pose import Pose, project
 from ..body.skeleton import Skeleton
 from ..energy.landmarks import VertexLandmarks
 from ..energy.limits import JointLimits
+from ..energy.prior import ReferencePrior
 from ..energy.term import AbstractEnergy
 from ..fit.gauss_newton import GaussNewton
 from ..fit.levenberg_marquardt import LevenbergMarquardt
 from ..fit.priority import solve_in_order
 from ..fit.scaled_cholesky import ScaledCholesky
 from ..fit.solve import solve
-from ..geometry import rotation
-from .constraints import Constraints, constrained_body
+from .constraints import ARM, Constraints, constrained_body
 
 Solver = Literal["levenberg-marquardt", "gauss-newton", "priorities"]
 SOLVERS: tuple[str, ...] = get_args(Solver)
@@ -34,10 +34,15 @@ METRES = 0.01
 PINNED = 1e3
 #: of limits, per squared radian, where weights decide
 LIMITS = 1e6
-#: how freely roots move before all else has, metres and radians; and hardly at all where they are held, both
-ROOT, HELD = (0.05, 0.1), 1e-4
+#: how freely roots move before all else has, metres and radians; and hardly at all where they are held, both, which
+#: weighs 250 times as much as a pinned constraint
+ROOT, HELD = (0.05, 0.1), 2e-5
 #: radians of a joint that no anatomy knows
 UNKNOWN = 0.5
+
+
+#: metres `(J,)` and radians `(J, 3)`
+Deviations = tuple[Float[Array, "J"], Float[Array, "J 3"]]
 
 
 class IkOptions(eqx.Module):
@@ -52,30 +57,14 @@ class IkOptions(eqx.Module):
     prior: AbstractEnergy | None = None
     keep_limits: Bool[Array, ""] = eqx.field(default=True, converter=jnp.asarray)
     use_prior: Bool[Array, ""] = eqx.field(default=True, converter=jnp.asarray)
-    #: keep roots where they are, unless a constraint on one of them outweighs it
+    #: keep roots where they are, before all constraints but the limits; where a pinned constraint is on a root
+    #: itself, that says where it is, and with an orientation how it is turned
     hold_root: Bool[Array, ""] = eqx.field(default=False, converter=jnp.asarray)
     #: of the pull to the reference, and of the prior, where a constraint of weight one is `METRES` off
     stiffness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
     naturalness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
     #: most steps of one solve
     max_steps: int = eqx.field(static=True, default=32)
-
-
-class NearPose(AbstractEnergy):
-    """`sum (t / m)^2 + sum (w / s)^2` over shifts and turns from a reference pose, the turns as rotation vectors about
-    the axes of their joints' own frames, with standard deviations `m (J,)` in metres and `s (J, 3)` in radians
-    (infinite: free): an elbow that leaves the reference bends rather than shears."""
-
-    reference: Pose
-    metres: Float[Array, "J"]
-    radians: Float[Array, "J 3"]
-
-    def residual(self, posed: Posed):
-        here, there = self.reference, posed.pose
-        turns = rotation.log(rotation.multiply(rotation.conjugate(here.rotations), there.rotations))
-        own = rotation.rotate(rotation.conjugate(posed.body.skeleton.orientations), turns)
-        shifts = (there.translations - here.translations) / self.metres[:, None]
-        return jnp.concatenate([shifts.reshape(-1), (own / self.radians).reshape(-1)])
 
 
 class IkSolution(eqx.Module):
@@ -125,7 +114,7 @@ def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
         else LevenbergMarquardt(linear_solver=ScaledCholesky())
     )
     energy = _reach(constraints, jnp.where(constraints.pinned, PINNED, 1.0))
-    energy = energy + _natural(few.skeleton, options, reference, options.hold_root)
+    energy = energy + _natural(few.skeleton, options, reference, _held(few.skeleton, constraints, options))
     if options.limits is not None:
         energy = energy + LIMITS * options.keep_limits * JointLimits(options.limits)
     found = solve(energy, few, start, solver, options.max_steps)
@@ -136,13 +125,15 @@ def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
 def _in_order(body, constraints, options, reference) -> tuple[Body, tuple[AbstractEnergy, ...]]:
     """The small body, and groups of energies with the first first."""
     few = constrained_body(body, constraints)
-    roots = np.array(few.skeleton.parents) < 0
-    still = jnp.asarray(np.where(roots, HELD, np.inf), few.vertices.dtype)
-    stay = options.hold_root * NearPose(reference, still, jnp.tile(still[:, None], (1, 3)))
+    held = _held(few.skeleton, constraints, options)
+    # in their group pinned constraints weigh what others do elsewhere
+    stay = (1 / PINNED) * ReferencePrior(reference, *held)
     groups = (
         _reach(constraints, jnp.where(constraints.pinned, 1.0, 0.0)) + stay,
         _reach(constraints, jnp.where(constraints.pinned, 0.0, 1.0)),
-        _natural(few.skeleton, options, reference, False),
+        _natural(
+            few.skeleton, options, reference, jax.tree.map(lambda free: jnp.full_like(free, jnp.inf), held)
+        ),
     )
     if options.limits is None:
         return few, groups
@@ -164,14 +155,23 @@ def _reach(constraints: Constraints, more: Float[Array, "C"]) -> AbstractEnergy:
     return VertexLandmarks(order, constraints.targets, constraints.weights * more / METRES**2)
 
 
-def _natural(skeleton: Skeleton, options: IkOptions, reference: Pose, hold_root) -> AbstractEnergy:
-    """What decides where constraints do not: the reference, with roots that hardly leave it where they are held, and
-    which poses are likely."""
+def _held(skeleton: Skeleton, constraints: Constraints, options: IkOptions) -> Deviations:
+    """How freely roots leave the reference where they are held, and all else does."""
+    roots, dtype = np.array(skeleton.parents) < 0, skeleton.centres.dtype
+    asked = constraints.rigid & constraints.pinned & (constraints.weights > 0)
+    arms = jnp.linalg.norm(constraints.rest - skeleton.centres[constraints.bones], axis=-1)
+
+    def deviations(free: Bool[Array, "C"]) -> Float[Array, "J"]:
+        loose = jnp.zeros(len(roots), bool).at[constraints.bones].max(free)
+        return jnp.where(options.hold_root & roots & ~loose, HELD, jnp.inf).astype(dtype)
+
+    return deviations(asked), jnp.tile(deviations(asked & (arms > ARM / 2))[:, None], (1, 3))
+
+
+def _natural(skeleton: Skeleton, options: IkOptions, reference: Pose, held: Deviations) -> AbstractEnergy:
+    """What decides where constraints do not: the reference, besides what is held to it, and which poses are likely."""
     own, roots = rest_deviations(skeleton, UNKNOWN), np.array(skeleton.parents) < 0
-    dtype = skeleton.centres.dtype
-    stiffness = options.stiffness.astype(dtype)
-    still = jnp.where(hold_root, HELD, jnp.inf) * jnp.sqrt(stiffness)
-    metres = jnp.where(roots, jnp.minimum(ROOT[0], still), ROOT[0]).astype(dtype)
-    radians = jnp.where(roots[:, None], jnp.minimum(ROOT[1], still), own).astype(dtype)
-    near = stiffness * NearPose(reference, metres, radians)
+    free = np.full(len(roots), ROOT[0]), np.where(roots[:, None], ROOT[1], own)
+    both = (1 / jnp.sqrt(options.stiffness / a**2 + 1 / b**2) for a, b in zip(free, held, strict=True))
+    near = ReferencePrior(reference, *(deviations.astype(skeleton.centres.dtype) for deviations in both))
     return near if options.prior is None else near + options.use_prior * options.naturalness * options.prior

@@ -15,10 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..body.body import Body
-from ..body.pose import Motion, Pose
+from ..body.influences import strongest_bones
+from ..body.pose import Motion, Pose, take_poses
 from ..body.skeleton import Skeleton
 from ..body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from .examples import own_frames, pose_blocks, take_poses, virtual_frames
+from .examples import own_frames, pose_blocks, virtual_frames
 from .linear_weights import blend_errors, fit_linear_weights
 from .virtual_bones import VirtualBones, extended_pose, extended_skeleton, make_virtual_bones
 from .weight_rows import (
@@ -144,9 +145,7 @@ class _Blend(NamedTuple):
 def _start(body: Body, influences: int) -> _Blend:
     """No virtual bones yet, and the skin's own influences."""
     weights = np.array(body.skin.influence(body.skeleton.num_joints), float)
-    candidates = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
-    weights = np.take_along_axis(weights, candidates, 1)
-    return _Blend(no_rows(body.skeleton.num_joints), candidates, weights / weights.sum(1, keepdims=True))
+    return _Blend(no_rows(body.skeleton.num_joints), *strongest_bones(weights, influences))
 
 
 def _fewer(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int) -> _Blend:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..body.pose import Pose
+from ..body.pose import Pose, shift_roots
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
 
@@ -48,17 +48,15 @@ def move(skeleton: Skeleton, planar: list[Planar] | Planar, poses: Pose) -> Pose
     headings = jnp.asarray([one.heading for one in each], dtype)
     shifts = jnp.asarray([[one.shift[0], 0.0, one.shift[1]] for one in each], dtype).reshape(-1, 3)
     turns = rotation.exp(headings[:, None] * jnp.asarray([0.0, 1.0, 0.0], dtype))
-    # the pose's scale comes last, so it is in the way of a shift of the world
-    shifts = shifts / poses.scale[:, None]
     translations, rotations = poses.translations, poses.rotations
     for root in np.flatnonzero(np.array(skeleton.parents) < 0):
         centre = skeleton.centres[root]
-        place = rotation.rotate(turns, centre + translations[:, root]) + shifts
+        place = rotation.rotate(turns, centre + translations[:, root])
         translations = translations.at[:, root].set(place - centre)
         rotations = rotations.at[:, root].set(
             rotation.normalise(rotation.multiply(turns, rotations[:, root]))
         )
-    return Pose(translations, rotations, poses.scale)
+    return shift_roots(skeleton, Pose(translations, rotations, poses.scale), shifts)
 
 
 def _matrix(heading: float) -> Float[np.ndarray, "2 2"]:

@@ -20,6 +20,8 @@ from ..body.kinematics import forward_kinematics, joint_paths, joint_positions
 from ..body.pose import Motion, Pose, rest_pose, universal_angles
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
+from ..geometry.axes import nearest_axis, nearest_turn
+from ..geometry.procrustes import nearest_rotation
 from .joint_names import GIRDLES, LEGS, match_names, plain_name, sided
 
 #: the vertical where nothing else is said, and the share of frames in which a motion is below its floor
@@ -37,7 +39,7 @@ class _Plan(NamedTuple):
     anchors: tuple[np.ndarray, np.ndarray]
     #: target metres for one source metre
     ratio: float
-    #: (3,) the vertical of the source's world; zero where no legs show it
+    #: (3,) the vertical of the source's world
     up: np.ndarray
 
 
@@ -55,7 +57,7 @@ def retarget(
     are ball joints; a revolute or universal joint takes the part that its axes allow. A
     joint without a match stays as it is at rest. The middle of the hips follows that of the
     source, scaled by the ratio of the leg lengths about the floor, so that feet keep to it; without
-    matched legs the root does, scaled by the ratio of all matched bones about the origin.
+    matched legs the root does, scaled by the ratio of all matched bones. Heights are along `vertical`.
 
     **Arguments:** `names` leads from source to target names; where it is not given, equal
     names and the names that ASF, CMU BVH and the embedded human have for one joint match. `floor` is
@@ -92,6 +94,14 @@ def size_ratio(source: Skeleton, target: Skeleton, names: Mapping[str, str] | No
     """Metres of the target for one of the source, by which `retarget` scales places: that of the legs,
     or of all matched bones. Raises as `retarget` does."""
     return _plan(source, target, match_names(source.names, target.names, names)).ratio
+
+
+def vertical(
+    source: Skeleton, target: Skeleton, names: Mapping[str, str] | None = None
+) -> Float[np.ndarray, "3"]:
+    """The direction along which `retarget` scales heights: the coordinate axis from feet to hips of the source at rest,
+    whose world the target comes into; y where no matched legs show it. Raises as `retarget` does."""
+    return _plan(source, target, match_names(source.names, target.names, names)).up
 
 
 def floor_of(points: Float[Array | np.ndarray, "F N 3"], up: np.ndarray = UP) -> float:
@@ -199,13 +209,11 @@ def _plan(source: Skeleton, target: Skeleton, matches: dict[int, int]) -> _Plan:
 
 
 def _up(centres: np.ndarray, sources: np.ndarray, legs: list[list[int]]) -> np.ndarray:
-    """(3,) the coordinate axis from the feet to the hips at rest; zero without legs."""
+    """(3,) the coordinate axis from the feet to the hips at rest; y without legs."""
     if not legs:
-        return np.zeros(3)
+        return UP
     thighs, _, feet = sources[np.array(legs)].T
-    leg = (centres[thighs] - centres[feet]).mean(0)
-    largest = int(np.argmax(np.abs(leg)))
-    return np.sign(leg[largest]) * np.eye(3)[largest]
+    return nearest_axis((centres[thighs] - centres[feet]).mean(0))
 
 
 def _hinge_twist(source, target, sources, follows, joint: int, alignment: np.ndarray) -> float:
@@ -250,14 +258,8 @@ def _upright(target: np.ndarray, source: np.ndarray) -> np.ndarray:
     """(3, 3) rotation from the target's rest to the source's as they stand, whatever the arms
     do: the best fit of the joints (Kabsch), put onto the nearest turn of the coordinate axes,
     because a person at rest stands along them; the fit itself where none is near."""
-    u, _, vt = np.linalg.svd((source - source.mean(0)).T @ (target - target.mean(0)))
-    fit = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    snapped = np.zeros((3, 3))
-    remaining = np.abs(fit)
-    for _ in range(3):
-        row, column = np.unravel_index(np.argmax(remaining), (3, 3))
-        snapped[row, column] = np.sign(fit[row, column])
-        remaining[row, :] = remaining[:, column] = -1.0
+    fit = nearest_rotation((source - source.mean(0)).T @ (target - target.mean(0)))
+    snapped = nearest_turn(fit)
     near = np.trace(snapped.T @ fit) > 1 + 2 * np.cos(np.radians(30.0)) and np.linalg.det(snapped) > 0
     return snapped if near else fit
 

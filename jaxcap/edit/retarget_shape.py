@@ -9,19 +9,15 @@ target's build (`transfer`): a limb is then as long and as thick as the target's
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..body.body import Body, deform_all
-from ..body.pose import Motion, Pose
+from ..body.pose import Motion, concatenate_poses, shift_roots, take_poses
 from ..fit.registered import fit_meshes
 from ..geometry.procrustes import nearest_rotation
 from ..observe import MeshSequence
-from .between import concatenate, pick
-from .ground import lowest
-from .retarget import UP, floor_of
+from .soles import floor_under
 from .transfer import make_transfer, transfer_pose
 
 #: frames that are fitted in one call, and vertices that they are fitted by
@@ -47,9 +43,9 @@ class ShapeRetarget(NamedTuple):
 
 
 def retarget_shape(
+    motion: Motion,
     source: Body,
     target: Body,
-    motion: Motion,
     *,
     floor: float | None = None,
     progress: Callable[[list], Iterable] = iter,
@@ -70,7 +66,7 @@ def retarget_shape(
     **Raises:** `ValueError` where vertices or triangles are not the same, the motion moves other joints than the
     source, has no frames, or the bodies rest in different poses.
     """
-    _check(source, target, motion)
+    _check(motion, source, target)
     rests = [np.asarray(body.vertices, float) for body in (source, target)]
     transfer = make_transfer(rests[0], rests[1], np.asarray(source.faces))
     ratio = float(np.ptp(rests[1][:, 1]) / np.ptp(rests[0][:, 1]))
@@ -81,9 +77,9 @@ def retarget_shape(
         (start, np.minimum(np.arange(start, start + length), len(motion) - 1))
         for start in range(0, len(motion), length)
     ]
-    surface = lambda frames: np.asarray(deform_all(source, pick(motion.poses, frames)), float)  # noqa: E731
+    surface = lambda frames: np.asarray(deform_all(source, take_poses(motion.poses, frames)), float)  # noqa: E731
     if floor is None:
-        floor = floor_of(lowest(source, motion.poses)[:, None, None] * UP)
+        floor = floor_under(source, motion.poses)
     parts, errors, path = [], [], _Path(ratio, float(floor))
     scale = np.asarray(motion.poses.scale, float)
     for start, frames in progress(blocks):
@@ -94,9 +90,11 @@ def retarget_shape(
         fit = fit_meshes(target, MeshSequence(wanted, target.faces), vertices=chosen)
         here = np.asarray(deform_all(target, fit.motion.poses), float)
         offsets = np.stack([path.step(there[i], here[i]) for i in range(count)])
-        parts.append(_shift(target, pick(fit.motion.poses, slice(0, count)), offsets))
+        parts.append(shift_roots(target.skeleton, take_poses(fit.motion.poses, slice(0, count)), offsets))
         errors.append(np.asarray(fit.rmse, float)[:count])
-    return ShapeRetarget(Motion(concatenate(parts), motion.rate), np.concatenate(errors), ratio, float(floor))
+    return ShapeRetarget(
+        Motion(concatenate_poses(parts), motion.rate), np.concatenate(errors), ratio, float(floor)
+    )
 
 
 class _Path:
@@ -124,12 +122,6 @@ class _Path:
         return offset
 
 
-def _shift(body: Body, poses: Pose, offsets: np.ndarray) -> Pose:
-    roots = np.flatnonzero(np.array(body.skeleton.parents) < 0)
-    moved = poses.translations.at[:, roots].add(jnp.asarray(offsets, poses.translations.dtype)[:, None])
-    return eqx.tree_at(lambda p: p.translations, poses, moved)
-
-
 def _spread(vertices: np.ndarray, count: int) -> np.ndarray:
     """About `count` vertices, evenly over the surface: one of each cube of a grid."""
     if len(vertices) <= count:
@@ -142,7 +134,7 @@ def _spread(vertices: np.ndarray, count: int) -> np.ndarray:
     return np.sort(cubes)
 
 
-def _check(source: Body, target: Body, motion: Motion) -> None:
+def _check(motion: Motion, source: Body, target: Body) -> None:
     counts = len(source.vertices), len(target.vertices)
     if counts[0] != counts[1]:
         raise ValueError(

@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 from ..body.body import Posed
 from ..body.pose import Pose, difference, own_vectors
 from ..body.skeleton import Skeleton, dof_layout
+from ..geometry import rotation
 from .term import AbstractEnergy
 
 
@@ -32,6 +33,25 @@ class RestPrior(AbstractEnergy):
 
     def residual(self, posed: Posed):
         return (own_vectors(posed.body.skeleton, posed.pose) / self.deviations).reshape(-1)
+
+
+class ReferencePrior(AbstractEnergy):
+    """`sum (t / m)^2 + sum (w / s)^2` over the shifts `t` and rotation vectors `w` of joints from a reference
+    pose, each vector in its joint's own frame as in `RestPrior`, with standard deviations `m (J,)` in metres and
+    `s (J, 3)` in radians (infinite: free). An elbow that leaves the reference bends rather than shears."""
+
+    reference: Pose
+    metres: Float[Array, "J"]
+    radians: Float[Array, "J 3"]
+
+    def residual(self, posed: Posed):
+        here, there = self.reference, posed.pose
+        shifts = there.translations - here.translations
+        turns = rotation.multiply(rotation.conjugate(here.rotations), there.rotations)
+        vectors = own_vectors(posed.body.skeleton, Pose(shifts, turns, there.scale))
+        return jnp.concatenate(
+            [(shifts / self.metres[:, None]).reshape(-1), (vectors / self.radians).reshape(-1)]
+        )
 
 
 def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:

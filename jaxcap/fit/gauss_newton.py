@@ -19,6 +19,8 @@ class GaussNewtonState(eqx.Module):
     energy: Float[Array, ""]
     num_steps: Int[Array, ""]
     terminate: Bool[Array, ""]
+    #: whether the last step's equations could be solved
+    solved: Bool[Array, ""]
     history: Float[Array, "H"]
 
 
@@ -27,7 +29,8 @@ class GaussNewton(AbstractManifoldSolver):
     and so on, until the energy falls (Kineben, eq. 5 and algorithm 1).
 
     The paper's loop never ends where no step helps; here `max_halvings` ends it, and the
-    solver stops there. `damping` is the small constant of the paper on the diagonal.
+    solver stops there. `damping` is the small constant of the paper on the diagonal; where it is
+    too small for the equations to be solved, the result is `RESULTS.singular`.
     """
 
     rtol: float = 1e-5
@@ -40,12 +43,13 @@ class GaussNewton(AbstractManifoldSolver):
         del fn, options, f_struct, aux_struct, tags
         energy = energy_of(args, y)
         return GaussNewtonState(
-            energy, jnp.array(0), jnp.array(False), jnp.full(HISTORY, jnp.nan, energy.dtype)
+            energy, jnp.array(0), jnp.array(False), jnp.array(True), jnp.full(HISTORY, jnp.nan, energy.dtype)
         )
 
     def step(self, fn, y, args: AbstractProblem, options, state: GaussNewtonState, tags):
         del fn, options, tags
-        full = damped_step(*args.linearise(y), self.damping * jnp.ones_like(args.scales()))
+        full, solved = try_damped_step(*args.linearise(y), self.damping * jnp.ones_like(args.scales()))
+        full = jnp.where(solved, full, 0.0)
 
         def too_high(carry):
             _, energy, halvings = carry
@@ -67,14 +71,16 @@ class GaussNewton(AbstractManifoldSolver):
             energy=energy,
             num_steps=state.num_steps + 1,
             terminate=~better | flat | (self.norm(step) < self.atol),
+            solved=solved,
             history=state.history.at[state.num_steps].set(energy, mode="drop"),
         )
         return args.retract(y, step), state, None
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
-        good, bad = optx.RESULTS.successful, optx.RESULTS.nonfinite
-        return state.terminate, optx.RESULTS.where(jnp.isfinite(state.energy), good, bad)
+        good, unsolved, bad = optx.RESULTS.successful, optx.RESULTS.singular, optx.RESULTS.nonfinite
+        result = optx.RESULTS.where(state.solved, good, unsolved)
+        return state.terminate, optx.RESULTS.where(jnp.isfinite(state.energy), result, bad)
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
         del fn, args, options, tags, result
@@ -90,10 +96,18 @@ def energy_of(problem: AbstractProblem, y) -> Float[Array, ""]:
 def damped_step(
     residual: Float[Array, "R"], jacobian: Float[Array, "R D"], damping: Float[Array, "D"]
 ) -> Float[Array, "D"]:
-    """`-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5).
+    """`-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5); no step at all where that fails."""
+    step, solved = try_damped_step(residual, jacobian, damping)
+    return jnp.where(solved, step, 0.0)
+
+
+def try_damped_step(
+    residual: Float[Array, "R"], jacobian: Float[Array, "R D"], damping: Float[Array, "D"]
+) -> tuple[Float[Array, "D"], Bool[Array, ""]]:
+    """The step of `damped_step` and whether all its numbers are finite, for those who can do something about it.
 
     The matrix is first brought to a unit diagonal, so that float32 loses nothing to units; what
-    rounding may take from a zero curvature is given back. No step at all where it fails.
+    rounding may take from a zero curvature is given back. Where rounding takes more, the step is not a number.
     """
     normal = jacobian.T @ jacobian + jnp.diag(damping)
     diagonal = jnp.diagonal(normal)
@@ -101,4 +115,4 @@ def damped_step(
     rounding = 10 * jnp.finfo(normal.dtype).eps * jnp.eye(len(normal), dtype=normal.dtype)
     factor = jnp.linalg.cholesky(normal * scale[:, None] * scale + rounding)
     step = -scale * cho_solve((factor, True), scale * (jacobian.T @ residual))
-    return jnp.where(jnp.isfinite(step).all(), step, 0.0)
+    return step, jnp.isfinite(step).all()

@@ -36,7 +36,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     measure (`AbstractProblem.scales`), for the damping is isotropic.
 
     The linear solver is Cholesky on the normal equations, 5 to 9 times faster here than
-    `lx.QR()`, which may be put in its place where a problem is ill-conditioned.
+    `lx.QR()`, which may be put in its place where a problem is ill-conditioned. Where equations
+    cannot be solved, the damping is raised as after a step that does not help.
     """
 
     rtol: float
@@ -60,16 +61,16 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         info = information(args, y)
         zero = jnp.zeros(info.jac.in_size(), info.residual.dtype)
         search_state = self.search.init(zero, info)
-        first = self.descent.step(
+        first, _ = self.descent.step(
             jnp.ones((), zero.dtype), self.descent.query(zero, info, self.descent.init(zero, info))
         )
         return SolverState(
-            step=first[0],
+            step=first,
             info=info,
             search_state=search_state,
             num_steps=jnp.array(0),
             terminate=jnp.array(False),
-            result=first[1],
+            result=_outcome(info, jnp.array(True)),
             history=jnp.full(HISTORY, jnp.nan, zero.dtype),
         )
 
@@ -86,19 +87,23 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             state.search_state,
         )
         before, after = state.info.as_min(), info_there.as_min()
+        # a step that is not a number is not small, and the search refuses it
         small = self.norm(state.step) < self.atol
         flat = jnp.abs(before - after) <= self.rtol * jnp.abs(before) + jnp.finfo(before.dtype).tiny
         y = where(accept, candidate, y)
         info = where(accept, info_there, state.info)
         descent_state = self.descent.query(state.step, info, self.descent.init(state.step, info))
-        step, result = self.descent.step(step_size, descent_state)
+        step, _ = self.descent.step(step_size, descent_state)
+        # the descent has no damping beyond this; one that was too little for a factor will not be enough
+        most = step_size <= jnp.finfo(step_size.dtype).eps
+        solvable = jnp.isfinite(state.step).all() | ~most
         state = SolverState(
             step=step,
             info=info,
             search_state=search_state,
             num_steps=state.num_steps + 1,
             terminate=small | (accept & flat),
-            result=result,
+            result=_outcome(info, solvable),
             history=state.history.at[state.num_steps].set(2.0 * info.as_min(), mode="drop"),
         )
         return y, state, None
@@ -110,6 +115,13 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     def postprocess(self, fn, y, aux, args, options, state, tags, result) -> tuple[Any, Any, dict]:
         del fn, args, options, tags, result
         return y, aux, {"history": state.history}
+
+
+def _outcome(info, solvable: Bool[Array, ""]) -> optx.RESULTS:
+    """What ends the solver: numbers that are not finite, or equations that no damping makes solvable."""
+    good, unsolved, bad = optx.RESULTS.successful, optx.RESULTS.singular, optx.RESULTS.nonfinite
+    result = optx.RESULTS.where(solvable, good, unsolved)
+    return optx.RESULTS.where(jnp.isfinite(info.as_min()), result, bad)
 
 
 def information(problem: AbstractProblem, y) -> optx.FunctionInfo.ResidualJac:  # pyright: ignore[reportInvalidTypeForm]

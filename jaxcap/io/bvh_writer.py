@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..errors import InputError
+from .atomic import replacing
 from .text import unit_scale
 from .tree import is_end
 
@@ -34,19 +35,16 @@ def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | 
     """
     path = Path(path)
     scales = np.asarray(motion.poses.scale)
-    beside = path.with_name(path.name + ".part")
-    try:
-        with BvhWriter(
-            beside, skeleton, motion.rate, unit, float(scales[0]) if len(scales) else 1.0
-        ) as writer:
-            poses = [np.asarray(a) for a in (motion.poses.translations, motion.poses.rotations, scales)]
-            for translations, rotations, scale in zip(*poses, strict=True):
-                writer.write_arrays(translations, rotations, float(scale), count=False)
-        os.replace(beside, path)
-    except InputError as error:
-        raise InputError(str(error).replace(str(beside), str(path))) from None
-    finally:
-        beside.unlink(missing_ok=True)
+    with replacing(path) as beside:
+        try:
+            with BvhWriter(
+                beside, skeleton, motion.rate, unit, float(scales[0]) if len(scales) else 1.0
+            ) as writer:
+                poses = [np.asarray(a) for a in (motion.poses.translations, motion.poses.rotations, scales)]
+                for translations, rotations, scale in zip(*poses, strict=True):
+                    writer.write_arrays(translations, rotations, float(scale), count=False)
+        except InputError as error:
+            raise InputError(str(error).replace(str(beside), str(path))) from None
 
 
 class BvhWriter:

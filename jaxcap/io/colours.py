@@ -6,25 +6,28 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from .obj import read_obj_colours
+
 
 def read_colours(path: str | Path, count: int) -> UInt8[np.ndarray, "V 4"] | None:
-    """Red, green, blue and alpha of the `count` vertices that `read_mesh` found in a file, in its order; None where
-    the file gives none, or not one for each of them."""
+    """Red, green, blue and alpha of the `count` vertices of a file that `read_mesh` has read, in its order; None where
+    the file gives none, or not one for each of them, or is of another format."""
+    path, colours = Path(path), None
+    if path.suffix.lower() == ".obj":
+        colours = read_obj_colours(path)
+    elif path.suffix.lower() in (".ply", ".glb", ".gltf"):
+        colours = _trimesh_colours(path)
+    return colours if colours is not None and colours.shape == (count, 4) else None
+
+
+def _trimesh_colours(path: Path) -> np.ndarray | None:
     import trimesh
 
-    try:
-        loaded: Any = trimesh.load(Path(path), process=False, maintain_order=True)
-        if isinstance(loaded, trimesh.Scene):
-            loaded = loaded.to_geometry() if loaded.geometry else trimesh.Trimesh()
-    except Exception:  # `read_mesh` has told what is wrong with the file
-        return None
-    visual = getattr(loaded, "visual", None)
+    loaded: Any = trimesh.load(path, process=False)
+    if isinstance(loaded, trimesh.Scene):
+        loaded = loaded.to_geometry() if loaded.geometry else trimesh.Trimesh()
     if isinstance(loaded, trimesh.PointCloud):
-        colours = np.asarray(loaded.colors)
-    elif visual is None or getattr(visual, "kind", None) != "vertex":
+        return np.asarray(loaded.colors, np.uint8)
+    if loaded.visual.kind != "vertex":
         return None
-    else:
-        colours = np.asarray(visual.vertex_colors)
-    if colours.shape != (count, 4):
-        return None
-    return colours.astype(np.uint8)
+    return np.asarray(loaded.visual.vertex_colors, np.uint8)

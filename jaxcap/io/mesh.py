@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from ..errors import InputError
 from .atomic import replacing, write_text
-from .obj import read_obj
+from .obj import read_obj, write_obj
 from .off import read_off
 from .text import UNITS, unit_scale
 
@@ -82,9 +82,7 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
         rows += [f"3 {a} {b} {c}" for a, b, c in faces]
         write_text(path, "\n".join(rows) + "\n")
     elif suffix == ".obj":
-        rows = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
-        rows += [f"f {a} {b} {c}" for a, b, c in faces + 1]
-        write_text(path, "\n".join(rows) + "\n")
+        write_obj(path, vertices, faces)
     elif suffix in (".ply", ".stl", ".glb"):
         import trimesh
 

@@ -80,6 +80,8 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
         )
     count, joints = len(vertices), skeleton.num_joints
     fields = {name: get_array(arrays, f"skin.{name}", path, (count,)) for name in names}
+    for name, values in {"vertices": vertices, **{f"skin.{name}": a for name, a in fields.items()}}.items():
+        _check_finite(values, name, path, "vertex")
     for name, values in fields.items():
         whole = name in ("bones", "bases")
         if whole != (values.dtype.kind in "iu") or values.shape != ((count,) if whole else (count, joints)):
@@ -139,7 +141,26 @@ def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
     frames, joints = rotations.shape[:2]
     translations = get_array(arrays, "translations", path, (frames, joints, 3))
     scale, rate = get_array(arrays, "scale", path, (frames,)), get_array(arrays, "rate", path, ())
+    for name, values in (("rotations", rotations), ("translations", translations), ("scale", scale)):
+        _check_finite(values, name, path, "frame")
+    if not np.linalg.norm(rotations, axis=-1).all():
+        raise InputError(
+            f"{path}: the array 'rotations' has quaternions of no length; write rotations as these."
+        )
+    if not (rate.dtype.kind in "fiu" and 0 < rate < np.inf):
+        raise InputError(f"{path}: the rate is {rate}; it must be above 0 frames a second.")
     return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), float(rate))
+
+
+def _check_finite(values: np.ndarray, name: str, path: str | Path, what: str) -> None:
+    """That an array holds finite numbers; `what` its rows are, as `frame`. Raises `InputError`."""
+    if values.dtype.kind not in "fiu":
+        raise InputError(f"{path}: the array '{name}' holds other than numbers; this file is not whole.")
+    wrong = ~np.isfinite(values).all(tuple(range(1, values.ndim)))
+    if wrong.any():
+        raise InputError(
+            f"{path}: the array '{name}' has numbers that are not finite, first in {what} {int(wrong.argmax())}."
+        )
 
 
 def load_skeleton(path: str | Path) -> Skeleton:
@@ -206,6 +227,8 @@ def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: T
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; check the path.") from None
+    except (IsADirectoryError, PermissionError) as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
     except ValueError:
         raise InputError(
             f"{path}: this file holds pickled objects, which are never read; write plain arrays."
@@ -218,10 +241,10 @@ def load_kind(path: str | Path, *kinds: str) -> dict[str, np.ndarray]:
     """The arrays of a file of one of some formats. Raises `InputError` where it is another, or of
     another version."""
     arrays = load_arrays(path)
-    found = str(arrays["format"]) if "format" in arrays else "unmarked file"
-    if found not in kinds:
+    found = f"a '{arrays['format']}'" if "format" in arrays else "an unmarked file"
+    if found not in {f"a '{kind}'" for kind in kinds}:
         raise InputError(
-            f"{path}: this is a '{found}', not a '{kinds[0]}'; it holds {', '.join(list(arrays)[:8])}."
+            f"{path}: this is {found}, not a '{kinds[0]}'; it holds {', '.join(list(arrays)[:8])}."
         )
     version = int(arrays["version"]) if "version" in arrays else 0
     if version != VERSION:

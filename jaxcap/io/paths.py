@@ -47,6 +47,8 @@ def find_files(
 def cut(items: list, first: int | None, last: int | None, where: str) -> list:
     """Items `first` to `last`, both included. Raises `InputError` where they are not there."""
     start, end = first or 0, len(items) - 1 if last is None else last
+    if not items:
+        raise InputError(f"{where}: there are no frames in it; give one at least.")
     if not 0 <= start <= end < len(items):
         raise InputError(
             f"{where}: there are frames 0 to {len(items) - 1}, but {start} to {end} were asked for."

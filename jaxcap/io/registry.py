@@ -25,7 +25,7 @@ from .gltf_reader import read_gltf
 from .marker_file import SIZE, MarkerFile, check_extent, pick_subject
 from .marker_table import read_marker_table, write_marker_table
 from .mesh import SUFFIXES, check_mesh, check_size, read_mesh
-from .npz import load_body, load_motion, load_skeleton, save_motion
+from .npz import load_body, load_kind, load_skeleton, motion_of, save_motion, skeleton_of
 from .skl import read_skl, write_skl
 from .trc import read_trc, write_trc
 from .usd import SUFFIXES as USD_SUFFIXES
@@ -43,9 +43,7 @@ SKELETON_WRITERS: dict[str, Callable[[Path, Skeleton, Any], None]] = {".skl": wr
 MOTION_READERS: dict[str, Callable[[Path, Any], tuple[Skeleton, Motion]]] = {
     ".bvh": read_bvh,
     ".amc": lambda path, unit: _read_acclaim(path),
-    ".npz": lambda path, unit: (
-        read_amass(path) if is_amass(path) else (load_skeleton(path), load_motion(path))
-    ),
+    ".npz": lambda path, unit: read_amass(path) if is_amass(path) else _read_own(path),
     ".glb": lambda path, unit: _read_animation(path),
 }
 MOTION_WRITERS: dict[str, Callable[[Path, Skeleton, Motion, Any], None]] = {
@@ -201,6 +199,13 @@ def _read_animation(path: Path) -> tuple[Skeleton, Motion]:
     if motion is None:
         raise InputError(f"{path}: there is no animation in this file; export it with one.")
     return skeleton, motion
+
+
+def _read_own(path: Path) -> tuple[Skeleton, Motion]:
+    arrays = load_kind(path, "jaxcap motion")
+    if "names" not in arrays:
+        raise InputError(f"{path}: this motion does not say its skeleton; save it with that.")
+    return skeleton_of(arrays, path), motion_of(arrays, path)
 
 
 def _read_acclaim(path: Path) -> tuple[Skeleton, Motion]:

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from ..body.body import Body
+from ..body.influences import strongest_bones
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..body.skin import LinearSkin, RigidSkin
@@ -95,9 +96,7 @@ def influences(
     most = int((weights > 0).sum(1).max(initial=1))
     count = -(-most // SET) * SET
     weights = np.pad(weights, ((0, 0), (0, max(count - weights.shape[1], 0))))
-    joints = np.argsort(-weights, axis=1, kind="stable")[:, :count]
-    chosen = np.take_along_axis(weights, joints, 1)
-    chosen /= chosen.sum(1, keepdims=True)
+    joints, chosen = strongest_bones(weights, count)
     # the strongest takes what rounding has left
     chosen[:, 0] += (1.0 - chosen.sum(1, dtype=float)).astype("<f4")
     return np.where(chosen > 0, joints, 0), chosen

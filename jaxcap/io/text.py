@@ -11,14 +11,19 @@ UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0
 
 
 def unit_scale(unit: str | float) -> float:
-    """Metres in one `unit`, which is one of `UNITS` or that number itself.
+    """Metres in one `unit`, which is one of `UNITS` or that number itself, as text too.
 
     **Raises:** `InputError` for anything else.
     """
     if isinstance(unit, str):
-        if unit not in UNITS:
-            raise InputError(f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}.")
-        return UNITS[unit]
+        if unit in UNITS:
+            return UNITS[unit]
+        try:
+            unit = float(unit)
+        except ValueError:
+            raise InputError(
+                f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}, or the metres in one, as 0.0564."
+            ) from None
     if not (math.isfinite(unit) and unit > 0):
         raise InputError(f"{unit} metres cannot be a unit of length; give a number above zero.")
     return float(unit)

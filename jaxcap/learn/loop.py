@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..body.body import Body
+from ..body.body import Body, take_vertices
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..geometry.laplacian import Conformance, make_conformance
@@ -151,16 +151,13 @@ def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> Start:
 
 
 def _thin(body: Body, coarse: Coarse) -> Body:
-    kept = jnp.asarray(coarse.kept)
-    return Body(body.skeleton, body.skin.take(kept), body.vertices[kept], coarse.meshes.faces)
+    return take_vertices(body, jnp.asarray(coarse.kept), coarse.meshes.faces)
 
 
 def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse, loose: bool) -> Body:
     """The body on all vertices: each with the weights of the kept one nearest to it, and at rest
     where its own places in the meshes call for."""
-    nearest = jnp.asarray(coarse.nearest)
-    body = state.body
-    body = Body(body.skeleton, body.skin.take(nearest), body.vertices[nearest], meshes.faces)
+    body = take_vertices(state.body, jnp.asarray(coarse.nearest), meshes.faces)
     rest = carry_back(body, state.motion.poses, meshes.vertices)
     body = eqx.tree_at(lambda b: b.vertices, body, rest)
     return adapt_vertices(body, state.motion.poses, meshes.vertices) if loose else body

@@ -26,7 +26,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from ..body.body import Body, deform_all
+from ..body.body import Body, deform_all, take_vertices
 from ..body.kinematics import Transforms, forward_kinematics
 from ..body.pose import Pose, retract
 from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
@@ -94,7 +94,7 @@ def improve_all(
         raise ValueError(f"{unknowns} unknowns of poses and joints are more than {MOST}; give fewer meshes.")
     start = _squares(body, poses, targets)
     kept = jnp.asarray(spread_vertices(np.asarray(body.skin.parts()), samples))
-    some = Body(body.skeleton, body.skin.take(kept), body.vertices[kept], body.faces)
+    some = take_vertices(body, kept)
     shown = targets[:, kept]
     bones = all_bones(body.skeleton, poses)
     some, value = adapt(some, bones, shown)

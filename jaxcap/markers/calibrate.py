@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
-from ..body.pose import Motion, Pose
+from ..body.pose import Motion, take_poses
 from ..body.symmetry import bones_of
 from ..observe import MarkerFrames
 from .adjust import Fit, Problem, adjust
@@ -102,7 +101,7 @@ def calibrate(
         problem = Problem(template, places, seen, joints, pairs, trust, robust, *effort)
         # threads of BLAS and those of XLA wait for each other, and matrices of frames are small
         with threadpool_limits(1, "blas"):
-            fit = adjust(problem, subject, _picked(motion.poses, chosen))
+            fit = adjust(problem, subject, take_poses(motion.poses, chosen))
         subject, poses, slid = fit.state
         if not again:
             break
@@ -146,10 +145,6 @@ def _followed(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F 
     are `FAR` off, exchanged by their labels most likely, nothing is to be learned."""
     solved = solve_markers(subject, frames)
     return solved.motion, ~solved.lost, used & ((solved.weights >= FAR) | solved.lost[:, None])
-
-
-def _picked(poses: Pose, frames: Int[np.ndarray, "C"]) -> Pose:
-    return jax.tree.map(lambda leaf: leaf[frames], poses)
 
 
 def _measured(fit: Fit) -> Subject:

@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..body.body import Body, deform_all
+from ..body.body import Body, deform_all, take_vertices
 from ..body.pose import Motion
 from ..observe import MarkerFrames, make_markers
 
@@ -24,9 +23,5 @@ def vertex_frames(body: Body, motion: Motion, vertices: Sequence[int], labels: S
     if joints != body.skeleton.num_joints:
         raise ValueError(f"The motion moves {joints} joints and the body has {body.skeleton.num_joints}.")
     chosen = jnp.asarray(vertices, int)
-    some = eqx.tree_at(
-        lambda b: (b.skin, b.vertices, b.faces),
-        body,
-        (body.skin.take(chosen), body.vertices[chosen], jnp.zeros((0, 3), body.faces.dtype)),
-    )
-    return make_markers(np.asarray(deform_all(some, motion.poses)), labels, motion.rate)
+    places = deform_all(take_vertices(body, chosen), motion.poses)
+    return make_markers(np.asarray(places), labels, motion.rate)

@@ -5,6 +5,7 @@ import scipy.sparse as sparse
 from jaxtyping import Float, Int
 from scipy.sparse.linalg import splu
 
+from ..body.influences import strongest_weights
 from ..body.skeleton import Skeleton
 from .envelopes import bone_distances, default_tails
 
@@ -44,7 +45,7 @@ def heat_weights(
     sources = sources / sources.sum(axis=1, keepdims=True)
     shortest = 1e-3 * float(np.ptp(vertices, axis=0).max())
     conduction = heat * areas / np.maximum(nearest, shortest) ** 2
-    return limit_influences(_equilibrium(laplacian, conduction, sources))
+    return prune_weights(_equilibrium(laplacian, conduction, sources))
 
 
 def smooth_weights(
@@ -63,19 +64,15 @@ def smooth_weights(
     """
     laplacian, areas, _ = surface_operators(vertices, faces)
     # a little trust everywhere keeps pieces of the mesh with none of it solvable
-    return limit_influences(_equilibrium(width**2 * laplacian, areas * np.maximum(trust, 1e-4), weights))
+    return prune_weights(_equilibrium(width**2 * laplacian, areas * np.maximum(trust, 1e-4), weights))
 
 
-def limit_influences(
+def prune_weights(
     weights: Float[np.ndarray, "V J"], count: int = INFLUENCES, least: float = 1e-3
 ) -> Float[np.ndarray, "V J"]:
     """The `count` largest weights of every row, none under `least`; rows sum to one again."""
-    weights = np.maximum(weights, 0.0)
-    if weights.shape[1] > count:
-        bound = np.partition(weights, -count, axis=1)[:, -count, None]
-        weights = np.where(weights >= bound, weights, 0.0)
-    weights = np.where(weights >= np.minimum(least, weights.max(axis=1, keepdims=True)), weights, 0.0)
-    return weights / weights.sum(axis=1, keepdims=True)
+    kept = weights >= np.minimum(least, weights.max(axis=1, keepdims=True))
+    return strongest_weights(np.where(kept, np.maximum(weights, 0.0), 0.0), count)
 
 
 def face_vectors(

@@ -57,7 +57,7 @@ class Window:
 
     def run(self, gone: threading.Event) -> None:
         """Show what the timeline and the choices ask for, until the browser closes."""
-        shown: tuple[int, Choice, tuple[int, ...]] | None = None
+        shown: tuple[int, bool, Choice, tuple[int, ...], tuple[str, ...]] | None = None
         spacing, live = self.controls.spacing, any(take.running for take in self.contents.takes)
         while not gone.is_set():
             self._wake.clear()
@@ -66,17 +66,20 @@ class Window:
             if frames != self.controls.timeline.frames:
                 self.controls.grow(frames)
             versions = tuple(take.motion.version for take in self.contents.takes)
-            wanted = (self.controls.timeline.frame(start), self.controls.choice, versions)
+            told = tuple(follower.told for follower in self.followers)
+            frame, choice = self.controls.timeline.frame(start), self.controls.choice
+            # whether it plays, too: where it comes to rest the slider has yet to follow
+            wanted = (frame, self.controls.timeline.playing, choice, versions, told)
             if spacing != self.controls.spacing:
                 spacing = self.controls.spacing
                 self.stage.place(spacing)
             if wanted != shown:
                 # computed before anything is held back that the browser could have meanwhile
-                looks = self.stage.look(wanted[0], wanted[1])
-                told = [follower.told for follower in self.followers] + [look.wrong for look in looks]
+                looks = self.stage.look(frame, choice)
+                wrong = (*told, *(look.wrong for look in looks))
                 with self.client.atomic():
-                    self.stage.draw(wanted[0], looks, wanted[1])
-                    self.controls.draw(wanted[0], next(filter(None, told), ""))
+                    self.stage.draw(frame, looks, choice)
+                    self.controls.draw(frame, next(filter(None, wrong), ""))
                 shown = wanted
             now = time.monotonic()
             rest = self.controls.timeline.wait(now)

@@ -5,7 +5,7 @@ from collections import OrderedDict
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..io.clouds import Scans
 
@@ -51,12 +51,17 @@ class SeenClouds:
 
     def _read(self, frame: int) -> SeenCloud:
         scan = self.scans[frame]
-        # a stride would alias with the rows of a depth picture
-        rows = np.arange(len(scan.points))
-        if len(rows) > self.most:
-            rows = np.sort(np.random.default_rng(0).choice(len(rows), self.most, replace=False))
+        rows = some_rows(len(scan.points), self.most)
         normals = None if scan.normals is None else scan.normals[rows] @ self._turn.T
         return SeenCloud(scan.name, scan.points[rows] @ self._turn.T, normals)
+
+
+def some_rows(count: int, most: int) -> Int[np.ndarray, "N"]:
+    """At most so many of the rows of an array, in order and the same ones for every array of a size. They are drawn by
+    chance, as a stride would alias with the rows of a depth picture."""
+    if count <= most:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
 
 
 def _size(cloud: SeenCloud) -> int:

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from ..errors import InputError
 from .clouds import SeenCloud, SeenClouds
 from .contents import Take
-from .figure import CLAY, BodyFigure, Colour, SkeletonFigure
+from .figure import CLAY, BodyFigure, Colour
 from .heat import (
     SIGMA,
     PartColours,
@@ -23,6 +23,7 @@ from .heat import (
 )
 from .points import LabelledPoints, PointFigure
 from .posing import PosedFrame
+from .skeleton_figure import SkeletonFigure
 
 if TYPE_CHECKING:
     from viser import SceneApi

@@ -1,4 +1,4 @@
-"""What stands in a window: a body by its surface, a skeleton by its bones and joint frames.
+"""A body in a window, by its surface.
 
 Every change of a number goes over the wire as that number's array and nothing else, and three.js
 writes it into the buffer that it has. For a surface of 5,000 vertices that is 60 kB a frame.
@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
-from scipy.spatial.transform import Rotation
 
 from ..body.body import Body
-from ..body.skeleton import Skeleton
 from ..io.mesh import Mesh
+from .group import Group
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -29,8 +28,6 @@ else:
 Colour = tuple[int, int, int]
 #: of a body of which nothing else is said
 CLAY: Colour = (176, 186, 200)
-#: of bones
-BONE: Colour = (226, 122, 42)
 #: opacity of a body whose bones are seen
 GLASS = 0.45
 #: a mesh must have a triangle: one of no size
@@ -54,7 +51,7 @@ class BodyFigure:
         at: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ):
         self.name = name
-        self.group = scene.add_frame(name, show_axes=False, position=at)
+        self._group = Group(scene, name, at, self._send)
         self._scene, self._colour = scene, colour
         self._faces = np.asarray(body.faces, np.uint32)
         self._vertices = np.asarray(body.vertices, np.float32)
@@ -67,8 +64,7 @@ class BodyFigure:
     def show(self, vertices: Float[Array, "V 3"] | Float[np.ndarray, "V 3"]) -> None:
         """Move the vertices, metres. A figure that is not visible sends them when it is."""
         self._vertices = np.asarray(vertices, np.float32)
-        if self.visible:
-            self._send()
+        self._group.changed()
 
     def colours(
         self, classes: Int[np.ndarray, "V"] | None, palette: UInt8[np.ndarray, "K 3"] | None = None
@@ -81,18 +77,15 @@ class BodyFigure:
             self._classes = self._palette = None
         else:
             self._classes, self._palette = np.asarray(classes), np.asarray(palette)
-        if self.visible:
-            self._send()
+        self._group.changed()
 
     @property
     def visible(self) -> bool:
-        return self.group.visible
+        return self._group.visible
 
     @visible.setter
     def visible(self, visible: bool) -> None:
-        if visible and not self.group.visible:
-            self._send()
-        self.group.visible = visible
+        self._group.show(visible)
 
     @property
     def translucent(self) -> bool:
@@ -106,10 +99,6 @@ class BodyFigure:
             self._whole.opacity = GLASS if translucent else None
             for part in self._parts:
                 part.translucent(translucent)
-
-    def remove(self) -> None:
-        """Take it out of the scene."""
-        self.group.remove()
 
     def _add_whole(self) -> Any:
         if not len(self._faces):
@@ -187,137 +176,3 @@ def _surface(scene: SceneApi, name: str, vertices: np.ndarray, faces: np.ndarray
     return scene.add_mesh_simple(
         name, vertices, faces, color=colour, side="double", cast_shadow=False, receive_shadow=False
     )
-
-
-class SkeletonFigure:
-    """The joints of a skeleton, its bones as lines between them, and, where asked for, the axes of
-    every joint's own frame (x, its twist axis, in red) and its name.
-
-    **Arguments:** as of `BodyFigure`; `colour` is that of the bones.
-    """
-
-    def __init__(
-        self,
-        scene: SceneApi,
-        name: str,
-        skeleton: Skeleton,
-        colour: Colour = BONE,
-        at: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    ):
-        self.name, self.skeleton = name, skeleton
-        self.group = scene.add_frame(name, show_axes=False, position=at)
-        self._scene = scene
-        self._joints = np.asarray(skeleton.centres, np.float32)
-        self._rotations = np.tile(np.eye(3), (skeleton.num_joints, 1, 1))
-        self._rest = _matrices(np.asarray(skeleton.orientations))
-        self._pairs = np.array([(p, j) for j, p in enumerate(skeleton.parents) if p >= 0], int).reshape(-1, 2)
-        self._bones = (
-            scene.add_line_segments(
-                f"{name}/bones", self._joints[self._pairs], colour, thickness=3.0, thickness_units="screen"
-            )
-            if len(self._pairs)
-            else None
-        )
-        self._points = scene.add_point_cloud(
-            f"{name}/joints", self._joints, colour, point_size=self._size(0.02), point_shape="circle",
-            precision="float32", point_shading="gradient",
-        )  # fmt: skip
-        # made when they are first asked for, as most windows never do
-        self._axes: Any = None
-        self._labels: list[Any] = []
-        self._frames = self._names = False
-
-    def show(
-        self,
-        joints: Float[Array, "J 3"] | Float[np.ndarray, "J 3"],
-        rotations: Float[Array, "J 3 3"] | Float[np.ndarray, "J 3 3"],
-    ) -> None:
-        """Move the joints, metres, and turn their frames: `Posed.joints` and `Transforms.rotations`.
-
-        A figure that is not visible sends them when it is.
-        """
-        self._joints = np.asarray(joints, np.float32)
-        self._rotations = np.asarray(rotations, float)
-        if self.visible:
-            self._send()
-
-    @property
-    def visible(self) -> bool:
-        return self.group.visible
-
-    @visible.setter
-    def visible(self, visible: bool) -> None:
-        if visible and not self.group.visible:
-            self._send()
-        self.group.visible = visible
-
-    @property
-    def frames(self) -> bool:
-        """Whether the joints' own frames are shown."""
-        return self._frames
-
-    @frames.setter
-    def frames(self, shown: bool) -> None:
-        self._frames = shown
-        if shown and self._axes is None:
-            length = self._size(0.06)
-            self._axes = self._scene.add_batched_axes(
-                f"{self.name}/frames",
-                self._wxyzs(),
-                self._joints,
-                axes_length=length,
-                axes_radius=0.06 * length,
-            )
-        if self._axes is not None:
-            self._axes.visible = shown
-        if self.visible:
-            self._send()
-
-    @property
-    def names(self) -> bool:
-        """Whether the joints' names stand beside them."""
-        return self._names
-
-    @names.setter
-    def names(self, shown: bool) -> None:
-        self._names = shown
-        if shown and not self._labels:
-            self._labels = [
-                self._scene.add_label(
-                    f"{self.name}/names/{number}", joint, position=self._joints[number], font_screen_scale=0.7
-                )
-                for number, joint in enumerate(self.skeleton.names)
-            ]
-        for label in self._labels:
-            label.visible = shown
-        if self.visible:
-            self._send()
-
-    def remove(self) -> None:
-        """Take it out of the scene."""
-        self.group.remove()
-
-    def _send(self) -> None:
-        self._points.points = self._joints
-        if self._bones is not None:
-            self._bones.points = self._joints[self._pairs]
-        if self._frames:
-            self._axes.batched_positions = self._joints
-            self._axes.batched_wxyzs = self._wxyzs()
-        if self._names:
-            for label, joint in zip(self._labels, self._joints, strict=True):
-                label.position = joint
-
-    def _wxyzs(self) -> np.ndarray:
-        # SciPy takes a pose's scale off
-        return (
-            Rotation.from_matrix(self._rotations @ self._rest).as_quat(scalar_first=True).astype(np.float32)
-        )
-
-    def _size(self, share: float) -> float:
-        """A length in proportion to the skeleton: a hand's frames are not those of a body."""
-        return share * float(np.ptp(np.asarray(self.skeleton.centres), axis=0).max() or 1.0)
-
-
-def _matrices(wxyz: np.ndarray) -> np.ndarray:
-    return Rotation.from_quat(wxyz, scalar_first=True).as_matrix()

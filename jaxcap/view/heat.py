@@ -1,6 +1,6 @@
 """Colours that say something: how far scans are from a body, and which part of it each point is taken for."""
 
-import colorsys
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,7 +16,8 @@ from ..geometry.mesh import vertex_normals
 from ..geometry.normals import estimate_normals
 from ..observe import Cloud, make_cloud
 from ..report.pictures import HEAT
-from .clouds import SeenCloud
+from ..report.render import distinct_colours
+from .clouds import SeenCloud, some_rows
 
 #: colours of a heat map: bands that can be told apart
 BANDS = 12
@@ -38,12 +39,15 @@ class ScanHeat(NamedTuple):
     vertices: Float[np.ndarray, "V"]
 
 
+@functools.cache
 def heat_palette() -> UInt8[np.ndarray, "13 3"]:
-    """The bands of the reports' heat maps, and behind them what was not seen."""
+    """The bands of the reports' heat maps, and behind them what was not seen; not to be written to."""
     from matplotlib.colors import LinearSegmentedColormap
 
     bands = LinearSegmentedColormap.from_list("heat", HEAT)((np.arange(BANDS) + 0.5) / BANDS)[:, :3]
-    return np.concatenate([np.rint(255 * bands), [UNSEEN]]).astype(np.uint8)
+    palette = _with_unseen(bands)
+    palette.flags.writeable = False
+    return palette
 
 
 def heat_classes(heat: Float[np.ndarray, "N"], limit: float) -> Int[np.ndarray, "N"]:
@@ -61,7 +65,7 @@ def scan_heat(
 
     A body without faces is its vertices.
     """
-    points = cloud.points[_judged(len(cloud.points))]
+    points = cloud.points[some_rows(len(cloud.points), JUDGED)]
     sums = np.zeros((len(vertices), 2))
     if len(faces):
         found = nearest_on_surface(points, vertices, faces)
@@ -106,13 +110,9 @@ class PartColours(eqx.Module):
 
 
 def make_part_colours(body: Body) -> PartColours:
-    """Colours of a body's parts: neighbours in the tree of joints are far apart on the circle of hues."""
+    """Colours of a body's parts, those of the reports' pictures."""
     count = body.skeleton.num_joints
-    hues = (0.08 + 0.6180339887 * np.arange(count)) % 1.0
-    rows = [
-        colorsys.hsv_to_rgb(hue, 0.55 + 0.3 * (i % 2), 0.95 - 0.2 * (i % 3) / 2) for i, hue in enumerate(hues)
-    ]
-    palette = np.concatenate([np.rint(255 * np.array(rows)), [UNSEEN]]).astype(np.uint8)
+    palette = _with_unseen(distinct_colours(count))
     return PartColours(body, make_parts(body.skin.parts(), count, body.vertices), palette)
 
 
@@ -121,7 +121,7 @@ def posterior_colours(
 ) -> tuple[Float[np.ndarray, "N 3"], UInt8[np.ndarray, "N 3"]]:
     """Some points of a scan, and the colours of the parts they are taken for, mixed by their posteriors; grey is
     the share of no part (Kineben, eq. 20). `sigma` is the mixture's deviation, metres."""
-    rows = _judged(len(cloud.points))
+    rows = some_rows(len(cloud.points), JUDGED)
     points = cloud.points[rows]
     if len(colours.body.faces) == 0:
         # without a side to its vertices any normal will do
@@ -148,8 +148,6 @@ def _posterior(colours: PartColours, vertices, cloud: Cloud, sigma):
     return posterior(colours.parts, vertices, normals, cloud, sigma)
 
 
-def _judged(count: int) -> np.ndarray:
-    """Rows of at most so many points, the same ones in every frame of a size."""
-    if count <= JUDGED:
-        return np.arange(count)
-    return np.sort(np.random.default_rng(1).choice(count, JUDGED, replace=False))
+def _with_unseen(colours: Float[np.ndarray, "K 3"]) -> UInt8[np.ndarray, "L 3"]:
+    """Colours to 1 as a palette to 255, and behind them that of what was not seen."""
+    return np.concatenate([np.rint(255 * colours), [UNSEEN]]).astype(np.uint8)

@@ -20,13 +20,14 @@ from ..edit import ik_session as ik
 from ..edit.constraints import Place, Turn
 from ..edit.ik_places import bone_turns, places_of
 from ..edit.ik_session import IkSession
-from .figure import BodyFigure, SkeletonFigure
+from .figure import BodyFigure
 from .handles import Handles, Phase
 from .ik_controls import IkControls
 from .ik_files import constraints_file, pose_file, with_file
 from .ik_inbox import Inbox
 from .ik_pick import nearest_handle, pick_point
 from .serve import each_client
+from .skeleton_figure import SkeletonFigure
 
 if TYPE_CHECKING:
     from viser import ClientHandle, SceneClickEvent, ViserServer
@@ -37,8 +38,6 @@ else:
 PATIENCE = 0.25
 #: of a handle's ball, in the body's size
 BALL = 0.011
-#: of the surface while joints are shown inside it
-GLASS = 0.45
 
 
 class Shown(NamedTuple):
@@ -113,19 +112,6 @@ class IkWindow:
             if verbs and not gone.is_set():
                 self.shown = self._show()
 
-    def pixel(self, place: Place, width: int, height: int) -> tuple[float, float]:
-        """Where a place is on a screen of so many pixels, by the camera that the browser tells."""
-        camera = self.client.camera
-        eye = np.array(camera.position)
-        ahead = np.array(camera.look_at) - eye
-        ahead /= np.linalg.norm(ahead)
-        right = np.cross(ahead, camera.up_direction)
-        right /= np.linalg.norm(right)
-        away = np.asarray(place) - eye
-        x, y = (float(away @ axis) for axis in (right, np.cross(right, ahead)))
-        share = float(away @ ahead) * np.tan(camera.fov / 2)
-        return (width + height * x / share) / 2, height * (1 - y / share) / 2
-
     def _tried(self, verb: ik.Verb) -> IkSession:
         try:
             return verb(self.session)
@@ -158,12 +144,8 @@ class IkWindow:
         with self.client.atomic():
             self._surface.show(vertices)
             self._skeleton.show(joints, rotations)
-            if self._skeleton.visible != self.controls.skeleton:
-                self._skeleton.visible = self.controls.skeleton
-            surface = self.client.scene.get_handle_by_name(f"{self._surface.name}/surface")
-            wanted = GLASS if self.controls.skeleton else None
-            if surface is not None and getattr(surface, "opacity", wanted) != wanted:
-                surface.opacity = wanted  # pyright: ignore[reportAttributeAccessIssue]
+            self._skeleton.visible = self.controls.skeleton
+            self._surface.translucent = self.controls.skeleton
             self.handles.show(state.constraints, places, turns, self.selected, self.controls.arrows)
             self.controls.draw(session, self.selected, self.note)
         return Shown(vertices, joints)

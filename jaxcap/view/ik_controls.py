@@ -1,7 +1,7 @@
 """The knobs of inverse kinematics in one window. They ask for verbs, and tell what a session is."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 from ..edit import ik_session as ik
 from ..edit.constraints import Constraint, describe
@@ -15,8 +15,9 @@ else:
 
 #: what the solvers are called on a knob
 SOLVERS: dict[str, Solver] = {
-    name.replace("-", " ").capitalize().replace("marquardt", "Marquardt").replace("newton", "Newton"): name
-    for name in get_args(Solver)
+    "Levenberg-Marquardt": "levenberg-marquardt",
+    "Gauss-Newton": "gauss-newton",
+    "Priorities": "priorities",
 }
 HELP = "Click the body to hold a point, drag its ball to move it."
 NOTHING = "no constraint is chosen"

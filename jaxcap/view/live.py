@@ -88,16 +88,16 @@ class RunFollower:
             # it was begun anew
             self.count, self._header = 0, header
         records = read_records(self.path, self.count)
+        if len(records):
+            poses = record_poses(self.path, self.take.motion.skeleton, header, records)
+            if self.count:
+                self.take.motion.extend(poses)
+            else:
+                self.take.motion.replace(poses)
+            self.count += len(records)
+        # only now, so that what is wrong is found again by the next look
         self._size = size
-        if not len(records):
-            return False
-        poses = record_poses(self.path, self.take.motion.skeleton, header, records)
-        if self.count:
-            self.take.motion.extend(poses)
-        else:
-            self.take.motion.replace(poses)
-        self.count += len(records)
-        return True
+        return len(records) > 0
 
     def start(self) -> None:
         """Look every fifth of a second, until `stop`."""
@@ -114,6 +114,9 @@ class RunFollower:
             except InputError as error:
                 # a header that is half written is one that is not there yet
                 self.told = str(error)
+            except Exception as error:
+                # whatever it is, the next look may find it gone
+                self.told = f"{self.path}: its frames could not be read ({type(error).__name__}: {error})."
 
 
 def _one(pose: Pose) -> Pose:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..body.body import Body
+from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..io.body_motion import read_motion_of
@@ -218,14 +219,18 @@ class _Loader:
             except InputError as error:
                 why.append(str(error))
                 continue
+            _check_frames(motion, path)
             used.add(body_name)
             return make_take(name, body.skeleton, body, motion, **more)
         given = ", ".join(body_name for body_name, _ in self.bodies)
         if path.suffix.lower() == ".npz" and not {"names", "poses"} & set(load_arrays(path)):
             # a motion alone
-            hint = f"it is not of {given}: {_short(why[0], path)}" if why else "give its body by --body."
-            raise InputError(f"{path}: this motion does not say its skeleton, and {hint}")
+            hint = (
+                f", and it is not of {given}: {_short(why[0], path)}" if why else "; give its body by --body."
+            )
+            raise InputError(f"{path}: this motion does not say its skeleton{hint}")
         skeleton, motion = read_motion(path, self.unit)
+        _check_frames(motion, path)
         for subject_name, subject in self.subjects:
             if subject.skeleton.names == skeleton.names:
                 used.add(subject_name)
@@ -254,6 +259,11 @@ class _Loader:
 
     def upright(self, vertices: np.ndarray) -> np.ndarray:
         return vertices if self.turn is None else vertices @ self.turn.T
+
+
+def _check_frames(motion: Motion, path: Path) -> None:
+    if not len(motion):
+        raise InputError(f"{path}: there are no frames in this motion.")
 
 
 def _short(why: str, path: Path) -> str:

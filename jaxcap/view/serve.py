@@ -6,11 +6,11 @@ viser is imported when a window is opened and not before, as it comes with an ex
 import atexit
 import contextlib
 import errno
-import io
 import socket
 import threading
+import types
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
@@ -38,6 +38,7 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
     this machine.
     """
     try:
+        import rich
         import viser
     except ImportError:
         raise InputError(
@@ -45,15 +46,16 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
         ) from None
     # viser goes on to the next port without a word, so it is given one that we have held
     free = _free_port(host, port)
-    # a browser that closes while a frame is on its way is no fault
+    # a browser that closes while a frame is on its way is no fault; a filter that is there already is not added again
     warnings.filterwarnings("ignore", message="Queued an? .* on a closed connection")
-    with _silent():
+    # its own table tells ports and not what is shown; only what this thread says is held back
+    with rich.get_console().capture():
         server = viser.ViserServer(host=host, port=free, label=title, verbose=False)
     if server.get_port() != free:
         close_server(server)
         raise _taken(host, free)
     # before viser's own, which tells of its end
-    atexit.register(close_server, server)
+    atexit.register(_ending(server))
     server.scene.set_up_direction("+y")
     _light(server)
     return server
@@ -61,9 +63,19 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
 
 def close_server(server: ViserServer) -> None:
     """End a server, its port and its windows. Once more does nothing."""
-    atexit.unregister(close_server)
-    with _silent(), contextlib.suppress(RuntimeError):
+    import rich
+
+    atexit.unregister(_ending(server))
+    # the loop of one that has ended is closed
+    with contextlib.suppress(RuntimeError):
+        # viser's thread tells of its end, to nobody
+        server.get_event_loop().call_soon_threadsafe(rich.get_console().begin_capture)
         server.stop()
+
+
+def _ending(server: ViserServer) -> Callable[[], None]:
+    """`close_server` of one server; two of the same server are equal, as `atexit` compares."""
+    return types.MethodType(close_server, server)
 
 
 def address(server: ViserServer) -> str:
@@ -156,10 +168,3 @@ def _hold(host: str, port: int) -> int:
 
 def _taken(host: str, port: int) -> InputError:
     return InputError(f"port {port}: another program listens there at {host}; give another one with --port.")
-
-
-@contextlib.contextmanager
-def _silent() -> Iterator[None]:
-    """Without viser's own table on the screen, which tells ports and not what is shown."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        yield

@@ -3,10 +3,13 @@
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from ...edit.clips import cut
 from ...errors import InputError
 from ..options import Flag, OptionalUnit, arg
-from .files import Frames, MotionFile, OutMotion, check_out, frames_of, read_edited, save
+from ..outputs import check_motion
+from .files import Frames, MotionFile, OutMotion, frames_of, read_edited, save
 
 
 @dataclass
@@ -27,9 +30,13 @@ class Cut:
     """Replace the motion where it is there."""
 
     def run(self) -> None:
-        check_out(self.out, self.overwrite)
+        check_motion(self.out, self.overwrite)
         if (self.frames is None) == (self.seconds is None):
             raise InputError("Say what to keep by --frames or by --seconds, and by one of them.")
+        if self.seconds is not None and not np.isfinite(self.seconds).all():
+            raise InputError(
+                f"--seconds is {self.seconds[0]:g} {self.seconds[1]:g}; give two finite numbers."
+            )
         skeleton, motion = read_edited(self.motion, self.unit)
         frames = self.frames
         if self.seconds is not None:

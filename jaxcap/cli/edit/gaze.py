@@ -5,16 +5,17 @@ from typing import Annotated
 
 import numpy as np
 
+from ...body.body import Body
 from ...body.skeleton import Skeleton
 from ...edit.gaze import look_at_target
 from ...edit.gaze_line import GazeLine, gaze_shares, human_line, line_of_joint, line_of_vertices
 from ...errors import InputError
-from ...io.body_motion import read_motion_of
 from ...io.limits import read_limits
 from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..outputs import check_motion
 from ..say import say, warn
 from ..sources import load_body
-from .files import Frames, MotionFile, OutMotion, check_out, frames_of, read_edited, save
+from .files import Frames, MotionFile, OutMotion, frames_of, read_edited, save
 
 Place = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z", help_behavior_hint="")]
 #: what is further away than this is likely to be in another unit, metres
@@ -56,14 +57,14 @@ class Gaze:
 
     def run(self) -> None:
         self.check()
-        skeleton, motion = read_edited(self.motion, self.unit)
+        body = None if self.body is None else load_body(self.body)[0]
+        skeleton, motion = read_edited(self.motion, self.unit, body)
         try:
-            if self.body is None:
-                shares = self.shares(skeleton)
+            shares = self.shares(skeleton)
+            if body is None:
                 line = line_of_joint(skeleton, list(shares)[-1])
             else:
-                skeleton, shares, line = self.of_body()
-                motion = read_motion_of(load_body(self.body)[0], self.motion, self.unit)
+                line = self.line_of(body, list(shares)[-1])
             first, last = frames_of(motion, self.frames, self.motion)
             found = look_at_target(
                 skeleton,
@@ -87,7 +88,7 @@ class Gaze:
 
     def check(self) -> None:
         """That the options go together. Raises `InputError`."""
-        check_out(self.out, self.overwrite)
+        check_motion(self.out, self.overwrite)
         if (self.target is None) == (self.direction is None):
             raise InputError("Say where to look by --target or by --direction, and by one of them.")
         if not 0 <= self.fade < np.inf:
@@ -103,18 +104,14 @@ class Gaze:
         names = None if self.joints is None else [word.strip() for word in self.joints.split(",")]
         return gaze_shares(skeleton, names)
 
-    def of_body(self) -> tuple[Skeleton, dict[str, float], GazeLine]:
-        assert self.body is not None
-        body = load_body(self.body)[0]
-        shares = self.shares(body.skeleton)
-        head = list(shares)[-1]
+    def line_of(self, body: Body, head: str) -> GazeLine:
         line = human_line(body) if self.line is None else line_of_vertices(body, *self.line, head)
         if line is None:
             warn(
                 f"{self.body}: its face is not known; the gaze goes along the head's own front, or give --line"
             )
             line = line_of_joint(body.skeleton, head)
-        return body.skeleton, shares, line
+        return line
 
     def tell(self, found, first: int, last: int, shares: dict[str, float]) -> None:
         full = found.magnitude == 1.0

@@ -13,16 +13,15 @@ from jaxtyping import Float, UInt8
 from ...body.body import pose_body
 from ...edit.glue import animate_scan, glue_scan
 from ...errors import InputError
-from ...io.atomic import write_text
-from ...io.body_motion import read_motion_of
 from ...io.colours import read_colours
 from ...io.mesh import Mesh, read_mesh, vertex_normals
+from ...io.obj import write_obj
 from ...io.ply import write_ply
 from ..options import BodySpec, Flag, OptionalFile, Unit, arg
 from ..results import make_writable
 from ..say import progress, say, warn
 from ..sources import load_body
-from .files import Frames, frames_of
+from .files import Frames, frames_of, read_edited
 
 _pose_body = eqx.filter_jit(pose_body)
 #: points further from the body than this are told of, metres
@@ -64,9 +63,9 @@ class Glue:
         body, _ = load_body(self.body)
         scan = read_mesh(self.scan, self.unit)
         colours = read_colours(self.scan, len(scan.vertices))
-        motion = read_motion_of(body, self.motion)
+        _, motion = read_edited(self.motion, None, body)
         where = self.motion if self.fitted is None else self.fitted
-        fitted = motion if self.fitted is None else read_motion_of(body, self.fitted)
+        fitted = motion if self.fitted is None else read_edited(self.fitted, None, body)[1]
         if not 0 <= self.frame < len(fitted):
             raise InputError(
                 f"{where}: there is no frame {self.frame} in it; it has {len(fitted)}, 0 to {len(fitted) - 1}."
@@ -120,10 +119,4 @@ class Glue:
         if self.kind == "ply":
             write_ply(path, points, vertex_normals(points, scan.faces), faces=scan.faces, colours=colours)
             return
-        # behind a place its colour, from 0 to 1, as most programs read it
-        tints = [""] * len(points) if colours is None else [
-            f" {r:.4g} {g:.4g} {b:.4g}" for r, g, b in colours[:, :3] / 255.0
-        ]  # fmt: skip
-        rows = [f"v {x:.9g} {y:.9g} {z:.9g}{tint}" for (x, y, z), tint in zip(points, tints, strict=True)]
-        rows += [f"f {a} {b} {c}" for a, b, c in scan.faces + 1]
-        write_text(path, "\n".join(rows) + "\n")
+        write_obj(path, points, scan.faces, colours)

@@ -12,8 +12,10 @@ from ...edit.clips import cut, join
 from ...edit.transitions import find_transitions
 from ...errors import InputError
 from ..options import Flag, OptionalUnit, arg
+from ..outputs import check_motion
 from ..say import say, warn
-from .files import OutMotion, check_out, check_same, read_edited, save
+from .files import OutMotion, read_edited, save
+from .skeletons import check_same
 
 #: windows that are further apart than this show a jump, metres
 UNLIKE = 0.15
@@ -41,7 +43,7 @@ class Join:
     """Replace the motion where it is there."""
 
     def run(self) -> None:
-        check_out(self.out, self.overwrite)
+        check_motion(self.out, self.overwrite)
         if not 0 <= self.blend < np.inf:
             raise InputError(f"--blend is {self.blend:g}; it must be at least 0 seconds.")
         skeleton, a = read_edited(self.first, self.unit)

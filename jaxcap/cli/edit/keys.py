@@ -14,8 +14,9 @@ from ...errors import InputError
 from ...io.npz import save_arrays, skeleton_arrays
 from ...io.table import write_json
 from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..outputs import check_motion, check_new
 from ..say import say, table
-from .files import MotionFile, check_new, check_out, read_edited, save
+from .files import MotionFile, read_edited, save
 
 OptionalOut = Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")]
 
@@ -45,10 +46,12 @@ class Keys:
         if self.out is None and self.keys is None:
             raise InputError("There is nothing to write; name a motion by -o, or a file by --keys.")
         if self.out is not None:
-            check_out(self.out, self.overwrite)
+            check_motion(self.out, self.overwrite)
         if self.keys is not None and self.keys.suffix.lower() not in (".json", ".npz"):
             raise InputError(f"{self.keys}: keys are written as .json or .npz; give a name that ends so.")
         check_new(self.keys, self.overwrite)
+        if self.out is not None and self.keys is not None and self.out.absolute() == self.keys.absolute():
+            raise InputError(f"{self.out}: this is to be the motion and its keys both; give them two names.")
         for name, value in (("--degrees", self.degrees), ("--millimetres", self.millimetres)):
             if not 0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}; it must be above 0.")

@@ -9,8 +9,9 @@ from ...edit.clips import make_loop
 from ...edit.transitions import find_loops
 from ...errors import InputError
 from ..options import Flag, OptionalUnit, arg
+from ..outputs import check_motion
 from ..say import say, table
-from .files import Frames, MotionFile, OutMotion, check_out, read_edited, save
+from .files import Frames, MotionFile, OutMotion, read_edited, save
 
 Seconds = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")]
 
@@ -41,7 +42,7 @@ class Loop:
     """Replace the loop where it is there."""
 
     def run(self) -> None:
-        check_out(self.out, self.overwrite)
+        check_motion(self.out, self.overwrite)
         for name, value in (("--blend", self.blend), ("--least", self.least), ("--most", self.most)):
             if value is not None and not 0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}; it must be above 0 seconds.")

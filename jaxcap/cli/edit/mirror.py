@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 
-from ...edit.mirror import mirror
+from ...edit.reflection import mirror
 from ...errors import InputError
 from ..options import Flag, OptionalUnit
-from .files import MotionFile, OutMotion, check_out, read_edited, save
+from ..outputs import check_motion
+from .files import MotionFile, OutMotion, read_edited, save
 
 
 @dataclass
@@ -22,7 +23,7 @@ class Mirror:
     """Replace the motion where it is there."""
 
     def run(self) -> None:
-        check_out(self.out, self.overwrite)
+        check_motion(self.out, self.overwrite)
         skeleton, motion = read_edited(self.motion, self.unit)
         try:
             found = mirror(skeleton, motion)

@@ -6,7 +6,11 @@ from typing import Annotated
 from ...edit.between import resample
 from ...errors import InputError
 from ..options import Flag, OptionalUnit, arg
-from .files import MotionFile, OutMotion, check_out, read_edited, save
+from ..outputs import check_motion
+from .files import MotionFile, OutMotion, read_edited, save
+
+#: frames that a memory holds
+MOST = 1_000_000
 
 
 @dataclass
@@ -25,8 +29,13 @@ class Resample:
     """Replace the motion where it is there."""
 
     def run(self) -> None:
-        check_out(self.out, self.overwrite)
+        check_motion(self.out, self.overwrite)
         skeleton, motion = read_edited(self.motion, self.unit)
+        frames = len(motion) / motion.rate * self.rate
+        if frames > MOST:
+            raise InputError(
+                f"--rate is {self.rate:g}; that makes {frames:.3g} frames, and {MOST} at most are made."
+            )
         try:
             found = resample(motion, self.rate)
         except ValueError as error:

@@ -1,39 +1,45 @@
 """`jaxcap edit retarget`: the motion of one person for another."""
 
+import re
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import tyro
+from jaxtyping import Float
 
 from ...body.body import Body
 from ...body.kinematics import joint_paths
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...edit.ground import ground, lowest, sole_heights
-from ...edit.meet_points import PointPair, meet_points
-from ...edit.retarget import UP, floor_of, retarget, size_ratio
+from ...edit.point_pairs import meet_points
+from ...edit.retarget import UP, retarget, size_ratio, vertical
 from ...edit.retarget_shape import retarget_shape
+from ...edit.soles import floor_under, ground, lowest, sole_heights
 from ...errors import InputError
-from ...io.body_motion import read_motion_of
 from ..options import Flag, OptionalFile, OptionalUnit, arg
-from ..say import progress, say
+from ..outputs import check_motion
+from ..say import progress, say, warn
 from ..sources import load_body
-from .files import (
-    OTHER_UNIT,
-    MotionFile,
-    OutMotion,
-    check_out,
-    extent,
-    load_target,
-    read_edited,
-    save,
-    skeleton_of,
-    table_of,
-)
+from .files import MotionFile, OutMotion, read_edited, save
+from .pairs import point_pair, table_of
+from .skeletons import OTHER_UNIT, extent, load_target, skeleton_of
 
 OptionalBody = Annotated[str | None, arg(metavar="BODY", help_behavior_hint="")]
+
+#: a floor that is further from the lowest joint is likely to be in another unit, metres
+FAR = 5.0
+
+
+class Found(NamedTuple):
+    """A motion of the target, in the world of the source."""
+
+    motion: Motion
+    #: target metres for one source metre
+    ratio: float
+    #: metres along `up`
+    floor: float
+    up: Float[np.ndarray, "3"]
 
 
 @dataclass
@@ -73,36 +79,38 @@ class Retarget:
         source, target = self.source_body(), load_target(self.target)
         skeleton, motion = self.read(source)
         self.check_units(skeleton, skeleton_of(target))
+        given = skeleton if source is None else source
         try:
             surface = self.by_surface(source, target)
             if surface:
                 assert source is not None and isinstance(target, Body)
-                moved, ratio, floor = self.along_surface(source, target, motion)
+                found = self.along_surface(motion, source, target)
             else:
-                moved, ratio, floor = self.along_names(skeleton, source, skeleton_of(target), motion)
+                found = self.along_names(motion, given, skeleton_of(target))
             if self.points is not None:
-                given = source if source is not None else skeleton
-                moved = self.meet(moved, target, motion, given, ratio, floor)
+                found = self.meet(motion, given, target, found)
             if self.ground:
                 assert isinstance(target, Body)
-                moved = self.stand(moved, target, skeleton, source, motion, ratio, floor)
+                found = self.stand(motion, given, target, found)
+        except InputError:
+            raise
         except ValueError as error:
             raise InputError(f"{self.motion}: {error}") from None
         how = "surface" if surface else "names of joints"
         say(
-            f"{self.motion.name} retargeted by the {how}: 1 m becomes {ratio:.3f} m, the floor is at {floor:.3f} m"
+            f"{self.motion.name} retargeted by the {how}: 1 m becomes {found.ratio:.3f} m, the floor is at {found.floor:.3f} m"
         )
         if isinstance(target, Body):
-            low = lowest(target, moved.poses) - floor
+            low = lowest(target, found.motion.poses, found.up) - found.floor
             say(
                 f"the lowest vertex is {1000 * np.median(low):.0f} mm over the floor in the median, from "
                 f"{1000 * low.min():.0f} to {1000 * low.max():.0f} mm"
             )
-        save(self.out, skeleton_of(target), moved)
+        save(self.out, skeleton_of(target), found.motion)
 
     def check(self) -> None:
         """That the options go together. Raises `InputError`."""
-        check_out(self.out, self.overwrite)
+        check_motion(self.out, self.overwrite)
         if self.by == "surface" and self.source is None:
             raise InputError("--by surface takes the body that the motion is of; give it by --source.")
         if self.in_place and self.points is None:
@@ -118,10 +126,15 @@ class Retarget:
         return None if self.source is None else load_body(self.source)[0]
 
     def read(self, source: Body | None) -> tuple[Skeleton, Motion]:
-        skeleton, motion = read_edited(self.motion, self.unit)
-        if source is not None:
-            return source.skeleton, read_motion_of(source, self.motion, self.unit)
-        return skeleton, motion
+        try:
+            return read_edited(self.motion, self.unit, source)
+        except InputError as error:
+            said = re.split("; give it to (the body|that one) by", str(error))
+            if source is None or len(said) == 1:
+                raise
+            raise InputError(
+                f"{said[0]}; --source {self.source} is not the body of this motion: give that, or none."
+            ) from None
 
     def check_units(self, source: Skeleton, target: Skeleton) -> None:
         reaches = extent(source), extent(target)
@@ -130,6 +143,15 @@ class Retarget:
                 f"{self.motion}: its joints reach over {reaches[0]:.3g} m at rest and those of {self.target} over "
                 f"{reaches[1]:.3g} m; say by --unit what the motion's lengths are in."
             )
+
+    def floor_for(self, motion: Motion, source: Body | Skeleton, up: np.ndarray) -> float:
+        """What the user says, or what the source stands on."""
+        low = floor_under(source if self.floor is None else skeleton_of(source), motion.poses, up)
+        if self.floor is not None and abs(self.floor - low) > FAR:
+            warn(
+                f"--floor is {self.floor:g} m, and the lowest joint of the motion is at {low:.2f} m; it is in metres"
+            )
+        return low if self.floor is None else self.floor
 
     def by_surface(self, source: Body | None, target: Body | Skeleton) -> bool:
         alike = (
@@ -148,56 +170,44 @@ class Retarget:
             raise InputError(f"{self.target}: --ground takes a body with a surface; this is a skeleton.")
         return alike and self.by != "names" and self.names is None
 
-    def along_surface(self, source: Body, target: Body, motion: Motion) -> tuple[Motion, float, float]:
-        found = retarget_shape(
+    def along_surface(self, motion: Motion, source: Body, target: Body) -> Found:
+        moved = retarget_shape(
+            motion,
             source,
             target,
-            motion,
-            floor=self.floor,
-            progress=lambda blocks: progress(blocks, len(blocks), label="retargeting"),
+            floor=self.floor_for(motion, source, UP),
+            progress=lambda blocks: progress(blocks, len(blocks), label="retargeting", what="blocks"),
         )
         say(
-            f"the surface is {1000 * found.rmse.mean():.1f} mm off the source's pose in the target's build, "
-            f"{1000 * found.rmse.max():.1f} mm in the worst frame"
+            f"the surface is {1000 * moved.rmse.mean():.1f} mm off the source's pose in the target's build, "
+            f"{1000 * moved.rmse.max():.1f} mm in the worst frame"
         )
-        return found.motion, found.ratio, found.floor
+        return Found(moved.motion, moved.ratio, moved.floor, UP)
 
-    def along_names(
-        self, skeleton: Skeleton, source: Body | None, target: Skeleton, motion: Motion
-    ) -> tuple[Motion, float, float]:
+    def along_names(self, motion: Motion, source: Body | Skeleton, target: Skeleton) -> Found:
         names = None if self.names is None else {row[1]: row[2] for row in table_of(self.names)}
-        floor = self.floor
-        if floor is None and source is not None:
-            floor = floor_of(lowest(source, motion.poses)[:, None, None] * UP)
-        elif floor is None:
-            floor = floor_of(joint_paths(skeleton, motion.poses))
+        skeleton = skeleton_of(source)
+        up = vertical(skeleton, target, names)
+        floor = self.floor_for(motion, source, up)
         moved = retarget(motion, skeleton, target, names, floor=floor)
-        return moved, size_ratio(skeleton, target, names), floor
+        return Found(moved, size_ratio(skeleton, target, names), floor, up)
 
-    def stand(self, moved, target: Body, skeleton, source, motion, ratio: float, floor: float) -> Motion:
-        if source is not None:
-            soles = lowest(source, motion.poses) - floor
+    def stand(self, motion: Motion, source: Body | Skeleton, target: Body, found: Found) -> Found:
+        if isinstance(source, Body):
+            soles = lowest(source, motion.poses, found.up) - found.floor
         else:
-            soles = sole_heights(joint_paths(skeleton, motion.poses))
-        return ground(target, moved, floor + ratio * soles)
+            soles = sole_heights(joint_paths(source, motion.poses), found.up)
+        heights = found.floor + found.ratio * soles
+        return found._replace(motion=ground(target, found.motion, heights, found.up))
 
-    def meet(self, moved, target, motion, source, ratio: float, floor: float) -> Motion:
+    def meet(self, motion: Motion, source: Body | Skeleton, target: Body | Skeleton, found: Found) -> Found:
         assert self.points is not None
         pairs = [point_pair(self.points, row) for row in table_of(self.points)]
+        ratio = 1.0 if self.in_place else found.ratio
         met = meet_points(
-            moved, target, motion, source, pairs, ratio=1.0 if self.in_place else ratio, floor=floor
+            motion, source, target, found.motion, pairs, ratio=ratio, floor=found.floor, up=found.up
         )
         for column, pair in enumerate(pairs):
             off = 1000 * met.distances[:, column]
             say(f"{pair.source} and {pair.target}: {off.mean():.1f} mm apart, {off.max():.1f} mm at most")
-        return met.motion
-
-
-def point_pair(path: Path, row: list[str]) -> PointPair:
-    """A line of `table_of`, with its number before it. Raises `InputError`."""
-    number, here, there, *weight = row
-    try:
-        heavy = float(weight[0]) if weight else 1.0
-    except ValueError:
-        raise InputError(f"{path}:{number}: the weight '{weight[0]}' is not a number.") from None
-    return PointPair(*(int(word) if word.isdigit() else word for word in (here, there)), weight=heavy)
+        return found._replace(motion=met.motion)

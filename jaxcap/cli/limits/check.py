@@ -8,10 +8,10 @@ import numpy as np
 import tyro
 
 from ...body.limit_surface import SurfaceLimits
-from ...errors import InputError
 from ...io.table import write_json
 from ...limits.check import comfort_frames
 from ..options import Flag, OptionalUnit, arg
+from ..outputs import check_new
 from ..say import say, table
 from .held import Held, LimitsFile, read_held, runs_of
 
@@ -32,8 +32,7 @@ class Check:
     """Replace the report where it is there."""
 
     def run(self) -> None:
-        if self.out is not None and self.out.exists() and not self.overwrite:
-            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+        check_new(self.out, self.overwrite)
         held = read_held(self.motion, self.limits, self.unit)
         comforts = comfort_of(held)
         say(summary(self.motion.name, held))

@@ -15,8 +15,8 @@ from ...limits.charts import chart_places
 from ...limits.learn import COVERAGE, learn_limits
 from ...limits.marker_frames import arm_samples
 from ...limits.samples import JointSamples, gather_samples, parse_joints, spans
-from ..fit import check_out, make_folder
 from ..options import Flag, OptionalUnit, arg
+from ..outputs import check_npz, make_folder
 from ..say import say, table, warn
 
 #: a joint that turns through less than so many degrees tells little of its limits
@@ -84,7 +84,7 @@ class Learn:
         """That options are in their ranges and go together. Raises `InputError`."""
         if not self.motions:
             raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
-        check_out(self.out, self.overwrite, "a set of limits")
+        check_npz(self.out, self.overwrite, "a set of limits")
         for name, width in (("--voxel", self.voxel), ("--keyframe", self.keyframe)):
             if width is not None and not 0.1 <= width <= 90:
                 raise InputError(f"{name} is {width:g}; it must be between 0.1 and 90 degrees.")

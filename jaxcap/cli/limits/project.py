@@ -8,9 +8,10 @@ import numpy as np
 import tyro
 
 from ...errors import InputError
-from ...io.registry import MOTION_WRITERS, write_motion
+from ...io.registry import write_motion
 from ...limits.project import project_motion
 from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..outputs import check_motion, check_new
 from ..say import say, warn
 from .check import summary
 from .held import LimitsFile, judge, read_held
@@ -38,17 +39,12 @@ class Project:
     """Replace results where they are there."""
 
     def run(self) -> None:
-        if self.out.suffix.lower() not in MOTION_WRITERS:
-            raise InputError(
-                f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}."
-            )
+        check_motion(self.out, self.overwrite)
         if not 0 <= self.smoothness < np.inf:
             raise InputError(f"--smoothness is {self.smoothness:g}; it must be at least 0 seconds.")
         if self.picture is not None and self.picture.suffix.lower() != ".png":
             raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
-        for path in (self.out, self.picture):
-            if path is not None and path.exists() and not self.overwrite:
-                raise InputError(f"{path}: this file is there already; give --overwrite to replace it.")
+        check_new(self.picture, self.overwrite)
         held = read_held(self.motion, self.limits, self.unit)
         say(summary(self.motion.name, held))
         fixed = project_motion(held.limits, held.skeleton, held.motion, self.smoothness)

@@ -18,8 +18,8 @@ from ...markers.local import LocalFit, fit_local
 from ...markers.solve import MarkerSolution, solve_markers
 from ...markers.unite import unite_takes
 from ...report.markers import held_residuals, report_markers, total_residuals
-from ..fit import check_out, make_folder
 from ..options import Flag, OptionalFile, OptionalUnit, Up, arg
+from ..outputs import check_npz, make_folder
 from ..say import say
 from .found import strays, tell_bones, tell_joints, tell_segments
 from .takes import (
@@ -176,7 +176,7 @@ class Fit:
                 "--template needs --segments, a file that gives segments the names of the template's joints; "
                 "segments.txt of --report is one to begin with."
             )
-        check_out(self.out, self.overwrite, "a subject")
+        check_npz(self.out, self.overwrite, "a subject")
         check_points(self.joints, "joint centres")
         check_new(self.joints, self.overwrite)
         check_folder(self.report)

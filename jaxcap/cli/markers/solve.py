@@ -15,8 +15,8 @@ from ...markers.solve import MarkerSolution, solve_markers
 from ...markers.subject import Subject
 from ...observe import MarkerFrames
 from ...report.markers import held_residuals, report_markers, score_markers, total_residuals
-from ..fit import make_folder
 from ..options import Flag, OptionalUnit, Up, arg
+from ..outputs import check_parent, make_folder
 from ..say import say, table, warn
 from .found import strays
 from .streamed import Latency, solve_streamed
@@ -28,7 +28,6 @@ from .takes import (
     check_folder,
     check_new,
     check_points,
-    check_there,
     read_take,
     write_joints,
 )
@@ -109,7 +108,7 @@ class Solve:
                         f"{path}: with several trials, or a folder for OUT, give a name without a folder."
                     )
         else:
-            check_there(self.out)
+            check_parent(self.out)
         check_points(self.joints, "joint centres")
         check_points(self.filled, "markers")
         results = [file for path in self.trials for file in (*self.motions(path), *self.named(self.joints, path),

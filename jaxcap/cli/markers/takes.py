@@ -17,6 +17,7 @@ from ...markers.fill import joint_frames
 from ...markers.gaps import find_pieces, join_pieces, split_unlabelled
 from ...observe import MarkerFrames
 from ..options import arg
+from ..outputs import check_absent, check_parent
 from ..say import say, warn
 from ..sources import Up, up_rotation
 
@@ -80,7 +81,7 @@ def check_points(paths: Sequence[Path], what: str) -> None:
             raise InputError(
                 f"{path}: {what} are not written as '{path.suffix}' files; use {', '.join(MARKER_WRITERS)}."
             )
-        check_there(path)
+        check_parent(path)
 
 
 def check_folder(folder: Path | None) -> None:
@@ -96,17 +97,9 @@ def check_folder(folder: Path | None) -> None:
 
 def check_new(paths: Sequence[Path], overwrite: bool) -> None:
     """That nothing is replaced unasked, and no two results are one file. Raises `InputError`."""
-    there = [path for path in paths if path.exists()]
-    if there and not overwrite:
-        raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+    check_absent(paths, overwrite)
     if len({path.absolute() for path in paths}) < len(paths):
         raise InputError("Two results would be the same file; give each its own name.")
-
-
-def check_there(path: Path) -> None:
-    """That a file's folder is there. Raises `InputError`."""
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"{path}: its folder is not there; make it first.")
 
 
 def write_joints(

@@ -19,6 +19,7 @@ from ...io.npz import load_limits
 from ...io.prior import save_prior
 from ...io.registry import read_motion
 from ..options import Flag, OptionalUnit, arg
+from ..outputs import check_npz
 from ..say import progress, say, table
 from ..sources import load_body
 from .shape import learn_shape
@@ -77,7 +78,7 @@ class Learn:
                 most=self.most,
                 floor=float(np.radians(self.floor)),
                 seed=self.seed,
-                progress=lambda pairs, total: progress(pairs, total, label="pairs"),
+                progress=lambda pairs, total: progress(pairs, total, label="learning", what="pairs"),
             )
             prior, boxes = pair_prior_of(skeleton, learned), learn_ranges(skeleton, motions)
         except ValueError as error:
@@ -92,10 +93,7 @@ class Learn:
         """That options are in their ranges and go together. Raises `InputError`."""
         if not self.motions:
             raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
-        if self.out.suffix.lower() != ".npz":
-            raise InputError(f"{self.out}: priors are written as .npz; give a name that ends in it.")
-        if self.out.exists() and not self.overwrite:
-            raise InputError(f"{self.out}: this file is there already; give --overwrite to replace it.")
+        check_npz(self.out, self.overwrite, "a prior")
         if not 0 < self.rate < np.inf:
             raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames a second.")
         if not 1 <= self.most <= 100:
@@ -147,7 +145,7 @@ def same_bones(one: Skeleton, other: Skeleton) -> bool:
     above = [one.parents[joint] for joint in below]
     ways = [np.asarray(s.centres, float)[below] - np.asarray(s.centres, float)[above] for s in (one, other)]
     lengths = [np.linalg.norm(way, axis=1) for way in ways]
-    apart = np.linalg.norm(np.cross(*ways), axis=1) > ALIKE * lengths[0] * lengths[1]
+    apart = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1) > ALIKE * lengths[0] * lengths[1]
     turned = np.sum(ways[0] * ways[1], axis=1) < 0
     return not np.any(apart | turned)
 

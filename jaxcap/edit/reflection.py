@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
+from ..geometry.axes import nearest_axis
 from .joint_names import twin_joints
 
 
@@ -16,8 +17,8 @@ def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
     The mirror stands at the world's origin. Exact where left and right are equal; where they are not, joints turn by
     the mirrored angles. Twins are found by names; a joint with no twin is its own.
 
-    **Raises:** `ValueError` where no joint has a twin by name, twins hang on or are of a different kind, or the motion
-    moves other joints.
+    **Raises:** `ValueError` where no joint has a twin by name, twins hang on or are of a different kind or are all in one
+    place, or the motion moves other joints.
     """
     joints = motion.poses.rotations.shape[1]
     if joints != skeleton.num_joints:
@@ -60,5 +61,9 @@ def _side(skeleton: Skeleton) -> Float[np.ndarray, "3"]:
     """One along the coordinate axis from the right to the left at rest."""
     pairs = np.array(twin_joints(skeleton.names))
     centres = np.asarray(skeleton.centres, float)
-    apart = np.abs(centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0)
-    return np.eye(3)[int(np.argmax(apart))]
+    side = nearest_axis(np.abs(centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0))
+    if not side.any():
+        raise ValueError(
+            "Left and right joints are in one place at rest, so the sides of this skeleton cannot be told."
+        )
+    return side

@@ -1,0 +1,38 @@
+"""Tables of pairs as text: what of the source goes with what of the target, line by line."""
+
+from pathlib import Path
+
+from ...edit.point_pairs import PointPair
+from ...errors import InputError
+from ...io.text import read_text
+
+
+def table_of(path: Path) -> list[list[str]]:
+    """The words of every line of a text file that is not empty; what follows `#` is a remark.
+
+    **Raises:** `InputError` where the file cannot be read or a line has other than two or three words.
+    """
+    rows = []
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.split("#")[0].split()
+        if not words:
+            continue
+        if len(words) not in (2, 3):
+            raise InputError(
+                f"{path}:{number}: this line has {len(words)} words; give one of the source and one of the target, and a "
+                "weight where you like."
+            )
+        rows.append([str(number), *words])
+    if not rows:
+        raise InputError(f"{path}: there are no pairs in it; give one to a line.")
+    return rows
+
+
+def point_pair(path: Path, row: list[str]) -> PointPair:
+    """A line of `table_of`, with its number before it. Raises `InputError`."""
+    number, here, there, *weight = row
+    try:
+        heavy = float(weight[0]) if weight else 1.0
+    except ValueError:
+        raise InputError(f"{path}:{number}: the weight '{weight[0]}' is not a number.") from None
+    return PointPair(*(int(word) if word.isdigit() else word for word in (here, there)), weight=heavy)

@@ -1,0 +1,56 @@
+"""What is written: that it can be, and that nothing is replaced unasked."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..errors import InputError
+from ..io.registry import MOTION_WRITERS
+
+
+def check_absent(paths: Iterable[Path], overwrite: bool) -> None:
+    """That none of some files is there, or they may be replaced. Raises `InputError`."""
+    there = [path for path in paths if path.exists()]
+    if there and not overwrite:
+        raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+
+
+def check_parent(path: Path) -> None:
+    """That a file's folder is there. Raises `InputError`."""
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{path}: its folder is not there; make it first.")
+
+
+def check_new(path: Path | None, overwrite: bool) -> None:
+    """That a file can be made there, or replaced. Raises `InputError`."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputError(f"{path}: this is a folder; give the name of a file.")
+    check_absent([path], overwrite)
+    check_parent(path)
+
+
+def check_motion(path: Path, overwrite: bool) -> None:
+    """That a motion can be written there. Raises `InputError`."""
+    if path.suffix.lower() not in MOTION_WRITERS:
+        raise InputError(
+            f"{path}: motions are not written as '{path.suffix}' files; use {', '.join(MOTION_WRITERS)}."
+        )
+    check_new(path, overwrite)
+
+
+def check_npz(path: Path, overwrite: bool, what: str = "a motion") -> None:
+    """That an `.npz` can be written there. Raises `InputError`."""
+    if path.suffix.lower() != ".npz":
+        raise InputError(f"{path}: {what} is written as .npz; give a name that ends so.")
+    check_new(path, overwrite)
+
+
+def make_folder(folder: Path) -> None:
+    """Raises `InputError` where it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: this folder cannot be made ({error.strerror}); give another one."
+        ) from None

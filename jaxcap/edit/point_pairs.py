@@ -1,0 +1,164 @@
+"""Points of a retargeted body brought to where the source's are, in its own size: hands together, feet on the floor."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body, pose_body
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton
+from ..body.skin import RigidSkin
+from ..energy.landmarks import VertexLandmarks
+from ..energy.prior import PosePrior, tangent_deviations
+from ..fit.solve import solve
+from .constraints import Constraint, Constraints, constrained_body, make_constraints
+from .retarget import UP
+
+#: standard deviations of a pair of weight one, metres, and of the pose from what it was, metres and radians
+MET, SLIDES, TURNS = 0.001, 0.05, 0.2
+
+
+class PointPair(NamedTuple):
+    """One point of the source and one of the target: a vertex by its number, or a joint by its name."""
+
+    source: int | str
+    target: int | str
+    #: how much it counts beside others, at least 0
+    weight: float = 1.0
+
+
+class Met(NamedTuple):
+    """A motion, and by how much its points miss their places."""
+
+    motion: Motion
+    #: (F, K) metres, for every pair
+    distances: Float[np.ndarray, "F K"]
+
+
+def meet_points(
+    motion: Motion,
+    source: Body | Skeleton,
+    target: Body | Skeleton,
+    moved: Motion,
+    pairs: Sequence[PointPair],
+    *,
+    ratio: float = 1.0,
+    floor: float = 0.0,
+    up: Float[np.ndarray, "3"] = UP,
+) -> Met:
+    """The motion `moved` of the target, as `retarget` gives it, changed as little as it takes for its points to be where
+    those of the source's `motion` are.
+
+    Every frame is solved by itself from its own pose, which a `PosePrior` draws it back to: what the points do not ask for
+    stays.
+
+    **Arguments:** `ratio` target metres for one of the source, about the origin and the `floor`, metres along `up`: 1
+    brings points to the very places, where they touch things; `size_ratio` to those of the target's own size. A joint or
+    vertex of several pairs goes to the mean of its places, by their weights.
+
+    **Raises:** `ValueError` where there are no pairs, a body does not have a point, vertices are named of a skeleton
+    without a surface, motions have other lengths, or a weight is not a number above 0.
+    """
+    if not pairs:
+        raise ValueError("No pairs of points are given; give one at least.")
+    if len(moved) != len(motion):
+        raise ValueError(
+            f"The motions have {len(moved)} and {len(motion)} frames; give the one that was retargeted."
+        )
+    if not 0 < ratio < np.inf:
+        raise ValueError(f"The ratio of sizes is {ratio:g}; it must be above 0.")
+    for pair in pairs:
+        if not 0 < pair.weight < np.inf:
+            raise ValueError(
+                f"The pair {pair.source} and {pair.target} weighs {pair.weight:g}; give more than 0."
+            )
+    here = _Points(target, [pair.target for pair in pairs], "target")
+    there = _Points(source, [pair.source for pair in pairs], "source")
+    places = ratio * there.places(motion.poses)[:, there.rows] + (1.0 - ratio) * floor * up
+    targets, weights = here.means(places, [pair.weight for pair in pairs])
+    dtype = moved.poses.translations.dtype
+    poses = _solve_frames(
+        here.body, here.held, moved.poses, jnp.asarray(targets, dtype), jnp.asarray(weights / MET**2, dtype)
+    )
+    reached = here.places(poses)[:, here.rows]
+    return Met(Motion(poses, moved.rate), np.linalg.norm(reached - places, axis=-1))
+
+
+class _Points:
+    """Some points of a body or a skeleton, each of them once, as `Constraints` hold them."""
+
+    def __init__(self, owner: Body | Skeleton, points: Sequence[int | str], which: str):
+        _check_points(owner, points, which)
+        self.body = owner if isinstance(owner, Body) else _bones_only(owner)
+        # vertices come first there
+        order = sorted(dict.fromkeys(points), key=lambda point: isinstance(point, str))
+        #: the row of each of `points`
+        self.rows = np.array([order.index(point) for point in points])
+        self.held = make_constraints(self.body, [Constraint(point, (0.0, 0.0, 0.0)) for point in order])
+
+    def places(self, poses: Pose) -> Float[np.ndarray, "F C 3"]:
+        return np.asarray(_places(self.body, self.held, poses), float)
+
+    def means(
+        self, places: Float[np.ndarray, "F K 3"], weights: Sequence[float]
+    ) -> tuple[Float[np.ndarray, "F C 3"], Float[np.ndarray, "C"]]:
+        """The place and the weight of every row, of what several pairs ask of one point."""
+        shares = np.zeros((len(self.held.weights), len(self.rows)))
+        shares[self.rows, np.arange(len(self.rows))] = weights
+        total = shares.sum(1)
+        shares /= np.where(total > 0, total, 1.0)[:, None]
+        return np.einsum("ck,fka->fca", shares, places), total
+
+
+def _check_points(owner: Body | Skeleton, points: Sequence[int | str], which: str) -> None:
+    skeleton = owner if isinstance(owner, Skeleton) else owner.skeleton
+    for point in points:
+        if isinstance(point, str):
+            if point not in skeleton.names:
+                raise ValueError(
+                    f"There is no joint '{point}' in the {which}, which has {', '.join(skeleton.names)}."
+                )
+        elif isinstance(owner, Skeleton):
+            raise ValueError(
+                f"Vertex {point} of the {which} is asked for, which is a skeleton without a surface; name a joint."
+            )
+        elif not 0 <= point < len(owner.vertices):
+            raise ValueError(
+                f"There is no vertex {point} in the {which}, which has {len(owner.vertices)}: 0 to {len(owner.vertices) - 1}."
+            )
+
+
+def _bones_only(skeleton: Skeleton) -> Body:
+    """A body with a point at each joint, as arrays of points are taken from a body's vertices."""
+    centres = skeleton.centres
+    return Body(skeleton, RigidSkin(jnp.arange(len(centres))), centres, jnp.zeros((0, 3), int))
+
+
+@eqx.filter_jit
+def _places(body: Body, held: Constraints, poses: Pose) -> Float[Array, "F C 3"]:
+    small = constrained_body(body, held)
+    return jax.lax.map(lambda pose: pose_body(small, pose).vertices, poses)
+
+
+@eqx.filter_jit
+def _solve_frames(
+    body: Body,
+    held: Constraints,
+    poses: Pose,
+    targets: Float[Array, "F C 3"],
+    weights: Float[Array, "C"],
+) -> Pose:
+    small, points = constrained_body(body, held), jnp.arange(len(weights))
+    deviations = tangent_deviations(body.skeleton, SLIDES, TURNS)
+
+    def one(frame):
+        pose, places = frame
+        energy = VertexLandmarks(points, places, weights) + PosePrior(pose, deviations)
+        return solve(energy, small, pose).pose
+
+    return jax.lax.map(one, (poses, targets))

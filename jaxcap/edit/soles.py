@@ -1,0 +1,64 @@
+"""A body's soles put on the floor."""
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..body.body import Body, deform_all
+from ..body.kinematics import joint_paths
+from ..body.pose import Motion, Pose, shift_roots, take_poses
+from ..body.skeleton import Skeleton
+from .retarget import LOWEST, UP, floor_of
+
+#: joints that come so near to the floor some time bear the body, metres
+BEARS = 0.15
+#: frames whose surfaces are held at once
+BLOCK = 64
+
+
+def ground(
+    body: Body,
+    motion: Motion,
+    heights: Float[np.ndarray | Array, "F"],
+    up: Float[np.ndarray, "3"] = UP,
+) -> Motion:
+    """The motion with every frame lifted or lowered until the body's lowest vertex is at its height along `up`, metres.
+
+    Where the heights are those of another person's soles, feet neither float nor sink in, and jumps stay jumps.
+
+    **Raises:** `ValueError` where there is not one height for each frame.
+    """
+    if len(heights) != len(motion):
+        raise ValueError(f"There are {len(heights)} heights and the motion has {len(motion)} frames.")
+    lifts = np.asarray(heights, float) - lowest(body, motion.poses, up)
+    return Motion(shift_roots(body.skeleton, motion.poses, lifts[:, None] * up), motion.rate)
+
+
+def lowest(body: Body, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> Float[np.ndarray, "F"]:
+    """How high the lowest vertex of a body is in each pose of a stack, metres along `up`."""
+    count = len(poses.scale)
+    length, found = min(BLOCK, count), []
+    for start in range(0, count, max(length, 1)):
+        # blocks are of one length, so that they are compiled once
+        frames = np.minimum(np.arange(start, start + length), count - 1)
+        block = take_poses(poses, frames)
+        found.append((np.asarray(deform_all(body, block), float) @ up).min(1))
+    return np.concatenate([np.zeros(0), *found])[:count]
+
+
+def floor_under(owner: Body | Skeleton, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> float:
+    """How high along `up` the floor of a motion lies (`floor_of`), by the vertices of a body or the joints of a skeleton,
+    metres."""
+    if isinstance(owner, Skeleton):
+        return floor_of(joint_paths(owner, poses), up)
+    return floor_of(lowest(owner, poses, up)[:, None, None] * up, up)
+
+
+def sole_heights(
+    paths: Float[np.ndarray | Array, "F J 3"], up: Float[np.ndarray, "3"] = UP
+) -> Float[np.ndarray, "F"]:
+    """How high the soles are over the floor, from joints alone, metres: each joint that ever comes near to the floor is as
+    high over its sole as it is over the floor when it is lowest (`floor_of`), so ankles tell of heels, and toes of toes."""
+    heights = np.asarray(paths, float) @ up
+    standing = np.quantile(heights, LOWEST, axis=0)
+    bears = standing < floor_of(paths, up) + BEARS
+    return np.min(heights[:, bears] - standing[bears], axis=1)
