@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from cli import fails, runs, tree, write_inputs
 
+import jaxcap as jc
 from jaxcap.body.body import deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.io.amass import write_amass
@@ -133,6 +134,11 @@ def test_a_motion_of_a_body(inputs, tmp_path, capsys):
 
 def test_the_human_is_a_body_without_a_file(inputs, tmp_path, capsys):
     runs(capsys, "convert", "human:low", tmp_path / "a.glb", "--motion", inputs / "truth.npz")
+    assert "1500 vertices" in runs(capsys, "convert", "human:low", tmp_path / "human.npz")
+    low = jc.human(resolution="low", joints="tracking")
+    np.testing.assert_array_equal(jc.load_body(tmp_path / "human.npz").vertices, low.vertices)
+    told = fails(capsys, "convert", "human:low", tmp_path / "b.npz", "--motion", inputs / "truth.npz")
+    assert "--motion is for a body .npz that becomes" in told
     runs(capsys, "convert", inputs / "body.npz", tmp_path / "b.glb", "--motion", inputs / "truth.npz")
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     runs(

@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..io.amass import is_amass, read_amass
 from ..io.body_motion import read_motion_of
 from ..io.mesh import read_mesh, write_mesh
+from ..io.npz import save_body
 from ..io.registry import (
     MANNERS,
     read_marker_file,
@@ -40,7 +41,8 @@ class Convert:
     is what.
 
     A motion (.bvh, .npz, .amc with its .asf beside it, .glb) becomes .bvh or .npz, or joint centres as .trc, .c3d or .csv.
-    A body .npz, or `human` (with options), becomes a skinned, animated .glb, .usda, .usdc or .usdz."""
+    A body .npz, or `human` (with options), becomes a skinned, animated .glb, .usda, .usdc or .usdz;
+    `human` also a body .npz."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
     """The file to read."""
@@ -73,9 +75,11 @@ class Convert:
         if not human and not self.source.is_file():
             raise InputError(f"{self.source}: there is no such file; check the path.")
         # the human is what a body file would be
-        way = find_way(Path("human.npz") if human else self.source, self.target)
+        own = human and self.target.suffix.lower() == ".npz"
+        way: Way = "own" if own else find_way(Path("human.npz") if human else self.source, self.target)
         self.check(way)
         {
+            "own": self.write_own,
             "body": self.write_body,
             "motion": self.write_motion,
             "points": self.write_points,
@@ -121,6 +125,11 @@ class Convert:
         if not len(motion):
             raise InputError(f"{path}: there are no frames in this motion.")
         return skeleton, motion
+
+    def write_own(self) -> None:
+        body = load_body(str(self.source))[0]
+        save_body(self.target, body)
+        say(f"{self.target}: {len(body.vertices)} vertices, {body.skeleton.num_joints} joints")
 
     def write_body(self) -> None:
         body = load_body(str(self.source))[0]

@@ -16,7 +16,7 @@ from ..io.registry import (
     SKELETON_WRITERS,
 )
 
-Way = Literal["body", "motion", "points", "markers", "mesh", "skeleton"]
+Way = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
 #: what each option is for, and the ways that take it
 PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
     "motion": ("a body .npz that becomes a .glb or USD", ("body",)),
