@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers import chain_skeleton
 
-from jaxcap.body.skeleton import KINDS, dof_layout, make_skeleton
+from jaxcap.body.skeleton import KINDS, dof_layout, make_skeleton, rest_distance, same_joints
 
 
 def random_tree(rng, count: int):
@@ -107,3 +107,12 @@ def test_an_unknown_name_lists_the_known_ones():
     assert skeleton.index("elbow") == skeleton.names.index("elbow")
     with pytest.raises(KeyError, match="root, spine"):
         skeleton.index("tail")
+
+
+def test_skeletons_are_alike_by_their_joints_and_apart_by_where_these_stand():
+    one = make_skeleton(("hip", "knee"), (-1, 0), ("free", "revolute"), [[0.0, 0, 0], [0.0, -0.4, 0]])
+    longer = make_skeleton(("hip", "knee"), (-1, 0), ("ball", "ball"), [[0.0, 0, 0], [0.0, -0.4, 0.03]])
+    assert same_joints(one, longer)
+    assert abs(rest_distance(one, longer) - 0.03) < 1e-12
+    assert not same_joints(one, make_skeleton(("hip", "knee"), (-1, -1), ("free", "free"), one.centres))
+    assert not same_joints(one, make_skeleton(("hip", "heel"), (-1, 0), ("free", "ball"), one.centres))

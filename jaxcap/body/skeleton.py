@@ -172,6 +172,17 @@ def make_skeleton(
     )
 
 
+def same_joints(one: Skeleton, other: Skeleton) -> bool:
+    """Whether two skeletons have the same joints in the same order, hanging on each other alike; wherever they stand."""
+    return (one.names, one.parents) == (other.names, other.parents)
+
+
+def rest_distance(one: Skeleton, other: Skeleton) -> float:
+    """How far a joint of one skeleton is at most from the same joint of the other at rest, metres."""
+    apart = np.asarray(one.centres, float) - np.asarray(other.centres, float)
+    return float(np.linalg.norm(apart, axis=1).max())
+
+
 def _parents_first(names: list[str], parents: list[int]) -> list[int]:
     """The joints' own order where it will do, else depth first; a cycle is an error."""
     if all(parent < joint for joint, parent in enumerate(parents)):

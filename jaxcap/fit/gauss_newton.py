@@ -79,7 +79,8 @@ class GaussNewton(AbstractManifoldSolver):
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
         good, unsolved, bad = optx.RESULTS.successful, optx.RESULTS.singular, optx.RESULTS.nonfinite
-        result = optx.RESULTS.where(state.solved, good, unsolved)
+        # optimistix inherits this result from lineax, which pyright does not follow
+        result = optx.RESULTS.where(state.solved, good, unsolved)  # pyright: ignore[reportArgumentType]
         return state.terminate, optx.RESULTS.where(jnp.isfinite(state.energy), result, bad)
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):

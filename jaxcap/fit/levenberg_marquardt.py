@@ -120,7 +120,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 def _outcome(info, solvable: Bool[Array, ""]) -> optx.RESULTS:
     """What ends the solver: numbers that are not finite, or equations that no damping makes solvable."""
     good, unsolved, bad = optx.RESULTS.successful, optx.RESULTS.singular, optx.RESULTS.nonfinite
-    result = optx.RESULTS.where(solvable, good, unsolved)
+    # optimistix inherits this result from lineax, which pyright does not follow
+    result = optx.RESULTS.where(solvable, good, unsolved)  # pyright: ignore[reportArgumentType]
     return optx.RESULTS.where(jnp.isfinite(info.as_min()), result, bad)
 
 

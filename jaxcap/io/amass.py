@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..body.pose import Motion, Pose
-from ..body.skeleton import Skeleton
+from ..body.skeleton import Skeleton, rest_distance, same_joints
 from ..errors import InputError
 from .atomic import replacing
 from .npz import get_array, load_arrays, skeleton_arrays, skeleton_of
@@ -167,12 +167,12 @@ def _skeleton(
             )
         if given is None:
             return own
-        if (own.names, own.parents) != (given.names, given.parents):
+        if not same_joints(own, given):
             raise InputError(
                 f"{path}: this motion is of the joints {', '.join(own.names)}, not of the body's {', '.join(given.names)}; "
                 "retarget it."
             )
-        apart = float(np.linalg.norm(np.asarray(own.centres) - np.asarray(given.centres), axis=1).max())
+        apart = rest_distance(own, given)
         if apart > SAME_BODY:
             raise InputError(
                 f"{path}: this motion is of another body, whose joints stand up to {1000 * apart:.0f} mm from those of "

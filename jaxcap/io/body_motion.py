@@ -10,6 +10,7 @@ import numpy as np
 from ..body.body import Body
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose, project
+from ..body.skeleton import rest_distance
 from ..errors import InputError
 from ..metrics import joint_errors
 from .amass import SAME_BODY, is_amass, read_amass
@@ -28,8 +29,7 @@ def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
         motion = load_motion(path, body.skeleton)
         # a motion may have been saved without its skeleton
         if "centres" in load_arrays(path):
-            skeletons = (body.skeleton, load_skeleton(path))
-            _same_places(path, *(np.asarray(skeleton.centres)[None] for skeleton in skeletons))
+            _check_near(path, rest_distance(body.skeleton, load_skeleton(path)))
         return motion
     skeleton, motion = read_motion(path, unit)
     target = body.skeleton
@@ -58,12 +58,13 @@ def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
     poses = jax.vmap(functools.partial(project, target))(poses)
     shared = [name for name in target.names if name in skeleton.names]
     here = np.asarray(joint_paths(target, poses))[:, [target.names.index(name) for name in shared]]
-    _same_places(path, here, there[:, [skeleton.names.index(name) for name in shared]])
+    # the rest of a file with other joints may be another pose: what counts is where the motion takes them
+    there = there[:, [skeleton.names.index(name) for name in shared]]
+    _check_near(path, float(joint_errors(here, there).max()))
     return Motion(poses, motion.rate)
 
 
-def _same_places(path: Path, here: np.ndarray, there: np.ndarray) -> None:
-    apart = joint_errors(here, there).max()
+def _check_near(path: Path, apart: float) -> None:
     if apart > SAME_BODY:
         raise InputError(
             f"{path}: this motion is of another skeleton, whose joints stand up to {1000 * apart:.0f} mm from "

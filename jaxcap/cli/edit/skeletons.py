@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ...body.body import Body
-from ...body.skeleton import Skeleton
+from ...body.skeleton import Skeleton, same_joints
 from ...errors import InputError
 from ...io.npz import load_arrays
 from ...io.registry import SKELETON_READERS, read_skeleton
@@ -41,7 +41,7 @@ def skeleton_of(owner: Body | Skeleton) -> Skeleton:
 def check_same(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> None:
     """That two motions are of one skeleton. Raises `InputError`."""
     (_, one), (path, other) = a, b
-    if one.names != other.names or one.parents != other.parents:
+    if not same_joints(one, other):
         strangers = sorted(set(one.names) ^ set(other.names))
         what = (
             f"'{strangers[0]}' is a joint of only one of them"
@@ -51,6 +51,7 @@ def check_same(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> None:
         raise InputError(
             f"{path}: this motion is of another skeleton than {a[0]} ({what}); give it that one by `jaxcap edit retarget`."
         )
+    # bones count here, and not where the root stands at rest
     offsets = [np.asarray(s.centres, float) - np.asarray(s.centres, float)[0] for s in (one, other)]
     apart = float(np.linalg.norm(offsets[0] - offsets[1], axis=1).max())
     if apart > SAME:

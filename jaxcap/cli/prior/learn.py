@@ -12,7 +12,7 @@ from ...adapt.shape_prior import ShapePrior
 from ...adapt.zeroing import num_zeroed
 from ...body.body import Body
 from ...body.pose import Motion
-from ...body.skeleton import Skeleton
+from ...body.skeleton import Skeleton, same_joints
 from ...edit.retarget import retarget
 from ...errors import InputError
 from ...io.npz import load_limits
@@ -139,7 +139,7 @@ class Learn:
 def same_bones(one: Skeleton, other: Skeleton) -> bool:
     """Whether the rotations of one skeleton are those of the other: the same joints, whose bones point the same way at
     rest, however long they are."""
-    if (one.names, one.parents) != (other.names, other.parents):
+    if not same_joints(one, other):
         return False
     below = [joint for joint, parent in enumerate(one.parents) if parent >= 0]
     above = [one.parents[joint] for joint in below]
