@@ -227,7 +227,9 @@ def test_wrong_requests_end_in_a_sentence(capsys, tmp_path, taken):
 
 def test_a_window_ends_with_ctrl_c(tmp_path):
     save_body(tmp_path / "body.npz", chain_body())
-    code = "from jaxcap.cli import main; main()"
+    # where tests run in the background, a shell has children ignore Ctrl-C
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code = listen + "from jaxcap.cli import main; main()"
     command = [PYTHON, "-c", code, "view", "body.npz", "--no-browser", "--port", "0"]
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_environment()
@@ -238,7 +240,10 @@ def test_a_window_ends_with_ctrl_c(tmp_path):
         assert url is not None, line
         assert urllib.request.urlopen(url.group(), timeout=30).status == 200
         program.send_signal(signal.SIGINT)
-        out, error = program.communicate(timeout=60)
+        try:
+            out, error = program.communicate(timeout=60)
+        finally:
+            program.kill()
     assert program.returncode == 130
     assert out == "" and error.strip() == "jaxcap: stopped"
 
