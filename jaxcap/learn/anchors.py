@@ -92,4 +92,5 @@ def _told(
     turns = np.asarray(rotation.to_matrix(poses.rotations), float)
     apart = turns - turns.mean(0)
     told = np.einsum("fjab,fjac->jbc", apart, apart) / len(turns)
-    return told, *np.linalg.eigh(told)
+    values, axes = np.linalg.eigh(told)
+    return told, values, axes
