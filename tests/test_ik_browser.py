@@ -181,8 +181,13 @@ def test_a_browser_that_closes_in_a_drag_leaves_no_trace(chromium, served, body,
     page, window = open_window(chromium, served)
     windows = served[1]
     start = pixel(page, window, body.vertices[hand_of(body)])
-    page.mouse.click(*start)
-    (held,) = wait(lambda: window.session.state.constraints)
+    # a page that has just come may not listen yet
+    for _ in range(12):
+        page.mouse.click(*start)
+        page.wait_for_timeout(2000)
+        if window.session.state.constraints:
+            break
+    (held,) = window.session.state.constraints
     wait(lambda: "/handles/1/ball" in page.evaluate("Object.keys(window.__viserMutable.nodeRefFromName)"))
     start = pixel(page, window, held.target)
     capfd.readouterr()
