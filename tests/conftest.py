@@ -48,6 +48,14 @@ def _forget_compiled():
     jax.clear_caches()
 
 
+@pytest.fixture(autouse=True)
+def _forget_slow(request):
+    """A slow test alone compiles as many functions as a whole module of others."""
+    yield
+    if "slow" in request.keywords:
+        jax.clear_caches()
+
+
 @pytest.fixture(scope="session")
 def checkout() -> Path:
     """The root of the source tree."""

@@ -99,8 +99,8 @@ def test_limits_gradients(checkout):
 @pytest.mark.shared
 def test_adapt_people(checkout, shared, tmp_path):
     kept = tmp_path / "rows.json"
-    options = ("--actors", "1", "--frames", "12", "--setups", "a", "--starts", "wrong", "--keep", str(kept))
-    line = run(checkout, "adapt_people", *options)
+    options = ("--actors", "1", "--frames", "12", "--setups", "a", "--starts", "wrong", "--template", "human")
+    line = run(checkout, "adapt_people", *options, "--keep", str(kept))
     assert meets(line, "a_wrong_surface_mm", "a_wrong_lost", "a_wrong_bump_percent")
     assert "human a wrong 0 12" in kept.read_text()
 
