@@ -196,24 +196,15 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
     scan = trimesh.Trimesh(np.asarray(body.vertices) + 0.005, np.asarray(body.faces), process=False)
     scan.visual.vertex_colors = rng.integers(0, 255, (len(scan.vertices), 4)).astype(np.uint8)
     scan.export(folder / "scan.ply")
-    told = runs(
-        capsys,
-        "edit",
-        "glue",
-        folder / "scan.ply",
-        folder / "body.npz",
-        folder / "lift.npz",
-        "-o",
-        folder / "glued",
-    )
+    glue = ("edit", "glue", *(folder / name for name in ("scan.ply", "body.npz", "lift.npz")), "-o")
+    told = runs(capsys, *glue, folder / "glued")
     assert "2 meshes of" in told and "with their colours" in told
     for frame, lift in ((0, 0.0), (1, 0.5)):
         found = trimesh.load(folder / "glued" / f"glued_{frame:04d}.ply", process=False)
         np.testing.assert_allclose(found.vertices, scan.vertices + [0, lift, 0], atol=1e-5)
         np.testing.assert_array_equal(found.faces, scan.faces)
         np.testing.assert_array_equal(found.visual.vertex_colors, scan.visual.vertex_colors)
-    runs(capsys, "edit", "glue", folder / "scan.ply", folder / "body.npz", folder / "lift.npz", "-o", folder / "glued",
-         "--as", "obj", "--frames", 1, 1, "--overwrite")  # fmt: skip
+    runs(capsys, *glue, folder / "glued", "--as", "obj", "--frames", 1, 1, "--overwrite")
     assert [path.name for path in (folder / "glued").iterdir()] == ["glued_0001.obj"]
     again = jc.read_mesh(folder / "glued" / "glued_0001.obj")
     tinted = folder / "glued" / "glued_0001.obj"
@@ -224,42 +215,11 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
         read_colours(tinted, len(scan.vertices))[:, :3], scan.visual.vertex_colors[:, :3]
     )
     np.testing.assert_allclose(again.vertices, scan.vertices + [0, 0.5, 0], atol=1e-5)
-    said = fails(
-        capsys,
-        "edit",
-        "glue",
-        folder / "scan.ply",
-        folder / "body.npz",
-        folder / "lift.npz",
-        "-o",
-        folder / "glued",
-    )
+    said = fails(capsys, *glue, folder / "glued")
     assert "give --overwrite" in said
-    said = fails(
-        capsys,
-        "edit",
-        "glue",
-        folder / "scan.ply",
-        folder / "body.npz",
-        folder / "lift.npz",
-        "-o",
-        folder / "g2",
-        "--unit",
-        "cm",
-    )
+    said = fails(capsys, *glue, folder / "g2", "--unit", "cm")
     assert "say by --unit" in said
-    said = fails(
-        capsys,
-        "edit",
-        "glue",
-        folder / "scan.ply",
-        folder / "body.npz",
-        folder / "lift.npz",
-        "-o",
-        folder / "g2",
-        "--frame",
-        2,
-    )
+    said = fails(capsys, *glue, folder / "g2", "--frame", 2)
     assert "there is no frame 2" in said
 
 

@@ -14,7 +14,7 @@ from jaxcap.body.symmetry import bones_of, length_differences, symmetrise
 from jaxcap.fit.arrow import Arrow
 from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.anchors import cut_anchors
+from jaxcap.learn.anchors import Given, cut_anchors
 from jaxcap.learn.joints import improve_joints, make_curvature, move_joints, normal_equations, shared_slots
 from jaxcap.learn.objective import objective
 from jaxcap.learn.vertices import VertexSolver
@@ -181,11 +181,11 @@ def test_joints_that_no_motion_tells_stay_where_a_skeleton_has_them(rng):
     value, damping = float(objective(off, poses, targets, metric)), 1e-4
     for _ in range(20):
         off, poses, value, damping = improve_joints(
-            off, poses, targets, metric, curvature, NONE, damping, value, given=given
+            off, poses, targets, metric, curvature, NONE, damping, value, given=Given(given)
         )
     assert np.linalg.norm(off.skeleton.centres[still] - given[still]) < 0.001
     away = np.linalg.norm(np.asarray(off.skeleton.centres - body.skeleton.centres), axis=1)
     assert away[turning].max() < 0.004
-    kept = improve_joints(off, poses, targets, metric, curvature, NONE, damping, value, given=off.skeleton.centres, keep=True)  # fmt: skip
+    kept = improve_joints(off, poses, targets, metric, curvature, NONE, damping, value, given=Given(off.skeleton.centres, keep=True))  # fmt: skip
     assert kept.value < value
     np.testing.assert_allclose(kept.body.skeleton.centres, off.skeleton.centres, atol=1e-6)

@@ -29,7 +29,7 @@ from .convert_way import PURPOSES, Way, check_options, check_units, find_way
 from .options import Flag, OptionalFile, OptionalUnit, arg
 from .outputs import check_absent
 from .say import say, warn
-from .sources import load_body
+from .sources import load_body, names_human
 
 #: metres, and bones a vertex
 TOLERANCE, INFLUENCES = 0.001, 4
@@ -71,7 +71,7 @@ class Convert:
 
     def run(self) -> None:
         check_absent([self.target], self.overwrite)
-        human = str(self.source).split(":")[0] == "human"
+        human = names_human(str(self.source))
         if not human and not self.source.is_file():
             raise InputError(f"{self.source}: there is no such file; check the path.")
         # the human is what a body file would be

@@ -26,6 +26,7 @@ from ..io.subject import load_subject
 from .options import OptionalUnit, arg
 from .say import say
 from .sources import load_body as load_any_body
+from .sources import names_human
 
 
 @dataclass
@@ -40,7 +41,7 @@ class Info:
     def run(self) -> None:
         path = Path(self.file)
         suffix = path.suffix.lower()
-        if self.file.split(":")[0] == "human" and not path.exists():
+        if names_human(self.file):
             _body(load_any_body(self.file)[0])
         elif path.is_dir() or not path.is_file():
             _clouds(self.file, self.unit or "m")

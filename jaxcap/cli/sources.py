@@ -24,6 +24,11 @@ from ..observe import Cloud, make_cloud
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
+def names_human(spec: str) -> bool:
+    """Whether a body is asked for as `human`, with or without options, and not as a file that is called so."""
+    return spec.split(":")[0] == "human" and not Path(spec).exists()
+
+
 def load_body(
     spec: str,
     skl: Path | None = None,
@@ -42,8 +47,8 @@ def load_body(
 
     **Raises:** `InputError`.
     """
-    name, path = spec.split(":")[0], Path(spec)
-    if name == "human" and not path.exists():
+    path, own = Path(spec), names_human(spec)
+    if own:
         body = _human(spec, vertices)
     elif path.suffix.lower() == ".npz":
         body = read_body(path)
@@ -53,7 +58,7 @@ def load_body(
         skl = _beside(path, skl, ".skl")
         body = read_body(path, skl, _beside(path, vj, ".vj"), unit)
     limits = None if cst is None else read_cst(cst, body.skeleton).ranges
-    if name != "human" and path.suffix.lower() != ".npz" and up != "y":
+    if not own and path.suffix.lower() != ".npz" and up != "y":
         body, limits = _upright(body, limits, up)
     if vertices is not None:
         try:

@@ -13,7 +13,7 @@ from ..view.load import load
 from ..view.serve import HOST
 from .options import Flag, OptionalUnit, Up, arg
 from .say import warn
-from .sources import load_body, up_rotation
+from .sources import load_body, names_human, up_rotation
 from .window import Port, keep_window
 
 Names = Annotated[tuple[str, ...], arg(metavar="...")]
@@ -81,7 +81,7 @@ class View:
 
     def bodies(self) -> tuple[list[tuple[str, Body]], list[str]]:
         """The bodies that were asked for by name, and the files that are left."""
-        named = [name for name in self.files if name.split(":")[0] == "human" and not Path(name).exists()]
+        named = [name for name in self.files if names_human(name)]
         return (
             [(name, load_body(name, unit=self.unit or "m", up=self.up)[0]) for name in (*self.body, *named)],
             [name for name in self.files if name not in named],

@@ -10,20 +10,18 @@ from ..geometry import rotation
 
 
 @jax.jit
-def between(here: Pose, there: Pose, share: Float[Array, "F"]) -> Pose:
-    """The poses a `share` of the way from `here` to `there`, frame by frame (Shoemake 1985): exactly the
-    former at 0, and the latter at 1 but for rounding. Stacks of F poses each."""
+def between(here: Pose, there: Pose, share: Float[Array, "F"] | Float[Array, "F J"]) -> Pose:
+    """The poses a `share` of the way from `here` to `there`, frame by frame, or joint by joint, where scale goes with
+    the first (Shoemake 1985): exactly the former at 0, and the latter at 1 but for rounding. Stacks of F poses each."""
     share = jnp.asarray(share, here.rotations.dtype)
-    mix = lambda a, b, t: a + t * (b - a)  # noqa: E731
-    rotations = rotation.normalise(
-        rotation.slerp(
-            here.rotations, there.rotations, jnp.broadcast_to(share[:, None], here.rotations.shape[:2])
-        )
-    )
-    rotations = jnp.where((share == 0)[:, None, None], here.rotations, rotations)
-    rotations = jnp.where((share == 1)[:, None, None], there.rotations, rotations)
-    translations = mix(here.translations, there.translations, share[:, None, None])
-    return Pose(translations, rotations, mix(here.scale, there.scale, share))
+    shares = jnp.broadcast_to(share.reshape(len(share), -1), here.rotations.shape[:2])
+    each = shares[..., None]
+    rotations = rotation.normalise(rotation.slerp(here.rotations, there.rotations, shares))
+    rotations = jnp.where(each == 0, here.rotations, rotations)
+    rotations = jnp.where(each == 1, there.rotations, rotations)
+    translations = here.translations + each * (there.translations - here.translations)
+    scale = here.scale + shares[:, 0] * (there.scale - here.scale)
+    return Pose(translations, rotations, scale)
 
 
 def ease(share: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:

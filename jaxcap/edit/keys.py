@@ -8,15 +8,15 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
+from .between import between
 
 
 class Keys(NamedTuple):
@@ -83,24 +83,15 @@ def interpolate_keys(poses: Pose, keyed: Bool[np.ndarray, "F J"]) -> Pose:
     before, after = _neighbours(keyed)
     frames = np.arange(len(keyed))[:, None]
     share = (frames - before) / np.maximum(after - before, 1)
-    return _interpolate(poses, jnp.asarray(before), jnp.asarray(after), jnp.asarray(share))
+    return between(_poses_at(poses, before), _poses_at(poses, after), jnp.asarray(share))
 
 
-@jax.jit
-def _interpolate(
-    poses: Pose, before: Int[Array, "F J"], after: Int[Array, "F J"], share: Float[Array, "F J"]
-):
-    joints = jnp.arange(before.shape[1])
-    share = share.astype(poses.rotations.dtype)[..., None]
-    mix = lambda x: x[before, joints] + share * (x[after, joints] - x[before, joints])  # noqa: E731
-    here, there = poses.rotations[before, joints], poses.rotations[after, joints]
-    turned = rotation.normalise(rotation.slerp(here, there, share[..., 0]))
-    scale = poses.scale[before[:, 0]] + share[:, 0, 0] * (
-        poses.scale[after[:, 0]] - poses.scale[before[:, 0]]
+def _poses_at(poses: Pose, frames: Int[np.ndarray, "F J"]) -> Pose:
+    """Each joint as in a frame of its own."""
+    joints = np.arange(frames.shape[1])
+    return Pose(
+        poses.translations[frames, joints], poses.rotations[frames, joints], poses.scale[frames[:, 0]]
     )
-    # a key is the pose itself, to the last bit
-    kept = share == 0
-    return Pose(mix(poses.translations), jnp.where(kept, here, turned), scale)
 
 
 def _neighbours(keyed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,7 @@
 """Where joints stand that no motion tells: where a skeleton has them, or amid the cut between the parts they join."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -44,15 +46,23 @@ class Anchors(eqx.Module):
     told: Float[Array, "J 3 3"]
 
 
-def given_anchors(body: Body, poses: Pose, centres: Float[Array, "J 3"], keep: bool = False) -> Anchors:
-    """Anchors where a given skeleton has its joints: a prior beside what motion tells, or all that counts (`keep`). Bones
-    that share their vertices with the next ones, as those of a spine do, have no cut, and would else wander along the limb."""
+class Given(NamedTuple):
+    """Where a given skeleton has its joints, and whether they stay there."""
+
+    centres: Float[Array, "J 3"]
+    keep: bool = False
+
+
+def given_anchors(body: Body, poses: Pose, given: Given) -> Anchors:
+    """Anchors where a given skeleton has its joints: a prior beside what motion tells, or all that counts. Bones that share their vertices with the next ones, as those of a spine do, have no cut, and would else wander along the limb."""
     told, values, axes = _told(poses)
     pull = LITTLE_GIVEN**2 / (np.maximum(values, 0.0) + LITTLE_GIVEN)
-    weights = np.full_like(told, KEPT) * np.eye(3) if keep else np.einsum("jab,jb,jcb->jac", axes, pull, axes)
+    weights = (
+        np.full_like(told, KEPT) * np.eye(3) if given.keep else np.einsum("jab,jb,jcb->jac", axes, pull, axes)
+    )
     weights *= (np.array(body.skeleton.parents) >= 0)[:, None, None]
     dtype = body.vertices.dtype
-    return Anchors(*(jnp.asarray(field, dtype) for field in (centres, weights, weights, told)))
+    return Anchors(*(jnp.asarray(field, dtype) for field in (given.centres, weights, weights, told)))
 
 
 def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -> Anchors:

@@ -19,7 +19,7 @@ from ..fit.arrow import Arrow, damped, solve_arrow
 from ..geometry import rotation
 from ..geometry.laplacian import Conformance, apply
 from ..geometry.patches import Blocks, laplacian_rows, make_blocks
-from .anchors import Anchors, cut_anchors, given_anchors
+from .anchors import Anchors, Given, cut_anchors, given_anchors
 from .objective import objective
 
 #: vertices from which curvature is estimated, at least
@@ -64,8 +64,7 @@ def improve_joints(
     damping: float,
     value: float,
     tries: int = 5,
-    given: Float[Array, "J 3"] | None = None,
-    keep: bool = False,
+    given: Given | None = None,
 ) -> JointStep:
     """One step of Gauss-Newton (Adaptation, 3.2.2) that never raises Q.
 
@@ -74,14 +73,14 @@ def improve_joints(
     changes nothing). The bones of left and right `pairs` of joints stay equally long, which is
     the limit of the paper's heavy `lambda Q_sym` (eqs. 3.23 to 3.26). Where a step would raise
     Q it is damped more, up to `tries` times, and then left. What no motion tells of a centre is left
-    to where a skeleton has it, `given`, or else to the cut between parts; with `keep` no centre leaves that place.
+    to where a skeleton has it, `given`, or else to the cut between parts.
     """
     slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
     arrow = normal_equations(body, poses, targets, metric, curvature, slots)
     anchors = (
         cut_anchors(body, poses, metric, value / targets.size)
         if given is None
-        else given_anchors(body, poses, given, keep)
+        else given_anchors(body, poses, given)
     )
     strengths = jnp.asarray([1.0, 0.0], targets.dtype)
     pulled, held = (_anchored(arrow, body.skeleton, anchors, slots, strength) for strength in strengths)

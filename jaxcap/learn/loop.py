@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from ..body.body import Body, take_vertices
 from ..body.pose import Motion
@@ -14,6 +14,7 @@ from ..body.skeleton import Skeleton
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
 from .adapt import adapt_vertices
+from .anchors import Given
 from .coarse import Coarse, coarse_alpha, coarsen
 from .exchange import exchange
 from .graft import Graft
@@ -117,13 +118,6 @@ def learn_body(
     # joints that were exchanged on the coarse mesh stay
     state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging)
     return Learned(state.body, state.motion, state.pairs, state.history, state.curve)
-
-
-class Given(NamedTuple):
-    """Where a given skeleton has its joints, and whether they stay there."""
-
-    centres: Float[Array, "J 3"]
-    keep: bool
 
 
 class _Stage(NamedTuple):
@@ -288,8 +282,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             state.pairs,
             state.damping,
             state.history[-1][1],
-            given=None if stage.given is None else stage.given.centres,
-            keep=stage.given is not None and stage.given.keep,
+            given=stage.given,
         )
         state = state._replace(
             body=found.body,
