@@ -127,6 +127,7 @@ from .io.constraints import read_constraints as read_constraints
 from .io.constraints import write_constraints as write_constraints
 from .io.gltf import write_gltf as write_gltf
 from .io.gltf_reader import read_gltf as read_gltf
+from .io.gltf_reader import read_gltf_body as read_gltf_body
 from .io.limits import load_limits as load_limits
 from .io.limits import read_limits as read_limits
 from .io.limits import save_limits as save_limits

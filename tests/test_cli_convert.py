@@ -119,6 +119,16 @@ def test_a_body_with_a_motion_of_amass_becomes_usd_and_glb(inputs, tmp_path, cap
     np.testing.assert_allclose(there, joint_paths(body.skeleton, motion.poses), atol=1e-5)
     runs(capsys, "convert", inputs / "body.npz", tmp_path / "still.glb")
     assert "no animation" in fails(capsys, "convert", tmp_path / "still.glb", tmp_path / "s.bvh")
+    # and its skin a body
+    told = runs(capsys, "convert", tmp_path / "body.glb", tmp_path / "again.npz", "--as", "body")
+    assert "1500 vertices, 31 joints" in told
+    again = load_body(tmp_path / "again.npz")
+    np.testing.assert_allclose(again.vertices, body.vertices, atol=1e-6)
+    told = runs(capsys, "info", tmp_path / "body.glb")
+    assert "motion: 5 frames" in told and "1500 vertices" in told and "LinearSkin" in told
+    words = ("convert", inputs / "truth.npz", tmp_path / "c.npz", "--as", "body")
+    assert "body" in fails(capsys, *words)
+    assert not (tmp_path / "c.npz").exists()
 
 
 def test_a_motion_of_a_body(inputs, tmp_path, capsys):
@@ -161,7 +171,7 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
     for source, target, *options, said in (
         (motion, "out.fbx", "cannot become"),
         (motion, "out.trc", "--motion", motion, "--motion is for a body .npz"),
-        (motion, "out.trc", "--as", "amass", "--as is for a motion that becomes an .npz"),
+        (motion, "out.trc", "--as", "amass", "--as amass is for a motion that becomes an .npz"),
         (motion, "out.bvh", "--as", "amass", "is written as .npz"),
         (motion, "out.bvh", "--up", "y", "other motions have y up"),
         (body, "out.glb", "--up", "y", "other motions have y up"),

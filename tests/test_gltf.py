@@ -17,7 +17,7 @@ from jaxcap.demo.performance import walk_and_wave
 from jaxcap.edit.influences import limit_influences
 from jaxcap.errors import InputError
 from jaxcap.io.gltf import write_gltf
-from jaxcap.io.gltf_reader import read_gltf
+from jaxcap.io.gltf_reader import read_gltf, read_gltf_body
 
 _pose_body = eqx.filter_jit(pose_body)
 NUMBERS = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -202,6 +202,22 @@ def test_skeleton_and_motion_come_back(tmp_path, rng):
     np.testing.assert_allclose(twice.poses.scale[2], 1.2, rtol=1e-5)
     write_gltf(tmp_path / "still.glb", body)
     assert read_gltf(tmp_path / "still.glb")[1] is None
+
+
+def test_a_body_comes_back(tmp_path, rng):
+    """Vertices in their order, faces, weights to the bit of the file; and where the motion takes them."""
+    body = chain_body("linear")
+    motion = stack_poses([random_pose(body.skeleton, rng, 0.8, scale) for scale in (1.0, 1.2)], rate=25.0)
+    write_gltf(tmp_path / "chain.glb", body, motion)
+    back, moved = read_gltf_body(tmp_path / "chain.glb")
+    np.testing.assert_array_equal(back.faces, body.faces)
+    np.testing.assert_allclose(back.vertices, body.vertices, atol=1e-6)
+    np.testing.assert_allclose(back.skin.weights, body.skin.weights, atol=1e-6)
+    for frame in range(2):
+        there = _pose_body(back, moved[frame]).vertices
+        np.testing.assert_allclose(there, _pose_body(body, motion[frame]).vertices, atol=1e-5)
+    write_gltf(tmp_path / "still.glb", body)
+    assert read_gltf_body(tmp_path / "still.glb")[1] is None
 
 
 def test_damaged_files_are_said(tmp_path):

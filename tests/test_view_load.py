@@ -20,6 +20,7 @@ from jaxcap.io.bvh import write_bvh
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.checkpoint import Checkpoint, save_checkpoint
 from jaxcap.io.clouds import Scans
+from jaxcap.io.gltf import write_gltf
 from jaxcap.io.journal import begin_journal, read_records, resume_journal
 from jaxcap.io.limits import KIND as LIMITS
 from jaxcap.io.mesh import Mesh, write_mesh
@@ -72,6 +73,20 @@ def test_a_body_and_its_motion_meet(tmp_path, body, motion):
     # a body that no motion is of stands at rest
     (alone,) = load([str(tmp_path / "body.npz")]).takes
     assert alone.still and alone.motion.body is not None
+
+
+def test_a_skinned_file_is_a_body_with_its_motion(tmp_path, motion, body):
+    write_gltf(tmp_path / "moving.glb", body, motion)
+    write_gltf(tmp_path / "still.glb", body)
+    save_motion(tmp_path / "motion.npz", motion, body.skeleton)
+    (take,) = load([str(tmp_path / "moving.glb")]).takes
+    places = np.asarray(deform_all(body, motion.poses))
+    for frame in range(len(motion)):
+        np.testing.assert_allclose(take.motion.frame(frame).vertices, places[frame], atol=1e-5)
+    # without an animation it is the body of motions beside it
+    (take,) = load([str(tmp_path / "still.glb"), str(tmp_path / "motion.npz")]).takes
+    assert take.motion.body is not None
+    assert len(take.motion) == len(motion)
 
 
 def test_a_motion_without_a_body_is_its_skeleton(tmp_path, motion, body):

@@ -42,7 +42,7 @@ class Convert:
 
     A motion (.bvh, .npz, .amc with its .asf beside it, .glb) becomes .bvh or .npz, or joint centres as .trc, .c3d or .csv.
     A body .npz, or `human` (with options), becomes a skinned, animated .glb, .usda, .usdc or .usdz;
-    `human` also a body .npz."""
+    `human` also a body .npz, and so does a skinned .glb with --as body."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
     """The file to read."""
@@ -56,8 +56,10 @@ class Convert:
     """Motion (.npz, .bvh) of a body that becomes a .glb or USD."""
     body: OptionalFile = None
     """The body (.npz or `human`) that a motion is of: for files that do not say where joints are, as AMASS's, and for --vertices."""
-    as_: Annotated[Literal["amass"] | None, arg(name="as", metavar="amass", help_behavior_hint="")] = None
-    """Write a motion .npz in the manner of AMASS: `poses`, `trans`, `betas`, `gender` and the rate, z up."""
+    as_: Annotated[
+        Literal["amass", "body"] | None, arg(name="as", metavar="amass|body", help_behavior_hint="")
+    ] = None
+    """What an .npz is to be: a motion in the manner of AMASS (`poses`, `trans`, `betas`, `gender` and the rate, z up), or the body of a .glb."""
     up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
     """What is up in a motion in AMASS's manner; z where not given."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
@@ -75,7 +77,7 @@ class Convert:
         if not human and not self.source.is_file():
             raise InputError(f"{self.source}: there is no such file; check the path.")
         # the human is what a body file would be
-        own = human and self.target.suffix.lower() == ".npz"
+        own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
         way: Way = "own" if own else find_way(Path("human.npz") if human else self.source, self.target)
         self.check(way)
         {
@@ -93,7 +95,8 @@ class Convert:
         given = {
             "motion": self.motion,
             "body": self.body,
-            "as": self.as_,
+            "as amass": self.as_ == "amass",
+            "as body": self.as_ == "body",
             "vertices": self.vertices,
             "up": self.up,
             "tolerance": self.tolerance != TOLERANCE,

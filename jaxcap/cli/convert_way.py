@@ -21,7 +21,8 @@ Way = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
 PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
     "motion": ("a body .npz that becomes a .glb or USD", ("body",)),
     "body": ("a motion that is to be a body's own", ("motion", "points")),
-    "as": ("a motion that becomes an .npz", ("motion",)),
+    "as amass": ("a motion that becomes an .npz", ("motion",)),
+    "as body": ("a skinned .glb that becomes an .npz", ("own",)),
     "vertices": ("a motion that becomes .trc, .c3d or .csv", ("points",)),
     "up": ("a motion in AMASS's manner", ("body", "motion", "points")),
     "tolerance": ("a body .npz that becomes a .glb or USD", ("body",)),
@@ -59,8 +60,8 @@ def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
     for name, (purpose, ways) in PURPOSES.items():
         if given[name] and way not in ways:
             raise InputError(f"{target}: --{name} is for {purpose}.")
-    if given["as"] and target.suffix.lower() != ".npz":
-        raise InputError(f"{target}: --as {given['as']} is written as .npz; give a name that ends so.")
+        if given[name] and name.startswith("as ") and target.suffix.lower() != ".npz":
+            raise InputError(f"{target}: --{name} is written as .npz; give a name that ends so.")
     if given["vertices"] and given["body"] is None:
         raise InputError(f"{target}: --vertices are of a body; name it by --body.")
 

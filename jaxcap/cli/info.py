@@ -12,6 +12,8 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..io.clouds import read_clouds
+from ..io.gltf_file import has_skin
+from ..io.gltf_reader import read_gltf_body
 from ..io.limits import KIND as LIMITS
 from ..io.limits import load_limits
 from ..io.mesh import SUFFIXES, check_mesh, read_mesh
@@ -45,6 +47,11 @@ class Info:
             _body(load_any_body(self.file)[0])
         elif path.is_dir() or not path.is_file():
             _clouds(self.file, self.unit or "m")
+        elif has_skin(path):
+            body, motion = read_gltf_body(path)
+            if motion is not None:
+                _motion(motion)
+            _body(body)
         elif suffix in SUFFIXES:
             _mesh(path, self.unit or "m")
         elif suffix == ".npz":

@@ -18,6 +18,7 @@ from ..fit.check import check_cloud
 from ..geometry import rotation
 from ..io.clouds import Scans
 from ..io.cst import read_cst
+from ..io.gltf_file import has_skin
 from ..io.registry import read_body
 from ..observe import Cloud, make_cloud
 
@@ -42,23 +43,25 @@ def load_body(
     """A body, y up, and its joint limits where `cst` is given.
 
     `spec` is `human` with options behind a colon (`human:female,height=1.7,medium`), a body
-    `.npz`, or a mesh, whose `.skl` and `.vj` lie beside it where they are not given. `unit` and
+    `.npz`, a skinned `.glb`, or a mesh, whose `.skl` and `.vj` lie beside it where they are not given. `unit` and
     `up` are those of mesh and skeleton files; an `.npz` is in metres, y up.
 
     **Raises:** `InputError`.
     """
-    path, own = Path(spec), names_human(spec)
-    if own:
+    path, made = Path(spec), names_human(spec)
+    # these say their unit and what is up
+    whole = made or path.suffix.lower() == ".npz" or (skl is None and has_skin(path))
+    if made:
         body = _human(spec, vertices)
-    elif path.suffix.lower() == ".npz":
+    elif whole:
         body = read_body(path)
     else:
         if not path.is_file():
-            raise InputError(f"{path}: there is no such file; give 'human', a body .npz, or a mesh.")
+            raise InputError(f"{path}: there is no such file; give 'human', a body .npz or .glb, or a mesh.")
         skl = _beside(path, skl, ".skl")
         body = read_body(path, skl, _beside(path, vj, ".vj"), unit)
     limits = None if cst is None else read_cst(cst, body.skeleton).ranges
-    if not own and path.suffix.lower() != ".npz" and up != "y":
+    if not whole and up != "y":
         body, limits = _upright(body, limits, up)
     if vertices is not None:
         try:

@@ -1,44 +1,86 @@
-"""Skeletons and motions from binary glTF 2.0 (`.glb`)."""
+"""Bodies, skeletons and motions from binary glTF 2.0 (`.glb`), whichever program wrote them."""
 
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
+from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import KINDS, Skeleton, make_skeleton
+from ..body.skin import LinearSkin
 from ..errors import InputError
+from .gltf_file import GltfFile
+from .gltf_surface import read_surface
 
-_NUMBERS = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _HINGES = ("revolute", "universal")
-_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+#: by how much a scale may be off and be no scale
+_EVEN = 1e-5
+
+
+class _Bound(NamedTuple):
+    """Joints as they are bound: by their numbers in `skeleton`, whose order may be another than the file's."""
+
+    skeleton: Skeleton
+    #: the node of each joint of the skeleton
+    nodes: tuple[int, ...]
+    #: from the surface of the first skin to the world at rest, and from the world at rest into each joint's node
+    placed: Float[np.ndarray, "4 4"]
+    inverse: Float[np.ndarray, "J 4 4"]
 
 
 def read_gltf(path: str | Path, rate: float | None = None) -> tuple[Skeleton, Motion | None]:
     """The joints of a file's first skin, and its first animation as their motion.
 
-    Rest is where the inverse bind matrices have the joints; their frames there are the joints'
-    orientations. Kinds and axes are those that `write_gltf` notes, else roots are free and other joints
-    turn freely. Times are sampled at `rate`, the one of the keys where it is not given. Scale
-    may stand above the roots alone and be the same along all axes.
+    Rest is where the inverse bind matrices have the joints, in metres and as upright as what stands above the roots
+    makes it; the joints' frames there are their orientations. Kinds and axes are those that `write_gltf` notes, else
+    roots are free and other joints turn freely. Times are sampled at `rate`, the one of the keys where it is not given.
+    Scale may change above the roots alone and be the same along all axes.
 
     **Raises:** `InputError` where the file is not a whole one, has no skin, or has what a
-    `Skeleton` and its `Pose` cannot hold: sheared, sparse or spline-keyed transforms.
+    `Skeleton` and its `Pose` cannot hold: sheared, sparse, compressed or spline-keyed transforms.
     """
-    path = Path(path)
-    file = _File(path)
-    skin = file.document.skins[0]
-    nodes, joints = file.document.nodes, list(skin.joints)
-    above = {child: number for number, node in enumerate(nodes) for child in node.children or []}
-    parents = [joints.index(above[joint]) if above.get(joint) in joints else -1 for joint in joints]
+    file = GltfFile(path)
+    bound = _bind(file)
+    return bound.skeleton, _motion(file, bound, rate)
+
+
+def read_gltf_body(path: str | Path, rate: float | None = None) -> tuple[Body, Motion | None]:
+    """The body of a file's first skin, which blends linearly, and its first animation; the skeleton as in `read_gltf`.
+
+    All meshes that this skin moves are the surface, or those of other skins of the same joints; morph targets and meshes that
+    hang on a joint without a skin are left out. Vertices that were split along the seams of textures are one again.
+
+    **Raises:** `InputError` as `read_gltf`, and where the surface is no triangles, or a vertex follows no joint.
+    """
+    file = GltfFile(path)
+    bound = _bind(file)
+    surface = read_surface(file, bound.nodes)
+    vertices = surface.vertices @ bound.placed[:3, :3].T + bound.placed[:3, 3]
+    dtype = bound.skeleton.centres.dtype
+    skin = LinearSkin(jnp.asarray(surface.weights, dtype))
+    body = Body(bound.skeleton, skin, jnp.asarray(vertices, dtype), jnp.asarray(surface.faces))
+    return body, _motion(file, bound, rate)
+
+
+def _bind(file: GltfFile) -> _Bound:
+    """The skeleton of the first skin, at rest."""
+    skin, nodes = file.document.skins[0], file.document.nodes
+    joints = list(skin.joints)
+    parents = [_parent(file, joint, joints) for joint in joints]
     inverse = np.tile(np.eye(4), (len(joints), 1, 1))
     if skin.inverseBindMatrices is not None:
         inverse = file.array(skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)
+    placed = _placed(file, joints[parents.index(-1)], inverse[parents.index(-1)])
+    inverse = inverse @ np.linalg.inv(placed)
     rest = np.linalg.inv(inverse)
-    _check_rigid(path, rest[:, :3, :3])
-    frames = Rotation.from_matrix(rest[:, :3, :3])
+    # joints in centimetres below a scale of a hundredth are as large as any
+    rest[:, :3, :3] /= np.cbrt(np.linalg.det(rest[:, :3, :3]))[:, None, None]
+    _check_rigid(file.path, rest[:, :3, :3])
+    frames = Rotation.from_matrix(rest[:, :3, :3]).as_quat(scalar_first=True)
     notes = [nodes[joint].extras or {} for joint in joints]
     axes = np.tile(np.eye(3)[:2], (len(joints), 1, 1))
     for number, note in enumerate(notes):
@@ -52,27 +94,50 @@ def read_gltf(path: str | Path, rate: float | None = None) -> tuple[Skeleton, Mo
     kinds = [kind if kind in KINDS else other for kind, other in zip(kinds, plain, strict=True)]
     names = [nodes[joint].name or f"joint{number}" for number, joint in enumerate(joints)]
     try:
-        skeleton = make_skeleton(
-            names, parents, kinds, rest[:, :3, 3], frames.as_quat(scalar_first=True), axes
-        )
+        skeleton = make_skeleton(names, parents, kinds, rest[:, :3, 3], frames, axes)
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-    if not file.document.animations:
-        return skeleton, None
-    clock, values = file.animation(rate)
-    world = _world(values, above)
-    # T_j, from rest to pose, is the joint's node after the inverse of where it was bound
-    bones = np.stack([world[joint] for joint in joints], 1) @ inverse
+        raise InputError(f"{file.path}: {error}") from None
     order = [names.index(name) for name in skeleton.names]
-    return skeleton, _motion(path, skeleton, bones[:, order], clock)
+    return _Bound(skeleton, tuple(joints[number] for number in order), placed, inverse[order])
 
 
-def _motion(path: Path, skeleton: Skeleton, bones: np.ndarray, clock: np.ndarray) -> Motion:
-    """Local translations and rotations of bones `(F, J, 4, 4)` that move from rest to pose."""
+def _parent(file: GltfFile, joint: int, joints: list[int]) -> int:
+    """The next joint above, whatever nodes stand between; -1 for a root."""
+    node = file.above.get(joint)
+    while node is not None and node not in joints:
+        node = file.above.get(node)
+    return -1 if node is None else joints.index(node)
+
+
+def _placed(file: GltfFile, root: int, inverse: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """How a surface that is bound to a root is turned and scaled in the world, apart from the root's own turn: programs
+    keep z up and centimetres below a node that sets both right."""
+    world = file.world(file.still())
+    scale = np.cbrt(np.linalg.det((world[root][0] @ inverse)[:3, :3]))
+    above = world[file.above[root]][0, :3, :3] if root in file.above else np.eye(3)
+    turn = above / np.cbrt(np.linalg.det(above))
+    if not scale > 0 or not np.isfinite(turn).all():
+        raise InputError(
+            f"{file.path}: what stands above the joints scales them to nothing, or mirrors them."
+        )
+    _check_rigid(file.path, turn[None])
+    placed = np.eye(4)
+    placed[:3, :3] = turn * (1.0 if abs(scale - 1) < _EVEN else scale)
+    return placed
+
+
+def _motion(file: GltfFile, bound: _Bound, rate: float | None) -> Motion | None:
+    """Local translations and rotations of bones that move from rest to pose."""
+    if not file.document.animations:
+        return None
+    clock, values = file.animation(rate)
+    world = file.world(values)
+    # T_j, from rest to pose, is the joint's node after the inverse of where it was bound
+    bones = np.stack([world[joint] for joint in bound.nodes], 1) @ bound.inverse
+    skeleton = bound.skeleton
     scale = np.cbrt(np.linalg.det(bones[:, 0, :3, :3]))
-    bones = bones.copy()
     bones[:, :, :3] /= scale[:, None, None, None]
-    _check_rigid(path, bones[:, :, :3, :3])
+    _check_rigid(file.path, bones[:, :, :3, :3])
     centres, count = np.array(skeleton.centres, float), len(clock)
     translations, rotations = np.zeros((count, len(centres), 3)), np.zeros((count, len(centres), 4))
     for joint, parent in enumerate(skeleton.parents):
@@ -91,90 +156,3 @@ def _check_rigid(path: Path, turns: np.ndarray) -> None:
         raise InputError(
             f"{path}: a joint is scaled, sheared or mirrored by itself; a skeleton's joints turn and slide only."
         )
-
-
-def _world(values: list[dict[str, np.ndarray]], above: dict[int, int]) -> list[np.ndarray]:
-    """(F, 4, 4) global transforms of every node."""
-    done: dict[int, np.ndarray] = {}
-    for number in range(len(values)):
-        chain = [number]
-        while chain[-1] in above and above[chain[-1]] not in done:
-            chain.append(above[chain[-1]])
-        for node in reversed(chain):
-            part = values[node]
-            local = np.tile(np.eye(4), (len(part["scale"]), 1, 1))
-            local[:, :3, :3] = Rotation.from_quat(part["rotation"]).as_matrix() * part["scale"][:, None]
-            local[:, :3, 3] = part["translation"]
-            done[node] = done[above[node]] @ local if node in above else local
-    return [done[number] for number in range(len(values))]
-
-
-class _File:
-    def __init__(self, path: Path):
-        import pygltflib
-
-        self.path = path
-        if not path.is_file():
-            raise InputError(f"{path}: there is no such file; check the path.")
-        try:
-            head = path.read_bytes()[:12]
-            if head[:4] != b"glTF" or int.from_bytes(head[8:], "little") != path.stat().st_size:
-                raise InputError(f"{path}: this is not a whole .glb file.")
-            document: Any = pygltflib.GLTF2().load_binary(str(path))
-            self.blob = document.binary_blob()
-        except InputError:
-            raise
-        except Exception as error:  # whatever a damaged file makes of a reader
-            raise InputError(f"{path}: this is not a whole .glb file ({type(error).__name__}).") from None
-        if document is None or not document.skins or self.blob is None:
-            raise InputError(f"{path}: there is no skin in this file; read it as a mesh.")
-        self.document = document
-
-    def array(self, index: int) -> np.ndarray:
-        """The numbers of an accessor, a row an element, in float64."""
-        try:
-            accessor = self.document.accessors[index]
-            view = self.document.bufferViews[accessor.bufferView]
-            number, width = np.dtype(_NUMBERS[accessor.componentType]), _WIDTHS[accessor.type]
-            if accessor.sparse is not None or view.byteStride not in (None, width * number.itemsize):
-                raise InputError(f"{self.path}: sparse or interleaved numbers of joints are not read.")
-            start = (view.byteOffset or 0) + (accessor.byteOffset or 0)
-            flat = np.frombuffer(self.blob, number, accessor.count * width, start).astype(float)
-        except (IndexError, KeyError, TypeError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"{self.path}: accessor {index} points outside of the file's numbers.") from None
-        return flat.reshape(accessor.count, width)
-
-    def animation(self, rate: float | None) -> tuple[np.ndarray, list[dict[str, np.ndarray]]]:
-        """Times, and of every node its translation, rotation (xyzw) and scale at these."""
-        animation = self.document.animations[0]
-        keys = [self.array(sampler.input)[:, 0] for sampler in animation.samplers]
-        clock = max(keys, key=len)
-        if rate is not None:
-            clock = np.arange(clock[0], clock[-1] + 0.5 / rate, 1.0 / rate)
-        elif len(clock) > 1:
-            clock = np.linspace(clock[0], clock[-1], len(clock))
-        rest = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1]}
-        values = [
-            {name: np.tile(getattr(node, name) or still, (len(clock), 1)) for name, still in rest.items()}
-            for node in self.document.nodes
-        ]
-        for channel in animation.channels:
-            name, sampler = channel.target.path, animation.samplers[channel.sampler]
-            if name not in rest or channel.target.node is None:
-                continue
-            if sampler.interpolation == "CUBICSPLINE":
-                raise InputError(f"{self.path}: the animation has spline keys; bake it to linear ones.")
-            times, numbers = keys[channel.sampler], self.array(sampler.output)
-            inside = np.clip(clock, times[0], times[-1])
-            if len(times) == 1:
-                found = np.tile(numbers, (len(clock), 1))
-            elif sampler.interpolation == "STEP":
-                found = numbers[np.searchsorted(times, inside, "right") - 1]
-            elif name == "rotation":
-                found = Slerp(times, Rotation.from_quat(numbers))(inside).as_quat()
-            else:
-                found = np.stack([np.interp(inside, times, column) for column in numbers.T], 1)
-            values[channel.target.node][name] = found
-        return clock, values

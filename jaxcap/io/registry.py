@@ -21,7 +21,8 @@ from .asf import read_asf
 from .bvh import read_bvh, write_bvh
 from .c3d import read_c3d, write_c3d
 from .gltf import write_gltf
-from .gltf_reader import read_gltf
+from .gltf_file import has_skin
+from .gltf_reader import read_gltf, read_gltf_body
 from .marker_file import SIZE, MarkerFile, check_extent, pick_subject
 from .marker_table import read_marker_table, write_marker_table
 from .mesh import SUFFIXES, check_mesh, check_size, read_mesh
@@ -115,7 +116,7 @@ def read_body(
     parts: str | Path | None = None,
     unit: str | float = "m",
 ) -> Body:
-    """A body from one `.npz`, or from a mesh with a skeleton (`.skl`) and parts (`.vj`), whose
+    """A body from one `.npz` or skinned `.glb`, or from a mesh with a skeleton (`.skl`) and parts (`.vj`), whose
     vertices then move rigidly with their bones (Kineben, section 4.2).
 
     `unit` is that of mesh and skeleton. A mesh that cannot be a body's surface, or has no
@@ -124,6 +125,8 @@ def read_body(
     path = Path(path)
     if path.suffix.lower() == ".npz":
         return load_body(path)
+    if skeleton is None and has_skin(path):
+        return read_gltf_body(path)[0]
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"{path}: bodies are not read from '{path.suffix}' files; use .npz or {', '.join(SUFFIXES)}."

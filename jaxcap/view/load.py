@@ -17,6 +17,8 @@ from ..io.cameras import read_cameras
 from ..io.checkpoint import KIND as CHECKPOINT
 from ..io.clouds import read_clouds
 from ..io.constraints import KIND as CONSTRAINTS
+from ..io.gltf_file import has_skin
+from ..io.gltf_reader import read_gltf_body
 from ..io.limits import KIND as LIMITS
 from ..io.mesh import SUFFIXES, read_mesh
 from ..io.meshes import read_meshes
@@ -124,8 +126,10 @@ class _Loader:
             self.found.told.append(f"{path}: {OTHERS[suffix]}.")
         elif suffix in MARKER_READERS:
             self.found.markers.append(Markers(path.name, read_marker_file(path, self.unit).frames))
-        elif suffix in MOTION_READERS and not (suffix in SUFFIXES and not _animated(path)):
+        elif suffix in MOTION_READERS and suffix not in SUFFIXES:
             self.motions.append(path)
+        elif has_skin(path):
+            self.skinned(path)
         elif suffix in SKELETON_READERS:
             self.skeletons.append((path.name, read_skeleton(path, self.unit)))
         elif suffix in SUFFIXES:
@@ -190,6 +194,14 @@ class _Loader:
             self.found.told.append(
                 f"{path}: there is nothing in it that has a shape, but {', '.join(arrays)}."
             )
+
+    def skinned(self, path: Path) -> None:
+        """A file that has a body with or without a motion."""
+        body, motion = read_gltf_body(path)
+        if motion is None:
+            self.bodies.append((path.name, body))
+        else:
+            self.found.takes.append(make_take(path.name, body.skeleton, body, motion))
 
     def json(self, path: Path) -> None:
         try:
@@ -283,12 +295,3 @@ def _statistics(path: Path) -> dict[str, Any]:
         }
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{beside}: these are not the statistics of a run; remove the file.") from None
-
-
-def _animated(path: Path) -> bool:
-    """Whether a mesh file has a skeleton that moves."""
-    try:
-        read_motion(path)
-    except InputError:
-        return False
-    return True
