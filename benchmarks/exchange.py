@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import KDTree
 
 import jaxcap as jc
 from benchmarks._browser import find_chromium
@@ -35,6 +36,8 @@ from benchmarks._programs.run import (
 )
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
+from jaxcap.body.body import deform_all
+from jaxcap.body.pose import take_poses
 from jaxcap.io.tree import is_end
 
 #: what another program may be off, and what may be changed between two pictures outside of where the body is
@@ -157,11 +160,27 @@ def of_usd(work: Work) -> Iterator[Part]:
     yield "usd", figures, PLACES | {"messages": ("==", 0)}
 
 
+def came_back(file: Path, work: Work) -> float:
+    """From the vertices of what another program wrote again to those that it read, and back, millimetres at most."""
+    body, motion = jc.read_gltf_body(file)
+    if motion is None:
+        raise RuntimeError(f"{file.name} has no animation.")
+    poses = take_poses(motion.poses, np.array(work.frames))
+    apart = 0.0
+    for here, there in zip(work.truth.vertices, np.asarray(deform_all(body, poses), float), strict=True):
+        apart = max(apart, KDTree(here).query(there)[0].max(), KDTree(there).query(here)[0].max())
+    return 1000 * apart
+
+
 def of_blender(python: Path, work: Work) -> Iterator[Part]:
     rate = work.case.motion.rate
+    # Blender writes keys at whole frames of whole rates
+    again = work.written.glb.with_name(f"{work.case.name}-again.glb") if rate == round(rate) else None
     for kind, file in (("glb", work.written.glb), ("usd", work.written.usd)):
-        found = in_blender(python, file, rate, work.frames)
+        found = in_blender(python, file, rate, work.frames, again if kind == "glb" else None)
         yield f"blender_{kind}", compared(found, work.truth, list(work.truth.names)), PLACES | TURNS
+    if again is not None:
+        yield "blender_again", {"vertices_mm": came_back(again, work)}, {"vertices_mm": ("<=", MILLIMETRES)}
     if work.written.bvh is not None:
         body = work.case.body
         found = in_blender(python, work.written.bvh, rate, work.frames)

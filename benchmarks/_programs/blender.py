@@ -1,7 +1,8 @@
-"""What Blender makes of a file: `python blender.py FILE RATE FRAMES RESULT`, in an environment that has bpy.
+"""What Blender makes of a file: `python blender.py FILE RATE FRAMES RESULT [AGAIN]`, in an environment that has bpy.
 
 FRAMES are numbers of frames from 0, joined by commas. RESULT (.npz) gets, in the file's axes: `joints (F, J, 3)`, heads of
 bones, `turns (F, J, 3, 3)`, how each bone is turned from rest, `names (J,)`, and `vertices (F, V, 3)` where there is a mesh.
+AGAIN is a `.glb` that Blender writes of what it has read.
 """
 
 import math
@@ -75,6 +76,8 @@ def main() -> None:
     if vertices:
         found["vertices"] = np.array(vertices)
     np.savez(result, **found)
+    if len(sys.argv) > 5:
+        bpy.ops.export_scene.gltf(filepath=sys.argv[5], export_frame_range=False, export_all_influences=True)
 
 
 if __name__ == "__main__":

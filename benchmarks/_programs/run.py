@@ -52,12 +52,15 @@ def blender(folder: Path) -> Path | None:
     return install("blender", BLENDER, folder)
 
 
-def in_blender(python: Path, file: Path, rate: float, frames: list[int]) -> dict[str, np.ndarray]:
-    """What Blender makes of a file (`blender.py`). Raises `RuntimeError` with its last lines where it fails."""
+def in_blender(
+    python: Path, file: Path, rate: float, frames: list[int], again: Path | None = None
+) -> dict[str, np.ndarray]:
+    """What Blender makes of a file (`blender.py`), which it then writes as `again`, a `.glb`. Raises `RuntimeError` with its last lines where it fails."""
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "found.npz"
         chosen = ",".join(map(str, frames))
         command = [str(python), str(HERE / "blender.py"), str(file), str(rate), chosen, str(result)]
+        command += [] if again is None else [str(again)]
         outcome = subprocess.run(command, capture_output=True, text=True, timeout=1800)
         if outcome.returncode or not result.exists():
             raise RuntimeError(f"Blender failed on {file.name}: {(outcome.stdout + outcome.stderr)[-2000:]}")
