@@ -127,7 +127,6 @@ from .io.constraints import read_constraints as read_constraints
 from .io.constraints import write_constraints as write_constraints
 from .io.gltf import write_gltf as write_gltf
 from .io.gltf_reader import read_gltf as read_gltf
-from .io.gltf_reader import read_gltf_body as read_gltf_body
 from .io.limits import load_limits as load_limits
 from .io.limits import read_limits as read_limits
 from .io.limits import save_limits as save_limits
@@ -142,6 +141,7 @@ from .io.npz import save_motion as save_motion
 from .io.prior import load_prior as load_prior
 from .io.prior import save_prior as save_prior
 from .io.registry import read_markers as read_markers
+from .io.registry import read_skinned as read_skinned
 from .io.registry import write_markers as write_markers
 from .io.subject import load_subject as load_subject
 from .io.subject import save_subject as save_subject

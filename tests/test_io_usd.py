@@ -14,6 +14,7 @@ from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import Skeleton
 from jaxcap.errors import InputError
 from jaxcap.io.usd import write_usd
+from jaxcap.io.usd_reader import read_usd_body
 
 pxr = pytest.importorskip("pxr")
 
@@ -137,3 +138,93 @@ def test_what_cannot_be_written_is_said(tmp_path, rng, monkeypatch):
     with pytest.raises(InputError, match=r"pip install 'jaxcap\[usd\]'"):
         write_usd(tmp_path / "body.usda", body, motion)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_a_body_and_its_motion_come_back(tmp_path, rng, suffix):
+    body = askew()
+    motion = stack_poses(
+        [random_pose(body.skeleton, rng, 0.8, scale) for scale in (1.0, 1.2, 0.9)], rate=25.0
+    )
+    write_usd(tmp_path / f"body{suffix}", body, motion)
+    back, moved = read_usd_body(tmp_path / f"body{suffix}")
+    assert (back.skeleton.names, back.skeleton.parents) == (body.skeleton.names, body.skeleton.parents)
+    np.testing.assert_array_equal(back.faces, body.faces)
+    np.testing.assert_allclose(back.vertices, body.vertices, atol=1e-6)
+    assert (len(moved), moved.rate) == (3, 25.0)
+    there = deform_all(back, moved.poses)
+    np.testing.assert_allclose(there, deform_all(body, motion.poses), atol=1e-5)
+    write_usd(tmp_path / f"still{suffix}", body)
+    assert read_usd_body(tmp_path / f"still{suffix}")[1] is None
+
+
+def quadrangles(faces: np.ndarray) -> list[list[int]]:
+    """Triangles as polygons, of which two that follow each other as a fan are one."""
+    polygons: list[list[int]] = []
+    for a, b, c in faces.tolist():
+        if polygons and len(polygons[-1]) == 3 and (polygons[-1][0], polygons[-1][2]) == (a, b):
+            polygons[-1].append(c)
+        else:
+            polygons.append([a, b, c])
+    return polygons
+
+
+def test_a_body_of_another_program(tmp_path, rng):
+    """Centimetres and z up, polygons, half a rate of keys, joints of a mesh in an order of their own, and what OpenUSD makes of it."""
+    from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+
+    body = askew()
+    motion = stack_poses([random_pose(body.skeleton, rng, 0.5) for _ in range(3)], rate=24.0)
+    write_usd(tmp_path / "own.usda", body, motion)
+    stage = Usd.Stage.Open(str(tmp_path / "own.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    # the same thing in the world: below a node that undoes both
+    root = UsdGeom.Xformable(stage.GetDefaultPrim())
+    root.AddRotateXOp().Set(90.0)
+    root.AddScaleOp().Set(Gf.Vec3f(100.0))
+    stage.SetTimeCodesPerSecond(48.0)
+    stage.SetFramesPerSecond(48.0)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Body/Surface"))
+    polygons = quadrangles(np.asarray(body.faces))
+    assert any(len(polygon) == 4 for polygon in polygons)
+    mesh.GetFaceVertexCountsAttr().Set(Vt.IntArray([len(polygon) for polygon in polygons]))
+    mesh.GetFaceVertexIndicesAttr().Set(Vt.IntArray(np.concatenate(polygons).tolist()))
+    binding = UsdSkel.BindingAPI(mesh.GetPrim())
+    order = list(UsdSkel.Skeleton(stage.GetPrimAtPath("/Body/Skeleton")).GetJointsAttr().Get())
+    binding.CreateJointsAttr(Vt.TokenArray(order[::-1]))
+    indices = np.array(binding.GetJointIndicesAttr().Get())
+    binding.GetJointIndicesAttr().Set(Vt.IntArray((len(order) - 1 - indices).tolist()))
+    move = Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(1, 2, 3))
+    mesh.GetPointsAttr().Set(
+        Vt.Vec3fArray([Gf.Vec3f(p) - Gf.Vec3f(1, 2, 3) for p in mesh.GetPointsAttr().Get()])
+    )
+    binding.GetGeomBindTransformAttr().Set(move)
+    stage.Export(str(tmp_path / "foreign.usd"))
+    back, moved = read_usd_body(tmp_path / "foreign.usd")
+    assert moved.rate == 48.0 and len(moved) == 3
+    np.testing.assert_array_equal(back.faces, body.faces)
+    np.testing.assert_allclose(back.vertices, body.vertices, atol=1e-5)
+    np.testing.assert_allclose(moved.poses.scale, 1.0, atol=1e-5)
+    np.testing.assert_allclose(deform_all(back, moved.poses), deform_all(body, motion.poses), atol=1e-4)
+
+
+def test_what_is_not_read_is_said(tmp_path):
+    from pxr import Usd, UsdGeom
+
+    (tmp_path / "text.usda").write_text("not a stage")
+    stage = Usd.Stage.CreateNew(str(tmp_path / "ball.usda"))
+    UsdGeom.Sphere.Define(stage, "/Ball")
+    stage.Save()
+    write_usd(tmp_path / "body.usdc", chain_body("linear"))
+    whole = (tmp_path / "body.usdc").read_bytes()
+    (tmp_path / "cut.usdc").write_bytes(whole[: len(whole) // 2])
+    for name, sentence in (
+        ("text.usda", "not a whole USD file"),
+        ("cut.usdc", "not a whole USD file"),
+        ("ball.usda", "no skeleton in this file"),
+        ("none.usda", "no such file"),
+        ("body.bvh", "USD is not read from"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            read_usd_body(tmp_path / name)

@@ -41,7 +41,7 @@ class Ik:
     With --constraints and -o there is no window: the pose that meets the constraints is written."""
 
     body: BodySpec
-    """`human` (with options: `human:female,height=1.7`), a body .npz, a skinned .glb, or a mesh with .skl and .vj."""
+    """`human` (with options: `human:female,height=1.7`), a body .npz, a skinned .glb or USD, or a mesh with .skl and .vj."""
     pose: OptionalFile = None
     """Motion (.npz, .bvh) of the body whose pose to begin with; rest where not given."""
     frame: OptionalCount = None

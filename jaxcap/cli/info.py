@@ -12,8 +12,6 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..io.clouds import read_clouds
-from ..io.gltf_file import has_skin
-from ..io.gltf_reader import read_gltf_body
 from ..io.limits import KIND as LIMITS
 from ..io.limits import load_limits
 from ..io.mesh import SUFFIXES, check_mesh, read_mesh
@@ -22,7 +20,15 @@ from ..io.meshes import read_meshes
 from ..io.npz import load_arrays, load_body
 from ..io.prior import KIND as PRIOR
 from ..io.prior import load_prior
-from ..io.registry import MOTION_READERS, SKELETON_READERS, read_motion, read_skeleton
+from ..io.registry import (
+    MOTION_READERS,
+    SKELETON_READERS,
+    SKINNED_READERS,
+    is_skinned,
+    read_motion,
+    read_skeleton,
+    read_skinned,
+)
 from ..io.subject import KIND as SUBJECT
 from ..io.subject import load_subject
 from .options import OptionalUnit, arg
@@ -47,8 +53,8 @@ class Info:
             _body(load_any_body(self.file)[0])
         elif path.is_dir() or not path.is_file():
             _clouds(self.file, self.unit or "m")
-        elif has_skin(path):
-            body, motion = read_gltf_body(path)
+        elif is_skinned(path):
+            body, motion = read_skinned(path)
             if motion is not None:
                 _motion(motion)
             _body(body)
@@ -63,7 +69,7 @@ class Info:
         elif suffix in SKELETON_READERS:
             _skeleton(read_skeleton(path, self.unit))
         else:
-            known = sorted({*SUFFIXES, *MOTION_READERS, *SKELETON_READERS})
+            known = sorted({*SUFFIXES, *SKINNED_READERS, *MOTION_READERS, *SKELETON_READERS})
             raise InputError(f"{path}: '{suffix}' files are not known; give one of {', '.join(known)}.")
 
     def _arrays(self, path: Path) -> None:

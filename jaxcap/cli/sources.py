@@ -18,8 +18,7 @@ from ..fit.check import check_cloud
 from ..geometry import rotation
 from ..io.clouds import Scans
 from ..io.cst import read_cst
-from ..io.gltf_file import has_skin
-from ..io.registry import read_body
+from ..io.registry import is_skinned, read_body
 from ..observe import Cloud, make_cloud
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -43,14 +42,14 @@ def load_body(
     """A body, y up, and its joint limits where `cst` is given.
 
     `spec` is `human` with options behind a colon (`human:female,height=1.7,medium`), a body
-    `.npz`, a skinned `.glb`, or a mesh, whose `.skl` and `.vj` lie beside it where they are not given. `unit` and
+    `.npz`, a skinned `.glb` or USD, or a mesh, whose `.skl` and `.vj` lie beside it where they are not given. `unit` and
     `up` are those of mesh and skeleton files; an `.npz` is in metres, y up.
 
     **Raises:** `InputError`.
     """
     path, made = Path(spec), names_human(spec)
     # these say their unit and what is up
-    whole = made or path.suffix.lower() == ".npz" or (skl is None and has_skin(path))
+    whole = made or path.suffix.lower() == ".npz" or (skl is None and is_skinned(path))
     if made:
         body = _human(spec, vertices)
     elif whole:

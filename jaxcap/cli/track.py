@@ -34,7 +34,7 @@ class Track:
     A run that was killed goes on with --resume, and ends with the same result."""
 
     body: BodySpec
-    """`human` (with options: `human:female,height=1.7`), a body .npz, a skinned .glb, or a mesh with .skl and .vj."""
+    """`human` (with options: `human:female,height=1.7`), a body .npz, a skinned .glb or USD, or a mesh with .skl and .vj."""
     clouds: CloudsSpec
     """A printf pattern (`scan_%03d.off`), a quoted glob, a folder, or an .npz."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]

@@ -28,7 +28,7 @@ class View:
     files: tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES")]]
     """Files, folders of runs or scans, patterns of clouds, `human`; motions stand beside each other."""
     body: Names = ()
-    """Bodies to put on the motions: `human` (with options), a body .npz, a skinned .glb, or a mesh with .skl and .vj."""
+    """Bodies to put on the motions: `human` (with options), a body .npz, a skinned .glb or USD, or a mesh with .skl and .vj."""
     clouds: Names = ()
     """Clouds to compare with: a printf pattern, a quoted glob, a folder or an .npz."""
     follow: Flag = False

@@ -1,24 +1,17 @@
 """The surface that a skin of a glTF file moves, and which joints each vertex follows."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..errors import InputError
 from .gltf_file import GltfFile
+from .surface import Surface, joined, sewn
 
 #: triangles, and points where there are no faces
 _TRIANGLES, _POINTS = 4, 0
-
-
-class Surface(NamedTuple):
-    """All that the joints move, as it was bound, in the space of the first skin."""
-
-    vertices: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
-    weights: Float[np.ndarray, "V J"]
 
 
 def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
@@ -36,14 +29,7 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
             parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
     if not parts:
         raise InputError(f"{file.path}: no mesh of this file follows its joints; read it as a skeleton.")
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    return _sewn(
-        Surface(
-            np.concatenate([part.vertices for part in parts]),
-            np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
-            np.concatenate([part.weights for part in parts]),
-        )
-    )
+    return sewn(joined(parts))
 
 
 def _shared(file: GltfFile, skin: int, joints: Sequence[int]) -> bool:
@@ -94,22 +80,3 @@ def _part(file: GltfFile, primitive: Any, own: Sequence[int], joints: Sequence[i
             f"{file.path}: vertex {int(np.argmin(total > 0))} follows no joint; bind the whole mesh to the skeleton."
         )
     return Surface(vertices, faces, weights / total[:, None])
-
-
-def _sewn(surface: Surface) -> Surface:
-    """Vertices on open edges that were split, as either side of a seam has a texture or a normal of its own, are one
-    again: the same place and the same weights."""
-    faces, count = surface.faces, len(surface.vertices)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    named, times = np.unique(edges, axis=0, return_counts=True)
-    itself = np.arange(1, count + 1)
-    itself[named[times == 1]] = 0
-    rows = np.concatenate([surface.vertices, surface.weights, itself[:, None]], axis=1).astype("<f4")
-    _, first, where = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    # in the order in which they came
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    kept, faces = first[order], rank[where.reshape(-1)][faces]
-    flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    return Surface(surface.vertices[kept], faces[~flat], surface.weights[kept])

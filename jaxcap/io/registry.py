@@ -31,6 +31,8 @@ from .skl import read_skl, write_skl
 from .trc import read_trc, write_trc
 from .usd import SUFFIXES as USD_SUFFIXES
 from .usd import write_usd
+from .usd_reader import SUFFIXES as USD_READ
+from .usd_reader import read_usd_body
 from .vj import read_vj
 
 #: suffix -> function of (path, unit)
@@ -57,6 +59,10 @@ MANNERS: dict[str, Callable[[Path, Skeleton, Motion], None]] = {"amass": write_a
 BODY_WRITERS: dict[str, Callable[[Path, Body, Motion | None], None]] = {
     ".glb": write_gltf,
     **dict.fromkeys(USD_SUFFIXES, write_usd),
+}
+SKINNED_READERS: dict[str, Callable[[str | Path], tuple[Body, Motion | None]]] = {
+    ".glb": read_gltf_body,
+    **dict.fromkeys(USD_READ, read_usd_body),
 }
 #: these say their unit themselves where `unit` is None
 MARKER_READERS: dict[str, Callable[[Path, Any], MarkerFile]] = {
@@ -110,13 +116,27 @@ def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> No
     _of(BODY_WRITERS, path, "skinned bodies", "written")(Path(path), body, motion)
 
 
+def read_skinned(path: str | Path) -> tuple[Body, Motion | None]:
+    """A body that blends linearly, with its motion where there is one, from a skinned `.glb` or USD.
+
+    **Raises:** `InputError` as `read_gltf_body` and `read_usd_body` do.
+    """
+    return _of(SKINNED_READERS, path, "skinned bodies", "read")(path)
+
+
+def is_skinned(path: str | Path) -> bool:
+    """Whether `read_skinned` has something to read: a `.glb` may be a mesh alone."""
+    suffix = Path(path).suffix.lower()
+    return suffix in SKINNED_READERS and (suffix != ".glb" or has_skin(path))
+
+
 def read_body(
     path: str | Path,
     skeleton: str | Path | None = None,
     parts: str | Path | None = None,
     unit: str | float = "m",
 ) -> Body:
-    """A body from one `.npz` or skinned `.glb`, or from a mesh with a skeleton (`.skl`) and parts (`.vj`), whose
+    """A body from one `.npz`, skinned `.glb` or USD, or from a mesh with a skeleton (`.skl`) and parts (`.vj`), whose
     vertices then move rigidly with their bones (Kineben, section 4.2).
 
     `unit` is that of mesh and skeleton. A mesh that cannot be a body's surface, or has no
@@ -125,11 +145,11 @@ def read_body(
     path = Path(path)
     if path.suffix.lower() == ".npz":
         return load_body(path)
-    if skeleton is None and has_skin(path):
-        return read_gltf_body(path)[0]
+    if skeleton is None and is_skinned(path):
+        return read_skinned(path)[0]
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
-            f"{path}: bodies are not read from '{path.suffix}' files; use .npz or {', '.join(SUFFIXES)}."
+            f"{path}: bodies are not read from '{path.suffix}' files; use .npz, {', '.join(USD_READ)} or {', '.join(SUFFIXES)}."
         )
     if skeleton is None or parts is None:
         raise InputError(

@@ -17,8 +17,6 @@ from ..io.cameras import read_cameras
 from ..io.checkpoint import KIND as CHECKPOINT
 from ..io.clouds import read_clouds
 from ..io.constraints import KIND as CONSTRAINTS
-from ..io.gltf_file import has_skin
-from ..io.gltf_reader import read_gltf_body
 from ..io.limits import KIND as LIMITS
 from ..io.mesh import SUFFIXES, read_mesh
 from ..io.meshes import read_meshes
@@ -28,14 +26,16 @@ from ..io.registry import (
     MARKER_READERS,
     MOTION_READERS,
     SKELETON_READERS,
+    SKINNED_READERS,
+    is_skinned,
     read_marker_file,
     read_motion,
     read_skeleton,
+    read_skinned,
 )
 from ..io.subject import KIND as SUBJECT
 from ..io.subject import load_subject
 from ..io.text import read_text
-from ..io.usd import SUFFIXES as USD_SUFFIXES
 from ..markers.subject import Subject
 from .clouds import SeenClouds
 from .contents import Contents, Markers, Meshes, Take, make_take
@@ -49,9 +49,6 @@ SHAPELESS = {
 #: the same by suffix
 OTHERS = {
     **dict.fromkeys((".html", ".png", ".svg"), "this is a report; open it in a browser"),
-    **dict.fromkeys(
-        USD_SUFFIXES, "this is for other programs; give the body and the motion that it was made of"
-    ),
     ".cst": "these are limits of joints; give them to a verb by --cst",
     ".vj": "this is which joint moves each vertex; give the mesh beside it by --body",
     ".csv": "these are the statistics of a run; give its folder",
@@ -128,7 +125,7 @@ class _Loader:
             self.found.markers.append(Markers(path.name, read_marker_file(path, self.unit).frames))
         elif suffix in MOTION_READERS and suffix not in SUFFIXES:
             self.motions.append(path)
-        elif has_skin(path):
+        elif is_skinned(path):
             self.skinned(path)
         elif suffix in SKELETON_READERS:
             self.skeletons.append((path.name, read_skeleton(path, self.unit)))
@@ -136,7 +133,9 @@ class _Loader:
             mesh = read_mesh(path, self.unit or "m")
             self.found.meshes.append(Meshes(path.name, self.upright(mesh.vertices)[None], mesh.faces))
         else:
-            known = sorted({*SUFFIXES, *MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, ".json"})
+            known = sorted(
+                {*SUFFIXES, *SKINNED_READERS, *MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, ".json"}
+            )
             raise InputError(f"{path}: '{suffix}' files are not known; give one of {', '.join(known)}.")
 
     def folder(self, folder: Path) -> None:
@@ -197,7 +196,7 @@ class _Loader:
 
     def skinned(self, path: Path) -> None:
         """A file that has a body with or without a motion."""
-        body, motion = read_gltf_body(path)
+        body, motion = read_skinned(path)
         if motion is None:
             self.bodies.append((path.name, body))
         else:
