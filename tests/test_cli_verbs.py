@@ -48,12 +48,35 @@ def test_version(capsys, checkout):
     assert len(told.split()) >= 2
 
 
-def test_unknown_verb_and_missing_option_end_in_2(capsys):
-    for words in (["dance"], ["track", "human"], []):
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["trak", "human"], "there is no 'jaxcap trak' (did you mean 'track'?); verbs are demo, rig,"),
+        (["limits", "dance"], "there is no 'jaxcap limits dance'; verbs are learn, check,"),
+        (["track", "human"], "missing from jaxcap track: CLOUDS, -o OUT, --out OUT; "),
+        (["track", "human", "x", "-o", "y", "--sigm", "3"], "--sigm"),
+        (
+            ["track", "human", "x", "-o", "y", "--rate", "abc"],
+            "--rate: could not convert string to float: 'abc'",
+        ),
+        (["ik", "human", "--port", "x"], "--port: no type matching INT could be instantiated from ['x']; "),
+        (["convert", "a.npz", "b.npz", "--as", "foo"], "invalid choice 'foo' for argument '--as'"),
+        (["--foo"], "scan, markers, limits,"),
+    ],
+)
+def test_wrong_words_are_one_sentence(capsys, words, sentence):
+    said = fails(capsys, *words)
+    assert sentence in said
+    assert not set(said) & set("│╭─")
+    assert "None" not in said
+
+
+def test_no_words_tell_the_help(capsys):
+    for words in ([], ["edit"]):
         with pytest.raises(SystemExit) as stop:
             main(words)
-        assert stop.value.code == 2
-        assert "Traceback" not in capsys.readouterr().err
+        assert not stop.value.code
+        assert "usage: jaxcap" in capsys.readouterr().out
 
 
 def test_faults_of_ours_show_where(monkeypatch, capsys):
