@@ -17,9 +17,9 @@ from benchmarks._browser import find_chromium, launched, open_page, pixel, wait_
 from benchmarks.report import finish, progress
 from jaxcap.body.body import Body
 from jaxcap.body.human import human
-from jaxcap.edit import ik_session as ik
-from jaxcap.edit.ik_session import IkSession, IkSettings
-from jaxcap.view.ik import posed_arrays, serve_ik
+from jaxcap.edit.ik import session as ik
+from jaxcap.edit.ik.session import IkSession, IkSettings
+from jaxcap.view.ik.window import posed_arrays, serve_ik
 from jaxcap.view.serve import address, close_server, open_server
 
 JOINTS = ("LeftHand", "RightHand", "LeftFoot", "RightFoot", "Head", "Spine1", "LeftForeArm", "RightForeArm",

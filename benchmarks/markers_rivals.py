@@ -23,7 +23,7 @@ from benchmarks._rivals.environments import RIVALS, environment, run_rival
 from benchmarks._scenes import cmu_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
-from jaxcap.edit.retarget import retarget
+from jaxcap.edit.retargeting.retarget import retarget
 from jaxcap.markers.calibrate import Calibration, calibrate
 from jaxcap.markers.solve import solve_markers
 from jaxcap.markers.subject import Subject

@@ -12,8 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 import jaxcap as jc
 from benchmarks._browser import launched, open_page, pixel, wait_for_node
-from jaxcap.edit import ik_session as ik
-from jaxcap.view.ik import IkWindow, serve_ik
+from jaxcap.edit.ik import session as ik
+from jaxcap.view.ik.window import IkWindow, serve_ik
 from jaxcap.view.serve import address, close_server, open_server
 
 OUT = Path(__file__).resolve().parents[1] / "assets" / "ik.png"

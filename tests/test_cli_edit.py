@@ -11,7 +11,7 @@ from cli import fails, runs
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.cli import main
-from jaxcap.edit.soles import lowest
+from jaxcap.edit.retargeting.soles import lowest
 from jaxcap.geometry import rotation
 from jaxcap.io.colours import read_colours
 from jaxcap.io.registry import read_motion

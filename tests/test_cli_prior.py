@@ -11,9 +11,9 @@ from test_cli_limits import SKELETON, write_motion
 import jaxcap as jc
 from jaxcap.adapt.shape_prior import shape_energy
 from jaxcap.body.body import deform_all
+from jaxcap.body.sample import sample_poses
 from jaxcap.cli import main
 from jaxcap.cli.prior.learn import same_bones
-from jaxcap.edit.sample import sample_poses
 from jaxcap.io.mesh import Mesh, write_mesh
 from jaxcap.io.npz import load_limits
 from jaxcap.io.prior import load_shape_prior

@@ -10,10 +10,10 @@ from jaxcap.body.body import deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
 from jaxcap.body.skin import LinearSkin
-from jaxcap.edit.point_pairs import PointPair, meet_points
-from jaxcap.edit.point_pairs import _solve_frames as solve_frames
-from jaxcap.edit.retarget_shape import retarget_shape
-from jaxcap.edit.transfer import make_transfer, transfer_pose
+from jaxcap.edit.retargeting.point_pairs import PointPair, meet_points
+from jaxcap.edit.retargeting.point_pairs import _solve_frames as solve_frames
+from jaxcap.edit.retargeting.retarget_shape import retarget_shape
+from jaxcap.edit.retargeting.transfer import make_transfer, transfer_pose
 from jaxcap.geometry import rotation
 
 FRAMES = 4

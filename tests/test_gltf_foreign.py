@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from test_gltf import Viewer, _pose_body
 
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.edit.influences import limit_influences
+from jaxcap.edit.linear.influences import limit_influences
 from jaxcap.errors import InputError
 from jaxcap.io.gltf import write_gltf
 from jaxcap.io.gltf_reader import read_gltf_body

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 import jaxcap as jc
 from jaxcap.body.body import pose_body
 from jaxcap.body.pair_prior import successive_pairs
-from jaxcap.edit import ik_session as ik
-from jaxcap.edit import inverse_kinematics
-from jaxcap.edit.constraints import Constraint, make_constraints
-from jaxcap.edit.inverse_kinematics import METRES, SOLVERS, IkOptions, solve_ik
+from jaxcap.edit.ik import session as ik
+from jaxcap.edit.ik import solve as inverse_kinematics
+from jaxcap.edit.ik.constraints import Constraint, make_constraints
+from jaxcap.edit.ik.solve import METRES, SOLVERS, IkOptions, solve_ik
 from jaxcap.fit.scaled_cholesky import ScaledCholesky
 from jaxcap.geometry import rotation
 

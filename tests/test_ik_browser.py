@@ -12,11 +12,11 @@ from PIL import Image
 
 import jaxcap as jc
 from benchmarks._browser import pixel as on_page
-from jaxcap.edit import ik_session as ik
-from jaxcap.edit.inverse_kinematics import SOLVERS
-from jaxcap.view.handles import MET
-from jaxcap.view.ik import serve_ik
-from jaxcap.view.ik_controls import SOLVERS as LABELS
+from jaxcap.edit.ik import session as ik
+from jaxcap.edit.ik.solve import SOLVERS
+from jaxcap.view.ik.controls import SOLVERS as LABELS
+from jaxcap.view.ik.handles import MET
+from jaxcap.view.ik.window import serve_ik
 from jaxcap.view.serve import address, close_server, open_server
 
 __all__ = ["chromium"]

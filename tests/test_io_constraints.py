@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxcap as jc
-from jaxcap.edit.constraints import Constraint
+from jaxcap.edit.ik.constraints import Constraint
 from jaxcap.io.constraints import read_constraints, write_constraints
 
 NAMES = ("hip", "knee", 'Fuß "links"')

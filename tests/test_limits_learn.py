@@ -15,8 +15,8 @@ from jaxcap.body.pose import Motion, Pose, rest_pose
 from jaxcap.body.primitives import signed_distance
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
-from jaxcap.edit.constraints import Constraint, make_constraints
-from jaxcap.edit.inverse_kinematics import IkOptions, solve_ik
+from jaxcap.edit.ik.constraints import Constraint, make_constraints
+from jaxcap.edit.ik.solve import IkOptions, solve_ik
 from jaxcap.errors import InputError
 from jaxcap.limits.boxes import learn_boxes
 from jaxcap.limits.charts import chart_places, find_chart, middle_rotation

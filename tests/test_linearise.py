@@ -16,12 +16,12 @@ from jaxcap.body.body import Body, pose_body
 from jaxcap.body.human import human
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.pose import Pose, rest_pose, stack_poses
+from jaxcap.body.sample import sample_poses
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.edit.influences import limit_influences
-from jaxcap.edit.linear_weights import fit_linear_weights
-from jaxcap.edit.linearise import linear_motion, linear_pose, linearise
-from jaxcap.edit.sample import sample_poses
+from jaxcap.edit.linear.influences import limit_influences
+from jaxcap.edit.linear.linearise import linear_motion, linear_pose, linearise
+from jaxcap.edit.linear.weights import fit_linear_weights
 from jaxcap.io.bvh import read_bvh, write_bvh
 from jaxcap.io.npz import load_body, save_body, save_motion
 

@@ -12,8 +12,8 @@ from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.edit.retarget import floor_of, retarget, size_ratio
-from jaxcap.edit.soles import ground, lowest, sole_heights
+from jaxcap.edit.retargeting.retarget import floor_of, retarget, size_ratio
+from jaxcap.edit.retargeting.soles import ground, lowest, sole_heights
 from jaxcap.geometry import rotation
 from jaxcap.io.amc import read_amc
 from jaxcap.io.asf import read_asf

@@ -16,7 +16,7 @@ from jaxcap.adapt.shape_prior import (
 )
 from jaxcap.adapt.size import resized
 from jaxcap.body.body import deform_all
-from jaxcap.edit.sample import unlike_poses
+from jaxcap.body.sample import unlike_poses
 from jaxcap.geometry.mesh import mesh_edges
 from jaxcap.io.npz import load_limits
 from jaxcap.io.prior import load_shape_prior, shape_counts

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body
 from ..body.pose import Motion, Pose, stack_poses
-from ..edit.sample import unlike_poses
+from ..body.sample import unlike_poses
 from ..fit.correspond import Scan, make_scan
 from .beside import centres_beside, make_beside
 from .equations import TANGENTIAL, stack, unstack

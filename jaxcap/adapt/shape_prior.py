@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from ..body.body import Body, deform_all
 from ..body.pose import Pose
-from ..edit.sample import sample_poses
+from ..body.sample import sample_poses
 from ..geometry.laplacian import laplacian_matrix, vertex_adjacency
 
 _deform_all = eqx.filter_jit(deform_all)

@@ -14,7 +14,7 @@ from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from ..body.variety import human_resolution, people_of_many_shapes
 from ..edit.joint_names import twin_joints
-from ..edit.retarget import retarget
+from ..edit.retargeting.retarget import retarget
 from ..errors import InputError
 from ..fit.check import check_cloud
 from ..geometry.camera import Camera

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from ..body.body import Body
 from ..body.pose import Motion
-from ..edit.linearise import linear_motion, linearise
-from ..edit.sample import sample_poses
+from ..body.sample import sample_poses
+from ..edit.linear.linearise import linear_motion, linearise
 from ..io.registry import write_body
 from .say import say, warn
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from ..body.limits import AbstractLimits, AllLimits
 from ..body.pose import Pose, stack_poses
-from ..edit import ik_session as ik
-from ..edit.constraints import describe
-from ..edit.ik_session import IkSession, IkSettings
-from ..edit.inverse_kinematics import Solver
+from ..edit.ik import session as ik
+from ..edit.ik.constraints import describe
+from ..edit.ik.session import IkSession, IkSettings
+from ..edit.ik.solve import Solver
 from ..energy.pair_prior import MahalanobisPrior
 from ..errors import InputError
 from ..io.body_motion import read_motion_of
@@ -160,7 +160,7 @@ class Ik:
 
     def serve(self, session: IkSession) -> None:
         """A window until Ctrl-C."""
-        from ..view.ik import serve_ik
+        from ..view.ik.window import serve_ik
 
         if session.state.constraints:
             session = ik.solved(session)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..body.body import Body
-from ..edit.constraints import Constraint, check_constraints, describe
+from ..edit.ik.constraints import Constraint, check_constraints, describe
 from ..errors import InputError
 from .atomic import write_text
 from .text import read_text

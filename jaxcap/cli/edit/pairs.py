@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ...edit.point_pairs import PointPair
+from ...edit.retargeting.point_pairs import PointPair
 from ...errors import InputError
 from ...io.text import read_text
 

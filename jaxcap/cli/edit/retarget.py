@@ -12,10 +12,10 @@ from ...body.body import Body
 from ...body.kinematics import joint_paths
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...edit.point_pairs import meet_points
-from ...edit.retarget import UP, retarget, size_ratio, vertical
-from ...edit.retarget_shape import retarget_shape
-from ...edit.soles import floor_under, ground, lowest, sole_heights
+from ...edit.retargeting.point_pairs import meet_points
+from ...edit.retargeting.retarget import UP, retarget, size_ratio, vertical
+from ...edit.retargeting.retarget_shape import retarget_shape
+from ...edit.retargeting.soles import floor_under, ground, lowest, sole_heights
 from ...errors import InputError
 from ..options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion

@@ -13,7 +13,7 @@ from ...adapt.zeroing import num_zeroed
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton, same_joints
-from ...edit.retarget import retarget
+from ...edit.retargeting.retarget import retarget
 from ...errors import InputError
 from ...io.npz import load_limits
 from ...io.prior import save_prior

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...adapt.shape_prior import ShapePrior, make_shape_prior, shape_energy
 from ...body.body import Body
-from ...edit.sample import unlike_poses
+from ...body.sample import unlike_poses
 from ...errors import InputError
 from ...fit.registered import fit_meshes
 from ...io.meshes import read_named_meshes

@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Hashable
 
-from ..edit.ik_session import Verb
+from ...edit.ik.session import Verb
 
 
 class Inbox:

@@ -9,20 +9,20 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from ..body.anatomy import rest_deviations
-from ..body.body import Body, pose_body
-from ..body.limits import AbstractLimits
-from ..body.pose import Pose, project
-from ..body.skeleton import Skeleton
-from ..energy.landmarks import VertexLandmarks
-from ..energy.limits import JointLimits
-from ..energy.prior import ReferencePrior
-from ..energy.term import AbstractEnergy
-from ..fit.gauss_newton import GaussNewton
-from ..fit.levenberg_marquardt import LevenbergMarquardt
-from ..fit.priority import solve_in_order
-from ..fit.scaled_cholesky import ScaledCholesky
-from ..fit.solve import solve
+from ...body.anatomy import rest_deviations
+from ...body.body import Body, pose_body
+from ...body.limits import AbstractLimits
+from ...body.pose import Pose, project
+from ...body.skeleton import Skeleton
+from ...energy.landmarks import VertexLandmarks
+from ...energy.limits import JointLimits
+from ...energy.prior import ReferencePrior
+from ...energy.term import AbstractEnergy
+from ...fit.gauss_newton import GaussNewton
+from ...fit.levenberg_marquardt import LevenbergMarquardt
+from ...fit.priority import solve_in_order
+from ...fit.scaled_cholesky import ScaledCholesky
+from ...fit.solve import solve
 from .constraints import ARM, Constraints, constrained_body
 
 Solver = Literal["levenberg-marquardt", "gauss-newton", "priorities"]

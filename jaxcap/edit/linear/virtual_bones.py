@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..body.kinematics import forward_kinematics
-from ..body.pose import Pose
-from ..body.skeleton import Skeleton, make_skeleton
-from ..body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
-from ..geometry import rotation
+from ...body.kinematics import forward_kinematics
+from ...body.pose import Pose
+from ...body.skeleton import Skeleton, make_skeleton
+from ...body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
+from ...geometry import rotation
 
 #: kinds of joints that have no shift of their own
 _TURNING = ("ball", "revolute", "universal", "fixed")

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ..edit import ik_session as ik
-from ..edit.constraints import Constraint, describe
-from ..edit.ik_session import IkSession, IkSettings
-from ..edit.inverse_kinematics import Solver
+from ...edit.ik import session as ik
+from ...edit.ik.constraints import Constraint, describe
+from ...edit.ik.session import IkSession, IkSettings
+from ...edit.ik.solve import Solver
 
 if TYPE_CHECKING:
     from viser import ClientHandle

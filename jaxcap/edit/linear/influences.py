@@ -4,9 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..body.body import Body
-from ..body.influences import strongest_weights
-from ..body.skin import LinearSkin
+from ...body.body import Body
+from ...body.influences import strongest_weights
+from ...body.skin import LinearSkin
 
 
 def limit_influences(body: Body, count: int = 4) -> Body:

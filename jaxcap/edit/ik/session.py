@@ -10,15 +10,15 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ..body.anatomy import rest_deviations
-from ..body.body import Body
-from ..body.limits import AbstractLimits
-from ..body.pose import Pose, project, rest_pose
-from ..energy.prior import RestPrior
-from ..energy.term import AbstractEnergy
+from ...body.anatomy import rest_deviations
+from ...body.body import Body
+from ...body.limits import AbstractLimits
+from ...body.pose import Pose, project, rest_pose
+from ...energy.prior import RestPrior
+from ...energy.term import AbstractEnergy
 from .constraints import Constraint, Place, Turn, check_constraints, describe, make_constraints
-from .ik_places import places_of
-from .inverse_kinematics import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
+from .places import places_of
+from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
 
 #: how many steps back a session remembers
 HISTORY = 200

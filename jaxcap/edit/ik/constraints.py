@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from ..body.body import Body, take_vertices
-from ..body.skeleton import Skeleton
-from ..body.skin import RigidSkin
-from ..observe import padded_size
+from ...body.body import Body, take_vertices
+from ...body.skeleton import Skeleton
+from ...body.skin import RigidSkin
+from ...observe import padded_size
 from .held_points import HeldSkin
 
 #: metres from a joint's centre to the points that hold its orientation; a turn by a twentieth of a radian counts as

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..edit.constraints import Constraint, Place, Turn
-from .figure import Colour
+from ...edit.ik.constraints import Constraint, Place, Turn
+from ..figure import Colour
 
 if TYPE_CHECKING:
     from viser import SceneApi, SceneNodeDragEvent, TransformControlsEvent

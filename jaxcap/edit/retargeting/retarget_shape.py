@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..body.body import Body, deform_all
-from ..body.pose import Motion, concatenate_poses, shift_roots, take_poses
-from ..fit.registered import fit_meshes
-from ..geometry.procrustes import nearest_rotation
-from ..observe import MeshSequence
+from ...body.body import Body, deform_all
+from ...body.pose import Motion, concatenate_poses, shift_roots, take_poses
+from ...fit.registered import fit_meshes
+from ...geometry.procrustes import nearest_rotation
+from ...observe import MeshSequence
 from .soles import floor_under
 from .transfer import make_transfer, transfer_pose
 

@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body, deform_all
-from ..body.kinematics import joint_paths
-from ..body.pose import Motion, Pose, shift_roots, take_poses
-from ..body.skeleton import Skeleton
+from ...body.body import Body, deform_all
+from ...body.kinematics import joint_paths
+from ...body.pose import Motion, Pose, shift_roots, take_poses
+from ...body.skeleton import Skeleton
 from .retarget import LOWEST, UP, floor_of
 
 #: joints that come so near to the floor some time bear the body, metres

@@ -14,13 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..body.body import Body
-from ..body.influences import strongest_bones
-from ..body.pose import Motion, Pose, take_poses
-from ..body.skeleton import Skeleton
-from ..body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from ...body.body import Body
+from ...body.influences import strongest_bones
+from ...body.pose import Motion, Pose, take_poses
+from ...body.skeleton import Skeleton
+from ...body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from .examples import own_frames, pose_blocks, virtual_frames
-from .linear_weights import blend_errors, fit_linear_weights
 from .virtual_bones import VirtualBones, extended_pose, extended_skeleton, make_virtual_bones
 from .weight_rows import (
     Needs,
@@ -33,6 +32,7 @@ from .weight_rows import (
     take_rows,
     vertex_needs,
 )
+from .weights import blend_errors, fit_linear_weights
 
 #: poses that weights are fitted to at first, and how many come in where they do not do for the rest
 _POSES, _MORE = 32, 8

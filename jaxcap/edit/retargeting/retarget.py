@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.kinematics import forward_kinematics, joint_paths, joint_positions
-from ..body.pose import Motion, Pose, rest_pose, universal_angles
-from ..body.skeleton import Skeleton
-from ..geometry import rotation
-from ..geometry.axes import nearest_axis, nearest_turn
-from ..geometry.procrustes import nearest_rotation
-from .joint_names import GIRDLES, LEGS, match_names, plain_name, sided
+from ...body.kinematics import forward_kinematics, joint_paths, joint_positions
+from ...body.pose import Motion, Pose, rest_pose, universal_angles
+from ...body.skeleton import Skeleton
+from ...geometry import rotation
+from ...geometry.axes import nearest_axis, nearest_turn
+from ...geometry.procrustes import nearest_rotation
+from ..joint_names import GIRDLES, LEGS, match_names, plain_name, sided
 
 #: the vertical where nothing else is said, and the share of frames in which a motion is below its floor
 UP, LOWEST = np.array([0.0, 1.0, 0.0]), 0.02

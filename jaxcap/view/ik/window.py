@@ -14,20 +14,20 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from ..body.body import Body, pose_body
-from ..body.pose import Pose
-from ..edit import ik_session as ik
-from ..edit.constraints import Place, Turn
-from ..edit.ik_places import bone_turns, places_of
-from ..edit.ik_session import IkSession
-from .figure import BodyFigure
+from ...body.body import Body, pose_body
+from ...body.pose import Pose
+from ...edit.ik import session as ik
+from ...edit.ik.constraints import Place, Turn
+from ...edit.ik.places import bone_turns, places_of
+from ...edit.ik.session import IkSession
+from ..figure import BodyFigure
+from ..serve import each_client
+from ..skeleton_figure import SkeletonFigure
+from .controls import IkControls
+from .files import constraints_file, pose_file, with_file
 from .handles import Handles, Phase
-from .ik_controls import IkControls
-from .ik_files import constraints_file, pose_file, with_file
-from .ik_inbox import Inbox
-from .ik_pick import nearest_handle, pick_point
-from .serve import each_client
-from .skeleton_figure import SkeletonFigure
+from .inbox import Inbox
+from .pick import nearest_handle, pick_point
 
 if TYPE_CHECKING:
     from viser import ClientHandle, SceneClickEvent, ViserServer

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body, pose_body
-from ..body.kinematics import forward_kinematics
-from ..body.pose import Pose, take_poses
-from ..body.skeleton import Skeleton
-from ..body.skin import AbstractSkin
+from ...body.body import Body, pose_body
+from ...body.kinematics import forward_kinematics
+from ...body.pose import Pose, take_poses
+from ...body.skeleton import Skeleton
+from ...body.skin import AbstractSkin
 from .virtual_bones import bone_frames
 from .weight_rows import Rows, skin_of, take_rows
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..body.skin import AbstractSkin, RigidSkin
+from ...body.skin import AbstractSkin, RigidSkin
 
 
 class HeldSkin(AbstractSkin):

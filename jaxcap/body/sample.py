@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from ..body.anatomy import rest_deviations
-from ..body.kinematics import joint_paths
-from ..body.pose import Pose, project, rest_pose
-from ..body.skeleton import Skeleton
 from ..geometry import rotation
+from .anatomy import rest_deviations
+from .kinematics import joint_paths
+from .pose import Pose, project, rest_pose
+from .skeleton import Skeleton
 
 #: radians about every axis of a joint that no anatomy knows, and the deviations that none exceeds
 _UNKNOWN, _MOST = 0.5, 2.0

@@ -3,13 +3,13 @@
 import tempfile
 from pathlib import Path
 
-from ..body.pose import stack_poses
-from ..edit import ik_session as ik
-from ..edit.ik_session import IkSession
-from ..errors import InputError
-from ..io.body_motion import read_motion_of
-from ..io.constraints import read_constraints, write_constraints
-from ..io.registry import write_motion
+from ...body.pose import stack_poses
+from ...edit.ik import session as ik
+from ...edit.ik.session import IkSession
+from ...errors import InputError
+from ...io.body_motion import read_motion_of
+from ...io.constraints import read_constraints, write_constraints
+from ...io.registry import write_motion
 
 
 def pose_file(session: IkSession, suffix: str) -> bytes:

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body, pose_body
-from ..body.pose import Pose
-from ..geometry import rotation
+from ...body.body import Body, pose_body
+from ...body.pose import Pose
+from ...geometry import rotation
 from .constraints import Constraint, Constraints, Place, Turn, constrained_body, make_constraints
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.distance import cdist
 
-from ..body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
+from ...body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
 
 #: a weight from here on is one, in single precision too
 _WHOLE = 1 - 1e-6

@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from ..geometry.mesh import mesh_edges
-from ..geometry.procrustes import nearest_rotation
+from ...geometry.mesh import mesh_edges
+from ...geometry.procrustes import nearest_rotation
 
 #: what a side that joins two pieces of a surface weighs, beside sides within them
 BRIDGE = 1.0

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body, pose_body
-from ..body.pose import Motion, Pose
-from ..body.skeleton import Skeleton
-from ..body.skin import RigidSkin
-from ..energy.landmarks import VertexLandmarks
-from ..energy.prior import PosePrior, tangent_deviations
-from ..fit.solve import solve
-from .constraints import Constraint, Constraints, constrained_body, make_constraints
+from ...body.body import Body, pose_body
+from ...body.pose import Motion, Pose
+from ...body.skeleton import Skeleton
+from ...body.skin import RigidSkin
+from ...energy.landmarks import VertexLandmarks
+from ...energy.prior import PosePrior, tangent_deviations
+from ...fit.solve import solve
+from ..ik.constraints import Constraint, Constraints, constrained_body, make_constraints
 from .retarget import UP
 
 #: standard deviations of a pair of weight one, metres, and of the pose from what it was, metres and radians

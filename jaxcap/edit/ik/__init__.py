@@ -1,0 +1,1 @@
+"""Inverse kinematics: the pose in which points of a body reach given places."""

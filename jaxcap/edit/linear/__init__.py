@@ -1,0 +1,1 @@
+"""Bodies for programs and files that blend linearly and know no other skin."""

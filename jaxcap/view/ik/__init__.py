@@ -1,0 +1,1 @@
+"""A window in which a body is posed by hand."""
