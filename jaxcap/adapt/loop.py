@@ -13,6 +13,7 @@ from ..body.skeleton import Skeleton
 from ..fit.correspond import Pairs, Scan, make_scan
 from ..fit.sequence import track_frames
 from ..fit.track import make_tracker
+from ..fit.turn_over import turn_over
 from .meet import pairs_at, pose_at, some_of, told
 from .rounds import adapt_round
 from .rounds import shape_weight as shape_weight
@@ -78,9 +79,9 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
     """From the template at some size."""
     settings, search = task.settings, task.start is None
     weight = FIRST_WEIGHT if settings.pose is None else settings.pose
-    clouds = (task.cloud(n) for n in frames)
-    tracked = track_frames(make_tracker(body), clouds, task.start, search=search)
-    poses = [frame.pose for frame in tracked]
+    clouds, tracker = [task.cloud(n) for n in frames], make_tracker(body)
+    tracked = track_frames(tracker, clouds, task.start, search=search)
+    poses = turn_over(tracker, clouds, [frame.pose for frame in tracked])
     body, poses, step = fit_size(
         body, scans, poses, task.prior, settings.matching, weight, cameras=task.cameras, boxes=task.boxes
     )
