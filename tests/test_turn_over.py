@@ -23,7 +23,7 @@ def test_ends_are_hands_feet_and_the_head():
 
 
 def test_a_hand_is_turned_back():
-    body = jc.human(joints="tracking", resolution="low")
+    body = jc.human(joints="tracking", resolution="medium")
     skeleton = body.skeleton
     motion = walk_and_wave(skeleton, 1.0).slice(slice(20, 22))
     clouds, wrong = [], []
@@ -32,7 +32,7 @@ def test_a_hand_is_turned_back():
     over = rotation.exp(jnp.pi * tip / jnp.linalg.norm(tip))
     for frame in range(2):
         vertices = np.asarray(jc.pose_body(body, motion[frame]).vertices, float)
-        cameras = ring_of_cameras(6, 360.0, 2.5, 0.3, tuple(vertices.mean(0).tolist()), (160, 120))
+        cameras = ring_of_cameras(6, 360.0, 2.5, 0.3, tuple(vertices.mean(0).tolist()), (240, 320))
         seen = scan_frame(
             Scanner(noise=0.003), cameras, vertices, np.asarray(body.faces), seed=1, frame=frame
         )

@@ -1,7 +1,7 @@
 """A template becomes the actor of a sequence of scans, in two passes (Adaptation, 4.1.4 and 4.2.1)."""
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -39,8 +39,8 @@ FIRST_WEIGHT = 1e-6
 def adapt_body(task: Task, state: AdaptState | None = None) -> Iterator[AdaptState]:
     """Adapt a template to an actor, and yield what is reached after every stage.
 
-    The stages (`plan`): the actor's size from the first frames; all frames tracked; proportions, then vertices and
-    joints adapted to some that are spread over the motion, in rounds; all tracked and adapted again; every pose
+    The stages (`plan`): the actor's size from the first frames; all frames tracked; proportions, and hands
+    turned over that lie the wrong way up; then vertices and joints adapted to some that are spread over the motion, in rounds; all tracked and adapted again; every pose
     by itself; all of them smooth. `state` is one to go on from.
 
     A frame that is `missing` is lost: its pose lies between those of the frames around it.
@@ -58,7 +58,7 @@ def adapt_body(task: Task, state: AdaptState | None = None) -> Iterator[AdaptSta
             if stage.name == "adapt":
                 state = adapt_round(task, state, scans, stage)
             else:
-                state = {"track": _track, "pose": _pose, "smooth": _smooth}[stage.name](task, state, stage)
+                state = _STAGES[stage.name](task, state, stage)
         yield (state := state._replace(done=number + 1))
 
 
@@ -79,9 +79,9 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
     """From the template at some size."""
     settings, search = task.settings, task.start is None
     weight = FIRST_WEIGHT if settings.pose is None else settings.pose
-    clouds, tracker = [task.cloud(n) for n in frames], make_tracker(body)
-    tracked = track_frames(tracker, clouds, task.start, search=search)
-    poses = turn_over(tracker, clouds, [frame.pose for frame in tracked])
+    clouds = (task.cloud(n) for n in frames)
+    tracked = track_frames(make_tracker(body), clouds, task.start, search=search)
+    poses = [frame.pose for frame in tracked]
     body, poses, step = fit_size(
         body, scans, poses, task.prior, settings.matching, weight, cameras=task.cameras, boxes=task.boxes
     )
@@ -115,11 +115,22 @@ def _between(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Array, 
     return retract(skeleton, before, share * difference(skeleton, before, after))
 
 
-def _track(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
+def _turn(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
+    """Hands that lie the wrong way up, which shows once proportions are the actor's; then all frames are tracked again."""
+    first = task.scanned[:SIZED]
+    poses = [state.motion[n] for n in first]
+    turned = turn_over(make_tracker(state.body), [task.cloud(n) for n in first], poses)
+    if turned[0] is poses[0]:
+        return told(task, state, str(stage), some_of(task.scanned))
+    return _track(task, state, stage, turned[0])
+
+
+def _track(task: Task, state: AdaptState, stage: Stage, start: Pose | None = None) -> AdaptState:
     """All frames, or the first ones, by the tracker, which is fast, and searches for frames that are lost."""
     there = [n for n in task.scanned if stage.frames is None or n < stage.frames] or task.scanned[:1]
     clouds = (task.cloud(n) for n in there)
-    frames = list(track_frames(make_tracker(state.body), clouds, state.motion[there[0]], sigma=0.03))
+    start = state.motion[there[0]] if start is None else start
+    frames = list(track_frames(make_tracker(state.body), clouds, start, sigma=0.03))
     lost = {n for n, frame in zip(there, frames, strict=True) if frame.lost}
     motion = _every_frame(task, {n: frame.pose for n, frame in zip(there, frames, strict=True)})
     state = state._replace(motion=motion, lost=tuple(sorted(lost | set(task.missing))), chosen=())
@@ -152,3 +163,11 @@ def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
     smooth = smooth_poses(body, poses, pairs_in, task.prior, state.weight, temporal, boxes=task.boxes)
     motion = _every_frame(task, dict(zip(there, smooth, strict=True)))
     return told(task, state._replace(motion=motion), str(stage), some_of(task.scanned))
+
+
+_STAGES: dict[str, Callable[[Task, AdaptState, Stage], AdaptState]] = {
+    "track": _track,
+    "turn": _turn,
+    "pose": _pose,
+    "smooth": _smooth,
+}

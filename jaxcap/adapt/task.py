@@ -127,6 +127,7 @@ def plan(settings: Settings) -> list[Stage]:
             stages.append(Stage("adapt", 0 if alone else 1, time if alone else 1, time * settings.every))
     stages.append(Stage("track"))
     stages += [Stage("adapt", 0, step + 1) for step in range(0 if settings.every else settings.alone)]
+    stages += [Stage("turn")] if stages[-1].name == "adapt" and not settings.every else []
     for number, rounds in enumerate(settings.rounds):
         stages += [Stage("track")] if number else []
         stages += [Stage("adapt", number + 1, step + 1) for step in range(rounds)]

@@ -13,11 +13,11 @@ from ..body.body import Body
 from ..body.pose import Pose
 from ..geometry import rotation
 from ..observe import Cloud, thin_cloud
-from .initialise import FINE, FINE_POINTS, anneal
+from .initialise import FINE_POINTS, anneal
 from .track import Tracker
 
-#: deviations that fall from the size of a hand, metres
-SIGMAS = FINE[2:]
+#: deviations that fall from half the width of a hand, metres: wider ones turn a hand back to where it was
+SIGMAS = (0.03, 0.025, 0.02, 0.02, 0.02, 0.015, 0.015, 0.015)
 #: log-likelihood by which an end has to be better turned over: seven times as likely. One that comes back by itself gains
 #: by rounding only
 WORTH = 2.0
