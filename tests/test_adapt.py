@@ -307,7 +307,17 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
 def test_the_plan_has_all_stages_and_weights_fall():
     settings = Settings(alone=2, rounds=(5, 3), temporal=0.0)
     names = [stage.name for stage in plan(settings)]
-    assert names == ["size", "track", *7 * ["adapt"], "track", *3 * ["adapt"], "track", "pose"]
+    assert names == [
+        "size",
+        "track",
+        *2 * ["adapt"],
+        "turn",
+        *5 * ["adapt"],
+        "track",
+        *3 * ["adapt"],
+        "track",
+        "pose",
+    ]
     weights = [shape_weight(settings, Stage("adapt", 1, step)) for step in (1, 5)]
     assert weights == pytest.approx(list(settings.shape))
     assert [stage.name for stage in plan(Settings(alone=0, rounds=()))] == ["size", "track", "pose", "smooth"]

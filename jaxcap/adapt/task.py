@@ -131,6 +131,6 @@ def plan(settings: Settings) -> list[Stage]:
     for number, rounds in enumerate(settings.rounds):
         stages += [Stage("track")] if number else []
         stages += [Stage("adapt", number + 1, step + 1) for step in range(rounds)]
-    stages += [Stage("track")] if stages[-1].name == "adapt" else []
+    stages += [Stage("track")] if stages[-1].name in ("adapt", "turn") else []
     stages += [Stage("pose")]
     return stages if settings.temporal == 0.0 else [*stages, Stage("smooth")]
