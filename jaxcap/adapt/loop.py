@@ -117,9 +117,11 @@ def _between(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Array, 
 
 def _turn(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
     """Hands that lie the wrong way up, which shows once proportions are the actor's; then all frames are tracked again."""
-    first = task.scanned[:SIZED]
-    poses = [state.motion[n] for n in first]
-    turned = turn_over(make_tracker(state.body), [task.cloud(n) for n in first], poses)
+    first, tracker = task.scanned[:SIZED], make_tracker(state.body)
+    clouds = [task.cloud(n) for n in first]
+    # the body has changed since these were tracked, and other frames have been fitted to it
+    poses = [frame.pose for frame in track_frames(tracker, clouds, state.motion[first[0]], sigma=0.03)]
+    turned = turn_over(tracker, clouds, poses)
     if turned[0] is poses[0]:
         return told(task, state, str(stage), some_of(task.scanned))
     return _track(task, state, stage, turned[0])

@@ -2,12 +2,13 @@
 come from the one to the other by small steps."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..body.body import Body
 from ..body.pose import Pose
@@ -23,28 +24,45 @@ SIGMAS = (0.03, 0.025, 0.02, 0.02, 0.02, 0.015, 0.015, 0.015)
 WORTH = 2.0
 
 
+class Turn(NamedTuple):
+    """Half a turn of a joint by which an end of a limb is turned over, `wxyz` in the axes of the world at rest."""
+
+    end: int
+    joint: int
+    turn: Float[np.ndarray, "4"]
+
+
 def turn_over(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Pose]) -> list[Pose]:
     """Poses of some frames of one sequence, with every end of a limb turned over where the clouds of all of them
     together are likelier then; the same poses where none is.
 
-    An end is turned by half a turn about the line from its joint to the middle of its surface, and all is annealed from
-    there, as in a search. One frame may be mistaken where few points are on a hand; whether it is over is the same in all.
+    An end is turned by half a turn about the line from its joint to the middle of its surface, or with the bone above it
+    about that, and all is annealed from there, as in a search. One frame may be mistaken where few points are on a hand;
+    whether it is over is the same in all.
     """
-    ends = limb_ends(tracker.body)
-    turns = _turns(tracker.body, ends)
+    turns = half_turns(tracker.body)
     few = [thin_cloud(cloud, FINE_POINTS) for cloud in clouds]
-    alone = np.concatenate([np.zeros((1, len(ends)), bool), np.eye(len(ends), dtype=bool)])
+    alone = np.concatenate([np.zeros((1, len(turns)), bool), np.eye(len(turns), dtype=bool)])
     likelihoods = np.zeros(len(alone))
     for cloud, pose in zip(few, poses, strict=True):
-        means = _annealed(tracker, cloud, _turned(pose, ends, turns, alone))[1]
+        means = _annealed(tracker, cloud, _turned(pose, turns, alone))[1]
         likelihoods += float(cloud.weights.sum()) * np.asarray(means, float)
-    better = likelihoods[1:] > likelihoods[0] + WORTH
+    gains = likelihoods[1:] - likelihoods[0]
+    # of the ways to turn an end the best one
+    better = np.array(
+        [
+            gain > WORTH
+            and gain == max(other for other, way in zip(gains, turns, strict=True) if way.end == turn.end)
+            for gain, turn in zip(gains, turns, strict=True)
+        ],
+        bool,
+    )
     if not better.any():
         return list(poses)
     # all that are better by themselves at once, in every row, as that is compiled
     both = np.tile(better, (len(alone), 1))
     return [
-        jax.tree.map(lambda leaf: leaf[0], _annealed(tracker, cloud, _turned(pose, ends, turns, both))[0])
+        jax.tree.map(lambda leaf: leaf[0], _annealed(tracker, cloud, _turned(pose, turns, both))[0])
         for cloud, pose in zip(few, poses, strict=True)
     ]
 
@@ -63,24 +81,32 @@ def limb_ends(body: Body) -> tuple[int, ...]:
     )
 
 
-def _turns(body: Body, ends: Sequence[int]) -> Float[np.ndarray, "E 4"]:
-    """Half a turn of each end, in the axes of the world at rest."""
-    vertices, centres = np.asarray(body.vertices, float), np.asarray(body.skeleton.centres, float)
-    parts = np.asarray(body.skin.parts())
-    along = np.array(
-        [vertices[body.skeleton.descent[joint][parts]].mean(0) - centres[joint] for joint in ends]
-    ).reshape(-1, 3)
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    return np.concatenate([np.zeros((len(along), 1)), along], axis=1)
+def half_turns(body: Body) -> tuple[Turn, ...]:
+    """The ways to turn each end over: by itself, and with the bone above it where that turns freely."""
+    skeleton, parts = body.skeleton, np.asarray(body.skin.parts())
+    vertices, centres = np.asarray(body.vertices, float), np.asarray(skeleton.centres, float)
+    turns = []
+    for end in limb_ends(body):
+        middle, above = vertices[skeleton.descent[end][parts]].mean(0), skeleton.parents[end]
+        turns.append(Turn(end, end, _half(middle - centres[end])))
+        if above >= 0 and skeleton.kinds[above] == "ball":
+            turns.append(Turn(end, above, _half(centres[end] - centres[above])))
+    return tuple(turns)
 
 
-def _turned(pose: Pose, ends: Sequence[int], turns: np.ndarray, which: np.ndarray) -> Pose:
-    """A pose for each row of `which (P, E)`, with these ends turned."""
-    count, at = len(which), np.array(ends, int)
+def _half(along: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
+    """Half a turn about a line."""
+    return np.append(0.0, along / max(np.linalg.norm(along), 1e-9))
+
+
+def _turned(pose: Pose, turns: Sequence[Turn], which: Bool[np.ndarray, "P T"]) -> Pose:
+    """A pose for each row of `which`, with these turns."""
+    count = len(which)
     rotations = jnp.tile(pose.rotations, (count, 1, 1))
-    still = np.array([1.0, 0, 0, 0])
-    steps = jnp.asarray(np.where(which[..., None], turns, still), rotations.dtype)
-    rotations = rotations.at[:, at].set(rotation.multiply(rotations[:, at], steps))
+    for number, way in enumerate(turns):
+        steps = np.where(which[:, number, None], way.turn, [1.0, 0, 0, 0])
+        turned = rotation.multiply(rotations[:, way.joint], jnp.asarray(steps, rotations.dtype))
+        rotations = rotations.at[:, way.joint].set(turned)
     return Pose(jnp.tile(pose.translations, (count, 1, 1)), rotations, jnp.tile(pose.scale, count))
 
 
