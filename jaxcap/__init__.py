@@ -107,6 +107,7 @@ from .fit.track import Tracker as Tracker
 from .fit.track import make_tracker as make_tracker
 from .fit.track import start_state as start_state
 from .fit.track import track_frame as track_frame
+from .fit.turn_over import turn_over as turn_over
 from .fit.uncertainty import Uncertainty as Uncertainty
 from .fit.uncertainty import describe_unobservable as describe_unobservable
 from .fit.uncertainty import uncertainty as uncertainty
