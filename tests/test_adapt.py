@@ -19,7 +19,7 @@ from jaxcap.adapt.equations import (
     unstack,
     vertex_maps,
 )
-from jaxcap.adapt.loop import Settings, Stage, Task, adapt_body, plan, shape_weight
+from jaxcap.adapt.loop import Settings, Task, adapt_body, plan
 from jaxcap.adapt.modes import Modes, joint_modes, moved
 from jaxcap.adapt.pose import fit_pose, mean_square, pairs_of
 from jaxcap.adapt.shape import adapt_shape, own_shape_prior
@@ -302,28 +302,6 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
     joints = [np.asarray(jc.pose_body(actor, poses[6]).joints) for poses in (shaken, smooth, [motion[6]] * 7)]
     off = [np.linalg.norm(some - joints[2], axis=1).mean() for some in joints[:2]]
     assert off[1] < off[0]
-
-
-def test_the_plan_has_all_stages_and_weights_fall():
-    settings = Settings(alone=2, rounds=(5, 3), temporal=0.0)
-    names = [stage.name for stage in plan(settings)]
-    assert names == [
-        "size",
-        "track",
-        *2 * ["adapt"],
-        "turn",
-        *5 * ["adapt"],
-        "track",
-        *3 * ["adapt"],
-        "track",
-        "pose",
-    ]
-    weights = [shape_weight(settings, Stage("adapt", 1, step)) for step in (1, 5)]
-    assert weights == pytest.approx(list(settings.shape))
-    assert [stage.name for stage in plan(Settings(alone=0, rounds=()))] == ["size", "track", "pose", "smooth"]
-    while_tracking = [str(stage) for stage in plan(Settings(every=10))]
-    assert while_tracking[:4] == ["size", "track to frame 10", "adapt to frame 10", "track to frame 20"]
-    assert while_tracking.index("adapt to frame 100") < while_tracking.index("track")
 
 
 @pytest.mark.slow

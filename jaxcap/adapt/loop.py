@@ -39,9 +39,9 @@ FIRST_WEIGHT = 1e-6
 def adapt_body(task: Task, state: AdaptState | None = None) -> Iterator[AdaptState]:
     """Adapt a template to an actor, and yield what is reached after every stage.
 
-    The stages (`plan`): the actor's size from the first frames; all frames tracked; proportions, and hands
-    turned over that lie the wrong way up; then vertices and joints adapted to some that are spread over the motion, in rounds; all tracked and adapted again; every pose
-    by itself; all of them smooth. `state` is one to go on from.
+    The stages (`plan`): the actor's size from the first frames; all frames tracked; proportions, and hands turned over
+    that lie the wrong way up; then vertices and joints adapted to some that are spread over the motion, in rounds; all
+    tracked and adapted again; every pose by itself; all of them smooth. `state` is one to go on from.
 
     A frame that is `missing` is lost: its pose lies between those of the frames around it.
 

@@ -52,16 +52,24 @@ def anneal(
 
 
 @eqx.filter_jit
-def anneal_all(
+def anneal_each(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Pose, Float[Array, "P"]]:
-    """`anneal` from each of P stacked starts; poses and scores, best first."""
+    """`anneal` from each of P stacked starts; poses and scores in their order."""
 
     def one(start):
         estimate, score = anneal(tracker, cloud, start, sigmas)
         return estimate.pose, score
 
-    poses, scores = jax.lax.map(one, starts)
+    return jax.lax.map(one, starts)
+
+
+@eqx.filter_jit
+def anneal_all(
+    tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
+) -> tuple[Pose, Float[Array, "P"]]:
+    """`anneal_each`, best first."""
+    poses, scores = anneal_each(tracker, cloud, starts, sigmas)
     order = jnp.argsort(-scores)
     return jax.tree.map(lambda leaf: leaf[order], poses), scores[order]
 

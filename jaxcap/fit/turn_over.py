@@ -4,17 +4,16 @@ come from the one to the other by small steps."""
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from ..body.body import Body
 from ..body.pose import Pose
 from ..geometry import rotation
 from ..observe import Cloud, thin_cloud
-from .initialise import FINE_POINTS, anneal
+from .initialise import FINE_POINTS, anneal_each
 from .track import Tracker
 
 #: deviations that fall from half the width of a hand, metres: wider ones turn a hand back to where it was
@@ -40,12 +39,12 @@ def turn_over(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Pose]) 
     about that, and all is annealed from there, as in a search. One frame may be mistaken where few points are on a hand;
     whether it is over is the same in all.
     """
-    turns = half_turns(tracker.body)
+    turns, sigmas = half_turns(tracker.body), jnp.asarray(SIGMAS, poses[0].rotations.dtype)
     few = [thin_cloud(cloud, FINE_POINTS) for cloud in clouds]
     alone = np.concatenate([np.zeros((1, len(turns)), bool), np.eye(len(turns), dtype=bool)])
     likelihoods = np.zeros(len(alone))
     for cloud, pose in zip(few, poses, strict=True):
-        means = _annealed(tracker, cloud, _turned(pose, turns, alone))[1]
+        means = anneal_each(tracker, cloud, _turned(pose, turns, alone), sigmas)[1]
         likelihoods += float(cloud.weights.sum()) * np.asarray(means, float)
     gains = likelihoods[1:] - likelihoods[0]
     # of the ways to turn an end the best one
@@ -62,7 +61,7 @@ def turn_over(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Pose]) 
     # all that are better by themselves at once, in every row, as that is compiled
     both = np.tile(better, (len(alone), 1))
     return [
-        jax.tree.map(lambda leaf: leaf[0], _annealed(tracker, cloud, _turned(pose, turns, both))[0])
+        jax.tree.map(lambda leaf: leaf[0], anneal_each(tracker, cloud, _turned(pose, turns, both), sigmas)[0])
         for cloud, pose in zip(few, poses, strict=True)
     ]
 
@@ -108,14 +107,3 @@ def _turned(pose: Pose, turns: Sequence[Turn], which: Bool[np.ndarray, "P T"]) -
         turned = rotation.multiply(rotations[:, way.joint], jnp.asarray(steps, rotations.dtype))
         rotations = rotations.at[:, way.joint].set(turned)
     return Pose(jnp.tile(pose.translations, (count, 1, 1)), rotations, jnp.tile(pose.scale, count))
-
-
-@eqx.filter_jit
-def _annealed(tracker: Tracker, cloud: Cloud, starts: Pose) -> tuple[Pose, Float[Array, "P"]]:
-    sigmas = jnp.asarray(SIGMAS, starts.rotations.dtype)
-
-    def one(start: Pose) -> tuple[Pose, Float[Array, ""]]:
-        estimate, score = anneal(tracker, cloud, start, sigmas)
-        return estimate.pose, score
-
-    return jax.lax.map(one, starts)

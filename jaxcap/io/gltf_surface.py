@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ..errors import InputError
 from .gltf_file import GltfFile
-from .surface import Surface, joined, sewn
+from .surface import Surface, as_shares, joined, sewn
 
 #: triangles, and points where there are no faces
 _TRIANGLES, _POINTS = 4, 0
@@ -74,9 +74,4 @@ def _part(file: GltfFile, primitive: Any, own: Sequence[int], joints: Sequence[i
         for numbers, share in zip(columns[chosen].T, shares.T, strict=True):
             np.add.at(weights, (rows[numbers >= 0], numbers[numbers >= 0]), share[numbers >= 0])
         place += 1
-    total = weights.sum(1)
-    if not (total > 0).all():
-        raise InputError(
-            f"{file.path}: vertex {int(np.argmin(total > 0))} follows no joint; bind the whole mesh to the skeleton."
-        )
-    return Surface(vertices, faces, weights / total[:, None])
+    return Surface(vertices, faces, as_shares(weights, str(file.path)))

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..errors import InputError
+
 
 class Surface(NamedTuple):
     """Vertices as they were bound, and how much each follows each joint; weights sum to one."""
@@ -13,6 +15,16 @@ class Surface(NamedTuple):
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     weights: Float[np.ndarray, "V J"]
+
+
+def as_shares(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray, "V J"]:
+    """Weights that sum to one. Raises `InputError` for a vertex without any; `where` names its mesh."""
+    total = weights.sum(1)
+    if not (total > 0).all():
+        raise InputError(
+            f"{where}: vertex {int(np.argmin(total > 0))} follows no joint; bind the whole mesh to the skeleton."
+        )
+    return weights / total[:, None]
 
 
 def joined(parts: Sequence[Surface]) -> Surface:

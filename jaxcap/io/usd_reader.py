@@ -14,7 +14,7 @@ from ..body.pose import Motion
 from ..errors import InputError
 from .bound import Joints, bind, body_of, motion_of, placing
 from .meshes import triangulate
-from .surface import Surface, joined
+from .surface import Surface, as_shares, joined
 from .usd import SUFFIXES as WRITTEN
 
 if TYPE_CHECKING:
@@ -147,18 +147,13 @@ class _Skinned:
             raise InputError(f"{self.path}: a vertex follows joint {chosen.max()} of {len(columns)}.")
         weights = np.zeros((len(vertices), len(order)))
         np.add.at(weights, (np.arange(len(vertices))[:, None], columns[chosen]), shares.astype(float))
-        total = weights.sum(1)
-        if not (total > 0).all():
-            raise InputError(
-                f"{self.path}: vertex {int(np.argmin(total > 0))} of '{target.GetPrim().GetPath()}' follows no joint; "
-                "bind the whole mesh."
-            )
         counts = np.array(mesh.GetFaceVertexCountsAttr().Get(first) or (), int)
         corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(first) or (), int)
         faces = triangulate(counts, corners, self.path)
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             faces = faces[:, ::-1]
-        return Surface(vertices, faces, weights / total[:, None])
+        where = f"{self.path}, '{target.GetPrim().GetPath()}'"
+        return Surface(vertices, faces, as_shares(weights, where))
 
 
 def _columns(matrices) -> Float[np.ndarray, "J 4 4"]:
