@@ -29,8 +29,8 @@ from .window import FRAMES, smooth_poses
 
 #: frames that the actor's size is read from
 SIZED = 3
-#: share of the weight that balances second differences with the data (eq. 4.16): as much makes motions
-#: smoother than people move, and costs distance
+#: share of the weights that balance the pose prior and second differences with the data (eqs. 4.15 and 4.16): as much
+#: rolls forearms towards rest until hands lie the wrong way up, and makes motions smoother than people move
 BALANCE = 0.1
 #: weight of the pose prior while the first poses are found, where it is to be balanced with the data
 FIRST_WEIGHT = 1e-6
@@ -91,7 +91,7 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
     if settings.pose is None:
         # first poses are often at rest and later ones are not: a prior that is right is worth one a number
         worth = max(state.terms[0].pose, float(body.skeleton.num_dofs))
-        weight = balanced(state.terms[0].data, worth)
+        weight = BALANCE * balanced(state.terms[0].data, worth)
     return state._replace(weight=weight)
 
 

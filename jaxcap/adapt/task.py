@@ -29,9 +29,9 @@ class Settings(NamedTuple):
     rounds: tuple[int, ...] = (5, 6)
     #: weight of the Laplacian term in the first and the last round
     shape: tuple[float, float] = (100.0, 3.0)
-    #: weight of the pose prior; None is by its balance with the data in the first frames (eq. 4.15)
+    #: weight of the pose prior; None is a tenth of its balance with the data in the first frames (eq. 4.15)
     pose: float | None = None
-    #: weight of second differences; None is by their balance with the data (eq. 4.16), 0 leaves them out
+    #: weight of second differences; None is a tenth of their balance with the data (eq. 4.16), 0 leaves them out
     temporal: float | None = None
     #: adapt while tracking, after every so many frames of the first `TIMES` as many (multi-time adaptation); with 0 all are
     #: tracked first and those adapted to that show most (guided adaptation)
