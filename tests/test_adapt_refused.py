@@ -125,19 +125,21 @@ def test_cameras_that_took_other_scans(folder, capsys, camera, what):
     assert not list(folder.glob("a*"))
 
 
-def test_pairs_that_are_none(folder, capsys):
+@pytest.mark.parametrize("told", ["--pair-angle 0 above 0", "--pair-reach -1 above 0", "--pose-weight -1 at least 0"])
+def test_amounts_that_are_none(folder, capsys, told):
+    name, value, what = told.split(" ", 2)
+    assert f"{name} is {value}; it must be {what}" in fails(capsys, *words(folder, name, value))
+    assert "--shape-weight is 0; it must be above 0" in fails(capsys, *words(folder, "--shape-weight", 3, 0))
     assert "--aperture is of cameras" in fails(capsys, *words(folder, "--aperture"))
-    assert "--pair-angle is 0; it must be above 0" in fails(capsys, *words(folder, "--pair-angle", 0))
-    assert "--pair-reach is -1; it must be above 0" in fails(capsys, *words(folder, "--pair-reach", -1))
 
 
-def test_how_pairs_are_made_is_what_was_asked(folder, scene):
+def test_settings_are_what_was_asked(folder, scene):
     scans = read_clouds(str(folder / "*.ply"))
-    asked = Adapt(
-        str(folder / "body.npz"), str(folder / "*.ply"), folder / "a.npz", pairs="surface", pair_reach=0.1
-    )
+    names = str(folder / "body.npz"), str(folder / "*.ply"), folder / "a.npz"
+    asked = Adapt(*names, pairs="surface", pair_reach=0.1, pose_weight=1e-8, shape_weight=(9.0, 2.0))
     asked.aperture, asked.cameras = True, folder / "cameras.json"
     task = asked.task(scene[0], scans)
+    assert (task.settings.pose, task.settings.shape) == (1e-8, (9.0, 2.0))
     assert isinstance(task.settings.matching.assignment, NearestOnSurface)
     assert task.settings.matching.reach == 0.1
     assert len(task.settings.matching.aperture) == 4

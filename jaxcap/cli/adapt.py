@@ -41,6 +41,7 @@ PriorForm = Literal["nearest", "mean"]
 #: what is paired with points of a scan, by the word for it
 PAIRS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
 Paired = Literal["vertices", "surface", "soft"]
+OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")]
 
 
 @dataclass
@@ -85,8 +86,12 @@ class Adapt:
     """Adapt while tracking, after every N frames of the first 10 N, where the template would be lost; 0 tracks all first."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
     """How far joints may be from where the surface around them says; less where poses do not tell joints."""
-    smoothness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
+    smoothness: OptionalWeight = None
     """Weight of smooth motion; balanced with the scans where not given, 0 leaves it out."""
+    pose_weight: OptionalWeight = None
+    """Weight of likely poses; balanced with the scans where not given."""
+    shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = Settings().shape
+    """Weight of the template's shape when vertices are first adapted, and at last: less follows the scans, noise and all."""
     first: OptionalCount = None
     """First frame: the number in a pattern's names, else counted from 0."""
     last: OptionalCount = None
@@ -198,7 +203,13 @@ class Adapt:
             ),
             "--pair-angle": (self.pair_angle, 0 < self.pair_angle <= 180, "above 0 and at most 180 degrees"),
             "--pair-reach": (self.pair_reach, 0 < self.pair_reach < np.inf, "above 0 metres"),
-            "--smoothness": (self.smoothness, self.smoothness is None or self.smoothness >= 0, "at least 0"),
+            "--smoothness": (self.smoothness, _none_or_from_zero(self.smoothness), "at least 0"),
+            "--pose-weight": (self.pose_weight, _none_or_from_zero(self.pose_weight), "at least 0"),
+            "--shape-weight": (
+                min(self.shape_weight),
+                0 < min(self.shape_weight) <= max(self.shape_weight) < np.inf,
+                "above 0",
+            ),
             "--report-every": (self.report_every, self.report_every >= 1, "at least 1"),
             "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 frames a second"),
         }
@@ -239,6 +250,8 @@ class Adapt:
             settings=Settings(
                 frames=self.frames,
                 joint=self.joint_deviation,
+                shape=self.shape_weight,
+                pose=self.pose_weight,
                 temporal=self.smoothness,
                 every=self.adapt_every,
                 matching=matching,
@@ -262,6 +275,7 @@ class Adapt:
             "pair_reach",
             "joint_deviation",
             "smoothness",
+            "pose_weight",
             "unit",
             "up",
             "rate",
@@ -270,4 +284,9 @@ class Adapt:
             "last",
         )
         files = {"prior": hash_of(self.prior), "cameras": hash_of(self.cameras)}
-        return {**{name: getattr(self, name) for name in names}, **files}
+        plain = {name: getattr(self, name) for name in names}
+        return {**plain, "shape_weight": list(self.shape_weight), **files}
+
+
+def _none_or_from_zero(weight: float | None) -> bool:
+    return weight is None or 0 <= weight < np.inf
