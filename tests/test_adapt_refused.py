@@ -1,21 +1,19 @@
 """What users give an adaptation that cannot go well, or not whole: one sentence that says so, before hours are spent."""
 
-import json
 from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from adapt_scene import POINTS, make_scene, task_of, words, write_folder, write_scan
 from cli import fails, runs
-from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.adapt import check
 from jaxcap.adapt.check import (
     Likeness,
     check_actor,
-    check_cameras,
     connected,
     height_of,
     is_person,
@@ -26,67 +24,27 @@ from jaxcap.adapt.equations import stack_pairs
 from jaxcap.adapt.evaluate import compare_stages
 from jaxcap.adapt.loop import AdaptState, Settings, Task, adapt_body, plan
 from jaxcap.adapt.meet import pairs_at
-from jaxcap.adapt.size import resized
 from jaxcap.body.pair_prior import successive_pairs
-from jaxcap.body.pose import difference, rest_pose, retract, stack_poses
+from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt import Adapt
-from jaxcap.cli.adapt_input import load_cameras, unusable_scans
+from jaxcap.cli.adapt_input import unusable_scans
 from jaxcap.cli.adapt_state import fingerprint_of, keep_state, state_to_go_on_from
-from jaxcap.cli.sources import up_rotation
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import NearestOnSurface, make_scan
-from jaxcap.geometry.camera import look_at, ring_of_cameras
-from jaxcap.io.cameras import write_cameras
 from jaxcap.io.clouds import read_clouds
-from jaxcap.io.ply import write_ply
 
-FRAMES, POINTS = 6, 700
-RING = ring_of_cameras(4, 360, 2.5, 0.5, (0.0, 0.3, 0.0))
 _posed = eqx.filter_jit(jc.pose_body)
 
 
 @pytest.fixture(scope="module")
 def scene():
-    """A small body, larger than its template, in six poses, and its scans."""
-    rng, template = np.random.default_rng(5), chain_body("linear")
-    actor = resized(template, jnp.asarray(1.1))
-    way = 0.02 * rng.normal(size=actor.skeleton.num_dofs)
-    poses = [retract(actor.skeleton, rest_pose(actor.skeleton), jnp.asarray(n * way)) for n in range(FRAMES)]
-    clouds = []
-    for pose in poses:
-        vertices = np.asarray(_posed(actor, pose).vertices, float)
-        points, normals = sample_surface(vertices, np.asarray(actor.faces), POINTS, rng)
-        clouds.append((points + 0.0005 * rng.normal(size=points.shape), normals))
-    return template, actor, poses, clouds
+    return make_scene()
 
 
 @pytest.fixture
 def folder(scene, tmp_path):
-    """`body.npz`, the template, and `scan_0000.ply`, ..."""
-    template, _, _, clouds = scene
-    jc.save_body(tmp_path / "body.npz", template)
-    for number, (points, normals) in enumerate(clouds):
-        write_scan(tmp_path, number, points, normals)
-    write_cameras(tmp_path / "cameras.json", RING)
-    return tmp_path
-
-
-def write_scan(folder, number: int, points, normals) -> None:
-    views, faces = np.zeros(len(points), int), np.zeros((0, 3), int)
-    write_ply(folder / f"scan_{number:04d}.ply", points, normals, views, faces)
-
-
-def words(folder, *more) -> tuple:
-    return "adapt", folder / "body.npz", folder / "*.ply", "-o", folder / "a.npz", *more
-
-
-def task_of(scene, **changes) -> Task:
-    template, _, poses, clouds = scene
-    prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
-    settings = Settings(frames=3, alone=1, rounds=(1,))
-    whole = [jc.make_cloud(*cloud) for cloud in clouds]
-    return Task(template, whole.__getitem__, FRAMES, 10.0, poses[0], prior, (), settings)._replace(**changes)
+    return write_folder(tmp_path, scene)
 
 
 def there(body: jc.Body, pose: jc.Pose) -> AdaptState:
@@ -99,33 +57,9 @@ def alone(task: Task, points, normals=None) -> Task:
     return task._replace(cloud=lambda _: cloud, frames=1)
 
 
-def test_cameras_that_are_none(folder, capsys):
-    path = folder / "c.json"
-    assert "cannot be read" in fails(capsys, *words(folder, "--cameras", path))
-    path.write_text("{")
-    assert "this is not JSON" in fails(capsys, *words(folder, "--cameras", path))
-    path.write_text(json.dumps({"format": "jaxcap cameras", "cameras": []}))
-    assert "no list 'cameras'" in fails(capsys, *words(folder, "--cameras", path))
-    assert not list(folder.glob("a*"))
-
-
 @pytest.mark.parametrize(
-    ("camera", "what"),
-    [
-        (look_at([0, 0.5, 2.5], [0, 0.5, 5.0], 320, 240, 60), "points away"),
-        (look_at([0, 0.5, 2.5], [2.5, 0.5, 2.0], 320, 240, 60), "outside of its picture"),
-        (look_at([0, 500.0, 2500.0], [0, 0, 0], 320, 240, 60), "give translations in metres"),
-    ],
+    "told", ["--pair-angle 0 above 0", "--pair-reach -1 above 0", "--pose-weight -1 at least 0"]
 )
-def test_cameras_that_took_other_scans(folder, capsys, camera, what):
-    write_cameras(folder / "c.json", [*RING, camera])
-    told = fails(capsys, *words(folder, "--cameras", folder / "c.json"))
-    assert what in told
-    assert "c.json: camera 4" in told
-    assert not list(folder.glob("a*"))
-
-
-@pytest.mark.parametrize("told", ["--pair-angle 0 above 0", "--pair-reach -1 above 0", "--pose-weight -1 at least 0"])
 def test_amounts_that_are_none(folder, capsys, told):
     name, value, what = told.split(" ", 2)
     assert f"{name} is {value}; it must be {what}" in fails(capsys, *words(folder, name, value))
@@ -144,41 +78,6 @@ def test_settings_are_what_was_asked(folder, scene):
     assert task.settings.matching.reach == 0.1
     assert len(task.settings.matching.aperture) == 4
     assert task.cameras == ()
-
-
-def test_cameras_that_see_little_of_the_scans():
-    points = np.random.default_rng(0).uniform(-1, 1, (500, 3))
-    near = look_at([0.0, 0.0, 1.3], [0, 0, 0], 320, 240, 30)
-    with pytest.raises(jc.InputError, match="% of the scans' points are in no camera's picture"):
-        check_cameras([near], [points], "c.json")
-    check_cameras(RING, [points], "c.json")
-
-
-def test_cameras_are_turned_with_the_scans(scene, folder):
-    """Scans and cameras whose vertical is z come to lie as those whose vertical is y."""
-    points, turn = scene[3][0][0], up_rotation("z")
-    turned = [eqx.tree_at(lambda c: c.rotation, camera, camera.rotation @ turn) for camera in RING]
-    write_cameras(folder / "z.json", turned)
-    for number in range(FRAMES):
-        write_scan(folder, number, points @ turn, points @ turn)
-    loaded = load_cameras(folder / "z.json", read_clouds(str(folder / "*.ply")), range(FRAMES), "z")
-    for camera, other in zip(loaded, RING, strict=True):
-        np.testing.assert_allclose(camera.rotation, other.rotation, atol=1e-9)
-        np.testing.assert_allclose(camera.eye, other.eye, atol=1e-9)
-
-
-def test_what_no_camera_sees_is_in_no_pair(scene):
-    _, actor, poses, _ = scene
-    task = task_of(scene)
-    scan = make_scan(task.cloud(0))
-    posed = _posed(actor, poses[0])
-    behind = np.asarray(posed.normals)[:, 2] < -0.3
-    front = look_at([0.0, 0.5, 3.0], [0, 0.3, 0], 320, 240, 40)
-    for cameras, some in (((), True), ((front,), False)):
-        pairs = pairs_at(task._replace(cameras=cameras), actor, poses[0], scan)
-        paired = np.unique(np.asarray(pairs.vertices[:, 0])[np.asarray(pairs.weights) > 0])
-        assert behind[paired].any() == some
-        assert len(paired) > 10
 
 
 def test_scans_of_other_sizes_are_stacked(scene):
