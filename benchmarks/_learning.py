@@ -2,6 +2,7 @@
 was learned is measured."""
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -88,12 +89,19 @@ def known(
     return Known(body, *meshes, *clean, *parts, turns)
 
 
-def varied_meshes(shared: Path, body: jc.Body, count: int) -> MeshSequence:
-    """A body at rest, then in poses of all takes of one subject that are as unlike as can be."""
-    motion = _all_takes(shared, body.skeleton)
-    picked = _farthest(np.asarray(motion.poses.rotations[:, 1:], float), count - 1, np.random.default_rng(0))
-    posed = posed_vertices(body, _chosen(motion, np.sort(picked)))
-    return MeshSequence(np.concatenate([np.asarray(body.vertices)[None], posed]), body.faces)
+def varied_poses(shared: Path, body: jc.Body, count: int, without: Sequence[str] = ()) -> jc.Motion:
+    """Rest, then poses of all takes that there are, but some, as unlike as can be; on the body's skeleton."""
+    motions = [_all_takes(shared, body.skeleton, subject, without) for subject in ("01", SUBJECT)]
+    poses = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[motion.poses for motion in motions])
+    picked = _farthest(np.asarray(poses.rotations[:, 1:], float), count - 1, np.random.default_rng(0))
+    rest = jax.tree.map(lambda leaf: leaf[None], jc.rest_pose(body.skeleton))
+    some = jax.tree.map(lambda leaf: leaf[np.sort(picked)], poses)
+    return jc.Motion(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), rest, some), RATE)
+
+
+def meshes_of(body: jc.Body, motion: jc.Motion) -> MeshSequence:
+    """The body in some poses, as meshes."""
+    return MeshSequence(posed_vertices(body, motion), body.faces)
 
 
 def crane_meshes(shared: Path) -> tuple[MeshSequence, MeshSequence]:
@@ -286,10 +294,15 @@ def without_cache() -> None:
     jax.config.update("jax_enable_compilation_cache", False)
 
 
-def _all_takes(shared: Path, skeleton: jc.Skeleton) -> jc.Motion:
-    """All takes at 30 frames a second one after the other, on the body; one call, which compiles once."""
+def _all_takes(
+    shared: Path, skeleton: jc.Skeleton, subject: str = SUBJECT, without: Sequence[str] = ()
+) -> jc.Motion:
+    """All takes of a subject, but some, at 30 frames a second one after the other, on the body; one call, which
+    compiles once."""
     motions = []
-    for take in takes_of(shared, SUBJECT):
+    for take in takes_of(shared, subject):
+        if take in without:
+            continue
         motion, source = cmu_motion(shared, take)
         motions.append(motion.slice(slice(None, None, round(CAPTURED / RATE))))
     poses = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[motion.poses for motion in motions])

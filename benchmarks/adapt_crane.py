@@ -12,18 +12,15 @@ import time
 from pathlib import Path
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.loop import AdaptState, Settings, Task, adapt_body, plan
-from jaxcap.body.anatomy import rest_deviations
-from jaxcap.cli.adapt_input import mirrored_joints, people_like
+from jaxcap.adapt.loop import AdaptState, adapt_body, plan
+from jaxcap.adapt.prepare import make_task
 from jaxcap.demo.picture import View, draw
-from jaxcap.energy.prior import RestPrior
 from jaxcap.metrics import scan_to_surface
 
 POINTS, RATE = 8000, 30.0
@@ -51,8 +48,7 @@ def main() -> None:
     count = min(options.frames or len(crane.frames), len(crane.frames))
     clouds = [frame_cloud(crane, frame, POINTS) for frame in range(count)]
     template = jc.human(joints="tracking", resolution="medium")
-    prior = RestPrior(jnp.asarray(rest_deviations(template.skeleton, 1.0)))
-    task = Task(template, clouds.__getitem__, count, RATE, None, prior, mirrored_joints(template.skeleton), Settings(), people_like(template))  # fmt: skip
+    task = make_task(template, clouds, RATE)
     begin, stages, states = time.perf_counter(), plan(task.settings), []
     for state in adapt_body(task):
         states.append(state)

@@ -21,11 +21,11 @@ import jaxcap as jc
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.adapt_people import ACTORS, TAKES, first_pose, make_actor, scans_of
 from benchmarks.report import finish, progress
-from jaxcap.adapt.loop import Settings, Task, adapt_body, plan
+from jaxcap.adapt.loop import adapt_body, plan
 from jaxcap.adapt.pose import fit_pose
+from jaxcap.adapt.prepare import make_task
 from jaxcap.body.anatomy import rest_deviations
 from jaxcap.body.pose import retract
-from jaxcap.cli.adapt_input import mirrored_joints, people_like
 from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import make_scan
 
@@ -99,9 +99,7 @@ def main() -> None:
         progress(f"Open3D {rigid['version']}, one rigid body: {rigid['seconds']:.3f} s")
         figures |= {"open3d_rigid_s": rigid["seconds"], "ratio_to_open3d": seconds / rigid["seconds"]}
     template = jc.human(joints="tracking", resolution="medium")
-    prior = RestPrior(jnp.asarray(rest_deviations(template.skeleton, 1.0)))
-    task = Task(template, clouds.__getitem__, len(clouds), 30.0, first_pose(motion, actor, template, "given"), prior,
-                mirrored_joints(template.skeleton), Settings(), people_like(template))  # fmt: skip
+    task = make_task(template, clouds, start=first_pose(motion, actor, template, "given"))
     begin, stages, last = time.perf_counter(), plan(task.settings), None
     for last in adapt_body(task):
         progress(

@@ -17,13 +17,10 @@
 # done in a minute; a result to work with takes forty frames and all rounds.
 
 # %%
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxcap as jc
-from jaxcap.body.anatomy import rest_deviations
-from jaxcap.cli.adapt_input import mirrored_joints, people_like
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.report.render import draw_surface, frame, turned
 
@@ -51,16 +48,11 @@ clouds = [jc.make_cloud(scan.points, scan.normals) for scan in scans]
 
 # %%
 template = jc.human(resolution="low", joints="tracking")
-task = jc.AdaptTask(
-    template=template,
-    cloud=clouds.__getitem__,
-    frames=len(clouds),
-    rate=30.0,
+task = jc.make_adapt_task(
+    template,
+    clouds,
     start=jc.rest_pose(template.skeleton),
-    prior=jc.RestPrior(jnp.asarray(rest_deviations(template.skeleton, 1.0))),
-    mirrored=mirrored_joints(template.skeleton),
     settings=jc.AdaptSettings(frames=4, alone=3, rounds=(2,), temporal=0.0),
-    people=people_like(template),
 )
 states = []
 for state in jc.adapt_body(task):

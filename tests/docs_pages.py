@@ -106,8 +106,22 @@ def files_page(folder: Path) -> dict[str, object]:
     return {"jc": jc, "body": body, "motion": jc.Motion(jc.sample_poses(body.skeleton, count=3), 30.0)}
 
 
+def adaptation_page(folder: Path) -> dict[str, object]:
+    """A template, and clouds of somebody smaller in a few poses."""
+    del folder
+    template, actor = (jc.human(resolution="low", joints="tracking", height=height) for height in (1.75, 1.6))
+    poses = [jc.rest_pose(actor.skeleton)] * 3
+    posed = jc.pose_body(actor, poses[0])
+    return {
+        "template": template,
+        "clouds": [jc.make_cloud(posed.vertices, posed.normals)] * 3,
+        "pose": poses[0],
+    }
+
+
 #: what is there before a page's first line: files in its folder, and names
 GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
     "docs/markers.md": markers_page,
     "docs/files.md": files_page,
+    "docs/adaptation.md": adaptation_page,
 }

@@ -193,4 +193,7 @@ def random_pairs(body: Body, rng, count: int = 40, corners: int = 1) -> Pairs:
         rows[4:8] = rows[4:8, :1]
     points = np.einsum("ck,cka->ca", shares, np.asarray(body.vertices)[rows])
     points += 0.05 * rng.normal(size=(count, 3))
-    return Pairs(jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights)))
+    along = rng.uniform(0, 1, count) * (np.arange(count) % 5 > 0)
+    return Pairs(
+        jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights, along))
+    )

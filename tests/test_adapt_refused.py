@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from adapt_scene import POINTS, make_scene, task_of, words, write_folder, write_scan
+from adapt_scene import FRAMES, POINTS, make_scene, task_of, words, write_folder, write_scan
 from cli import fails, runs
 
 import jaxcap as jc
@@ -27,7 +27,7 @@ from jaxcap.adapt.meet import pairs_at
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt import Adapt
-from jaxcap.cli.adapt_input import unusable_scans
+from jaxcap.cli.adapt_input import look_through
 from jaxcap.cli.adapt_state import fingerprint_of, keep_state, state_to_go_on_from
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior
@@ -69,10 +69,10 @@ def test_amounts_that_are_none(folder, capsys, told):
 
 def test_settings_are_what_was_asked(folder, scene):
     scans = read_clouds(str(folder / "*.ply"))
-    names = str(folder / "body.npz"), str(folder / "*.ply"), folder / "a.npz"
+    names = str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz"
     asked = Adapt(*names, pairs="surface", pair_reach=0.1, pose_weight=1e-8, shape_weight=(9.0, 2.0))
     asked.aperture, asked.cameras = True, folder / "cameras.json"
-    task = asked.task(scene[0], scans)
+    task = asked.task(scene[0], scans, None)
     assert (task.settings.pose, task.settings.shape) == (1e-8, (9.0, 2.0))
     assert isinstance(task.settings.matching.assignment, NearestOnSurface)
     assert task.settings.matching.reach == 0.1
@@ -98,8 +98,9 @@ def test_scans_that_cannot_be_used_are_named(folder, scene, capsys):
     scans = read_clouds(str(folder / "*.ply"))
     write_scan(folder, 2, points[:0], normals[:0])
     write_scan(folder, 4, 1000 * points, normals)
-    found = unusable_scans(scans, template)
+    found, digests = look_through(scans, template)
     assert list(found) == [2, 4]
+    assert len(set(digests)) == FRAMES
     assert "scan_0002.ply: there are no points in it" in found[2]
     assert "scan_0004.ply is" in found[4] and "millimetres" in found[4]
     (folder / "scan_0001.ply").write_bytes(b"")
@@ -263,8 +264,9 @@ def test_a_disk_that_is_full(scene, tmp_path, monkeypatch):
 def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch):
     """All stages are done; what cannot be written is written by --resume."""
     template, actor, poses, _ = scene
-    task = Adapt(str(folder / "body.npz"), str(folder / "*.ply"), folder / "a.npz", smoothness=0.0)
-    header = {**task.settings(), **fingerprint_of(template, read_clouds(task.clouds))}
+    task = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
+    digests = look_through(read_clouds(task.clouds), template).digests
+    header = {**task.settings(), "prior": None, **fingerprint_of(template, digests)}
     state = AdaptState(len(plan(Settings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
     keep_state(task.kept, state, header)
 
@@ -274,7 +276,8 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     with monkeypatch.context() as patched:
         patched.setattr(np, "savez_compressed", full)
         told = fails(capsys, *words(folder, "--smoothness", 0, "--resume"))
-    assert "a.npz: cannot be written" in told and "stages are kept" in told
+    assert "a-motion.npz: cannot be written" in told and "stages are kept" in told
+    assert not task.out.exists()
     assert "times the template's size" in runs(capsys, *words(folder, "--smoothness", 0, "--resume"))
     assert not task.kept.exists()
 

@@ -29,8 +29,9 @@ from jaxcap.adapt.loop import AdaptState, Settings, Task, plan
 from jaxcap.adapt.size import resized
 from jaxcap.adapt.terms import Terms
 from jaxcap.body.pose import rest_pose, retract, stack_poses
+from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.cli.adapt import Adapt
-from jaxcap.cli.adapt_input import mirrored_joints
+from jaxcap.cli.adapt_input import look_through
 from jaxcap.cli.adapt_state import checkpoint_of, fingerprint_of
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior
@@ -266,11 +267,12 @@ def test_the_command_line_goes_on_to_the_report(scene, tmp_path, capsys):
     np.savez(tmp_path / "scans.npz", points=points, normals=normals)
     jc.save_body(tmp_path / "template.npz", task.template)
     out, report = tmp_path / "actor.npz", tmp_path / "<b>.html"
-    verb = Adapt(str(tmp_path / "template.npz"), str(tmp_path / "scans.npz"), out, smoothness=0.0)
-    header = {**verb.settings(), **fingerprint_of(task.template, read_clouds(verb.clouds, None, None, "m"))}
+    verb = Adapt(str(tmp_path / "template.npz"), (str(tmp_path / "scans.npz"),), out, smoothness=0.0)
+    digests = look_through(read_clouds(verb.clouds), task.template).digests
+    header = {**verb.settings(), "prior": None, **fingerprint_of(task.template, digests)}
     stages = len(plan(Settings(temporal=0.0)))
     save_checkpoint(verb.kept, checkpoint_of(state._replace(done=stages)), header)
-    words = ("adapt", verb.body, verb.clouds, "-o", out, "--smoothness", 0, "--report", report)
+    words = ("adapt", verb.body, *verb.clouds, "-o", out, "--smoothness", 0, "--report", report)
     assert f"{report}: the report" in runs(capsys, *words, "--report-every", 4, "--resume")
     assert not verb.kept.exists()
     text = report.read_text(encoding="utf-8")

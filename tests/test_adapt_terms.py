@@ -18,7 +18,7 @@ from jaxcap.adapt.terms import (
     symmetry_energy,
 )
 from jaxcap.body.pose import Motion, retract, stack_poses
-from jaxcap.cli.adapt import mirrored_joints
+from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import Pairs
 from jaxcap.fit.problem import linearise
@@ -47,8 +47,8 @@ def test_pairs_as_a_term_are_solved_beside_a_users_own(rng):
     posed = jc.pose_body(BODY, truth)
     rows = jnp.arange(len(BODY.vertices), dtype=jnp.int32)[:, None]
     ones = jnp.ones(len(BODY.vertices))
-    pairs = Pairs(rows, ones[:, None], posed.vertices, posed.normals, ones)
-    found = jc.solve(PairDistances(pairs, jnp.asarray(1.0)) + 1e-9 * PRIOR, BODY, jc.rest_pose(BODY.skeleton))
+    pairs = Pairs(rows, ones[:, None], posed.vertices, posed.normals, ones, ones)
+    found = jc.solve(PairDistances(pairs) + 1e-9 * PRIOR, BODY, jc.rest_pose(BODY.skeleton))
     np.testing.assert_allclose(jc.pose_body(BODY, found.pose).vertices, posed.vertices, atol=1e-5)
 
 

@@ -77,6 +77,37 @@ def test_without_bounds_and_with_nowhere_to_go(rng):
     np.testing.assert_allclose(found, [*low[:3], *left], atol=1e-10)
 
 
+@pytest.mark.parametrize("count", [2, 8])
+def test_the_slope_of_the_solution_against_differences(rng, count):
+    """By all arguments at once along a random way, in both modes, where the same numbers are fixed on both sides."""
+    slope, h, seen = jax.jit(lambda x, d: jax.jvp(solve_boxed, x, d)[1]), 1e-6, set()
+    pulled = jax.jit(lambda x, g: jax.vjp(solve_boxed, *x)[1](g))
+    for _ in range(12):
+        *system, _ = random_system(rng, count, 3 * count)
+        ways = [rng.normal(size=part.shape) for part in system]
+        ways[0] = ways[0] + ways[0].T
+        there, back = (
+            np.asarray(solve(*(x + sign * h * d for x, d in zip(system, ways, strict=True))))
+            for sign in (1, -1)
+        )
+        found = np.asarray(slope(tuple(system), tuple(ways)))
+        np.testing.assert_allclose(found, (there - back) / (2 * h), atol=1e-5 * (1 + np.abs(found).max()))
+        weights = rng.normal(size=count)
+        by_reverse = sum(np.sum(g * d) for g, d in zip(pulled(tuple(system), weights), ways, strict=True))
+        assert by_reverse == pytest.approx(weights @ found, rel=1e-8, abs=1e-10)
+        step = np.asarray(solve(*system))
+        seen.add(int(np.sum((step == system[2]) | (step == system[3]))))
+    # none would be a system without bounds
+    assert len(seen) > 1
+
+
+def test_the_slope_without_bounds_is_that_of_a_linear_solve(rng):
+    matrix, side, *_ = random_system(rng, 5, 20)
+    wide = np.full(5, np.inf)
+    slope = jax.jit(jax.jacrev(solve_boxed, 1))(matrix, side, -wide, wide)
+    np.testing.assert_allclose(slope, np.linalg.inv(matrix), rtol=1e-8, atol=1e-9)
+
+
 def chain_boxes(rng, margin: float = 0.0):
     """Boxes of what some random poses did, and of the root."""
     poses = [random_pose(SKELETON, rng, 0.3) for _ in range(20)]

@@ -64,6 +64,10 @@ def test_learn_and_info(capsys, folder):
     ranges = next(line for line in told.splitlines() if line.startswith("elbow"))
     # a hinge about its third axis, bent by 80 degrees
     assert ranges.split()[1:] == ["0°", "to", "0°", "0°", "to", "0°", "0°", "to", "80°"]
+    runs(capsys, "prior", "learn", folder / "m0.npz", "-o", folder / "wide.npz", "--most", 1, "--margin", 5)
+    told = runs(capsys, "prior", "info", folder / "wide.npz")
+    ranges = next(line for line in told.splitlines() if line.startswith("elbow"))
+    assert ranges.split()[1:3] == ["-5°", "to"]
 
 
 def test_a_body_carries_its_prior(capsys, folder):
@@ -83,6 +87,7 @@ def test_what_is_refused(capsys, folder, tmp_path):
     assert "--most is 0" in fails(capsys, *learn, "--most", 0)
     assert "--floor is 90" in fails(capsys, *learn, "--floor", 90)
     assert "--seed is -1" in fails(capsys, *learn, "--seed", -1)
+    assert "--margin is 200; it must be between 0 and 180" in fails(capsys, *learn, "--margin", 200)
     assert "written as .npz" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "p.txt")
     assert "there already" in fails(capsys, "prior", "learn", m, "-o", folder / "body.npz")
     assert "folder is not there" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "none" / "p.npz")

@@ -18,6 +18,7 @@ from jaxcap.cli import track as track_module
 from jaxcap.fit.sequence import track_frames
 from jaxcap.io.bvh import read_bvh
 from jaxcap.io.journal import Journal
+from jaxcap.io.mesh import Mesh, write_mesh
 from jaxcap.io.npz import load_motion, load_skeleton
 
 
@@ -30,7 +31,7 @@ def inputs(tmp_path_factory):
 def finished(inputs):
     """A run from beginning to end."""
     track_module.Track(
-        body=str(inputs / "body.npz"), clouds=str(inputs / "clouds.npz"), out=inputs / "whole"
+        body=str(inputs / "body.npz"), clouds=(str(inputs / "clouds.npz"),), out=inputs / "whole"
     ).run()
     return inputs / "whole"
 
@@ -107,6 +108,28 @@ def test_statistics_of_every_frame(finished):
 def test_frames_are_chosen(inputs, tmp_path, capsys):
     runs(capsys, *command(inputs, tmp_path / "out", "--first", 1, "--last", 3))
     assert load_motion(tmp_path / "out" / "motion.npz").num_frames == 3
+
+
+def test_files_as_a_shell_makes_of_a_glob(inputs, tmp_path, capsys):
+    """Not in the order of their numbers; track and evaluate take them as the quoted glob."""
+    with np.load(inputs / "clouds.npz") as file:
+        for number, points in enumerate(file["points"], 8):
+            write_mesh(tmp_path / f"c_{number}.ply", Mesh(points, np.zeros((0, 3), int), None))
+    body, quoted, files = inputs / "body.npz", tmp_path / "*.ply", sorted(tmp_path.glob("*.ply"))
+    assert files[0].name == "c_10.ply"
+    runs(capsys, "track", body, quoted, "-o", tmp_path / "quoted", "--last", 3)
+    runs(capsys, "track", body, *files, "-o", tmp_path / "files", "--last", 3)
+    assert same_motion(tmp_path / "files", tmp_path / "quoted")
+    with open(tmp_path / "files" / "statistics.csv", newline="") as file:
+        assert [row["cloud"] for row in csv.DictReader(file)] == [f"c_{n}.ply" for n in range(8, 12)]
+    told = [
+        runs(capsys, "evaluate", body, tmp_path / "files" / "motion.npz", *clouds, "--last", 3)
+        for clouds in ((quoted,), files)
+    ]
+    assert told[0] == told[1]
+    line = fails(capsys, "track", body, *files, inputs / "clouds.npz", "-o", tmp_path / "none")
+    assert "clouds.npz: an .npz is a sequence by itself" in line
+    assert "No clouds were given" in fails(capsys, "track", body, "-o", tmp_path / "none")
 
 
 def test_finished_results_are_not_replaced_unasked(inputs, finished, capsys):

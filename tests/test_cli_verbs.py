@@ -53,7 +53,7 @@ def test_version(capsys, checkout):
     [
         (["trak", "human"], "there is no 'jaxcap trak' (did you mean 'track'?); verbs are demo, rig,"),
         (["limits", "dance"], "there is no 'jaxcap limits dance'; verbs are learn, check,"),
-        (["track", "human"], "missing from jaxcap track: CLOUDS, -o OUT, --out OUT; "),
+        (["track"], "missing from jaxcap track: BODY, -o OUT, --out OUT; "),
         (["track", "human", "x", "-o", "y", "--sigm", "3"], "--sigm"),
         (
             ["track", "human", "x", "-o", "y", "--rate", "abc"],

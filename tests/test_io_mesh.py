@@ -164,6 +164,47 @@ def test_sequences_come_in_the_order_of_their_numbers(folder, source):
     assert scans.names[0].endswith("cloud_8.off")
 
 
+def test_several_files_are_what_a_glob_of_them_is(folder):
+    """In any order, such as that of a shell, in which 10 stands before 8."""
+    quoted = read_clouds(folder / "*.off")
+    for given in (
+        sorted(folder.glob("*.off")),
+        [str(path) for path in sorted(folder.iterdir(), reverse=True)],
+    ):
+        several = read_clouds(given)
+        assert several.names == quoted.names
+        assert [scan.points[0, 0] for scan in several] == [8, 9, 10, 11]
+    assert [scan.points[0, 0] for scan in read_clouds(sorted(folder.iterdir()), 1, 2)] == [9, 10]
+    assert [scan.points[0, 0] for scan in read_clouds([folder / "cloud_9.off"])] == [9]
+    assert len(read_clouds([folder])) == len(read_clouds((str(folder / "*.off"),))) == 4
+    with pytest.raises(
+        InputError, match=r"cloud_8\.off to cloud_11\.off: there are frames 0 to 3, but 0 to 9"
+    ):
+        read_clouds(sorted(folder.iterdir()), last=9)
+
+
+def test_what_is_no_file_among_several(folder):
+    files = sorted(folder.iterdir())
+    (folder / "a").mkdir()
+    np.savez(folder / "b.npz", points=np.zeros((2, 3, 3)))
+    (folder / "cameras.json").write_text("{}")
+    for wrong, said in (
+        ("a", r"a: this is a folder among 5 sources; give it alone"),
+        ("*.off", r"this is a pattern among 5 sources"),
+        ("cloud_%d.off", r"this is a pattern among 5 sources"),
+        ("b.npz", r"b\.npz: an \.npz is a sequence by itself; give it alone"),
+        ("cameras.json", r"cameras\.json: this is no cloud or mesh .*leave it out"),
+        ("none.off", r"none\.off: there is no such file"),
+        ("cloud_9.off", r"cloud_9\.off: this file is named twice"),
+    ):
+        with pytest.raises(InputError, match=said):
+            read_clouds([*files, folder / wrong])
+    with pytest.raises(InputError, match=r"number 9 is missing after this file"):
+        read_clouds([files[0], files[1], files[2]])
+    with pytest.raises(InputError, match="No clouds were given"):
+        read_clouds([])
+
+
 def test_first_and_last_are_numbers_in_a_pattern_and_frames_elsewhere(folder):
     assert [scan.points[0, 0] for scan in read_clouds(folder / "cloud_%d.off", 9, 10)] == [9, 10]
     assert [scan.points[0, 0] for scan in read_clouds(folder, 1, 2)] == [9, 10]

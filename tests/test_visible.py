@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from jaxcap.adapt.pose import PIXELS
 from jaxcap.body.body import pose_body
 from jaxcap.body.human import human
 from jaxcap.demo.performance import walk_and_wave
@@ -31,8 +32,8 @@ def seen_by_rays(camera, vertices, normals, faces):
     return ~hidden & turned & np.asarray(in_picture(camera, jnp.asarray(vertices)))
 
 
-@pytest.mark.parametrize("resolution", ["full", "low"])
-def test_a_human_is_as_visible_as_rays_say(resolution):
+@pytest.mark.parametrize(("resolution", "pixels"), [("full", 320), ("low", 320), ("medium", PIXELS)])
+def test_a_human_is_as_visible_as_rays_say(resolution, pixels):
     body = human(resolution=resolution)
     posed = _pose_body(body, walk_and_wave(body.skeleton, 1.5)[40])
     vertices, normals, faces = (np.asarray(a) for a in (posed.vertices, posed.normals, body.faces))
@@ -41,10 +42,10 @@ def test_a_human_is_as_visible_as_rays_say(resolution):
     cameras += ring_of_cameras(1, 30, 1.2, 0.6, [0.0, 0.05, 0])
     rays = np.array([seen_by_rays(camera, vertices, normals, faces) for camera in cameras])
     for camera, truth in zip(cameras, rays, strict=True):
-        got = np.asarray(visible_vertices(camera, posed.vertices, body.faces, TOLERANCE))
+        got = np.asarray(visible_vertices(camera, posed.vertices, body.faces, TOLERANCE, pixels=pixels))
         assert 0.1 < truth.mean() < 0.6
         assert (got == truth).mean() >= 0.98
-    together = np.asarray(visible_vertices(cameras, posed.vertices, body.faces, TOLERANCE))
+    together = np.asarray(visible_vertices(cameras, posed.vertices, body.faces, TOLERANCE, pixels=pixels))
     assert (together == rays.any(0)).mean() >= 0.98
 
 

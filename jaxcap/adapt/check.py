@@ -81,7 +81,7 @@ def check_actor(task: Task, state: AdaptState, where: str) -> None:
     the scan that is as large as a person.
     """
     first = task.scanned[0]
-    scan, height = make_scan(task.cloud(first)), height_of(state.body)
+    scan, height = task.scan(first), height_of(state.body)
     like, apart = likeness(state, first, scan)
     # a floor would link all that stands on it
     floor = float(np.quantile(scan.points[:, 1], LOWEST)) + LINK * height
@@ -158,5 +158,5 @@ def connected(points: Float[np.ndarray, "N 3"], link: float) -> Int[np.ndarray, 
 
 def _likeness_alone(task: Task, cloud: Cloud) -> Likeness:
     """That of the template when it is looked for in a cloud alone, at a size of its own."""
-    alone = task._replace(cloud=lambda _: cloud, frames=1, start=None, cameras=(), missing=())
+    alone = task._replace(cloud=lambda _: cloud, frames=1, start=None, cameras=(), missing=(), mesh=None)
     return likeness(next(adapt_body(alone)), 0, make_scan(cloud))[0]

@@ -12,12 +12,9 @@ from ..body.body import Body, pose_body
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
+from ..energy.term import root
 from ..fit.correspond import Pairs, places_on
 from .modes import Modes
-
-#: squared distances along the surface count by this share of those across it: a nearest vertex is only
-#: about the right one
-TANGENTIAL = 0.05
 
 
 def vertex_maps(body: Body, pose: Pose) -> tuple[Float[Array, "V 3 3"], Float[Array, "V 3"]]:
@@ -33,15 +30,15 @@ def vertex_maps(body: Body, pose: Pose) -> tuple[Float[Array, "V 3 3"], Float[Ar
     return jnp.stack(columns, -1), still
 
 
-def pair_rows(pairs: Pairs, along: float | Float[Array, ""] = TANGENTIAL) -> Float[Array, "C 3 3"]:
-    """Three directions a pair, weighed: across the surface, and two along it, whose squares count by the share `along`."""
+def pair_rows(pairs: Pairs) -> Float[Array, "C 3 3"]:
+    """Three directions a pair, weighed: across the surface, and two along it, whose squares count by the pair's share."""
     n = pairs.normals
     axes = jnp.eye(3, dtype=n.dtype)
     first = jnp.cross(n, jnp.where(jnp.abs(n[:, :1]) < 0.6, axes[0], axes[1]))
     first = first / jnp.maximum(jnp.linalg.norm(first, axis=1, keepdims=True), 1e-9)
     second = jnp.cross(n, first)
-    by = jnp.sqrt(jnp.asarray(along, n.dtype))
-    return jnp.sqrt(pairs.weights)[:, None, None] * jnp.stack([n, by * first, by * second], 1)
+    by = root(pairs.along)[:, None]
+    return root(pairs.weights)[:, None, None] * jnp.stack([n, by * first, by * second], 1)
 
 
 def num_pairs(pairs: Pairs) -> Float[Array, ""]:
@@ -59,28 +56,29 @@ def pose_equations(
     body: Body, pose: Pose, pairs: Pairs
 ) -> tuple[Float[Array, "D D"], Float[Array, "D"], Float[Array, ""]]:
     """`J^T J`, `J^T r` and `r^T r` by the numbers of a pose, with `r` what a step is to close."""
-    rows, apart = _rows(body, pose, pairs, None)
+    rows, apart = frame_rows(body, pose, pairs, None)
     return rows.T @ rows, rows.T @ apart, apart @ apart
 
 
 def shared_equations(
-    body: Body, pose: Pose, pairs: Pairs, modes: Modes, along: float | Float[Array, ""] = TANGENTIAL
+    body: Body, pose: Pose, pairs: Pairs, modes: Modes
 ) -> tuple[Float[Array, "N N"], Float[Array, "N"], Float[Array, ""]]:
     """The same by the numbers of a pose and, behind them, the amounts of the modes, `D + K` numbers."""
-    rows, apart = _rows(body, pose, pairs, modes, along)
+    rows, apart = frame_rows(body, pose, pairs, modes)
     return rows.T @ rows, rows.T @ apart, apart @ apart
 
 
-def _rows(
-    body: Body, pose: Pose, pairs: Pairs, modes: Modes | None, along: float | Float[Array, ""] = TANGENTIAL
-):
+def frame_rows(
+    body: Body, pose: Pose, pairs: Pairs, modes: Modes | None
+) -> tuple[Float[Array, "R N"], Float[Array, "R"]]:
+    """`J` and `r` of the same, three rows a pair; without modes by the numbers of the pose alone."""
     skeleton = body.skeleton
     transforms = forward_kinematics(skeleton, pose)
     rates = pose_rates(skeleton, pose, transforms)
     if modes is not None:
         centres = np.array([6 * joint + axis for joint in range(skeleton.num_joints) for axis in range(3)])
         rates = stack_rates(rates, take_rates(joint_rates(skeleton, pose, transforms), centres))
-    directions = pair_rows(pairs, along)
+    directions = pair_rows(pairs)
     every = pairs.vertices.reshape(-1)
     rest, skin = body.vertices[every], body.skin.take(every)
     # a place moves as its vertices do, each by its share

@@ -14,7 +14,6 @@ from scipy.spatial import KDTree
 
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose, stack_poses
-from ..fit.correspond import make_scan
 from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
@@ -206,7 +205,7 @@ def _measured(stages: Stages, task: Task, state: AdaptState, motion: Motion) -> 
     sums = np.zeros((len(body.vertices), 2))
     medians = []
     for number, frame in enumerate(stages.measured):
-        scan = make_scan(task.cloud(frame))
+        scan = task.scan(frame)
         vertices = _vertices(body, motion[number])
         apart = scan_to_surface(scan.points, vertices, faces)
         to_body, to_scan = (

@@ -1,7 +1,7 @@
 """A template becomes the actor of a sequence of scans, in two passes (Adaptation, 4.1.4 and 4.2.1)."""
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
-from ..fit.correspond import Pairs, Scan, make_scan
+from ..fit.correspond import Pairs, Scan
 from ..fit.sequence import track_frames
 from ..fit.track import make_tracker
 from ..fit.turn_over import turn_over
@@ -36,8 +36,9 @@ BALANCE = 0.1
 FIRST_WEIGHT = 1e-6
 
 
-def adapt_body(task: Task, state: AdaptState | None = None) -> Iterator[AdaptState]:
-    """Adapt a template to an actor, and yield what is reached after every stage.
+def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> Iterator[AdaptState]:
+    """Adapt a template to an actor, and yield what is reached after every stage; and where `every` is given, within the stage of
+    single poses also after every so many frames.
 
     The stages (`plan`): the actor's size from the first frames; all frames tracked; proportions, and hands turned over
     that lie the wrong way up; then vertices and joints adapted to some that are spread over the motion, in rounds; all
@@ -57,6 +58,8 @@ def adapt_body(task: Task, state: AdaptState | None = None) -> Iterator[AdaptSta
             assert state is not None
             if stage.name == "adapt":
                 state = adapt_round(task, state, scans, stage)
+            elif stage.name == "pose":
+                state = yield from _poses(task, state, stage, every)
             else:
                 state = _STAGES[stage.name](task, state, stage)
         yield (state := state._replace(done=number + 1))
@@ -65,7 +68,7 @@ def adapt_body(task: Task, state: AdaptState | None = None) -> Iterator[AdaptSta
 def _size(task: Task) -> AdaptState:
     """The first poses, and how large the actor is."""
     frames = task.scanned[:SIZED]
-    scans = [make_scan(task.cloud(n)) for n in frames]
+    scans = [task.scan(n) for n in frames]
     found = [_sized(task, scans, frames, task.template, 1.0)]
     if task.start is None:
         # a body of about the right size may find another pose, and finds it more surely
@@ -139,12 +142,19 @@ def _track(task: Task, state: AdaptState, stage: Stage, start: Pose | None = Non
     return told(task, state, str(stage), some_of(task.scanned) if stage.frames is None else there[-1:])
 
 
-def _pose(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
-    """Every pose by itself, with pairs both ways."""
-    poses = {
-        n: pose_at(task, state, make_scan(task.cloud(n)), state.motion[n], steps=5) for n in task.scanned
-    }
-    return told(task, state._replace(motion=_every_frame(task, poses)), str(stage), some_of(task.scanned))
+def _poses(
+    task: Task, state: AdaptState, stage: Stage, every: int
+) -> Generator[AdaptState, None, AdaptState]:
+    """Every pose by itself, with pairs both ways; so many frames at a time, from those on that are done."""
+    there = task.scanned
+    while state.within < len(there):
+        some = there[state.within :][: every or None]
+        poses = {n: state.motion[n] for n in there}
+        poses |= {n: pose_at(task, state, task.scan(n), poses[n], steps=5) for n in some}
+        state = state._replace(motion=_every_frame(task, poses), within=state.within + len(some))
+        if state.within < len(there):
+            yield state
+    return told(task, state._replace(within=0), str(stage), some_of(task.scanned))
 
 
 def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
@@ -157,7 +167,7 @@ def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
         temporal = BALANCE * balanced(state.terms[-1].data, rough)
 
     # every frame is in some windows, and in each as often as it has steps
-    scan_at = functools.lru_cache(FRAMES)(lambda number: make_scan(task.cloud(there[number])))
+    scan_at = functools.lru_cache(FRAMES)(lambda number: task.scan(there[number]))
 
     def pairs_in(number: int, pose: Pose) -> Pairs:
         return pairs_at(task, body, pose, scan_at(number))
@@ -170,6 +180,5 @@ def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
 _STAGES: dict[str, Callable[[Task, AdaptState, Stage], AdaptState]] = {
     "track": _track,
     "turn": _turn,
-    "pose": _pose,
     "smooth": _smooth,
 }

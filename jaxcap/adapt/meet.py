@@ -6,7 +6,7 @@ import numpy as np
 
 from ..body.body import Body
 from ..body.pose import Pose
-from ..fit.correspond import Pairs, Scan, make_scan
+from ..fit.correspond import Pairs, Scan
 from .equations import stack, stack_pairs
 from .pose import fit_pose, mean_square, pairs_of
 from .reference import shape_prior_of
@@ -44,7 +44,7 @@ def told(
     task: Task, state: AdaptState, name: str, frames: Sequence[int], scans: Sequence[Scan] | None = None
 ) -> AdaptState:
     """With what a stage has reached in some frames, whose scans may be at hand."""
-    scans = [make_scan(task.cloud(n)) for n in frames] if scans is None else scans
+    scans = [task.scan(n) for n in frames] if scans is None else scans
     body, poses = state.body, [state.motion[n] for n in frames]
     squares = [mean_square(body, p, pairs_at(task, body, p, s)) for p, s in zip(poses, scans, strict=True)]
     terms = Terms(

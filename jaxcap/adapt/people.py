@@ -8,10 +8,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
+from ..body.variety import human_resolution, people_of_many_shapes
 from .modes import Modes, moved
 
 #: ways in which people differ that are told apart, where there are bodies enough
 COUNT = 30
+#: bodies of the human that tell how people differ
+DRAWN = 200
 
 
 class People(eqx.Module):
@@ -49,6 +52,14 @@ def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> 
     dtype = template.vertices.dtype
     modes = Modes(jnp.asarray(directions[:, :joints], dtype), jnp.asarray(directions[:, joints:], dtype))
     return People(template, modes, jnp.asarray(standing, dtype))
+
+
+def people_like(template: Body) -> People | None:
+    """How people differ, where the template has the human's triangles and joints, by humans of many shapes."""
+    resolution = human_resolution(template)
+    if resolution is None:
+        return None
+    return learn_people(template, people_of_many_shapes(DRAWN, resolution=resolution, joints="tracking"))
 
 
 def person(people: People, traits: Float[Array, "K"]) -> Body:

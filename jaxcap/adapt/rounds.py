@@ -1,5 +1,6 @@
 """One round of an adaptation: proportions, or joints and vertices, with the poses of some frames (Adaptation, 4.1.4)."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,16 +9,19 @@ from jaxtyping import Array, Float
 from ..body.body import Body
 from ..body.pose import Motion, Pose, stack_poses
 from ..body.sample import unlike_poses
-from ..fit.correspond import Scan, make_scan
+from ..fit.correspond import Scan
 from .beside import centres_beside, make_beside
-from .equations import TANGENTIAL, stack, unstack
+from .equations import stack, unstack
 from .meet import pose_at, stacked_pairs, told
 from .modes import Modes, joint_modes
 from .people import People, person, traits_like
+from .pose import brought_in
 from .reference import reference, shape_prior_of
 from .shape import adapt_shape
 from .shared import Belief, adapt_shared
+from .summed import Weights
 from .task import AdaptState, Settings, Stage, Task
+from .together import adapt_together
 
 #: squared distances along the surface count by this share while a person is sought: the skin of another slides
 SLIDING = 0.005
@@ -33,7 +37,7 @@ def adapt_round(task: Task, state: AdaptState, held: dict[int, Scan], stage: Sta
     for gone in set(held) - set(chosen):
         del held[gone]
     for n in set(chosen) - set(held):
-        held[n] = make_scan(task.cloud(n))
+        held[n] = task.scan(n)
     scans = [held[n] for n in chosen]
     if stage.round == 1:
         poses = [pose_at(task, state, scan, pose, steps=6) for scan, pose in zip(scans, poses, strict=True)]
@@ -44,6 +48,8 @@ def adapt_round(task: Task, state: AdaptState, held: dict[int, Scan], stage: Sta
     else:
         body, poses = _surface(task, state, poses, scans, stage)
         traits, chosen_next = state.traits, chosen
+    if task.boxes is not None:
+        poses = [brought_in(task.boxes, body.skeleton, pose) for pose in poses]
     every = [state.motion[n] for n in range(len(state.motion))]
     for n, pose in zip(chosen, poses, strict=True):
         every[n] = pose
@@ -77,7 +83,7 @@ def _proportions(
     with them."""
     if task.people is None:
         modes, belief = joint_modes(state.body), _joints_beside(task, state)
-        body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored, TANGENTIAL)
+        body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored)
         return body, unstack(together, len(poses)), state.traits
     standing = task.people.standing + jnp.asarray(state.traits)
     # what no person explains is the same in all frames, which therefore count as one
@@ -90,13 +96,19 @@ def _proportions(
 def _surface(
     task: Task, state: AdaptState, poses: list[Pose], scans: list[Scan], stage: Stage
 ) -> tuple[Body, list[Pose]]:
-    """Joints within their skin, and then the vertices."""
+    """Joints within their skin, and then the vertices; or both at once."""
     modes, belief = joint_modes(state.body, follow=False), _joints_beside(task, state)
-    body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored, TANGENTIAL)
-    poses = unstack(together, len(poses))
-    pairs = stacked_pairs(task, body, poses, scans)
     shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
-    return adapt_shape(body, together, pairs, shape, weight), poses
+    if task.settings.together:
+        pairs = stacked_pairs(task, state.body, poses, scans)
+        weights = Weights(state.weight, weight, task.settings.deviation)
+        body, together = adapt_together(
+            state.body, stack(poses), pairs, task.prior, shape, modes, belief, task.mirrored, weights
+        )
+        return body, unstack(together, len(poses))
+    body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored)
+    poses = unstack(together, len(poses))
+    return adapt_shape(body, together, stacked_pairs(task, body, poses, scans), shape, weight), poses
 
 
 def _step(
@@ -107,11 +119,13 @@ def _step(
     modes: Modes,
     belief: Belief,
     mirrored: tuple[tuple[int, int], ...],
-    along: float,
+    sliding: float = 1.0,
 ) -> tuple[Body, Pose, Float[Array, "K"]]:
-    """The body a step along its modes further, its poses stacked, and how far it went."""
+    """The body a step along its modes further, its poses stacked, and how far it went; `sliding` is the most that squared
+    distances along the surface count."""
     pairs = stacked_pairs(task, state.body, poses, scans)
-    weights = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation, along))
+    pairs = eqx.tree_at(lambda p: p.along, pairs, jnp.minimum(pairs.along, sliding))
+    weights = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
     return adapt_shared(state.body, stack(poses), pairs, task.prior, modes, belief, mirrored, *weights)
 
 

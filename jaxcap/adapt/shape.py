@@ -30,8 +30,8 @@ def adapt_shape(
     count = len(body.vertices)
     # vertices of one triangle are coupled by the pairs within it; those at vertices couple nothing
     edges = mesh_edges(np.asarray(body.faces)) if pairs.vertices.shape[-1] > 1 else np.zeros((0, 2), int)
-    slots = jnp.asarray(_slots(pairs, edges, count), jnp.int32)
-    blocks, sides = (np.array(part, float) for part in _data(body, poses, pairs, slots, len(edges)))
+    slots = jnp.asarray(pair_slots(pairs, edges, count), jnp.int32)
+    blocks, sides = (np.array(part, float) for part in pair_blocks(body, poses, pairs, slots, len(edges)))
     # a pair's weight is about one at most, so a vertex weighs about as many as frames show it
     blocks[:count] += hold * np.eye(3)
     matrix = _block_matrix(blocks, edges, count)
@@ -49,7 +49,7 @@ def adapt_shape(
     return eqx.tree_at(lambda b: b.vertices, body, vertices)
 
 
-def _slots(pairs: Pairs, edges: Int[np.ndarray, "E 2"], count: int) -> Int[np.ndarray, "F C P"]:
+def pair_slots(pairs: Pairs, edges: Int[np.ndarray, "E 2"], count: int) -> Int[np.ndarray, "F C P"]:
     """The block that each two of a pair's vertices couple: of an edge behind those of the `count` vertices, in
     the edges' order; a vertex with itself is its own.
 
@@ -77,7 +77,7 @@ def _couples(corners: int) -> list[tuple[int, int]]:
 
 
 @eqx.filter_jit
-def _data(
+def pair_blocks(
     body: Body, poses: Pose, pairs: Pairs, slots: Int[Array, "F C P"], num_edges: int
 ) -> tuple[Float[Array, "B 3 3"], Float[Array, "V 3"]]:
     """Normal equations summed over frames: blocks of vertices, then those of edges from the lesser vertex to

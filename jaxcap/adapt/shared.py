@@ -40,14 +40,13 @@ def adapt_shared(
     mirrored: tuple[tuple[int, int], ...],
     weight: Float[Array, ""],
     deviation: Float[Array, ""],
-    along: Float[Array, ""],
 ) -> tuple[Body, Pose, Float[Array, "K"]]:
     """One Gauss-Newton step on all poses and the amounts of the modes that they share, a block-arrow; paired
     bones end equally long (eq. 4.13 as a constraint).
 
     **Arguments:** `poses` and `pairs` stacked over frames; `weight` of the pose prior against the mean squared distance
     of a pair, metres squared; `mirrored` pairs of joints of the left and the right; `deviation` of a pair's
-    distance, metres, against which beliefs count; `along`, the share by which squared distances along the surface count.
+    distance, metres, against which beliefs count.
 
     Returns the body, the poses, and by how much the body has gone along each mode.
     """
@@ -55,7 +54,7 @@ def adapt_shared(
 
     def of_frame(frame):
         pose, pairs = frame
-        matrix, side, _ = shared_equations(body, pose, pairs, modes, along)
+        matrix, side, _ = shared_equations(body, pose, pairs, modes)
         residual, jacobian = linearise(prior, body, pose)
         # a prior counts as it does for a pose by itself, against the mean of the pairs
         scale = weight * num_pairs(pairs)

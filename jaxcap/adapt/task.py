@@ -7,7 +7,7 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.pose_boxes import PoseBoxes
 from ..energy.term import AbstractEnergy
-from ..fit.correspond import Matching
+from ..fit.correspond import Matching, Scan, make_scan
 from ..geometry.camera import Camera
 from ..observe import Cloud
 from .people import People
@@ -41,6 +41,8 @@ class Settings(NamedTuple):
     #: the same of a pair's distance
     deviation: float = 0.003
     matching: Matching = Matching()
+    #: vertices, joints and poses in one step of each round, and not one after the other
+    together: bool = False
 
 
 class AdaptState(NamedTuple):
@@ -65,6 +67,8 @@ class AdaptState(NamedTuple):
     weight: float = 0.0
     #: what each term was worth after each stage, as the history has them
     terms: tuple[Terms, ...] = ()
+    #: frames of the stage that comes next which are done already
+    within: int = 0
 
 
 class Task(NamedTuple):
@@ -91,11 +95,17 @@ class Task(NamedTuple):
     boxes: PoseBoxes | None = None
     #: what training meshes of the template show of its shape; else the template's own, or that of the person it became
     shape: ShapePrior | None = None
+    #: the scan of a frame with its triangles, where scans are meshes; of clouds it is made of their points
+    mesh: Callable[[int], Scan] | None = None
 
     @property
     def scanned(self) -> list[int]:
         """Frames that have a scan."""
         return sorted(set(range(self.frames)) - set(self.missing))
+
+    def scan(self, frame: int) -> Scan:
+        """What pairs are found in."""
+        return make_scan(self.cloud(frame)) if self.mesh is None else self.mesh(frame)
 
 
 class Stage(NamedTuple):

@@ -15,7 +15,7 @@ from ..body.skeleton import Skeleton
 from ..body.symmetry import length_differences
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs, places_on
-from .equations import TANGENTIAL, pair_rows
+from .equations import pair_rows
 from .window import temporal_energy
 
 
@@ -35,15 +35,14 @@ class Terms(NamedTuple):
 
 
 class PairDistances(AbstractEnergy):
-    """Distances of a posed body from the points that belong to it: whole across the surface, by the share `along` along
-    it (Adaptation, eq. 4.4, for fixed pairs). It sums with any other energy, for `solve`."""
+    """Distances of a posed body from the points that belong to it: whole across the surface, by `Pairs.along` along it
+    (Adaptation, eq. 4.4, for fixed pairs). It sums with any other energy, for `solve`."""
 
     pairs: Pairs
-    along: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.asarray(TANGENTIAL))
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
         apart = places_on(self.pairs, posed.vertices) - self.pairs.points
-        return jnp.einsum("cra,ca->cr", pair_rows(self.pairs, self.along), apart).reshape(-1)
+        return jnp.einsum("cra,ca->cr", pair_rows(self.pairs), apart).reshape(-1)
 
 
 def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:

@@ -1,5 +1,6 @@
 """Smooth motion: the poses of some frames at once, coupled by their second differences (Adaptation, 4.1.4)."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -8,17 +9,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..body.body import Body
+from ..body.body import Body, pose_body
 from ..body.pose import Pose, retract
-from ..body.pose_boxes import PoseBoxes, box_chart, move_within, no_boxes
+from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, move_within, no_boxes
 from ..body.skeleton import Skeleton
+from ..energy.temporal import second_difference
 from ..energy.term import AbstractEnergy
+from ..fit.banded import Banded, among, banded_equations
 from ..fit.boxed import solve_boxed
 from ..fit.correspond import Pairs
 from ..fit.problem import linearise
-from ..geometry import rotation
-from .equations import num_pairs, pose_equations, stack, stack_pairs, unstack
-from .pose import brought_in
+from .equations import num_pairs, pair_energy, pose_equations, stack, stack_pairs, unstack
+from .pose import SHARES, UPHILL, brought_in
 
 #: frames of a window, and by how many the next one is further on
 FRAMES, STRIDE = 11, 5
@@ -40,33 +42,46 @@ def smooth_poses(
     """Poses of a whole sequence by windows that overlap, each with its first frame held where the window
     before left it; memory is that of one window.
 
+    A step of a window is one of damped normal equations, block-banded over the frames, of which the best of some lengths
+    is taken. New pairs may make a window worse; the best of its poses are kept.
+
     **Arguments:** `pairs_at(frame, pose)` gives the pairs of a frame; `weight` of the prior and `temporal` of the
     second differences, against the mean squared distance of a pair (eqs. 4.3, 4.9); `boxes` are hard, as in
     `fit_pose`, and poses that are beyond them are brought back first.
     """
     boxes = no_boxes() if boxes is None else boxes
+    weights = jnp.asarray(weight, float), jnp.asarray(temporal, float)
     poses = [brought_in(boxes, body.skeleton, pose) for pose in poses]
+    known: dict[int, tuple[Pose, Pairs]] = {}
+
+    def pairs_of_frame(frame: int, pose: Pose) -> Pairs:
+        # a held frame, and one that the window before left, is where it was
+        if frame not in known or known[frame][0] is not pose:
+            known[frame] = pose, pairs_at(frame, pose)
+        return known[frame][1]
+
     for start in range(0, max(len(poses) - 2, 1), stride):
         stop = min(start + frames, len(poses))
         # a window of another length would be compiled anew, so the last one begins earlier
         start = max(stop - frames, 0)
         if stop - start < 3:
             break
-        window = poses[start:stop]
-        for _ in range(steps):
-            pairs = stack_pairs([pairs_at(start + i, pose) for i, pose in enumerate(window)])
-            moved = _improve(
-                body,
-                stack(window),
-                pairs,
-                prior,
-                boxes,
-                jnp.asarray(weight, float),
-                jnp.asarray(temporal, float),
-                jnp.asarray(start > 0),
-            )
-            window = unstack(moved, stop - start)
-        poses[start:stop] = window
+        for frame in [frame for frame in known if frame < start]:
+            del known[frame]
+        held, window = int(start > 0), poses[start:stop]
+        best, worse = (math.inf, window), 0
+        for step in range(steps + 1):
+            pairs = stack_pairs([pairs_of_frame(start + i, pose) for i, pose in enumerate(window)])
+            total = float(window_energy(body, stack(window), pairs, prior, *weights))
+            if total < best[0]:
+                best, worse = (total, window), 0
+            else:
+                worse += 1
+            if step == steps or worse > UPHILL:
+                break
+            moved = _improve(body, stack(window), pairs, prior, boxes, *weights, jnp.asarray(held > 0))
+            window = window[:held] + unstack(moved, stop - start)[held:]
+        poses[start:stop] = best[1]
         if stop == len(poses):
             break
     return poses
@@ -75,8 +90,73 @@ def smooth_poses(
 def temporal_energy(skeleton: Skeleton, poses: Pose) -> Float[Array, ""]:
     """`Q_temp` (eqs. 4.9 and 4.10): the mean over inner frames and joints of the squared difference of a
     rotation vector from the mean of its neighbours', radians squared."""
-    r = _second_differences(skeleton, poses, jnp.zeros((len(poses.scale), skeleton.num_dofs)))
-    return jnp.sum(r**2)
+    q = poses.rotations
+    apart = second_difference(q[:-2], q[1:-1], q[2:])
+    return jnp.sum(apart**2) / (apart.shape[0] * apart.shape[1])
+
+
+@eqx.filter_jit
+def window_energy(
+    body: Body,
+    poses: Pose,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    weight: Float[Array, ""],
+    temporal: Float[Array, ""],
+) -> Float[Array, ""]:
+    """`Q` of the poses of some frames (eq. 4.3): the mean over frames of `Q_data + weight Q_pose`, which is what
+    `fit_pose` makes least, and `temporal Q_temp`."""
+
+    def of_frame(frame):
+        pose, pairs = frame
+        beside = prior.residual(pose_body(body, pose))
+        return pair_energy(body, pose, pairs) / num_pairs(pairs) + weight * beside @ beside
+
+    each = jax.lax.map(of_frame, (poses, pairs))
+    return jnp.mean(each) + temporal * temporal_energy(body.skeleton, poses)
+
+
+def window_step(
+    body: Body,
+    poses: Pose,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    boxes: PoseBoxes,
+    weight: Float[Array, ""],
+    temporal: Float[Array, ""],
+    held: Bool[Array, ""],
+) -> tuple[BoxChart, Float[Array, "F D"]]:
+    """The damped step of all frames of a window within their boxes, and the charts whose numbers it is by.
+
+    Frames meet through their second differences, which couple a frame with the two before it.
+    """
+    skeleton, frames = body.skeleton, poses.scale.shape[0]
+
+    def of_frame(frame):
+        pose, pairs = frame
+        count = num_pairs(pairs)
+        matrix, side, _ = pose_equations(body, pose, pairs)
+        residual, jacobian = linearise(prior, body, pose)
+        return (
+            matrix / count + weight * jacobian.T @ jacobian,
+            side / count - weight * jacobian.T @ residual,
+        )
+
+    own, sides = jax.lax.map(of_frame, (poses, pairs))
+    slopes, rough = _temporal_rows(skeleton, poses)
+    banded, smooth_sides = banded_equations(slopes, -rough)
+    blocks = (temporal * banded.blocks).at[:, 0].add(own / frames)
+    sides = sides / frames + temporal * smooth_sides
+    # the held frame does not move
+    free = jnp.ones_like(sides, bool).at[0].set(~held)
+    diagonal = jnp.diagonal(blocks[:, 0], axis1=1, axis2=2)
+    ridge = 1e-4 * diagonal + 1e-7 * jnp.max(diagonal)
+    blocks = blocks.at[:, 0].add(ridge[:, :, None] * jnp.eye(ridge.shape[1], dtype=ridge.dtype))
+    # bounds are on the numbers of the frames' charts, and so is the step
+    charts = jax.vmap(box_chart, (None, None, 0))(boxes, skeleton, poses)
+    banded, sides = _by_charts(charts, blocks, sides)
+    step = solve_boxed(among(banded, free), jnp.where(free, sides, 0.0), charts.low, charts.high)
+    return charts, step
 
 
 @eqx.filter_jit
@@ -90,52 +170,47 @@ def _improve(
     temporal: Float[Array, ""],
     held: Bool[Array, ""],
 ) -> Pose:
-    skeleton, dofs = body.skeleton, body.skeleton.num_dofs
-    frames = poses.scale.shape[0]
+    """The poses after the best length of a step for these pairs, which may be none."""
+    charts, step = window_step(body, poses, pairs, prior, boxes, weight, temporal, held)
 
-    def of_frame(frame):
-        pose, pairs = frame
-        count = num_pairs(pairs)
-        matrix, side, _ = pose_equations(body, pose, pairs)
-        residual, jacobian = linearise(prior, body, pose)
-        return (
-            matrix / count + weight * jacobian.T @ jacobian,
-            side / count - weight * jacobian.T @ residual,
-        )
+    def moved(share):
+        move = jax.vmap(move_within, (None, None, 0, 0, 0))
+        return move(boxes, body.skeleton, poses, charts, share * step)
 
-    blocks, sides = jax.lax.map(of_frame, (poses, pairs))
-    matrix = jnp.zeros((frames, dofs, frames, dofs), sides.dtype)
-    every = jnp.arange(frames)
-    matrix = matrix.at[every, :, every].set(blocks / frames).reshape(frames * dofs, frames * dofs)
-    side = sides.reshape(-1) / frames
+    def value(share):
+        return window_energy(body, moved(share), pairs, prior, weight, temporal)
 
-    def rough(d):
-        r = _second_differences(skeleton, poses, d.reshape(frames, dofs))
-        return r, r
+    shares = jnp.asarray([*SHARES, 0.0], step.dtype)
+    values = jax.lax.map(value, shares)
+    # a length that is worth no number is never the best
+    return moved(shares[jnp.argmin(jnp.where(jnp.isnan(values), jnp.inf, values))])
 
-    slope, r = jax.jacfwd(rough, has_aux=True)(jnp.zeros(frames * dofs, sides.dtype))
-    matrix = matrix + temporal * slope.T @ slope
-    side = side - temporal * slope.T @ r
-    # the held frame does not move
-    free = jnp.where(held & (jnp.arange(frames * dofs) < dofs), 0.0, 1.0)
-    diagonal = jnp.diag(matrix)
-    ridge = 1e-4 * diagonal + 1e-7 * jnp.max(diagonal)
-    matrix = matrix * free[:, None] * free + jnp.diag(jnp.where(free > 0, ridge, 1.0))
-    # bounds are on the numbers of the frames' charts, and so is the step
-    charts = jax.vmap(box_chart, (None, None, 0))(boxes, skeleton, poses)
+
+def _temporal_rows(skeleton: Skeleton, poses: Pose) -> tuple[Float[Array, "K 3 R D"], Float[Array, "K R"]]:
+    """The residual of `Q_temp`, an inner frame after the other, and its Jacobian by the frame before, its own and the
+    one after."""
+    inner = poses.scale.shape[0] - 2
+    threes = jax.tree.map(lambda leaf: jnp.stack([leaf[:-2], leaf[1:-1], leaf[2:]], 1), poses)
+
+    def rows(three):
+        def residual(d):
+            q = jax.vmap(retract, (None, 0, 0))(skeleton, three, d).rotations
+            apart = second_difference(*q)
+            apart = apart.reshape(-1) / jnp.sqrt(jnp.asarray(inner * len(apart), apart.dtype))
+            return apart, apart
+
+        zero = jnp.zeros((3, skeleton.num_dofs), three.rotations.dtype)
+        slope, apart = jax.jacfwd(residual, has_aux=True)(zero)
+        return jnp.swapaxes(slope, 0, 1), apart
+
+    return jax.vmap(rows)(threes)
+
+
+def _by_charts(
+    charts: BoxChart, blocks: Float[Array, "F B D D"], sides: Float[Array, "F D"]
+) -> tuple[Banded, Float[Array, "F D"]]:
+    """Normal equations of the frames' tangents as those of their charts' numbers."""
     product = partial(jnp.einsum, precision="highest")
-    matrix = product("faGb,Gbj->faGj", matrix.reshape(frames, dofs, frames, dofs), charts.turn)
-    matrix = product("fai,faGj->fiGj", charts.turn, matrix).reshape(frames * dofs, frames * dofs)
-    side = product("fai,fa->fi", charts.turn, (free * side).reshape(frames, dofs)).reshape(-1)
-    step = solve_boxed(matrix, side, charts.low.reshape(-1), charts.high.reshape(-1))
-    move = jax.vmap(move_within, (None, None, 0, 0, 0))
-    return move(boxes, skeleton, poses, charts, step.reshape(frames, dofs))
-
-
-def _second_differences(skeleton: Skeleton, poses: Pose, d: Float[Array, "F D"]) -> Float[Array, "R"]:
-    """Half the sum of the rotation vectors to the frame before and to the one after: those of eq. 4.10 from the
-    pose between the two, so that none is near half a turn however far a motion turns in all."""
-    q = jax.vmap(retract, (None, 0, 0))(skeleton, poses, d.astype(poses.rotations.dtype)).rotations
-    back = rotation.conjugate(q[1:-1])
-    inner = (rotation.log(rotation.multiply(back, q[:-2])) + rotation.log(rotation.multiply(back, q[2:]))) / 2
-    return inner.reshape(-1) / jnp.sqrt(inner.shape[0] * inner.shape[1])
+    before = jnp.stack([jnp.roll(charts.turn, w, 0) for w in range(blocks.shape[1])], 1)
+    turned = product("fai,fwab,fwbj->fwij", charts.turn, blocks, before)
+    return Banded(turned), product("fai,fa->fi", charts.turn, sides)

@@ -1,4 +1,6 @@
-"""Bones on the left are as long as on the right."""
+"""Joints of the left and of the right: which are twins, and bones that are as long as their twins."""
+
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -6,6 +8,30 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .skeleton import Skeleton
+
+
+def twin_joints(names: Sequence[str]) -> list[tuple[int, int]]:
+    """Joints of the left with those of the right that are called alike but for the side."""
+    places = {name: joint for joint, name in enumerate(names)}
+    found = []
+    for left, right in (("Left", "Right"), ("left", "right"), ("L", "R"), ("l", "r")):
+        for joint, name in enumerate(names):
+            start = name.find(left)
+            while start >= 0:
+                twin = name[:start] + right + name[start + len(left) :]
+                if twin in places:
+                    found.append((joint, places[twin]))
+                start = name.find(left, start + 1)
+    return found
+
+
+def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
+    """Pairs of joints of the left and the right, by their names; each joint in one of them at most."""
+    found: list[tuple[int, int]] = []
+    for pair in twin_joints(skeleton.names):
+        if not any(joint in other for other in found for joint in pair):
+            found.append(pair)
+    return tuple(found)
 
 
 def length_differences(

@@ -1,46 +1,40 @@
 """`jaxcap adapt`: the body becomes the actor of a sequence of scans."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..adapt.check import check_actor
 from ..adapt.evaluate import Stages, compare_stages, quantile, variant_names
 from ..adapt.loop import AdaptState, Settings, Task, adapt_body, plan
-from ..body.anatomy import rest_deviations
+from ..adapt.prepare import make_task
+from ..adapt.task import Stage
 from ..body.body import Body
 from ..energy.pair_prior import LikelihoodPrior, MahalanobisPrior
-from ..energy.prior import RestPrior
-from ..energy.term import AbstractEnergy
 from ..errors import InputError
 from ..fit.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
 from ..io.clouds import Scans, read_clouds
-from ..io.npz import save_body
-from ..io.prior import load_boxes, load_prior, load_shape_prior
+from ..io.prior import Priors
 from ..io.registry import write_motion
 from ..report.adaptation import report_adaptation
-from .adapt_input import (
-    first_pose,
-    load_cameras,
-    mirrored_joints,
-    people_like,
-    unusable_scans,
-    warn_of_lost,
-    warn_of_unusable,
-)
+from .adapt_actor import finished_run, save_actor
+from .adapt_input import first_pose, load_cameras, look_through, warn_of_lost, warn_of_unusable
+from .adapt_prior import carried, prior_file, read_priors
 from .adapt_state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
-from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
+from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg, clouds_words
 from .rounds import Rounds
 from .say import say
-from .sources import load_body, load_cloud
+from .sources import Clouds, load_body
 
 PriorForm = Literal["nearest", "mean"]
 #: what is paired with points of a scan, by the word for it
 PAIRS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
 Paired = Literal["vertices", "surface", "soft"]
+#: frames within a long stage after which its poses are kept
+KEPT = 25
 OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")]
 
 
@@ -53,7 +47,7 @@ class Adapt:
     body: BodySpec
     """The template: `human` (with options: `human:female,height=1.7`) or a body .npz."""
     clouds: CloudsSpec
-    """A printf pattern (`scan_%03d.ply`), a quoted glob, a folder, or an .npz."""
+    """Files, a frame each (`scans/*.ply`), a printf pattern (`scan_%03d.ply`), a folder, or an .npz."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """The actor's body, .npz."""
     motion: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
@@ -62,7 +56,8 @@ class Adapt:
     """A motion whose first pose is near that of the first scan; searched for where not given."""
     prior: OptionalFile = None
     """Which poses are likely, as `jaxcap prior learn` wrote it, beside what anatomy says; no joint turns beyond the least
-    and largest turns in it, and vertices are held to the shape of its meshes, where it has these."""
+    and largest turns in it, and vertices are held to the shape of its meshes, where it has these. That in the file of BODY
+    where not given; `none` leaves it out."""
     prior_form: PriorForm = "nearest"
     """How far from likely counts: by the nearest Gaussian (nearest) or by the mean likelihood (mean)."""
     cameras: OptionalFile = None
@@ -70,14 +65,17 @@ class Adapt:
     aperture: Flag = False
     """Of --cameras take only how far they see to the sides, not what hides what."""
     pairs: Paired = "vertices"
-    """What a point of a scan belongs to: the nearest of the body's vertices, the nearest point of its surface, or vertices by
-    Gaussian shares (soft), for which the first pose has to be within 3 cm."""
+    """What a point of a scan belongs to: the nearest of the body's vertices, the nearest point of its surface (and vertices
+    that of the scan's, where scans are meshes), or vertices by Gaussian shares (soft), for which the first pose has to be
+    within 3 cm."""
     pair_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
     """Largest angle between the normals of a pair."""
     pair_reach: Annotated[float, arg(metavar="METRES")] = 0.3
     """Largest distance of a pair."""
+    along: Annotated[float, arg(metavar="SHARE")] = 0.05
+    """What distances along the surface count, squared, of those across it: 1 is point to point, 0 point to plane."""
     report: OptionalFile = None
-    """Also write what the adaptation has brought, as a page of pictures and tables, .html."""
+    """Also write what the adaptation has brought, as a page of pictures and tables, .html. Afterwards by --resume."""
     report_every: Annotated[int, arg(metavar="N")] = 1
     """Measure every N-th frame for the report, for speed."""
     frames: Annotated[int, arg(metavar="N")] = 40
@@ -86,6 +84,8 @@ class Adapt:
     """Adapt while tracking, after every N frames of the first 10 N, where the template would be lost; 0 tracks all first."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
     """How far joints may be from where the surface around them says; less where poses do not tell joints."""
+    together: Flag = False
+    """Vertices, joints and poses in one step of each round, and not one after the other."""
     smoothness: OptionalWeight = None
     """Weight of smooth motion; balanced with the scans where not given, 0 leaves it out."""
     pose_weight: OptionalWeight = None
@@ -111,20 +111,38 @@ class Adapt:
 
     def run(self) -> None:
         self.check()
-        header = self.settings()
+        known = prior_file(self.body, self.prior)
+        header = {**self.settings(), "prior": hash_of(known)}
         body, _ = load_body(self.body, vertices=self.vertices)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
-            raise InputError(f"{self.clouds}: {len(scans)} scans are too few to adapt to; give at least 3.")
-        missing = unusable_scans(scans, body)
-        header |= fingerprint_of(body, scans)
-        state = state_to_go_on_from(self.kept, header, self.resume, self.overwrite)
-        task = self.task(body, scans, tuple(missing))
-        warn_of_unusable(missing)
-        state = self.adapt(task, state, header, scans.names[0])
+            told = clouds_words(self.clouds)
+            raise InputError(f"{told}: {len(scans)} scans are too few to adapt to; give at least 3.")
+        seen = look_through(scans, body)
+        header |= fingerprint_of(body, seen.digests)
+        finished = self.resume and self.out.is_file() and not self.kept.is_file()
+        state = (
+            finished_run(self.out, self.motion_path, header)
+            if finished
+            else state_to_go_on_from(self.kept, header, self.resume, self.overwrite)
+        )
+        priors = read_priors(known, body, own=self.prior is None, reduced=self.vertices is not None)
+        task, beside = self.task(body, scans, priors, tuple(seen.unusable)), carried(self.body, priors)
+        warn_of_unusable(seen.unusable)
+        if state is None or not finished:
+            state = self.adapt(task, state, header, scans.names[0])
+            self.write(state, header, scans, beside)
+        if self.report is not None:
+            self.write_report(self.report, task, state, known)
+        self.kept.unlink(missing_ok=True)
+
+    def write(
+        self, state: AdaptState, header: dict[str, object], scans: Scans, beside: dict[str, np.ndarray]
+    ) -> None:
+        """The motion, and the body with what is to be said `beside` it; a line tells of both."""
         try:
-            save_body(self.out, state.body)
             write_motion(self.motion_path, state.body.skeleton, state.motion)
+            save_actor(self.out, state, beside, header, self.motion_path)
         except InputError as error:
             raise InputError(f"{error} {kept_words(self.kept, state.done)}.") from None
         say(
@@ -132,9 +150,6 @@ class Adapt:
             f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}"
         )
         warn_of_lost(state.lost, scans)
-        if self.report is not None:
-            self.write_report(self.report, task, state)
-        self.kept.unlink(missing_ok=True)
 
     def adapt(
         self, task: Task, state: AdaptState | None, header: dict[str, object], first: str
@@ -143,24 +158,21 @@ class Adapt:
         stages = plan(task.settings)
         with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
-                for reached in adapt_body(task, state):
+                for reached in adapt_body(task, state, every=KEPT):
                     if reached.done == 1:
                         check_actor(task, reached, first)
                     keep_state(self.kept, reached, header)
                     state = reached
-                    bar.tell(
-                        state.done,
-                        f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body",
-                    )
+                    bar.tell(state.done, _reached(state, stages))
             except KeyboardInterrupt:
                 done = 0 if state is None else state.done
                 raise KeyboardInterrupt(f"stopped; {kept_words(self.kept, done)}") from None
         assert state is not None
         return state
 
-    def write_report(self, path: Path, task: Task, state: AdaptState) -> None:
-        """Measure the result and those it is compared with. The checkpoint is still there, so that --resume does
-        only this where it is stopped."""
+    def write_report(self, path: Path, task: Task, state: AdaptState, known: Path | None) -> None:
+        """Measure the result and those it is compared with; `known` is the file of what was known beforehand. Stopped, or
+        later, --resume does only this."""
         names, stages = variant_names(task.settings), Stages(())
         with Rounds(len(names), 0, "measuring") as bar:
             try:
@@ -173,9 +185,9 @@ class Adapt:
                 ) from None
         how = {
             "template": self.body,
-            "scans": self.clouds,
+            "scans": clouds_words(self.clouds),
             **self.settings(),
-            "prior": self.prior,
+            "prior": known,
             "cameras": self.cameras,
             "start": self.start,
         }
@@ -203,6 +215,7 @@ class Adapt:
             ),
             "--pair-angle": (self.pair_angle, 0 < self.pair_angle <= 180, "above 0 and at most 180 degrees"),
             "--pair-reach": (self.pair_reach, 0 < self.pair_reach < np.inf, "above 0 metres"),
+            "--along": (self.along, 0 <= self.along <= 1, "between 0 and 1"),
             "--smoothness": (self.smoothness, _none_or_from_zero(self.smoothness), "at least 0"),
             "--pose-weight": (self.pose_weight, _none_or_from_zero(self.pose_weight), "at least 0"),
             "--shape-weight": (
@@ -218,17 +231,12 @@ class Adapt:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
         if self.aperture and self.cameras is None:
             raise InputError("--aperture is of cameras; name them by --cameras.")
-        check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
+        check_results(self.out, self.motion_path, self.report, self.kept, self.resume, self.overwrite)
 
-    def task(self, body: Body, scans: Scans, missing: tuple[int, ...] = ()) -> Task:
-        """What is to be done, with all files that are named read. Raises `InputError`."""
+    def task(self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()) -> Task:
+        """What is to be done, with what is known beforehand, and cameras and first pose read. Raises `InputError`."""
         skeleton = body.skeleton
-        prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), body.vertices.dtype))
-        boxes, shape = None, None
-        if self.prior is not None:
-            form = MahalanobisPrior if self.prior_form == "nearest" else LikelihoodPrior
-            prior = prior + form(load_prior(self.prior, skeleton))
-            boxes, shape = load_boxes(self.prior, skeleton), load_shape_prior(self.prior, body)
+        form = MahalanobisPrior if self.prior_form == "nearest" else LikelihoodPrior
         cameras = ()
         if self.cameras is not None:
             there = [frame for frame in range(len(scans)) if frame not in missing]
@@ -236,17 +244,17 @@ class Adapt:
         matching = Matching(
             angle=self.pair_angle,
             reach=self.pair_reach,
+            along=self.along,
             assignment=PAIRS[self.pairs],
             aperture=cameras if self.aperture else (),
         )
-        return Task(
-            template=body,
-            cloud=lambda frame: load_cloud(scans, frame, body, self.up),
-            frames=len(scans),
-            rate=self.rate,
+        clouds = Clouds(scans, body, self.up)
+        return make_task(
+            body,
+            clouds,
+            self.rate,
             start=None if self.start is None else first_pose(self.start, skeleton),
-            prior=prior,
-            mirrored=mirrored_joints(skeleton),
+            likely=None if priors is None else form(priors.prior),
             settings=Settings(
                 frames=self.frames,
                 joint=self.joint_deviation,
@@ -254,13 +262,14 @@ class Adapt:
                 pose=self.pose_weight,
                 temporal=self.smoothness,
                 every=self.adapt_every,
+                together=self.together,
                 matching=matching,
             ),
-            people=people_like(body),
             cameras=() if self.aperture else cameras,
             missing=missing,
-            boxes=boxes,
-            shape=shape,
+            boxes=None if priors is None else priors.boxes,
+            shape=None if priors is None else priors.shape,
+            mesh=clouds.mesh if self.pairs == "surface" else None,
         )
 
     def settings(self) -> dict[str, object]:
@@ -273,7 +282,9 @@ class Adapt:
             "pairs",
             "pair_angle",
             "pair_reach",
+            "along",
             "joint_deviation",
+            "together",
             "smoothness",
             "pose_weight",
             "unit",
@@ -283,9 +294,16 @@ class Adapt:
             "first",
             "last",
         )
-        files = {"prior": hash_of(self.prior), "cameras": hash_of(self.cameras)}
+        files = {"cameras": hash_of(self.cameras), "start": hash_of(self.start)}
         plain = {name: getattr(self, name) for name in names}
         return {**plain, "shape_weight": list(self.shape_weight), **files}
+
+
+def _reached(state: AdaptState, stages: Sequence[Stage]) -> str:
+    """What a user is told of a state."""
+    if state.within:
+        return f"{stages[state.done]}: {state.within} of {len(state.motion)} frames"
+    return f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body"
 
 
 def _none_or_from_zero(weight: float | None) -> bool:

@@ -1,25 +1,25 @@
 """What `jaxcap adapt` is given, looked at before hours are spent on it."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from ..adapt.check import check_cameras
 from ..adapt.meet import some_of
-from ..adapt.people import People, learn_people
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
-from ..body.variety import human_resolution, people_of_many_shapes
-from ..edit.joint_names import twin_joints
 from ..edit.retargeting.retarget import retarget
 from ..errors import InputError
 from ..fit.check import check_cloud
 from ..geometry.camera import Camera
 from ..io.cameras import read_cameras
-from ..io.clouds import Scans
+from ..io.clouds import Scan, Scans
 from ..io.registry import read_motion
 from ..observe import Cloud
 from .say import progress, warn
@@ -31,21 +31,28 @@ LEAST, GOOD = 3, 0.5
 LOOKED_AT = 5
 #: scans that are told of one by one
 TOLD = 5
-#: bodies that tell how people differ
-PEOPLE = 200
 
 
-def unusable_scans(scans: Scans, body: Body) -> dict[int, str]:
-    """Frames whose scan is empty, cannot be read, or cannot be of the body, each with the sentence that says so.
+class Looked(NamedTuple):
+    """What is seen of scans before any of them is met by a body."""
 
-    Every scan is read once.
+    #: frames whose scan is empty, cannot be read, or cannot be of the body, each with the sentence that says so
+    unusable: dict[int, str]
+    #: of every scan, what tells that it is the same: a hash of all that it has
+    digests: tuple[str, ...]
+
+
+def look_through(scans: Scans, body: Body) -> Looked:
+    """Read every scan once.
 
     **Raises:** `InputError` where the first scan is one of them, or too many are.
     """
     found: dict[int, str] = {}
+    digests = ["cannot be read"] * len(scans)
     for frame in progress(range(len(scans)), len(scans), label="reading"):
         try:
             scan = scans[frame]
+            digests[frame] = _digest(scan)
             points = jnp.asarray(scan.points)
             check_cloud(body, Cloud(points, jnp.zeros_like(points), jnp.ones(len(points))), scan.name)
         except InputError as error:
@@ -58,7 +65,13 @@ def unusable_scans(scans: Scans, body: Body) -> dict[int, str]:
             f"{len(found)} of {len(scans)} scans cannot be used, too many to go on without them; the first: "
             f"{next(iter(found.values()))}"
         )
-    return found
+    return Looked(found, tuple(digests))
+
+
+def _digest(scan: Scan) -> str:
+    """Of all that a scan has beside its name."""
+    parts = [np.ascontiguousarray(part) for part in scan[1:] if part is not None]
+    return hashlib.sha256(b"|".join(part.tobytes() for part in parts)).hexdigest()[:16]
 
 
 def warn_of_unusable(reasons: Mapping[int, str]) -> None:
@@ -98,20 +111,3 @@ def first_pose(path: Path, skeleton: Skeleton) -> Pose:
         return retarget(motion.slice(slice(1)), of, skeleton)[0]
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
-
-
-def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
-    """Pairs of joints of the left and the right, each joint in one of them at most."""
-    found: list[tuple[int, int]] = []
-    for pair in twin_joints(skeleton.names):
-        if not any(joint in other for other in found for joint in pair):
-            found.append(pair)
-    return tuple(found)
-
-
-def people_like(template: Body) -> People | None:
-    """How people differ, where the template has the human's triangles and joints."""
-    resolution = human_resolution(template)
-    if resolution is None:
-        return None
-    return learn_people(template, people_of_many_shapes(PEOPLE, resolution=resolution, joints="tracking"))

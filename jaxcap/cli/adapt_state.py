@@ -1,9 +1,10 @@
 """Where `jaxcap adapt` writes: its results, and between its stages one file to go on from, replaced as a whole."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from ..adapt.task import AdaptState
@@ -11,19 +12,21 @@ from ..adapt.terms import Terms
 from ..body.body import Body
 from ..errors import InputError
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from ..io.clouds import Scans
 from ..io.registry import MOTION_WRITERS
 from .outputs import check_absent
 from .results import make_writable
 
 #: arrays of a checkpoint beside body, motion and history
-NEEDS = ("done", "size", "lost", "chosen", "traits", "weight", "terms")
+NEEDS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "terms")
 
 
-def check_results(out: Path, motion: Path, report: Path | None, resume: bool, overwrite: bool) -> None:
+def check_results(
+    out: Path, motion: Path, report: Path | None, kept: Path, resume: bool, overwrite: bool
+) -> None:
     """That body, motion and report can be written, in folders that are made where they are not there.
 
-    **Raises:** `InputError` for other kinds of files, results in the way, and folders that cannot be written to.
+    **Raises:** `InputError` for other kinds of files, results in the way, a finished run to be gone on with that no report
+    is wanted of, and folders that cannot be written to.
     """
     if out.suffix.lower() != ".npz":
         raise InputError(f"{out}: bodies are written as .npz; give a name that ends in it.")
@@ -37,6 +40,10 @@ def check_results(out: Path, motion: Path, report: Path | None, resume: bool, ov
         raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
     every = [path for path in (out, motion, report) if path is not None]
     check_absent(every, overwrite or resume)
+    if resume and report is None and out.is_file() and not kept.is_file():
+        raise InputError(
+            f"{out}: this run is finished; --report tells of it, and --overwrite begins it anew."
+        )
     for path in every:
         make_writable(path.absolute().parent)
 
@@ -45,6 +52,7 @@ def checkpoint_of(state: AdaptState) -> Checkpoint:
     """A state as a file can hold it."""
     arrays = {
         "done": np.array(state.done),
+        "within": np.array(state.within),
         "size": np.array(state.size, float),
         "lost": np.array(state.lost, int),
         "chosen": np.array(state.chosen, int),
@@ -61,6 +69,7 @@ def state_of(kept: Checkpoint) -> AdaptState:
     lost, chosen, traits = (tuple(arrays[name].tolist()) for name in ("lost", "chosen", "traits"))
     return AdaptState(
         done=int(arrays["done"]),
+        within=int(arrays["within"]),
         body=kept.body,
         size=float(arrays["size"]),
         motion=kept.motion,
@@ -73,11 +82,15 @@ def state_of(kept: Checkpoint) -> AdaptState:
     )
 
 
-def fingerprint_of(body: Body, scans: Scans) -> dict[str, object]:
-    """What tells that inputs are the same."""
-    first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
-    shape = hashlib.sha256(np.ascontiguousarray(body.vertices).tobytes())
-    return {"template": shape.hexdigest(), "first cloud": first.hexdigest(), "scans": len(scans)}
+def fingerprint_of(body: Body, scans: Sequence[str]) -> dict[str, object]:
+    """What tells that inputs are the same: the template, how many scans there are, and of each of them the digest of
+    `Looked`."""
+    skeleton = body.skeleton
+    template = hashlib.sha256(repr((skeleton.names, skeleton.parents, skeleton.kinds)).encode())
+    for leaf in jax.tree.leaves(body):
+        template.update(np.asarray(leaf).tobytes())
+    each = {f"scan of frame {frame}": digest for frame, digest in enumerate(scans)}
+    return {"template": template.hexdigest(), "scans": len(scans), **each}
 
 
 def hash_of(path: Path | None) -> str | None:

@@ -1,8 +1,8 @@
 """Bodies and clouds by what a user writes on the command line."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, overload
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from ..body.reduce import reduce_body
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..fit.check import check_cloud
+from ..fit.correspond import Scan, make_mesh_scan, make_scan
 from ..geometry import rotation
 from ..io.clouds import Scans
 from ..io.cst import read_cst
@@ -80,9 +81,34 @@ def load_cloud(scans: Scans, frame: int, body: Body, up: Up = "y") -> Cloud:
     return cloud
 
 
-def load_clouds(scans: Scans, body: Body, up: Up = "y", start: int = 0) -> Iterator[Cloud]:
-    """The frames of a sequence from `start` on, each read when it is asked for."""
-    return (load_cloud(scans, frame, body, up) for frame in range(start, len(scans)))
+class Clouds(Sequence[Cloud]):
+    """The frames of a sequence as `load_cloud` gives them, each read when it is asked for."""
+
+    def __init__(self, scans: Scans, body: Body, up: Up = "y"):
+        self._scans, self._body = scans, body
+        self._up: Up = up
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    @overload
+    def __getitem__(self, index: int) -> Cloud: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Clouds": ...
+    def __getitem__(self, index):
+        if isinstance(index, slice):
+            return Clouds(self._scans[index], self._body, self._up)
+        return load_cloud(self._scans, index, self._body, self._up)
+
+    def mesh(self, frame: int) -> Scan:
+        """A frame with its triangles, where it has some."""
+        cloud, scan, turn = self[frame], self._scans[frame], up_rotation(self._up)
+        if scan.normals is None or not len(scan.faces):
+            return make_scan(cloud)
+        try:
+            return make_mesh_scan(scan.points @ turn.T, scan.normals @ turn.T, scan.faces)
+        except ValueError as error:
+            raise InputError(f"{scan.name}: {error}") from None
 
 
 def up_rotation(up: Up) -> np.ndarray:

@@ -21,7 +21,7 @@ from ..io.limits import read_limits
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
 from .results import check_folder, fingerprint, pack, record_width, unpack, whose_poses, write_results
 from .say import progress, say, warn
-from .sources import load_body, load_cloud, load_clouds
+from .sources import Clouds, load_body, load_cloud
 from .timed import timed
 
 JOURNAL = "journal"
@@ -36,7 +36,7 @@ class Track:
     body: BodySpec
     """`human` (with options: `human:female,height=1.7`), a body .npz, a skinned .glb or USD, or a mesh with .skl and .vj."""
     clouds: CloudsSpec
-    """A printf pattern (`scan_%03d.off`), a quoted glob, a folder, or an .npz."""
+    """Files, a frame each (`scans/*.off`), a printf pattern (`scan_%03d.off`), a folder, or an .npz."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Folder for the results."""
     skl: OptionalFile = None
@@ -177,7 +177,7 @@ class Track:
         return timed(
             track_frames(
                 tracker,
-                load_clouds(scans, tracker.body, self.up, len(before)),
+                iter(Clouds(scans, tracker.body, self.up)[len(before) :]),
                 before[-1] if before else None,
                 search=self.initialise,
                 sigma=self.sigma0,

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 from ..body.body import Body
 from ..body.human import human
 from ..body.skeleton import Skeleton
+from ..body.symmetry import twin_joints
 from ..geometry.axes import nearest_axis
-from .joint_names import twin_joints
 
 #: of the embedded human, by resolution: vertices whose mean is the back of the head, and between the eyes
 HUMAN = {

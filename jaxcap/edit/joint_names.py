@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
+from ..body.symmetry import twin_joints
+
 #: ASF bone -> the name that CMU's BVH files and the embedded human have for its joint
 ASF_TO_BVH: dict[str, str] = {
     "root": "Hips",
@@ -84,21 +86,6 @@ def sided(names: Sequence[str]) -> list[bool]:
     """Whether each joint has a twin on the other side of the body, by the names."""
     twins = {joint for pair in twin_joints(names) for joint in pair}
     return [joint in twins for joint in range(len(names))]
-
-
-def twin_joints(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Joints of the left with those of the right that are called alike but for the side."""
-    places = {name: joint for joint, name in enumerate(names)}
-    found = []
-    for left, right in (("Left", "Right"), ("left", "right"), ("L", "R"), ("l", "r")):
-        for joint, name in enumerate(names):
-            start = name.find(left)
-            while start >= 0:
-                twin = name[:start] + right + name[start + len(left) :]
-                if twin in places:
-                    found.append((joint, places[twin]))
-                start = name.find(left, start + 1)
-    return found
 
 
 def plain_name(name: str) -> str:

@@ -6,8 +6,8 @@ from jaxtyping import Float
 
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
+from ..body.symmetry import twin_joints
 from ..geometry.axes import nearest_axis
-from .joint_names import twin_joints
 
 
 def mirror(skeleton: Skeleton, motion: Motion) -> Motion:

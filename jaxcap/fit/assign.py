@@ -10,24 +10,42 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from ..geometry.closest import nearest_on_surface
-from ..observe import Cloud
+from ..observe import Cloud, padded_size
 
 
 class Scan(NamedTuple):
-    """The real points of a cloud with a tree to search them, made once a frame."""
+    """The real points of a cloud, or the vertices of a mesh, with a tree to search them, made once a frame."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
     tree: KDTree
     #: how many points the cloud has with its padding
     padded: int
+    #: the triangles between the points; none of a cloud
+    faces: Int[np.ndarray, "F 3"]
 
 
 def make_scan(cloud: Cloud) -> Scan:
     """The points of a cloud that are there, and their tree."""
     there = np.asarray(cloud.weights) > 0
-    points = np.asarray(cloud.points, float)[there]
-    return Scan(points, np.asarray(cloud.normals, float)[there], KDTree(points), len(there))
+    points, normals = (np.asarray(part, float)[there] for part in (cloud.points, cloud.normals))
+    return Scan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
+
+
+def make_mesh_scan(
+    vertices: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], faces: Int[np.ndarray, "F 3"]
+) -> Scan:
+    """The surface of a scan whose points are joined by triangles; vertices in metres.
+
+    **Raises:** `ValueError` where it has no vertices or one that is not finite, or a triangle of a vertex that is not there.
+    """
+    if not len(vertices) or not np.isfinite(vertices).all() or normals.shape != vertices.shape:
+        raise ValueError(
+            f"The mesh has {len(vertices)} vertices and {len(normals)} normals; give some, finite, and one normal for each."
+        )
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise ValueError(f"A triangle is of vertex {faces.max()}, and the mesh has {len(vertices)} vertices.")
+    return Scan(vertices, normals, KDTree(vertices), padded_size(len(vertices)), faces)
 
 
 class Surface(NamedTuple):
@@ -89,10 +107,11 @@ class NearestVertex(AbstractAssignment):
 
 
 class NearestOnSurface(AbstractAssignment):
-    """For every point of a scan the nearest point of the body's surface, exactly; for every vertex the
-    nearest point, as a scan is a cloud and its surface is met by distances that count along normals.
+    """For every point of a scan the nearest point of the body's surface, exactly; for every vertex the nearest point of the
+    scan's surface where the scan is a mesh, and of a cloud the nearest of its points, whose surface is met by
+    distances that count along normals.
 
-    Of the surface those triangles are searched all of whose corners are seen.
+    Of the body those triangles are searched all of whose corners are seen.
     """
 
     def from_scan(self, surface, scan, reach, cosine):
@@ -106,7 +125,15 @@ class NearestOnSurface(AbstractAssignment):
 
     def from_body(self, surface, scan, reach, cosine):
         del cosine
-        return nearest_points(surface, scan, reach)
+        if not len(scan.faces):
+            return nearest_points(surface, scan, reach)
+        triangles, shares, apart = nearest_on_surface(surface.vertices, scan.points, scan.faces, reach)
+        corners, every = scan.faces[triangles], np.arange(len(surface.vertices))[:, None]
+        points, normals = (
+            np.einsum("ck,cka->ca", shares, part[corners]) for part in (scan.points, scan.normals)
+        )
+        found = (np.isfinite(apart) & surface.seen).astype(float)
+        return Assigned(every, np.ones(every.shape), points, normals, found, "vertex")
 
 
 def nearest_points(surface: Surface, scan: Scan, reach: float) -> Assigned:

@@ -1,8 +1,10 @@
 """Least squares within bounds: what violates its bound is fixed there, and the rest is solved again
 (Adaptation, 4.1.4)."""
 
+import abc
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -15,18 +17,56 @@ RELEASES = 8
 ROUNDINGS = 16
 
 
-class _Round(NamedTuple):
-    """A solution, and which numbers are fixed for the next: -1 at the lower bound, 1 at the upper, 0 free."""
+class AbstractSystem(eqx.Module):
+    """A symmetric positive definite matrix `A`, however it is kept: what `solve_boxed` asks of it. Its vectors may have
+    any shape."""
 
-    step: Float[Array, "D"]
-    at: Int[Array, "D"]
+    @abc.abstractmethod
+    def product(self, x: Float[Array, "*D"]) -> Float[Array, "*D"]:
+        """`A x`."""
+
+    @abc.abstractmethod
+    def magnitudes(self, x: Float[Array, "*D"]) -> Float[Array, "*D"]:
+        """`|A| x`, of which the rounding errors of a product are a share."""
+
+    @abc.abstractmethod
+    def solve(self, side: Float[Array, "*D"], free: Bool[Array, "*D"]) -> Float[Array, "*D"]:
+        """The `x` with `A x = side` in the rows that are free, and zero elsewhere; differentiable by `A` and `side`."""
+
+
+class DenseSystem(AbstractSystem):
+    """All of the matrix."""
+
+    matrix: Float[Array, "D D"]
+
+    def product(self, x: Float[Array, "*D"]) -> Float[Array, "*D"]:
+        return jnp.matmul(self.matrix, x, precision="highest")
+
+    def magnitudes(self, x: Float[Array, "*D"]) -> Float[Array, "*D"]:
+        return jnp.abs(self.matrix) @ x
+
+    def solve(self, side: Float[Array, "*D"], free: Bool[Array, "*D"]) -> Float[Array, "*D"]:
+        # rows and columns are masked, not removed, so that shapes stay
+        left = jnp.where(free[:, None] & free, self.matrix, 0.0) + jnp.diag(jnp.where(free, 0.0, 1.0))
+        return jax.scipy.linalg.solve(left, jnp.where(free, side, 0.0), assume_a="pos")
+
+
+class _Round(NamedTuple):
+    """Which numbers are fixed: -1 at the lower bound, 1 at the upper, 0 free."""
+
+    #: in the round that is done, and in the next
+    at: Int[Array, "*D"]
+    after: Int[Array, "*D"]
     count: Int[Array, ""]
     settled: Bool[Array, ""]
 
 
 def solve_boxed(
-    matrix: Float[Array, "D D"], side: Float[Array, "D"], low: Float[Array, "D"], high: Float[Array, "D"]
-) -> Float[Array, "D"]:
+    matrix: Float[Array, "D D"] | AbstractSystem,
+    side: Float[Array, "*D"],
+    low: Float[Array, "*D"],
+    high: Float[Array, "*D"],
+) -> Float[Array, "*D"]:
     """The `x` in `[low, high]` that makes `x^T A x / 2 - b^T x` least, with `A` positive definite; for normal
     equations `A = J^T J` and `b = J^T r`.
 
@@ -36,42 +76,51 @@ def solve_boxed(
     it goes on until nothing changes. Then the solution is exact; a few rounds do. Where it has not come
     to rest after `RELEASES` rounds nothing is let go any more, and the solution is within its bounds all the same.
 
-    Bounds may be infinite. With all of them infinite it is one Cholesky decomposition.
+    Bounds may be infinite; with all of them infinite the first round is the last. Differentiable by all arguments: those
+    that are fixed are held to be the same nearby, and the last solution is differentiated alone.
     """
-    low, high = low.astype(matrix.dtype), high.astype(matrix.dtype)
+    system = matrix if isinstance(matrix, AbstractSystem) else DenseSystem(matrix)
+    low, high = low.astype(side.dtype), high.astype(side.dtype)
+    at = _find_fixed(*jax.lax.stop_gradient((system, side, low, high)))
+    return jnp.clip(_solve_free(system, side, at, low, high), low, high)
 
+
+def _find_fixed(
+    system: AbstractSystem, side: Float[Array, "*D"], low: Float[Array, "*D"], high: Float[Array, "*D"]
+) -> Int[Array, "*D"]:
     def going_on(state: _Round) -> Bool[Array, ""]:
         return ~state.settled & (state.count < ROUNDS)
 
     def once(state: _Round) -> _Round:
-        step = _solve_free(matrix, side, state.at, jnp.where(state.at < 0, low, high))
-        at = jnp.where(step < low, -1, jnp.where(step > high, 1, state.at))
-        inwards = _drawn_inwards(matrix, side, step, state.at) & (low < high)
-        at = jnp.where(inwards & (state.count < RELEASES), 0, at)
-        return _Round(step, at, state.count + 1, jnp.all(at == state.at))
+        at = state.after
+        step = _solve_free(system, side, at, low, high)
+        after = jnp.where(step < low, -1, jnp.where(step > high, 1, at))
+        inwards = _drawn_inwards(system, side, step, at) & (low < high)
+        after = jnp.where(inwards & (state.count < RELEASES), 0, after)
+        return _Round(at, after, state.count + 1, jnp.all(after == at))
 
     nothing = jnp.zeros_like(side, jnp.int32)
-    start = _Round(jnp.zeros_like(side), nothing, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
-    return jnp.clip(jax.lax.while_loop(going_on, once, start).step, low, high)
+    start = _Round(nothing, nothing, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+    return jax.lax.while_loop(going_on, once, start).at
 
 
 def _solve_free(
-    matrix: Float[Array, "D D"], side: Float[Array, "D"], at: Int[Array, "D"], bound: Float[Array, "D"]
-) -> Float[Array, "D"]:
-    """The free numbers by what is left of the system, the fixed ones at their bound. Rows and columns
-    are masked, not removed, so that shapes stay."""
+    system: AbstractSystem,
+    side: Float[Array, "*D"],
+    at: Int[Array, "*D"],
+    low: Float[Array, "*D"],
+    high: Float[Array, "*D"],
+) -> Float[Array, "*D"]:
+    """The free numbers by what is left of the system, the fixed ones at their bound."""
     free = at == 0
-    fixed = jnp.where(free, 0.0, bound)
-    left = jnp.where(free[:, None] & free, matrix, 0.0) + jnp.diag(jnp.where(free, 0.0, 1.0))
-    known = jnp.matmul(matrix, fixed, precision="highest")
-    solved = jax.scipy.linalg.solve(left, jnp.where(free, side - known, fixed), assume_a="pos")
-    return jnp.where(free, solved, fixed)
+    fixed = jnp.where(free, 0.0, jnp.where(at < 0, low, high))
+    return jnp.where(free, system.solve(side - system.product(fixed), free), fixed)
 
 
 def _drawn_inwards(
-    matrix: Float[Array, "D D"], side: Float[Array, "D"], step: Float[Array, "D"], at: Int[Array, "D"]
-) -> Bool[Array, "D"]:
+    system: AbstractSystem, side: Float[Array, "*D"], step: Float[Array, "*D"], at: Int[Array, "*D"]
+) -> Bool[Array, "*D"]:
     """Which of the fixed numbers would make the sum less by leaving their bound inwards."""
-    slope = jnp.matmul(matrix, step, precision="highest") - side
-    noise = ROUNDINGS * jnp.finfo(side.dtype).eps * (jnp.abs(matrix) @ jnp.abs(step) + jnp.abs(side))
+    slope = system.product(step) - side
+    noise = ROUNDINGS * jnp.finfo(side.dtype).eps * (system.magnitudes(jnp.abs(step)) + jnp.abs(side))
     return at * slope > noise

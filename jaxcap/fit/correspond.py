@@ -12,6 +12,7 @@ from ..geometry.camera import Camera, in_picture
 from .assign import AbstractAssignment, Assigned, NearestVertex, Surface
 from .assign import NearestOnSurface as NearestOnSurface
 from .assign import Scan as Scan
+from .assign import make_mesh_scan as make_mesh_scan
 from .assign import make_scan as make_scan
 from .assign_soft import SoftAssignment as SoftAssignment
 
@@ -31,6 +32,8 @@ class Pairs(eqx.Module):
     #: unit directions along which distances count: the mean of the scan's normal and the body's
     normals: Float[Array, "*frames C 3"]
     weights: Float[Array, "*frames C"]
+    #: the share by which squares of distances along the surface count, of those across it
+    along: Float[Array, "*frames C"]
 
 
 class Matching(NamedTuple):
@@ -43,11 +46,14 @@ class Matching(NamedTuple):
     #: search from the scan to the body, and from the body to the scan
     from_scan: bool = True
     from_body: bool = True
-    #: in every triangle, and among the points at one vertex, leave out the pair furthest apart; means of
-    #: many points are none of these
+    #: in every triangle of the body and of the scan, or of a cloud among the points at one vertex, leave out the pair furthest
+    #: apart; means of many points are none of these
     uniform: bool = True
     #: deviation up to which distances count squared, and beyond linearly (Charbonnier), metres
     charbonnier: float = 0.003
+    #: squared distances along the surface count by this share of those across it: 1 is point to point, 0 point to plane; a
+    #: nearest vertex is only about the right one
+    along: float = 0.05
     #: nearest vertices, nearest points of the surface, or Gaussian shares
     assignment: AbstractAssignment = NearestVertex()
     #: the sensors, where a body may be partly outside of what they can see: vertices that are within no
@@ -89,11 +95,12 @@ def find_pairs(
         if wanted
     ]
     width = max(part.vertices.shape[1] for part in found)
-    parts = [_judged(part, surface, scan.padded, width, cosine, matching) for part in found]
+    parts = [_judged(part, surface, scan, width, cosine, matching) for part in found]
     rows, shares, points, both, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return Pairs(
         jnp.asarray(rows, jnp.int32),
         *(jnp.asarray(part, float) for part in (shares, points, both, weights)),
+        along=jnp.full(len(weights), matching.along, float),
     )
 
 
@@ -107,7 +114,7 @@ def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"
 
 
 def _judged(
-    found: Assigned, surface: Surface, padded: int, width: int, cosine: float, matching: Matching
+    found: Assigned, surface: Surface, scan: Scan, width: int, cosine: float, matching: Matching
 ) -> tuple[np.ndarray, ...]:
     """Vertices, shares, points, directions and weights of one way's pairs, the weights of bad ones zero."""
     count = len(surface.vertices)
@@ -115,7 +122,9 @@ def _judged(
     places = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
     apart = np.linalg.norm(places - found.points, axis=1)
     good = (found.mass > 0) & (np.sum(own * found.normals, 1) >= cosine)
-    if matching.uniform and found.each == "point":
+    if matching.uniform and found.each == "point" and len(scan.faces):
+        good &= ~_furthest_in(scan.faces, np.where(good, apart, 0.0))
+    elif matching.uniform and found.each == "point":
         corner = np.take_along_axis(found.vertices, np.argmax(found.shares, 1)[:, None], 1)[:, 0]
         good &= ~_furthest_at(corner, np.where(good, apart, 0.0), count)
     elif matching.uniform and found.each == "vertex":
@@ -133,7 +142,7 @@ def _judged(
     if found.each != "point":
         return columns
     *places, weights = columns
-    extra = (0, padded - len(weights))
+    extra = (0, scan.padded - len(weights))
     return *(np.pad(part, (extra, (0, 0)), mode="edge") for part in places), np.pad(weights, extra)
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import NamedTuple, overload
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..errors import InputError
 from .mesh import check_points, read_mesh, vertex_normals
 from .npz import load_arrays
-from .paths import cut, find_files
+from .paths import cut, find_files, order_files
 from .text import unit_scale
 
 
@@ -20,6 +20,12 @@ class Scan(NamedTuple):
     name: str
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"] | None
+    #: the triangles of a mesh; none of a cloud
+    faces: Int[np.ndarray, "T 3"]
+
+
+#: of what is a cloud
+NO_FACES = np.zeros((0, 3), int)
 
 
 class Scans(Sequence):
@@ -43,38 +49,50 @@ class Scans(Sequence):
         return self._scan(range(len(self))[frame])
 
     def _scan(self, frame: int) -> Scan:
-        points, normals = self._load(frame)
+        points, normals, faces = self._load(frame)
         check_points(points, self.names[frame])
-        return Scan(self.names[frame], points, normals)
+        return Scan(self.names[frame], points, normals, faces)
 
     def __iter__(self) -> Iterator[Scan]:
         return (self._scan(frame) for frame in range(len(self)))
 
 
 def read_clouds(
-    source: str | Path, first: int | None = None, last: int | None = None, unit: str | float = "m"
+    source: str | Path | Sequence[str | Path],
+    first: int | None = None,
+    last: int | None = None,
+    unit: str | float = "m",
 ) -> Scans:
     """A sequence of clouds.
 
     **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, one
     mesh file, or an `.npz` with `points (F, N, 3)`, or `points (T, 3)` and `offsets (F + 1,)`
     for clouds of different sizes (`normals` alike), or `vertices (F, V, 3)` and
-    `faces (T, 3)`. `first` and `last`, both included, are the numbers in a pattern, and else
-    frames counted from 0. `unit` as in `read_mesh`.
+    `faces (T, 3)`; or several mesh files, each one frame, in the order of the numbers in their
+    names as a glob has it, whichever way they are given. `first` and `last`, both included, are
+    the numbers in a pattern, and else frames counted from 0. `unit` as in `read_mesh`.
 
     **Raises:** `InputError` where nothing is found, a number is missing in a numbered
-    sequence, or (when it is read) a cloud is wrong.
+    sequence, other sources than mesh files are among several, or (when it is read) a cloud is
+    wrong.
     """
-    metres, path = unit_scale(unit), Path(source)
-    if path.suffix.lower() == ".npz" and not path.is_dir():
+    metres = unit_scale(unit)
+    sources = [source] if isinstance(source, str | Path) else list(source)
+    if not sources:
+        raise InputError("No clouds were given; name files, a folder, a pattern, or an .npz.")
+    path = Path(sources[0])
+    if len(sources) > 1:
+        paths = order_files(sources, first, last)
+    elif path.suffix.lower() == ".npz" and not path.is_dir():
         return _arrays(path, first, last, metres)
-    paths = find_files(source, first, last)
+    else:
+        paths = find_files(sources[0], first, last)
 
     def load(frame: int):
         mesh = read_mesh(paths[frame], unit)
         if mesh.normals is None and len(mesh.faces):
-            return mesh.vertices, vertex_normals(mesh.vertices, mesh.faces)
-        return mesh.vertices, mesh.normals
+            return mesh.vertices, vertex_normals(mesh.vertices, mesh.faces), mesh.faces
+        return mesh.vertices, mesh.normals, mesh.faces
 
     return Scans([str(path) for path in paths], load)
 
@@ -105,8 +123,9 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
         frame = frames[index]
         rows = frame if offsets is None else slice(offsets[frame], offsets[frame + 1])
         here = np.asarray(points[rows], float) * metres
-        if normals is not None:
-            return here, np.asarray(normals[rows], float)
-        return here, None if faces is None else vertex_normals(here, faces)
+        own = None if normals is None else np.asarray(normals[rows], float)
+        if faces is None:
+            return here, own, NO_FACES
+        return here, vertex_normals(here, faces) if own is None else own, faces
 
     return Scans([f"{path}[{frame}]" for frame in frames], load)

@@ -1,6 +1,7 @@
-"""The files of a sequence, by what a user writes: a pattern, a folder, a glob, or one file."""
+"""The files of a sequence, by what a user writes: a pattern, a folder, a glob, one file, or several."""
 
 import glob
+import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,9 @@ import numpy as np
 
 from ..errors import InputError
 from .mesh import SUFFIXES
+
+#: the number in a printf pattern
+_NUMBER = re.compile(r"%0?\d*d")
 
 
 def find_files(
@@ -29,7 +33,7 @@ def find_files(
     **Raises:** `InputError` where nothing is found, or a number is missing.
     """
     text = str(source)
-    if re.search(r"%0?\d*d", text):
+    if _NUMBER.search(text):
         return _pattern(text, first, last)
     if Path(text).is_dir():
         found = _folder(Path(text), (*SUFFIXES, *also))
@@ -44,6 +48,23 @@ def find_files(
     return cut(_whole(found) if whole else found, first, last, text)
 
 
+def order_files(
+    sources: Sequence[str | Path], first: int | None = None, last: int | None = None
+) -> list[Path]:
+    """Several mesh files as the one sequence that a quoted glob would find: in the order of the numbers in their names,
+    not in that of the words, in which a shell puts 10 before 2. `first` and `last` as in `find_files`.
+
+    **Raises:** `InputError` where one of them is no mesh file or is named twice, or a number is missing.
+    """
+    for source in sources:
+        _check_one_of_many(Path(source), len(sources))
+    paths = sorted(map(Path, sources), key=_natural)
+    for path, after in itertools.pairwise(paths):
+        if path == after:
+            raise InputError(f"{path}: this file is named twice; every file is one frame.")
+    return cut(_whole(paths), first, last, f"{paths[0]} to {paths[-1].name}")
+
+
 def cut(items: list, first: int | None, last: int | None, where: str) -> list:
     """Items `first` to `last`, both included. Raises `InputError` where they are not there."""
     start, end = first or 0, len(items) - 1 if last is None else last
@@ -56,14 +77,33 @@ def cut(items: list, first: int | None, last: int | None, where: str) -> list:
     return items[start : end + 1]
 
 
+def _check_one_of_many(path: Path, count: int) -> None:
+    """That this is a file of one frame. Raises `InputError`."""
+    text, suffix = str(path), path.suffix.lower()
+    many = {"a folder": path.is_dir(), "a pattern": bool(glob.has_magic(text) or _NUMBER.search(text))}
+    if not path.is_file():
+        found = [what for what, here in many.items() if here]
+        if not found:
+            raise InputError(f"{path}: there is no such file; check the path.")
+        raise InputError(f"{path}: this is {found[0]} among {count} sources; give it alone, or files only.")
+    if suffix == ".npz":
+        raise InputError(
+            f"{path}: an .npz is a sequence by itself; give it alone, without the other sources."
+        )
+    if suffix not in SUFFIXES:
+        raise InputError(
+            f"{path}: this is no cloud or mesh ({', '.join(SUFFIXES)}); leave it out, as in '*.ply'."
+        )
+
+
 def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
     """The files of a printf pattern, none left out."""
-    match = re.search(r"%(0?)(\d*)d", text)
+    match = _NUMBER.search(text)
     assert match is not None
     folder, name = Path(text).parent, Path(text).name
     if "%" not in name:
         raise InputError(f"{text}: the number must be in the file's name, not in the folder's.")
-    before, after = re.split(r"%0?\d*d", name, maxsplit=1)
+    before, after = _NUMBER.split(name, maxsplit=1)
     fits = re.compile(re.escape(before) + r"(\d+)" + re.escape(after) + "$")
     there = sorted(
         int(m[1]) for path in (folder.iterdir() if folder.is_dir() else []) if (m := fits.match(path.name))

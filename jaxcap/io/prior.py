@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,10 +16,21 @@ from ..body.pose_boxes import PoseBoxes, make_pose_boxes
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..geometry.mesh import mesh_edges
-from .npz import get_array, load_kind, load_limits, save_arrays, save_body
+from .npz import get_array, load_arrays, load_kind, save_arrays, save_body
 
 #: the format's name in a file of its own
 KIND = "jaxcap prior"
+
+
+class Priors(NamedTuple):
+    """What a file knows of a body beforehand."""
+
+    #: which poses are likely
+    prior: PairPrior
+    #: how far joints turn; None where the file does not say
+    boxes: PoseBoxes | None
+    #: the shape that its meshes show; None where there were none
+    shape: ShapePrior | None
 
 
 def save_prior(
@@ -45,50 +57,35 @@ def save_prior(
     save_body(path, body, {**(limits or {}), **arrays})
 
 
+def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
+    """All that a file knows of the poses and the shape of `body`, read once; without `shape`, of its poses alone.
+
+    **Raises:** `InputError` where the file holds no pose prior, is damaged or does not fit together, or is of another
+    skeleton than the body's, or its shape of another surface.
+    """
+    arrays = _arrays(path)
+    prior, boxes = _prior(arrays, path, body.skeleton), _boxes(arrays, path, body.skeleton)
+    return Priors(prior, boxes, _shape(arrays, path, body) if shape else None)
+
+
+def carries_prior(path: str | Path) -> bool:
+    """Whether the file of a body has a pose prior in it. Raises `InputError` where it is no whole `.npz`."""
+    name = "limits.prior.weights"
+    return name in load_arrays(path, lambda there: there == name)
+
+
 def load_prior(path: str | Path, skeleton: Skeleton | None = None) -> PairPrior:
     """Read a prior from a file of its own or from that of a body.
 
     **Raises:** `InputError` where the file holds none, is damaged or does not fit together, or where
     `skeleton` is given and the prior is of another.
     """
-    arrays = _arrays(path)
-    if "prior.weights" not in arrays:
-        raise InputError(f"{path}: there is no pose prior in this file; learn one with `jaxcap prior learn`.")
-    pairs = get_array(arrays, "prior.pairs", path, (None, 2)).tolist()
-    weights = get_array(arrays, "prior.weights", path, (len(pairs), None))
-    shape = weights.shape
-    try:
-        prior = make_pair_prior(
-            tuple((above, below) for above, below in pairs),
-            get_array(arrays, "prior.frames", path, (len(pairs), 2, 4)),
-            weights,
-            get_array(arrays, "prior.means", path, (*shape, 6)),
-            get_array(arrays, "prior.factors", path, (*shape, 6, 6)),
-        )
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-    if skeleton is not None:
-        check_fit(prior, skeleton, path)
-    return prior
+    return _prior(_arrays(path), path, skeleton)
 
 
 def load_boxes(path: str | Path, skeleton: Skeleton | None = None) -> PoseBoxes | None:
     """The boxes beside a prior; None where there are none. Errors as in `load_prior`."""
-    arrays = _arrays(path)
-    if "boxes.joints" not in arrays:
-        return None
-    joints = get_array(arrays, "boxes.joints", path, (None,)).tolist()
-    lower, upper = (get_array(arrays, f"boxes.{name}", path, (len(joints), 3)) for name in ("lower", "upper"))
-    lacking = [] if skeleton is None else [name for name in joints if name not in skeleton.names]
-    if skeleton is not None and lacking:
-        raise InputError(
-            f"{path}: these boxes are of another skeleton: there is no joint '{lacking[0]}' among "
-            f"{', '.join(skeleton.names)}."
-        )
-    try:
-        return make_pose_boxes(joints, lower, upper)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+    return _boxes(_arrays(path), path, skeleton)
 
 
 def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
@@ -97,25 +94,7 @@ def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
     **Raises:** `InputError` where the file is damaged, or the prior is of another number of vertices or of
     joints, or of other triangles, than the body's.
     """
-    arrays = _arrays(path)
-    if "shape.vectors" not in arrays:
-        return None
-    vectors = get_array(arrays, "shape.vectors", path, (None, None, 3))
-    meshes, vertices = vectors.shape[:2]
-    _check_surface(vertices, get_array(arrays, "shape.edges", path, (None, 2)), body, path)
-    joints = body.skeleton.num_joints
-    numbers = [
-        get_array(arrays, f"shape.{name}", path, shape)
-        for name, shape in (
-            ("translations", (meshes, joints, 3)),
-            ("rotations", (meshes, joints, 4)),
-            ("scale", (meshes,)),
-        )
-    ]
-    if not meshes or not all(np.isfinite(values).all() for values in (vectors, *numbers)):
-        raise InputError(f"{path}: the shape prior has no meshes, or is not finite; learn it again.")
-    poses = Pose(*(jnp.asarray(values, body.vertices.dtype) for values in numbers))
-    return ShapePrior(uniform_laplacian(body), poses, vectors.astype(float))
+    return _shape(_arrays(path), path, body)
 
 
 def shape_counts(path: str | Path) -> tuple[int, int] | None:
@@ -157,6 +136,65 @@ def shape_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
     return arrays | {f"shape.{name}": values.astype(np.float32) for name, values in numbers.items()}
 
 
+def _prior(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleton | None) -> PairPrior:
+    if "prior.weights" not in arrays:
+        raise InputError(f"{path}: there is no pose prior in this file; learn one with `jaxcap prior learn`.")
+    pairs = get_array(arrays, "prior.pairs", path, (None, 2)).tolist()
+    weights = get_array(arrays, "prior.weights", path, (len(pairs), None))
+    shape = weights.shape
+    try:
+        prior = make_pair_prior(
+            tuple((above, below) for above, below in pairs),
+            get_array(arrays, "prior.frames", path, (len(pairs), 2, 4)),
+            weights,
+            get_array(arrays, "prior.means", path, (*shape, 6)),
+            get_array(arrays, "prior.factors", path, (*shape, 6, 6)),
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    if skeleton is not None:
+        check_fit(prior, skeleton, path)
+    return prior
+
+
+def _boxes(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleton | None) -> PoseBoxes | None:
+    if "boxes.joints" not in arrays:
+        return None
+    joints = get_array(arrays, "boxes.joints", path, (None,)).tolist()
+    lower, upper = (get_array(arrays, f"boxes.{name}", path, (len(joints), 3)) for name in ("lower", "upper"))
+    lacking = [] if skeleton is None else [name for name in joints if name not in skeleton.names]
+    if skeleton is not None and lacking:
+        raise InputError(
+            f"{path}: these boxes are of another skeleton: there is no joint '{lacking[0]}' among "
+            f"{', '.join(skeleton.names)}."
+        )
+    try:
+        return make_pose_boxes(joints, lower, upper)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _shape(arrays: Mapping[str, np.ndarray], path: str | Path, body: Body) -> ShapePrior | None:
+    if "shape.vectors" not in arrays:
+        return None
+    vectors = get_array(arrays, "shape.vectors", path, (None, None, 3))
+    meshes, vertices = vectors.shape[:2]
+    _check_surface(vertices, get_array(arrays, "shape.edges", path, (None, 2)), body, path)
+    joints = body.skeleton.num_joints
+    numbers = [
+        get_array(arrays, f"shape.{name}", path, shape)
+        for name, shape in (
+            ("translations", (meshes, joints, 3)),
+            ("rotations", (meshes, joints, 4)),
+            ("scale", (meshes,)),
+        )
+    ]
+    if not meshes or not all(np.isfinite(values).all() for values in (vectors, *numbers)):
+        raise InputError(f"{path}: the shape prior has no meshes, or is not finite; learn it again.")
+    poses = Pose(*(jnp.asarray(values, body.vertices.dtype) for values in numbers))
+    return ShapePrior(uniform_laplacian(body), poses, vectors.astype(float))
+
+
 def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, path: str | Path) -> None:
     """Raises `InputError` where a shape prior is of other vertices, or other neighbours among them."""
     if vertices != len(body.vertices):
@@ -171,5 +209,8 @@ def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, pat
 
 
 def _arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """What a file says beside a body, or by itself."""
     arrays = load_kind(path, KIND, "jaxcap body")
-    return load_limits(path) if str(arrays["format"]) == "jaxcap body" else arrays
+    if str(arrays["format"]) == KIND:
+        return arrays
+    return {name.removeprefix("limits."): a for name, a in arrays.items() if name.startswith("limits.")}

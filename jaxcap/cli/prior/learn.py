@@ -57,6 +57,9 @@ class Learn:
     """Gaussians of a pair, at most."""
     floor: Annotated[float, arg(metavar="DEGREES")] = 2.0
     """Least deviation of a Gaussian, in any direction."""
+    margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
+    """Added at both ends of the least and largest turns, beyond which no joint will go: few poses do not show all that
+    a joint can do."""
     seed: int = 0
     """Of the random starts."""
     unit: OptionalUnit = None
@@ -80,7 +83,10 @@ class Learn:
                 seed=self.seed,
                 progress=lambda pairs, total: progress(pairs, total, label="learning", what="pairs"),
             )
-            prior, boxes = pair_prior_of(skeleton, learned), learn_ranges(skeleton, motions)
+            prior, boxes = (
+                pair_prior_of(skeleton, learned),
+                learn_ranges(skeleton, motions, float(np.radians(self.margin))),
+            )
         except ValueError as error:
             raise InputError(f"{', '.join(self.motions)}: {error}") from None
         own = self.body is not None and Path(self.body).suffix.lower() == ".npz"
@@ -100,6 +106,8 @@ class Learn:
             raise InputError(f"--most is {self.most}; it must be between 1 and 100.")
         if not 0.01 <= self.floor <= 45:
             raise InputError(f"--floor is {self.floor:g}; it must be between 0.01 and 45 degrees.")
+        if not 0 <= self.margin <= 180:
+            raise InputError(f"--margin is {self.margin:g}; it must be between 0 and 180 degrees.")
         if self.seed < 0:
             raise InputError(f"--seed is {self.seed}; it must be at least 0.")
         if self.meshes and self.body is None:

@@ -1,0 +1,65 @@
+"""The task of an adaptation from a template and its scans."""
+
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+
+from ..body.anatomy import rest_deviations
+from ..body.body import Body
+from ..body.pose import Pose
+from ..body.pose_boxes import PoseBoxes
+from ..body.symmetry import mirrored_joints
+from ..energy.prior import RestPrior
+from ..energy.term import AbstractEnergy
+from ..fit.correspond import Scan
+from ..geometry.camera import Camera
+from .people import people_like
+from .shape_prior import ShapePrior
+from .task import Settings, Task
+
+
+def make_task(
+    template: Body,
+    clouds: Sequence,
+    rate: float = 30.0,
+    *,
+    start: Pose | None = None,
+    likely: AbstractEnergy | None = None,
+    settings: Settings = Settings(),  # noqa: B008
+    cameras: Sequence[Camera] = (),
+    missing: Sequence[int] = (),
+    boxes: PoseBoxes | None = None,
+    shape: ShapePrior | None = None,
+    mesh: Callable[[int], Scan] | None = None,
+) -> Task:
+    """What `adapt_body` is to do. Poses are held near rest as far as anatomy says, bones of the left are as long as those
+    of the right, and where the template is the human it becomes the person that people's shapes tell of.
+
+    **Arguments:** `clouds`, a `Cloud` for each frame, metres, asked for when they are needed; `rate`, frames a second; `start`, a pose near
+    that of the first frame, which is searched for where it is not given; `likely`, which poses are likely beside what
+    anatomy says, such as `MahalanobisPrior(learn_pair_prior(...))`; the others as in `Task`.
+
+    **Raises:** `ValueError` where no frame has a cloud.
+    """
+    if len(clouds) <= len(set(missing)):
+        raise ValueError(
+            f"{len(clouds)} frames, {len(set(missing))} of them missing, leave no cloud to adapt to."
+        )
+    skeleton = template.skeleton
+    prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), template.vertices.dtype))
+    return Task(
+        template=template,
+        cloud=clouds.__getitem__,
+        frames=len(clouds),
+        rate=rate,
+        start=start,
+        prior=prior if likely is None else prior + likely,
+        mirrored=mirrored_joints(skeleton),
+        settings=settings,
+        people=people_like(template),
+        cameras=tuple(cameras),
+        missing=tuple(missing),
+        boxes=boxes,
+        shape=shape,
+        mesh=mesh,
+    )

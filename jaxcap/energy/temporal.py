@@ -1,0 +1,33 @@
+"""Motion that goes on as it came: a frame's turns against those of its neighbours."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..body.body import Posed
+from ..body.pose import Pose
+from ..geometry import rotation
+from .term import AbstractEnergy
+
+
+class SecondDifference(AbstractEnergy):
+    """How far the turn of every joint is from the middle of its turns in the frames `before` and `after`: the mean over joints
+    of squares, radians squared (Adaptation, eq. 4.10).
+
+    For one frame between others that stay; a window of frames at once is `adapt.window.smooth_poses`.
+    """
+
+    before: Pose
+    after: Pose
+
+    def residual(self, posed: Posed) -> Float[Array, "R"]:
+        apart = second_difference(self.before.rotations, posed.pose.rotations, self.after.rotations)
+        return apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
+
+
+def second_difference(
+    before: Float[Array, "*frames J 4"], here: Float[Array, "*frames J 4"], after: Float[Array, "*frames J 4"]
+) -> Float[Array, "*frames J 3"]:
+    """Half the sum of the rotation vectors to the frame before and to the one after: those of eq. 4.10 from the pose
+    between the two, so that none is near half a turn however far a motion turns in all."""
+    back = rotation.conjugate(here)
+    return (rotation.log(rotation.multiply(back, before)) + rotation.log(rotation.multiply(back, after))) / 2

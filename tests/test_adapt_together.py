@@ -1,0 +1,200 @@
+"""Poses, joints and vertices in one step: against dense least squares, its slope against differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from adapt_scene import make_scene, task_of
+from helpers import chain_body, random_pairs, random_pose
+
+import jaxcap as jc
+from jaxcap.adapt.equations import num_pairs, pair_energy, pair_rows, stack, unstack
+from jaxcap.adapt.meet import stacked_pairs
+from jaxcap.adapt.modes import joint_modes, moved
+from jaxcap.adapt.rounds import adapt_round
+from jaxcap.adapt.shape import adapt_shape
+from jaxcap.adapt.shape_prior import own_shape_prior
+from jaxcap.adapt.shared import ALIKE, Belief, adapt_shared
+from jaxcap.adapt.summed import Weights
+from jaxcap.adapt.task import AdaptState, Settings, Stage
+from jaxcap.adapt.together import adapt_together
+from jaxcap.body.pose import retract
+from jaxcap.body.symmetry import length_differences
+from jaxcap.energy.prior import RestPrior
+from jaxcap.fit.correspond import make_scan, places_on
+from jaxcap.geometry.mesh import mesh_edges
+
+FRAMES = 3
+BODY = chain_body("linear")
+SKELETON = BODY.skeleton
+JOINTS, DOFS, COUNT = SKELETON.num_joints, SKELETON.num_dofs, len(BODY.vertices)
+PRIOR = RestPrior(jnp.full((JOINTS, 3), 0.7))
+MODES = joint_modes(BODY, follow=False)
+#: as if the bones to elbow and jaw, and those to hand and neck, were of two sides
+MIRRORED = ((4, 8), (5, 7))
+WEIGHTS = Weights(*(jnp.asarray(x) for x in (1e-2, 0.7, 0.003, 1e-3)))
+
+
+def problem(rng, corners: int = 3):
+    """Poses, pairs, a shape that is not the body's own, and where joints are believed to be."""
+    poses = stack([random_pose(SKELETON, rng, 0.3) for _ in range(FRAMES)])
+    pairs = stack([random_pairs(BODY, rng, 200, corners) for _ in range(FRAMES)])
+    other = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + 0.005 * rng.normal(size=(COUNT, 3)))
+    belief = Belief(jnp.asarray(0.01 * rng.normal(size=3 * JOINTS)), jnp.full(3 * JOINTS, 0.005))
+    return poses, pairs, own_shape_prior(other, 2), belief
+
+
+def step(poses, pairs, shape, belief, body=BODY, weights=WEIGHTS, prior=PRIOR, tolerance=1e-13):
+    return adapt_together(
+        body, poses, pairs, prior, shape, MODES, belief, MIRRORED, weights, tolerance=tolerance
+    )
+
+
+def test_a_step_is_the_dense_least_squares_solution(rng):
+    """All residuals of all unknowns in one Jacobian by autodiff, and the constraint by Lagrange's multipliers."""
+    poses, pairs, shape, belief = problem(rng)
+    laplacian = jnp.asarray(shape.laplacian.toarray())
+    each = unstack(pairs, FRAMES)
+
+    def parts(x):
+        d, z, e = jnp.split(x, [FRAMES * DOFS, FRAMES * DOFS + 3 * JOINTS])
+        body = moved(BODY, MODES, z)
+        body = eqx.tree_at(lambda b: b.vertices, body, BODY.vertices + e.reshape(-1, 3))
+        turned = [
+            retract(SKELETON, p, own)
+            for p, own in zip(unstack(poses, FRAMES), d.reshape(FRAMES, -1), strict=True)
+        ]
+        data, beside = [], []
+        for pose, some in zip(turned, each, strict=True):
+            apart = places_on(some, jc.pose_body(body, pose).vertices) - some.points
+            data.append(jnp.einsum("cra,ca->cr", pair_rows(some), apart).reshape(-1))
+            beside.append(jnp.sqrt(WEIGHTS.pose * num_pairs(some)) * PRIOR.residual(jc.pose_body(BODY, pose)))
+        meshes = jnp.stack([jc.pose_body(body, pose).vertices for pose in unstack(shape.poses, 2)])
+        rough = jnp.sqrt(WEIGHTS.shape / 2) * (jnp.einsum("uv,mva->mua", laplacian, meshes) - shape.vectors)
+        believed = jnp.sqrt(ALIKE) * WEIGHTS.deviation / belief.deviation * (z - belief.expected)
+        every = [jnp.concatenate(data + beside), rough.reshape(-1), believed, jnp.sqrt(WEIGHTS.hold) * e]
+        return jnp.concatenate(every)
+
+    zero = jnp.zeros(FRAMES * DOFS + 3 * JOINTS + 3 * COUNT)
+    slope, apart = (np.asarray(x) for x in jax.jit(lambda x: (jax.jacfwd(parts)(x), parts(x)))(zero))
+    known = np.concatenate([np.asarray(pairs.weights).size * 3 * [True], np.ones(FRAMES * 3 * JOINTS, bool)])
+    rows = slope[: len(known)]
+    # the frames' damping, of pairs and prior
+    diagonal = np.sum(rows[:, : FRAMES * DOFS] ** 2, 0).reshape(FRAMES, DOFS)
+    ridge = (1e-3 * diagonal + 1e-6 * diagonal.max(1, keepdims=True)).reshape(-1)
+    damping = np.diag(np.concatenate([ridge, np.zeros(len(zero) - len(ridge))]))
+    differences, by_centre = length_differences(SKELETON, np.array(MIRRORED))
+    assert np.abs(differences).max() > 0.01
+    equal = np.zeros((len(differences), len(zero)))
+    equal[:, FRAMES * DOFS : FRAMES * DOFS + 3 * JOINTS] = np.asarray(by_centre).reshape(len(differences), -1)
+    system = np.block([[slope.T @ slope + damping, equal.T], [equal, np.zeros((len(equal), len(equal)))]])
+    expected = np.linalg.solve(system, np.concatenate([-slope.T @ apart, -np.asarray(differences)]))
+    d, z, e, _ = np.split(expected, np.cumsum([FRAMES * DOFS, 3 * JOINTS, 3 * COUNT]))
+
+    body, turned = step(poses, pairs, shape, belief)
+    np.testing.assert_allclose(body.vertices - BODY.vertices, e.reshape(-1, 3), atol=1e-9)
+    np.testing.assert_allclose(body.skeleton.centres - SKELETON.centres, z.reshape(-1, 3), atol=1e-9)
+    there = jax.vmap(retract, (None, 0, 0))(SKELETON, poses, jnp.asarray(d.reshape(FRAMES, DOFS)))
+    np.testing.assert_allclose(turned.rotations, there.rotations, atol=1e-8)
+    np.testing.assert_allclose(turned.translations, there.translations, atol=1e-8)
+    for part in (d, z, e):
+        assert np.abs(part).max() > 1e-3
+
+
+def test_the_slope_of_a_step_against_differences(rng):
+    """What comes out, by the scans' points, their directions, the body and the weights, along a way through all of them."""
+    poses, pairs, shape, belief = problem(rng)
+    given = (pairs.points, pairs.normals, BODY.vertices, SKELETON.centres, belief.expected, WEIGHTS.shape)
+    ways = [jnp.asarray(0.1 * rng.normal(size=part.shape)) for part in given]
+    weigh = [jnp.asarray(rng.normal(size=shape)) for shape in ((COUNT, 3), (JOINTS, 3), (FRAMES, JOINTS, 4))]
+
+    def value(points, normals, vertices, centres, expected, weight):
+        body = eqx.tree_at(lambda b: (b.vertices, b.skeleton.centres), BODY, (vertices, centres))
+        some = eqx.tree_at(lambda p: (p.points, p.normals), pairs, (points, normals))
+        there, turned = step(poses, some, shape, Belief(expected, belief.deviation), body, WEIGHTS._replace(shape=weight))  # fmt: skip
+        found = there.vertices, there.skeleton.centres, turned.rotations
+        return sum(jnp.sum(by * part) for by, part in zip(weigh, found, strict=True))
+
+    slopes, h = jax.grad(value, tuple(range(len(given))))(*given), 1e-5
+    for number, (slope, way) in enumerate(zip(slopes, ways, strict=True)):
+        ends = [
+            value(*(x + sign * h * ways[n] * (n == number) for n, x in enumerate(given))) for sign in (1, -1)
+        ]
+        expected = float(ends[0] - ends[1]) / (2 * h)
+        assert float(jnp.sum(slope * way)) == pytest.approx(expected, rel=1e-6)
+        assert abs(expected) > 1e-4
+
+
+def test_other_numbers_are_not_traced_anew(rng):
+    traces = []
+
+    class Counted(RestPrior):
+        def residual(self, posed):
+            traces.append(posed)
+            return super().residual(posed)
+
+    for weight, tolerance in ((1e-2, 1e-3), (1e-1, 1e-4)):
+        prior = Counted(jnp.full((JOINTS, 3), 0.5 + weight))
+        weights = WEIGHTS._replace(pose=weight, shape=10 * weight)
+        step(*problem(rng), weights=weights, prior=prior, tolerance=tolerance)
+        count = len(traces) if weight == 1e-2 else count
+    assert len(traces) == count > 0
+
+
+def test_pairs_across_the_body_are_refused(rng):
+    poses, pairs, shape, belief = problem(rng)
+    edges = {frozenset(edge) for edge in mesh_edges(np.asarray(BODY.faces)).tolist()}
+    far = next(v for v in range(1, COUNT) if frozenset((0, v)) not in edges)
+    across = jnp.array([0, far, 0], jnp.int32)
+    pairs = eqx.tree_at(lambda p: p.vertices, pairs, pairs.vertices.at[1, 9].set(across))
+    with pytest.raises(ValueError, match=f"Pair 9 of frame 1 joins vertices 0 and {far}"):
+        step(poses, pairs, shape, belief)
+
+
+def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
+    """Where pairs are right, from poses, joints and vertices that are off: what is told by all at once needs fewer turns."""
+    poses, pairs, _, _ = problem(rng)
+    actor = moved(BODY, MODES, jnp.asarray(0.02 * rng.normal(size=3 * JOINTS)))
+    actor = eqx.tree_at(lambda b: b.vertices, actor, BODY.vertices + 0.01 * rng.normal(size=(COUNT, 3)))
+    true = [retract(SKELETON, p, jnp.asarray(0.1 * rng.normal(size=DOFS))) for p in unstack(poses, FRAMES)]
+    points = [places_on(some, jc.pose_body(actor, pose).vertices) for some, pose in zip(unstack(pairs, FRAMES), true, strict=True)]  # fmt: skip
+    pairs = eqx.tree_at(lambda p: p.points, pairs, jnp.stack(points))
+    shape, belief = own_shape_prior(BODY, 2), Belief(jnp.zeros(3 * JOINTS), jnp.full(3 * JOINTS, 0.02))
+    weights = WEIGHTS._replace(pose=1e-8, shape=1e-2, hold=1e-4)
+    by = [jnp.asarray(x) for x in (weights.pose, weights.deviation)]
+
+    def left(body, turned):
+        each = zip(unstack(turned, FRAMES), unstack(pairs, FRAMES), strict=True)
+        return sum(float(energy(body, pose, some)) for pose, some in each)
+
+    energy = eqx.filter_jit(pair_energy)
+    one, two, told = (BODY, poses), (BODY, poses), [[left(BODY, poses)] * 2]
+    for _ in range(4):
+        one = step(one[1], pairs, shape, belief, one[0], weights)
+        body, turned, _ = adapt_shared(*two, pairs, PRIOR, MODES, belief, MIRRORED, *by)
+        two = adapt_shape(body, turned, pairs, shape, 1e-2), turned
+        told.append([left(*one), left(*two)])
+    assert told[4][0] < 1e-4 * told[0][0]
+    assert told[4][0] < 0.6 * told[4][1]
+
+
+def test_a_round_takes_one_step_where_it_is_told_to():
+    scene = make_scene()
+    task = task_of(scene, settings=Settings(frames=3, shape=(1.0, 1.0), together=True))
+    rng, template = np.random.default_rng(2), scene[0]
+    poses = [retract(template.skeleton, p, jnp.asarray(0.02 * rng.normal(size=DOFS))) for p in scene[2]]
+    state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), weight=1e-6)
+    scans = {n: make_scan(task.cloud(n)) for n in state.chosen}
+    pairs = stacked_pairs(task, template, [state.motion[n] for n in state.chosen], list(scans.values()))
+    told = []
+    for number in (2, 3):
+        state = adapt_round(task, state, scans, Stage("adapt", 1, number))
+        told.append(state.terms[-1].data)
+    assert pairs.vertices.shape[-1] == 1
+    assert told[1] < told[0]
+    for here, there in (
+        (state.body.vertices, template.vertices),
+        (state.body.skeleton.centres, SKELETON.centres),
+    ):
+        assert np.abs(np.asarray(here) - np.asarray(there)).max() > 0.005

@@ -1,0 +1,157 @@
+"""A step of a window against dense equations of all its frames, and that it never makes them worse."""
+
+import weakref
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import chain_body, random_pairs, random_pose
+
+from jaxcap.adapt.equations import num_pairs, pose_equations, stack
+from jaxcap.adapt.window import smooth_poses, temporal_energy, window_energy, window_step
+from jaxcap.body.pose import retract
+from jaxcap.body.pose_boxes import PoseBoxes, box_chart, make_pose_boxes, no_boxes
+from jaxcap.energy.prior import RestPrior
+from jaxcap.fit.boxed import solve_boxed
+from jaxcap.fit.problem import linearise
+from jaxcap.geometry import rotation
+
+BODY = chain_body()
+SKELETON, DOFS = BODY.skeleton, BODY.skeleton.num_dofs
+PRIOR = RestPrior(jnp.full((SKELETON.num_joints, 3), 0.7))
+WEIGHT, TEMPORAL = jnp.asarray(1e-3), jnp.asarray(0.3)
+
+energy, step_of = eqx.filter_jit(window_energy), eqx.filter_jit(window_step)
+
+
+def scene(rng, frames: int):
+    """Poses about one, each elsewhere, and pairs that pull all at random."""
+    middle = random_pose(SKELETON, rng, 0.3)
+    poses = [retract(SKELETON, middle, jnp.asarray(0.1 * rng.normal(size=DOFS))) for _ in range(frames)]
+    return poses, [random_pairs(BODY, rng, 60) for _ in range(frames)]
+
+
+def some_boxes(poses, share: float) -> PoseBoxes:
+    """Boxes of a share of the range that the poses use."""
+    names = [name for name, kind in zip(SKELETON.names, SKELETON.kinds, strict=True) if kind == "ball"]
+    boxes = make_pose_boxes(names, np.zeros((len(names), 3)), np.zeros((len(names), 3)))
+    joints = boxes.indices(SKELETON)
+    own = np.stack([rotation.rotate(rotation.conjugate(SKELETON.orientations[joints]), rotation.log(pose.rotations[joints])) for pose in poses])  # fmt: skip
+    middle, reach = (own.max(0) + own.min(0)) / 2, (own.max(0) - own.min(0)) / 2
+    return make_pose_boxes(names, middle - share * reach, middle + share * reach)
+
+
+@eqx.filter_jit
+def dense_step(poses, pairs, boxes, held):
+    """The step of one system of all numbers of all frames."""
+    frames = len(poses.scale)
+
+    def of_frame(frame):
+        matrix, side, _ = pose_equations(BODY, *frame)
+        residual, slope = linearise(PRIOR, BODY, frame[0])
+        count = num_pairs(frame[1])
+        return matrix / count + WEIGHT * slope.T @ slope, side / count - WEIGHT * slope.T @ residual
+
+    own, sides = jax.lax.map(of_frame, (poses, pairs))
+
+    def rough(d):
+        q = jax.vmap(retract, (None, 0, 0))(SKELETON, poses, d.reshape(frames, DOFS)).rotations
+        back = rotation.conjugate(q[1:-1])
+        apart = rotation.log(rotation.multiply(back, q[:-2])) + rotation.log(rotation.multiply(back, q[2:]))
+        return apart.reshape(-1) / 2 / jnp.sqrt(apart.shape[0] * apart.shape[1])
+
+    zero = jnp.zeros(frames * DOFS)
+    slope = jax.jacrev(rough)(zero)
+    matrix = jax.scipy.linalg.block_diag(*own) / frames + TEMPORAL * slope.T @ slope
+    side = sides.reshape(-1) / frames - TEMPORAL * slope.T @ rough(zero)
+    diagonal = jnp.diag(matrix)
+    matrix = matrix + jnp.diag(1e-4 * diagonal + 1e-7 * diagonal.max())
+    charts = jax.vmap(box_chart, (None, None, 0))(boxes, SKELETON, poses)
+    turn = jax.scipy.linalg.block_diag(*charts.turn)
+    low, high = (jnp.where(held & (jnp.arange(frames) < 1)[:, None], 0.0, end) for end in charts[1:])
+    # a held frame's bounds leave it no room
+    step = solve_boxed(turn.T @ matrix @ turn, turn.T @ side, low.reshape(-1), high.reshape(-1))
+    return step.reshape(frames, DOFS)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_the_step_is_that_of_dense_equations(rng, held):
+    poses, pairs = scene(rng, 6)
+    boxes = some_boxes(poses, 1.0)
+    for bounds in (
+        boxes,
+        eqx.tree_at(lambda b: (b.lower, b.upper), boxes, (boxes.lower - 9, boxes.upper + 9)),
+    ):
+        args = stack(poses), stack(pairs), bounds, jnp.asarray(held)
+        charts, step = step_of(BODY, *args[:2], PRIOR, bounds, WEIGHT, TEMPORAL, args[3])
+        expected = np.asarray(dense_step(*args))
+        np.testing.assert_allclose(step, expected, atol=1e-9 * np.abs(expected).max())
+        at = ((step == charts.low) | (step == charts.high))[1:]
+        assert at.any() == (bounds is boxes)
+        assert (np.asarray(step[0]) == 0).all() == held
+
+
+@pytest.mark.parametrize("boxed", [False, True])
+def test_no_window_is_left_worse_than_it_was(rng, boxed):
+    """Far from the solution, where whole steps go too far; pairs are the same all along."""
+    poses, pairs = scene(rng, 6)
+    poses = [retract(SKELETON, pose, jnp.asarray(0.5 * rng.normal(size=DOFS))) for pose in poses]
+    boxes = some_boxes(poses, 1.0) if boxed else no_boxes()
+    told = [poses]
+    for _ in range(4):
+        told.append(smooth_poses(BODY, told[-1], lambda n, _: pairs[n], PRIOR, float(WEIGHT), float(TEMPORAL),
+                                 frames=6, steps=1, boxes=boxes))  # fmt: skip
+    values = [float(energy(BODY, stack(poses), stack(pairs), PRIOR, WEIGHT, TEMPORAL)) for poses in told]
+    assert (np.diff(values) <= 1e-12).all()
+    assert values[-1] < 0.5 * values[0]
+
+
+def test_the_best_poses_are_kept_where_new_pairs_are_worse(rng):
+    """Pairs that are further apart with every step, as no step can foresee."""
+    poses, pairs = scene(rng, 4)
+    asked = []
+
+    def pairs_at(frame, pose):
+        asked.append(frame)
+        round = asked.count(frame) - 1
+        return eqx.tree_at(lambda p: p.points, pairs[frame], pairs[frame].points + 5.0 * round)
+
+    kept = smooth_poses(BODY, poses, pairs_at, PRIOR, float(WEIGHT), float(TEMPORAL), frames=4, steps=5)
+    for one, other in zip(kept, poses, strict=True):
+        np.testing.assert_array_equal(one.rotations, other.rotations)
+    # and some more steps were tried
+    assert [asked.count(frame) for frame in range(4)] == [4] * 4
+
+
+def test_windows_ask_for_pairs_of_frames_that_moved_and_forget_those_behind(rng):
+    """One compilation for all windows, and in memory the pairs of one."""
+    poses, pairs = scene(rng, 8)
+    asked, given, traces = [], [], []
+
+    class Counted(RestPrior):
+        def residual(self, posed):
+            traces.append(posed)
+            return super().residual(posed)
+
+    def pairs_at(frame, _):
+        assert sum(each() is not None for each in given) <= 4
+        asked.append(frame)
+        own = eqx.tree_at(lambda p: p.weights, pairs[frame], pairs[frame].weights)
+        given.append(weakref.ref(own))
+        return own
+
+    def smooth(poses):
+        prior = Counted(PRIOR.deviations)
+        return smooth_poses(BODY, poses, pairs_at, prior, 1e-3, 0.3, frames=4, stride=2, steps=1)
+
+    smooth(poses[:4])
+    count = len(traces)
+    asked.clear()
+    found = smooth(poses)
+    assert len(traces) == count
+    # three windows; the first frame of a later one is held
+    assert asked == [0, 1, 2, 3] * 2 + [4, 5] + [3, 4, 5] + [6, 7] + [5, 6, 7]
+    rough = [float(temporal_energy(SKELETON, stack(each))) for each in (poses, found)]
+    assert rough[1] < 0.2 * rough[0]
