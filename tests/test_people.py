@@ -7,11 +7,13 @@ import pytest
 
 import jaxcap as jc
 from jaxcap.adapt.loop import Settings, Task, adapt_body
-from jaxcap.adapt.people import learn_people, person, traits_like
+from jaxcap.adapt.people import learn_people, people_like, person, traits_like
+from jaxcap.body.reduce import attach, follow, reduce_body
 from jaxcap.body.variety import human_resolution, people_of_many_shapes
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior
+from jaxcap.metrics import scan_to_surface
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,25 @@ def test_somebody_new_is_known_by_the_surface(people, shift):
     found = person(people, traits_like(people, eqx.tree_at(lambda b: b.vertices, somebody, somebody.vertices + shift)))  # fmt: skip
     assert joints_off(found, somebody) < 0.003
     assert joints_off(people.template, somebody) > 0.02
+
+
+def test_people_of_fewer_vertices_are_those_of_all(people):
+    """A template that was reduced: somebody new is on its surface, and has the same joints."""
+    template = reduce_body(people.template, 900)
+    fewer = people_like(template, people.template)
+    assert fewer is not None
+    assert people_like(template) is None
+    somebody = jc.human(resolution="low", joints="tracking", sex="female", height=1.58, weight=0.8, age=40)
+    surface = np.asarray(people.template.vertices, float), np.asarray(people.template.faces)
+    hold = attach(np.asarray(template.vertices, float), *surface)
+    there = follow(hold, np.asarray(somebody.vertices, float))
+    seen = eqx.tree_at(lambda b: b.vertices, template, jnp.asarray(there, jnp.float32))
+    found = person(fewer, traits_like(fewer, seen))
+    off = scan_to_surface(
+        np.asarray(found.vertices, float), np.asarray(somebody.vertices, float), np.asarray(somebody.faces)
+    )
+    assert np.median(off) < 0.003
+    assert float(jnp.linalg.norm(found.skeleton.centres - somebody.skeleton.centres, axis=1).mean()) < 0.004
 
 
 def test_traits_are_told_by_scans(people):

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
+from ..body.reduce import Attachment, attach, follow
 from ..body.variety import human_resolution, people_of_many_shapes
 from .modes import Modes, moved
 
@@ -54,12 +55,25 @@ def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> 
     return People(template, modes, jnp.asarray(standing, dtype))
 
 
-def people_like(template: Body) -> People | None:
-    """How people differ, where the template has the human's triangles and joints, by humans of many shapes."""
-    resolution = human_resolution(template)
+def people_like(template: Body, whole: Body | None = None) -> People | None:
+    """How people differ, where the template has the human's triangles and joints, by humans of many shapes; or where the
+    `whole` body has them that the template was reduced from, whose surface its vertices then hang on."""
+    of = template if whole is None else whole
+    resolution = human_resolution(of)
     if resolution is None:
         return None
-    return learn_people(template, people_of_many_shapes(DRAWN, resolution=resolution, joints="tracking"))
+    drawn = people_of_many_shapes(DRAWN, resolution=resolution, joints="tracking")
+    if whole is not None:
+        surface = np.asarray(whole.vertices, float), np.asarray(whole.faces)
+        hold = attach(np.asarray(template.vertices, float), *surface)
+        drawn = [_carried(template, body, hold) for body in drawn]
+    return learn_people(template, drawn)
+
+
+def _carried(template: Body, body: Body, hold: Attachment) -> Body:
+    """Somebody with the template's triangles."""
+    vertices = follow(hold, np.asarray(body.vertices, float))
+    return Body(body.skeleton, template.skin, jnp.asarray(vertices, template.vertices.dtype), template.faces)
 
 
 def person(people: People, traits: Float[Array, "K"]) -> Body:

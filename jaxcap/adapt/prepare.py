@@ -31,13 +31,15 @@ def make_task(
     boxes: PoseBoxes | None = None,
     shape: ShapePrior | None = None,
     mesh: Callable[[int], Scan] | None = None,
+    whole: Body | None = None,
 ) -> Task:
     """What `adapt_body` is to do. Poses are held near rest as far as anatomy says, bones of the left are as long as those
     of the right, and where the template is the human it becomes the person that people's shapes tell of.
 
     **Arguments:** `clouds`, a `Cloud` for each frame, metres, asked for when they are needed; `rate`, frames a second; `start`, a pose near
     that of the first frame, which is searched for where it is not given; `likely`, which poses are likely beside what
-    anatomy says, such as `MahalanobisPrior(learn_pair_prior(...))`; the others as in `Task`.
+    anatomy says, such as `MahalanobisPrior(learn_pair_prior(...))`; `whole`, the body that the template was reduced from; the
+    others as in `Task`.
 
     **Raises:** `ValueError` where no frame has a cloud.
     """
@@ -56,7 +58,7 @@ def make_task(
         prior=prior if likely is None else prior + likely,
         mirrored=mirrored_joints(skeleton),
         settings=settings,
-        people=people_like(template),
+        people=people_like(template, whole),
         cameras=tuple(cameras),
         missing=tuple(missing),
         boxes=boxes,

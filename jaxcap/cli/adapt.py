@@ -270,6 +270,7 @@ class Adapt:
             boxes=None if priors is None else priors.boxes,
             shape=None if priors is None else priors.shape,
             mesh=clouds.mesh if self.pairs == "surface" else None,
+            whole=None if self.vertices is None else load_body(self.body)[0],
         )
 
     def settings(self) -> dict[str, object]:
