@@ -102,7 +102,7 @@ def test_adapt_people(checkout, shared, tmp_path):
     options = ("--actors", "1", "--frames", "12", "--setups", "a", "--starts", "wrong", "--template", "human")
     line = run(checkout, "adapt_people", *options, "--keep", str(kept))
     assert meets(line, "a_wrong_surface_mm", "a_wrong_lost", "a_wrong_bump_percent")
-    assert "human a wrong 0 12" in kept.read_text()
+    assert "human learned a wrong 0 12" in kept.read_text()
 
 
 @pytest.mark.slow
