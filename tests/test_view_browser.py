@@ -15,7 +15,7 @@ from jaxcap.cli.results import pack, record_width, whose_poses
 from jaxcap.fit.em import FrameStatistics
 from jaxcap.fit.recover import TrackedFrame
 from jaxcap.fit.track import make_tracker, start_state
-from jaxcap.io.clouds import Scans
+from jaxcap.io.clouds import NO_FACES, Scans
 from jaxcap.io.journal import begin_journal
 from jaxcap.view import controls, show
 from jaxcap.view.app import serve_contents
@@ -44,7 +44,7 @@ def window(motion, posed):
     body = chain_body()
     rng = np.random.default_rng(6)
     shift = [0.01 * rng.normal(size=posed.shape[1:]) for _ in posed]
-    scans = Scans([f"scan{i}" for i in range(len(posed))], lambda i: (posed[i] + shift[i], None))
+    scans = Scans([f"scan{i}" for i in range(len(posed))], lambda i: (posed[i] + shift[i], None, NO_FACES))
     server = open_server(0)
     take = make_take("a take", body.skeleton, body, motion)
     serve_contents(server, Contents(takes=[take], clouds=[SeenClouds(scans)]))

@@ -19,7 +19,7 @@ from jaxcap.geometry.camera import look_at
 from jaxcap.io.bvh import write_bvh
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.checkpoint import Checkpoint, save_checkpoint
-from jaxcap.io.clouds import Scans
+from jaxcap.io.clouds import NO_FACES, Scans
 from jaxcap.io.gltf import write_gltf
 from jaxcap.io.journal import begin_journal, read_records, resume_journal
 from jaxcap.io.limits import KIND as LIMITS
@@ -184,7 +184,9 @@ def test_a_run_finds_the_scans_it_saw(tmp_path, body, motion):
     write_json(run / "statistics.json", {"rate": 30.0, "frames": rows})
     (take,) = load([str(run)], [("body", body)]).takes
     assert take.name == "run" and take.sigmas == (0.01, 0.02)
-    clouds = SeenClouds(Scans([f"/far/scan{i}.ply" for i in range(5)], lambda i: (np.zeros((3, 3)), None)))
+    clouds = SeenClouds(
+        Scans([f"/far/scan{i}.ply" for i in range(5)], lambda i: (np.zeros((3, 3)), None, NO_FACES))
+    )
     assert _by_name(take, clouds) == {0: 2, 1: 3}
 
 
@@ -376,7 +378,7 @@ def test_scans_are_thinned_turned_and_kept():
 
     def read(frame):
         reads.append(frame)
-        return np.tile(np.arange(50.0)[:, None], (1, 3)), None
+        return np.tile(np.arange(50.0)[:, None], (1, 3)), None, NO_FACES
 
     clouds = SeenClouds(Scans(["a", "b"], read), turn=np.diag([1.0, -1.0, -1.0]), most=10)
     first = clouds[0]

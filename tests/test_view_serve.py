@@ -17,7 +17,7 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.pose import stack_poses
 from jaxcap.errors import InputError
-from jaxcap.io.clouds import Scans
+from jaxcap.io.clouds import NO_FACES, Scans
 from jaxcap.io.npz import save_body, save_motion
 from jaxcap.view import show
 from jaxcap.view.clouds import SeenClouds
@@ -179,7 +179,7 @@ def test_a_scan_that_is_being_written_is_told_and_tried_again():
     def read(frame):
         if not there:
             raise InputError("scan.ply: this is not a whole file.")
-        return np.asarray(body.vertices), None
+        return np.asarray(body.vertices), None, NO_FACES
 
     server = open_server(0)
     take = make_take("take", body.skeleton, body)

@@ -1,6 +1,6 @@
 """Sequences of clouds: numbered files, folders, globs, or one `.npz`; read when asked for."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, overload
 
@@ -26,13 +26,15 @@ class Scan(NamedTuple):
 
 #: of what is a cloud
 NO_FACES = np.zeros((0, 3), int)
+#: points, normals and triangles of a frame
+Load = Callable[[int], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
 
 
 class Scans(Sequence):
-    """A sequence of clouds that loads each one when it is asked for; `names` and `len` cost
-    nothing."""
+    """A sequence of clouds that loads each one when it is asked for: its points, normals or None, and triangles, `NO_FACES` of
+    a cloud; `names` and `len` cost nothing."""
 
-    def __init__(self, names: Sequence[str], load):
+    def __init__(self, names: Sequence[str], load: Load):
         self.names, self._load = tuple(names), load
 
     def __len__(self) -> int:

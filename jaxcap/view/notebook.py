@@ -11,7 +11,7 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry.camera import Camera
-from ..io.clouds import Scans
+from ..io.clouds import NO_FACES, Scans
 from ..observe import Cloud, MarkerFrames
 from .app import serve_contents
 from .clouds import SeenClouds
@@ -119,4 +119,4 @@ def _clouds(cloud: Points | Cloud | Sequence[Points]) -> SeenClouds:
     else:
         rows = [np.asarray(cloud, float)]
     names = [f"scan {number}" for number in range(len(rows))]
-    return SeenClouds(Scans(names, lambda frame: (rows[frame], None)), most=POINTS)
+    return SeenClouds(Scans(names, lambda frame: (rows[frame], None, NO_FACES)), most=POINTS)
