@@ -12,8 +12,9 @@ from ..body.body import Body, pose_body
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
-from ..energy.term import root
+from ..energy.term import AbstractEnergy, root
 from ..fit.correspond import Pairs, places_on
+from ..fit.problem import linearise
 from .modes import Modes
 
 
@@ -50,6 +51,36 @@ def pair_energy(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, ""]:
     """The sum of squared weighed distances, metres squared."""
     apart = pairs.points - places_on(pairs, pose_body(body, pose).vertices)
     return jnp.sum(jnp.einsum("cra,ca->cr", pair_rows(pairs), apart) ** 2)
+
+
+def frame_energy(
+    body: Body, pose: Pose, pairs: Pairs, prior: AbstractEnergy, weight: Float[Array, ""]
+) -> Float[Array, ""]:
+    """`Q_data + weight Q_pose` of a frame (eq. 4.3), with `Q_data` the mean over its pairs."""
+    beside = prior.residual(pose_body(body, pose))
+    return pair_energy(body, pose, pairs) / num_pairs(pairs) + weight * beside @ beside
+
+
+def frame_equations(
+    body: Body, pose: Pose, pairs: Pairs, prior: AbstractEnergy, weight: Float[Array, ""]
+) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
+    """Normal equations of `frame_energy` by the numbers of a pose."""
+    count = num_pairs(pairs)
+    matrix, side, _ = pose_equations(body, pose, pairs)
+    return with_prior(matrix / count, side / count, body, pose, prior, weight)
+
+
+def with_prior(
+    matrix: Float[Array, "D D"],
+    side: Float[Array, "D"],
+    body: Body,
+    pose: Pose,
+    prior: AbstractEnergy,
+    weight: Float[Array, ""],
+) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
+    """Normal equations by the numbers of a pose, with those of a weighed prior."""
+    residual, jacobian = linearise(prior, body, pose)
+    return matrix + weight * jacobian.T @ jacobian, side - weight * jacobian.T @ residual
 
 
 def pose_equations(

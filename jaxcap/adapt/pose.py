@@ -15,10 +15,9 @@ from ..body.skeleton import Skeleton
 from ..energy.term import AbstractEnergy
 from ..fit.boxed import solve_boxed
 from ..fit.correspond import Matching, Pairs, Scan, find_pairs
-from ..fit.problem import linearise
 from ..fit.visible import visible_vertices
 from ..geometry.camera import Camera
-from .equations import num_pairs, pair_energy, pose_equations
+from .equations import frame_energy, frame_equations, num_pairs, pair_energy
 
 #: shares of a step that are tried: further than it says, as it says, and shorter
 SHARES = (1.5, 1.0, 0.5, 0.25, 0.1)
@@ -46,7 +45,7 @@ def fit_pose(
     scan: Scan,
     start: Pose,
     prior: AbstractEnergy,
-    matching: Matching = Matching(),  # noqa: B008
+    matching: Matching = Matching(),
     *,
     weight: float = 1e-6,
     steps: int = 10,
@@ -154,11 +153,8 @@ def _improve(
     damping: Float[Array, ""],
 ) -> tuple[Pose, Float[Array, ""]]:
     """The pose a step further, and the share of the step that was best."""
-    skeleton, count = body.skeleton, num_pairs(pairs)
-    matrix, side, _ = pose_equations(body, pose, pairs)
-    residual, jacobian = linearise(prior, body, pose)
-    matrix = matrix / count + weight * jacobian.T @ jacobian
-    side = side / count - weight * jacobian.T @ residual
+    skeleton = body.skeleton
+    matrix, side = frame_equations(body, pose, pairs, prior, weight)
     diagonal = jnp.diag(matrix)
     floor = 1e-6 * jnp.max(diagonal)
     damped = matrix + jnp.diag(damping * diagonal + floor)
@@ -168,10 +164,14 @@ def _improve(
 
     def value(share):
         moved = move_within(boxes, skeleton, pose, chart, share * step)
-        beside = prior.residual(pose_body(body, moved))
-        return pair_energy(body, moved, pairs) / count + weight * beside @ beside
+        return frame_energy(body, moved, pairs, prior, weight)
 
     shares = jnp.asarray([*SHARES, 0.0], step.dtype)
     values = jnp.stack([value(share) for share in shares])
-    share = shares[jnp.argmin(values)]
+    share = best_share(shares, values)
     return move_within(boxes, skeleton, pose, chart, share * step), share
+
+
+def best_share(shares: Float[Array, "N"], values: Float[Array, "N"]) -> Float[Array, ""]:
+    """The share of a step of the least value; one that is worth no number is never the best."""
+    return shares[jnp.argmin(jnp.where(jnp.isnan(values), jnp.inf, values))]

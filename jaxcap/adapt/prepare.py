@@ -25,7 +25,7 @@ def make_task(
     *,
     start: Pose | None = None,
     likely: AbstractEnergy | None = None,
-    settings: Settings = Settings(),  # noqa: B008
+    settings: Settings = Settings(),
     cameras: Sequence[Camera] = (),
     missing: Sequence[int] = (),
     boxes: PoseBoxes | None = None,

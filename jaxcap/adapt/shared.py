@@ -3,18 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
 from ..body.pose import Pose, retract
-from ..body.symmetry import length_differences
 from ..energy.term import AbstractEnergy
 from ..fit.arrow import Arrow, solve_arrow
 from ..fit.correspond import Pairs
-from ..fit.problem import linearise
-from .equations import num_pairs, shared_equations
-from .modes import Modes, moved
+from .equations import num_pairs, shared_equations, with_prior
+from .modes import Modes, bone_differences, moved
 
 #: pairs that are neighbours say the same: so many count as one
 ALIKE = 50.0
@@ -55,14 +52,12 @@ def adapt_shared(
     def of_frame(frame):
         pose, pairs = frame
         matrix, side, _ = shared_equations(body, pose, pairs, modes)
-        residual, jacobian = linearise(prior, body, pose)
         # a prior counts as it does for a pose by itself, against the mean of the pairs
         scale = weight * num_pairs(pairs)
-        matrix = matrix.at[:dofs, :dofs].add(scale * jacobian.T @ jacobian)
-        side = side.at[:dofs].add(-scale * jacobian.T @ residual)
-        return matrix[:dofs, :dofs], matrix[:dofs, dofs:], matrix[dofs:, dofs:], side
+        own, own_side = with_prior(matrix[:dofs, :dofs], side[:dofs], body, pose, prior, scale)
+        return own, matrix[:dofs, dofs:], matrix[dofs:, dofs:], own_side, side[dofs:]
 
-    frames, coupling, shared, sides = jax.lax.map(of_frame, (poses, pairs))
+    frames, coupling, shared, frame_sides, shared_sides = jax.lax.map(of_frame, (poses, pairs))
     diagonal = jnp.diagonal(frames, axis1=1, axis2=2)
     ridge = 1e-3 * diagonal + 1e-6 * jnp.max(diagonal, 1, keepdims=True)
     hold = ALIKE * (deviation / belief.deviation) ** 2
@@ -70,11 +65,10 @@ def adapt_shared(
         frames + jax.vmap(jnp.diag)(ridge),
         coupling,
         jnp.sum(shared, 0) + jnp.diag(hold),
-        sides[:, :dofs],
-        jnp.sum(sides[:, dofs:], 0) + hold * belief.expected,
+        frame_sides,
+        jnp.sum(shared_sides, 0) + hold * belief.expected,
     )
-    differences, by_centre = length_differences(skeleton, np.array(mirrored, int).reshape(-1, 2))
-    rows = jnp.einsum("bja,kja->bk", by_centre, modes.centres)
+    differences, rows = bone_differences(body, modes, mirrored)
     by_frame, amounts = solve_arrow(arrow, rows, -differences)
     poses = jax.vmap(retract, (None, 0, 0))(skeleton, poses, by_frame)
     return moved(body, modes, amounts), poses, amounts

@@ -16,8 +16,7 @@ from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs
-from ..fit.problem import linearise
-from .equations import frame_rows, num_pairs, pair_rows, vertex_maps
+from .equations import frame_rows, num_pairs, pair_rows, vertex_maps, with_prior
 from .modes import Modes, moved
 
 
@@ -128,13 +127,12 @@ def add_frame(
     coupling = jnp.zeros((count, 3, rows.shape[1]), rows.dtype).at[pairs.vertices].add(pulled)
     matrix, side = rows.T @ rows, rows.T @ apart
 
-    residual, jacobian = linearise(prior, body, pose)
     scale = weights.pose * num_pairs(pairs)
-    own = matrix[:dofs, :dofs] + scale * jacobian.T @ jacobian
+    own, own_side = with_prior(matrix[:dofs, :dofs], side[:dofs], body, pose, prior, scale)
     diagonal = jnp.diag(own)
     factor = jnp.linalg.cholesky(own + jnp.diag(1e-3 * diagonal + 1e-6 * jnp.max(diagonal)))
     beside = [matrix[:dofs, dofs:], coupling[..., :dofs].reshape(-1, dofs).T]
-    beside += [(side[:dofs] - scale * jacobian.T @ residual)[:, None]]
+    beside += [own_side[:, None]]
     solved = solve_triangular(factor, jnp.concatenate(beside, 1), lower=True)
     amounts, vertices, known = jnp.split(solved, [matrix.shape[0] - dofs, solved.shape[1] - 1], 1)
     vertices, known = vertices.reshape(dofs, count, 3), known[:, 0]

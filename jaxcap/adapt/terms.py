@@ -6,7 +6,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
@@ -52,7 +51,7 @@ def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:
 
 def symmetry_energy(skeleton: Skeleton, mirrored: Sequence[tuple[int, int]]) -> float:
     """The summed squared differences of paired bones' lengths (eq. 4.13)."""
-    differences, _ = length_differences(skeleton, np.array(mirrored, int).reshape(-1, 2))
+    differences, _ = length_differences(skeleton, mirrored)
     return float(jnp.sum(differences**2))
 
 

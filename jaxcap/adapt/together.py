@@ -23,11 +23,10 @@ from jaxtyping import Array, Float, Int
 
 from ..body.body import Body
 from ..body.pose import Pose, retract
-from ..body.symmetry import length_differences
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs
 from ..geometry.mesh import mesh_edges
-from .modes import Modes, moved
+from .modes import Modes, bone_differences, moved
 from .shape import pair_blocks, pair_slots
 from .shape_prior import ShapePrior
 from .shared import ALIKE, Belief
@@ -195,8 +194,7 @@ def _equal_bones(
 ) -> tuple[Float[Array, "K K"], Float[Array, "K"]]:
     """The projection of amounts that leaves the differences of paired bones as they are, and the least amounts that
     take them away."""
-    differences, by_centre = length_differences(body.skeleton, np.array(mirrored, int).reshape(-1, 2))
-    rows = jnp.einsum("bja,kja->bk", by_centre, modes.centres)
+    differences, rows = bone_differences(body, modes, mirrored)
     every = jnp.eye(len(modes.centres), dtype=rows.dtype)
     if len(rows) == 0:
         return every, jnp.zeros(len(every), rows.dtype)

@@ -9,18 +9,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..body.body import Body, pose_body
+from ..body.body import Body
 from ..body.pose import Pose, retract
 from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, move_within, no_boxes
 from ..body.skeleton import Skeleton
 from ..energy.temporal import second_difference
 from ..energy.term import AbstractEnergy
-from ..fit.banded import Banded, among, banded_equations
+from ..fit.banded import Banded, among, banded_equations, frames_before
 from ..fit.boxed import solve_boxed
 from ..fit.correspond import Pairs
-from ..fit.problem import linearise
-from .equations import num_pairs, pair_energy, pose_equations, stack, stack_pairs, unstack
-from .pose import SHARES, UPHILL, brought_in
+from .equations import frame_energy, frame_equations, stack, stack_pairs, unstack
+from .pose import SHARES, UPHILL, best_share, brought_in
 
 #: frames of a window, and by how many the next one is further on
 FRAMES, STRIDE = 11, 5
@@ -107,12 +106,7 @@ def window_energy(
     """`Q` of the poses of some frames (eq. 4.3): the mean over frames of `Q_data + weight Q_pose`, which is what
     `fit_pose` makes least, and `temporal Q_temp`."""
 
-    def of_frame(frame):
-        pose, pairs = frame
-        beside = prior.residual(pose_body(body, pose))
-        return pair_energy(body, pose, pairs) / num_pairs(pairs) + weight * beside @ beside
-
-    each = jax.lax.map(of_frame, (poses, pairs))
+    each = jax.lax.map(lambda frame: frame_energy(body, frame[0], frame[1], prior, weight), (poses, pairs))
     return jnp.mean(each) + temporal * temporal_energy(body.skeleton, poses)
 
 
@@ -131,18 +125,9 @@ def window_step(
     Frames meet through their second differences, which couple a frame with the two before it.
     """
     skeleton, frames = body.skeleton, poses.scale.shape[0]
-
-    def of_frame(frame):
-        pose, pairs = frame
-        count = num_pairs(pairs)
-        matrix, side, _ = pose_equations(body, pose, pairs)
-        residual, jacobian = linearise(prior, body, pose)
-        return (
-            matrix / count + weight * jacobian.T @ jacobian,
-            side / count - weight * jacobian.T @ residual,
-        )
-
-    own, sides = jax.lax.map(of_frame, (poses, pairs))
+    own, sides = jax.lax.map(
+        lambda frame: frame_equations(body, frame[0], frame[1], prior, weight), (poses, pairs)
+    )
     slopes, rough = _temporal_rows(skeleton, poses)
     banded, smooth_sides = banded_equations(slopes, -rough)
     blocks = (temporal * banded.blocks).at[:, 0].add(own / frames)
@@ -182,8 +167,7 @@ def _improve(
 
     shares = jnp.asarray([*SHARES, 0.0], step.dtype)
     values = jax.lax.map(value, shares)
-    # a length that is worth no number is never the best
-    return moved(shares[jnp.argmin(jnp.where(jnp.isnan(values), jnp.inf, values))])
+    return moved(best_share(shares, values))
 
 
 def _temporal_rows(skeleton: Skeleton, poses: Pose) -> tuple[Float[Array, "K 3 R D"], Float[Array, "K R"]]:
@@ -211,6 +195,6 @@ def _by_charts(
 ) -> tuple[Banded, Float[Array, "F D"]]:
     """Normal equations of the frames' tangents as those of their charts' numbers."""
     product = partial(jnp.einsum, precision="highest")
-    before = jnp.stack([jnp.roll(charts.turn, w, 0) for w in range(blocks.shape[1])], 1)
+    before = frames_before(charts.turn, blocks.shape[1])
     turned = product("fai,fwab,fwbj->fwij", charts.turn, blocks, before)
     return Banded(turned), product("fai,fa->fi", charts.turn, sides)

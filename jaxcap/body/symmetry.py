@@ -9,6 +9,9 @@ from jaxtyping import Array, Float, Int
 
 from .skeleton import Skeleton
 
+#: of joints, the left one first
+Pairs = Sequence[tuple[int, int]] | Int[np.ndarray, "P 2"]
+
 
 def twin_joints(names: Sequence[str]) -> list[tuple[int, int]]:
     """Joints of the left with those of the right that are called alike but for the side."""
@@ -34,9 +37,7 @@ def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     return tuple(found)
 
 
-def length_differences(
-    skeleton: Skeleton, pairs: Int[np.ndarray, "P 2"]
-) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
+def length_differences(skeleton: Skeleton, pairs: Pairs) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
     """By how much the bone from its parent to the left joint is longer than to the right one,
     metres, and how that changes with the centres of the joints.
 
@@ -61,14 +62,14 @@ def length_differences(
     return total, slopes
 
 
-def bones_of(skeleton: Skeleton, pairs: Int[np.ndarray, "P 2"]) -> Int[np.ndarray, "B 2"]:
+def bones_of(skeleton: Skeleton, pairs: Pairs) -> Int[np.ndarray, "B 2"]:
     """The pairs that end bones: those whose parents have parents."""
     pairs = np.asarray(pairs, int).reshape(-1, 2)
     grand = np.array([-1 if parent < 0 else skeleton.parents[parent] for parent in skeleton.parents], int)
     return pairs[(grand[pairs] >= 0).all(1) if len(pairs) else slice(0)]
 
 
-def symmetrise(skeleton: Skeleton, pairs: Int[np.ndarray, "P 2"], steps: int = 20) -> Skeleton:
+def symmetrise(skeleton: Skeleton, pairs: Pairs, steps: int = 20) -> Skeleton:
     """The skeleton with paired bones equally long, by the smallest shifts of its centres."""
     if len(bones_of(skeleton, pairs)) == 0:
         return skeleton

@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..io.body_motion import read_motion_of
 from ..io.checkpoint import Checkpoint
 from ..io.journal import check_same_run
-from ..io.npz import body_arrays, body_of, load_kind, save_arrays
+from ..io.npz import beside_body, body_arrays, body_of, load_kind, save_arrays
 from .adapt_state import NEEDS, checkpoint_of, hash_of, state_of
 
 #: what a run's arrays are called in front
@@ -38,9 +38,8 @@ def save_actor(
         "distances": np.array([distance for _, distance in kept.history], float),
         **kept.arrays,
     }
-    named = {f"limits.{name}": values for name, values in beside.items()}
-    named |= {f"{RUN}{name}": values for name, values in run.items()}
-    save_arrays(path, "jaxcap body", {**body_arrays(state.body, path), **named})
+    named = {f"{RUN}{name}": values for name, values in run.items()}
+    save_arrays(path, "jaxcap body", {**body_arrays(state.body, path), **beside_body(beside), **named})
 
 
 def finished_run(path: Path, motion: Path, header: Mapping[str, object]) -> AdaptState:

@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..fit.check import check_cloud
 from ..fit.correspond import Scan, make_mesh_scan, make_scan
 from ..geometry import rotation
+from ..io.clouds import Scan as ReadScan
 from ..io.clouds import Scans
 from ..io.cst import read_cst
 from ..io.registry import is_skinned, read_body
@@ -73,7 +74,10 @@ def load_body(
 
 def load_cloud(scans: Scans, frame: int, body: Body, up: Up = "y") -> Cloud:
     """One frame of a sequence, y up, checked against the body that is to be fitted to it."""
-    scan = scans[frame]
+    return _cloud_of(scans[frame], body, up)
+
+
+def _cloud_of(scan: ReadScan, body: Body, up: Up) -> Cloud:
     turn = up_rotation(up)
     normals = None if scan.normals is None else scan.normals @ turn.T
     cloud = make_cloud(scan.points @ turn.T, normals, name=scan.name)
@@ -102,7 +106,8 @@ class Clouds(Sequence[Cloud]):
 
     def mesh(self, frame: int) -> Scan:
         """A frame with its triangles, where it has some."""
-        cloud, scan, turn = self[frame], self._scans[frame], up_rotation(self._up)
+        scan, turn = self._scans[frame], up_rotation(self._up)
+        cloud = _cloud_of(scan, self._body, self._up)
         if scan.normals is None or not len(scan.faces):
             return make_scan(cloud)
         try:

@@ -1,7 +1,6 @@
 """A body as long on the left as on the right."""
 
 import equinox as eqx
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Posed
@@ -16,5 +15,4 @@ class BoneSymmetry(AbstractEnergy):
     pairs: tuple[tuple[int, int], ...] = eqx.field(static=True)
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
-        pairs = np.array(self.pairs, int).reshape(-1, 2)
-        return length_differences(posed.body.skeleton, pairs)[0]
+        return length_differences(posed.body.skeleton, self.pairs)[0]

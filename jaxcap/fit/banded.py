@@ -69,7 +69,7 @@ def banded_equations(
 def among(banded: Banded, free: Bool[Array, "F D"]) -> Banded:
     """Rows and columns of the free numbers, and those of the identity for the others: they are masked, not removed,
     so that shapes stay."""
-    both = free[:, None, :, None] & _before(free, banded.blocks.shape[1])[:, :, None, :]
+    both = free[:, None, :, None] & frames_before(free, banded.blocks.shape[1])[:, :, None, :]
     units = jnp.where(free, 0.0, 1.0)[:, :, None] * jnp.eye(free.shape[1], dtype=banded.blocks.dtype)
     return Banded(jnp.where(both, banded.blocks, 0.0).at[:, 0].add(units))
 
@@ -99,7 +99,7 @@ def _factor(
     frames, width, dofs, _ = blocks.shape
     diagonal = jnp.diagonal(blocks[:, 0], axis1=1, axis2=2)
     scale = 1.0 / jnp.sqrt(jnp.maximum(diagonal, jnp.finfo(blocks.dtype).tiny))
-    even = blocks * scale[:, None, :, None] * _before(scale, width)[:, :, None, :]
+    even = blocks * scale[:, None, :, None] * frames_before(scale, width)[:, :, None, :]
     there = jnp.arange(frames)[:, None] >= jnp.arange(width)
     even = jnp.where(there[:, :, None, None], even, 0.0)
     ridge = dofs * jnp.finfo(blocks.dtype).eps
@@ -151,7 +151,7 @@ def _backward(factor: Float[Array, "F B D D"], sides: Float[Array, "F D"]) -> Fl
     return jax.lax.scan(one, none, (factor, sides), reverse=True)[1]
 
 
-def _before(each: Shaped[Array, "F D"], width: int) -> Shaped[Array, "F B D"]:
+def frames_before(each: Shaped[Array, "F *D"], width: int) -> Shaped[Array, "F B *D"]:
     """What the frame itself has, the one before it, and so on; those before the first have
     the last ones'."""
     return jnp.stack([jnp.roll(each, w, 0) for w in range(width)], 1)

@@ -71,7 +71,7 @@ def find_pairs(
     normals: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     scan: Scan,
-    matching: Matching = Matching(),  # noqa: B008
+    matching: Matching = Matching(),
     visible: Bool[np.ndarray, "V"] | None = None,
 ) -> Pairs:
     """Pairs both ways: for every point of the scan a place on the body, then for every vertex a place in the scan.

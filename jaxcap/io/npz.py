@@ -18,6 +18,8 @@ from .atomic import replacing
 
 VERSION = 1
 
+#: what the arrays beside a body are called in front
+LIMITS = "limits."
 #: skins by the name that a file gives them, with their arrays
 SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
     "rigid": (RigidSkin, ("bones",)),
@@ -33,8 +35,17 @@ def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | N
     **Raises:** `InputError` where the file cannot be written or the skin has no name in
     `SKINS`.
     """
-    named = {f"limits.{name}": values for name, values in (limits or {}).items()}
-    save_arrays(path, "jaxcap body", {**body_arrays(body, path), **named})
+    save_arrays(path, "jaxcap body", {**body_arrays(body, path), **beside_body(limits or {})})
+
+
+def beside_body(limits: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What a body's file says beside the body, by the names it has there."""
+    return {f"{LIMITS}{name}": values for name, values in limits.items()}
+
+
+def limits_in(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What `beside_body` named, by its own names."""
+    return {name.removeprefix(LIMITS): a for name, a in arrays.items() if name.startswith(LIMITS)}
 
 
 def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
@@ -96,8 +107,7 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
 
 def load_limits(path: str | Path) -> dict[str, np.ndarray]:
     """The joint limits of a body file, by the names they were saved under; none is `{}`."""
-    arrays = load_kind(path, "jaxcap body")
-    return {name.removeprefix("limits."): a for name, a in arrays.items() if name.startswith("limits.")}
+    return limits_in(load_kind(path, "jaxcap body"))
 
 
 def save_motion(path: str | Path, motion: Motion, skeleton: Skeleton | None = None) -> None:

@@ -16,7 +16,7 @@ from ..body.pose_boxes import PoseBoxes, make_pose_boxes
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..geometry.mesh import mesh_edges
-from .npz import get_array, load_arrays, load_kind, save_arrays, save_body
+from .npz import LIMITS, get_array, limits_in, load_arrays, load_kind, save_arrays, save_body
 
 #: the format's name in a file of its own
 KIND = "jaxcap prior"
@@ -70,7 +70,7 @@ def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
 
 def carries_prior(path: str | Path) -> bool:
     """Whether the file of a body has a pose prior in it. Raises `InputError` where it is no whole `.npz`."""
-    name = "limits.prior.weights"
+    name = f"{LIMITS}prior.weights"
     return name in load_arrays(path, lambda there: there == name)
 
 
@@ -211,6 +211,4 @@ def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, pat
 def _arrays(path: str | Path) -> dict[str, np.ndarray]:
     """What a file says beside a body, or by itself."""
     arrays = load_kind(path, KIND, "jaxcap body")
-    if str(arrays["format"]) == KIND:
-        return arrays
-    return {name.removeprefix("limits."): a for name, a in arrays.items() if name.startswith("limits.")}
+    return arrays if str(arrays["format"]) == KIND else limits_in(arrays)

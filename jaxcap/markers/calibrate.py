@@ -65,7 +65,7 @@ def calibrate(
     skin: bool = True,
     symmetry: Sequence[tuple[str, str]] = (),
     count: int = 100,
-    trust: Trust = Trust(),  # noqa: B008
+    trust: Trust = Trust(),
     steps: int = 240,
 ) -> Calibration:
     """The performer's skeleton and the places of the markers on it, from a template.

@@ -47,7 +47,7 @@ def solve_frame(
     start: Pose,
     places: Float[Array, "M 3"],
     seen: Bool[Array, "M"],
-    search: Search = Search(),  # noqa: B008
+    search: Search = Search(),
 ) -> SolvedFrame:
     """The pose with the least robust distances to the markers that are seen, in standard deviations.
 

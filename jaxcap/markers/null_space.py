@@ -53,7 +53,7 @@ def shared_covariance(
     places: Float[Array, "F M 3"],
     seen: Bool[Array, "F M"],
     joints: tuple[int, ...],
-    trust: Trust = Trust(),  # noqa: B008
+    trust: Trust = Trust(),
     pairs: tuple[tuple[int, int], ...] = (),
     turning: Turning | None = None,
     skin: Skin | None = None,

@@ -67,7 +67,7 @@ def shared_between(template: Subject, subject: Subject, joints: tuple[int, ...])
 def prior_precision(
     template: Subject,
     joints: tuple[int, ...],
-    trust: Trust = Trust(),  # noqa: B008
+    trust: Trust = Trust(),
 ) -> Float[np.ndarray, "S S"]:
     """The inverse covariance of `s`: every bone and every marker's place *on its bone* is about what
     the template has, so that a longer bone takes all below it along. It decides what no motion tells,

@@ -41,7 +41,7 @@ class MarkerSolution(NamedTuple):
     told: tuple[str, ...]
 
 
-def solve_markers(subject: Subject, frames: MarkerFrames, search: Search = Search()) -> MarkerSolution:  # noqa: B008
+def solve_markers(subject: Subject, frames: MarkerFrames, search: Search = Search()) -> MarkerSolution:
     """The pose of every frame, each started at the one before it.
 
     **Arguments:** `frames` with the subject's labels in any order; markers with other labels are left
