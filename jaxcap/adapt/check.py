@@ -20,10 +20,10 @@ from .loop import adapt_body
 from .task import AdaptState, Task
 
 #: a point is explained by a body within this share of its height, where both face the same way to this cosine
-NEAR, FACING = 0.05, 0.5
-#: a body explains at least the first share of the points around it where they are a person's; and at least the
-#: second, which curled up in a box it does not, where they are shorter than this share of its height
-EXPLAINED, SURE, REACHED = 0.5, 0.88, 0.62
+NEAR, FACING = 0.05, 0.8
+#: a body explains at least the first share of the points around it where they are a person's, as curled up in a box or
+#: along a post it does not; of somebody with a load the second, if those are this share of its height in length
+EXPLAINED, LOADED, UPRIGHT = 0.62, 0.42, 0.85
 #: points further from a body than this share of its height are of something else
 FAR = 0.15
 #: something else may be a person where it has at least this share of the points, and a height and a width between
@@ -103,8 +103,8 @@ def check_actor(task: Task, state: AdaptState, where: str) -> None:
 
 
 def asked(like: Likeness) -> float:
-    """The least share of the points around a body that are to be explained, by how long they are."""
-    return EXPLAINED if like.length >= REACHED else SURE
+    """The least share of the points around a body that are to be explained, by how long those are that are."""
+    return LOADED if like.length >= UPRIGHT else EXPLAINED
 
 
 def is_person(like: Likeness) -> bool:

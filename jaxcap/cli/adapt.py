@@ -74,6 +74,8 @@ class Adapt:
     """Largest distance of a pair."""
     along: Annotated[float, arg(metavar="SHARE")] = 0.05
     """What distances along the surface count, squared, of those across it: 1 is point to point, 0 point to plane."""
+    unchecked: Flag = False
+    """Do not look whether the first scan is of one person."""
     report: OptionalFile = None
     """Also write what the adaptation has brought, as a page of pictures and tables, .html. Afterwards by --resume."""
     report_every: Annotated[int, arg(metavar="N")] = 1
@@ -159,8 +161,8 @@ class Adapt:
         with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
                 for reached in adapt_body(task, state, every=KEPT):
-                    if reached.done == 1:
-                        check_actor(task, reached, first)
+                    if reached.done == 1 and not self.unchecked:
+                        _check_first(task, reached, first)
                     keep_state(self.kept, reached, header)
                     state = reached
                     bar.tell(state.done, _reached(state, stages))
@@ -298,6 +300,14 @@ class Adapt:
         files = {"cameras": hash_of(self.cameras), "start": hash_of(self.start)}
         plain = {name: getattr(self, name) for name in names}
         return {**plain, "shape_weight": list(self.shape_weight), **files}
+
+
+def _check_first(task: Task, state: AdaptState, where: str) -> None:
+    """That the first scan is of one person; the message says how to go on all the same."""
+    try:
+        check_actor(task, state, where)
+    except InputError as error:
+        raise InputError(f"{error} If it is one person all the same, give --unchecked.") from None
 
 
 def _reached(state: AdaptState, stages: Sequence[Stage]) -> str:
