@@ -142,8 +142,7 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
         )
     if not ((weights >= 0) & np.isfinite(weights)).all():
         raise InputError(f"{name} has a weight below zero or not finite; weights are at least zero.")
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.where(np.isfinite(lengths) & (lengths > 0), normals / np.where(lengths > 0, lengths, 1), 0.0)
+    normals = unit_normals(normals)
     order = spatial_order(points, weights)
     points, normals, weights = points[order], normals[order], weights[order]
     extra = padded_size(len(points)) - len(points)
@@ -153,6 +152,12 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
         jnp.asarray(np.pad(normals, ((0, extra), (0, 0)))),
         jnp.asarray(np.pad(weights, (0, extra))),
     )
+
+
+def unit_normals(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Of length one; zero where they have no length, or are not finite, as those that are not known."""
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(np.isfinite(lengths) & (lengths > 0), normals / np.where(lengths > 0, lengths, 1), 0.0)
 
 
 def padded_size(count: int, rungs: Sequence[int] = (64, 80, 96, 112), growth: int = 2) -> int:

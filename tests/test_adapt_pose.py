@@ -7,7 +7,7 @@ from adapt_scene import make_scene, task_of
 
 from jaxcap.adapt import pose as module
 from jaxcap.adapt.loop import AdaptState, Settings, adapt_body, plan
-from jaxcap.adapt.pose import UPHILL, fit_pose
+from jaxcap.adapt.pose import UPHILL, best_share, fit_pose
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.fit.correspond import make_scan
 
@@ -90,3 +90,11 @@ def test_poses_in_pieces_are_those_in_one_go_and_from_any_piece_on(scene):
     for last in (states[-1], *adapt_body(task, states[0])):
         np.testing.assert_array_equal(last.motion.poses.rotations, whole.motion.poses.rotations)
         assert last.history == whole.history
+
+
+@pytest.mark.parametrize(
+    ("values", "share"),
+    [([2.0, 1.0, 3.0], 1.0), ([np.nan, 4.0, 3.0], 0.0), ([np.inf, 1.0, np.nan], 1.0), ([np.nan] * 3, 0.0)],
+)
+def test_a_step_worth_no_number_is_never_taken(values, share):
+    assert float(best_share(jnp.array([1.5, 1.0, 0.0]), jnp.array(values))) == share

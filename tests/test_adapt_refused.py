@@ -80,6 +80,11 @@ def test_settings_are_what_was_asked(folder, scene):
     assert task.cameras == ()
 
 
+def test_a_body_and_a_motion_of_one_name(folder, capsys):
+    told = fails(capsys, *words(folder, "--motion", folder / "a.npz"))
+    assert "a.npz: body and motion cannot be one file; give --motion another name" in told
+
+
 def test_scans_of_other_sizes_are_stacked(scene):
     """Pairs of a scan with few points are padded to those of one with many."""
     _, actor, poses, clouds = scene

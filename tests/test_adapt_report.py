@@ -170,6 +170,16 @@ def test_some_frames_and_no_smooth_motion(scene):
     assert "smooth motion" not in adaptation_page(task, state, last, {})
 
 
+def test_meshes_are_met_in_their_own_frames(scene):
+    task, state = scene
+    task = task._replace(settings=task.settings._replace(temporal=0.0))
+    clouds, meshes = (
+        list(compare_stages(one, state, step=2))[-1] for one in (task, task._replace(mesh=task.scan))
+    )
+    for cloud, mesh in zip(clouds.variants, meshes.variants, strict=True):
+        np.testing.assert_array_equal(cloud.to_body.counts, mesh.to_body.counts)
+
+
 def test_what_cannot_be_measured(scene):
     task, state = scene
     with pytest.raises(ValueError, match="finish the adaptation"):

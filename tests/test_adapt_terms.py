@@ -17,7 +17,7 @@ from jaxcap.adapt.terms import (
     pose_energy,
     symmetry_energy,
 )
-from jaxcap.body.pose import Motion, retract, stack_poses
+from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import Pairs
@@ -92,6 +92,17 @@ def test_the_temporal_term_of_too_few_frames_is_none(rng):
     assert motion_energy(BODY.skeleton, stack_poses(poses, 30.0)) > 0
     still = Motion(stack([poses[0]] * 4), 30.0)
     assert motion_energy(BODY.skeleton, still) == pytest.approx(0.0, abs=1e-20)
+
+
+def test_wild_frames_may_be_left_out_of_the_temporal_term(rng):
+    way = 0.01 * rng.normal(size=BODY.skeleton.num_dofs)
+    bent = [retract(BODY.skeleton, rest_pose(BODY.skeleton), jnp.asarray(n**2 * way)) for n in range(9)]
+    wild = stack_poses([*bent[:3], random_pose(BODY.skeleton, rng, 1.0), *bent[4:]], 30.0)
+    # a joint that turns about one axis has the same second derivative wherever it is looked at
+    whole = motion_energy(BODY.skeleton, stack_poses(bent, 30.0))
+    assert motion_energy(BODY.skeleton, wild, without=(3,)) == pytest.approx(whole)
+    assert motion_energy(BODY.skeleton, wild) > 10 * whole
+    assert motion_energy(BODY.skeleton, wild, without=range(9)) == motion_energy(BODY.skeleton, wild)
 
 
 def test_modes_move_joints_and_skin_together(rng):

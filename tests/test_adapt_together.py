@@ -51,6 +51,15 @@ def step(poses, pairs, shape, belief, body=BODY, weights=WEIGHTS, prior=PRIOR, t
     )
 
 
+def test_a_body_of_single_precision_meets_scans_of_double(rng):
+    poses, pairs, shape, belief = problem(rng)
+    single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32) if eqx.is_inexact_array(leaf) else leaf, BODY)
+    double, _ = step(poses, pairs, shape, belief)
+    body, moved_poses = step(poses, pairs, shape, belief, body=single, tolerance=1e-6)
+    assert body.vertices.dtype == moved_poses.rotations.dtype == jnp.float32
+    np.testing.assert_allclose(body.vertices, double.vertices, atol=1e-4)
+
+
 def test_a_step_is_the_dense_least_squares_solution(rng):
     """All residuals of all unknowns in one Jacobian by autodiff, and the constraint by Lagrange's multipliers."""
     poses, pairs, shape, belief = problem(rng)

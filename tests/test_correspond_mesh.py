@@ -63,5 +63,15 @@ def test_meshes_that_are_none():
         make_mesh_scan(POINTS, POINTS, np.array([[0, 1, 99]]))
     with pytest.raises(ValueError, match="0 vertices"):
         make_mesh_scan(POINTS[:0], POINTS[:0], TRIANGLES)
+
+
+def test_normals_of_any_length_and_none():
+    """They say a direction; one that is not finite, or of no length, says none."""
+    lengths = np.linspace(0.1, 5.0, len(POINTS))[:, None]
+    normals = POINTS * lengths
+    normals[0], normals[1] = np.nan, 0.0
+    scan = make_mesh_scan(POINTS, normals, TRIANGLES)
+    np.testing.assert_array_equal(scan.normals[:2], 0.0)
+    np.testing.assert_allclose(scan.normals[2:], (POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True))[2:])
     with pytest.raises(ValueError, match="finite"):
         make_mesh_scan(POINTS * np.nan, POINTS, TRIANGLES)

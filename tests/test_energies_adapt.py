@@ -41,6 +41,16 @@ def test_a_steady_turn_has_no_second_difference_and_a_jerk_has_its_angle():
     assert off == pytest.approx(0.3**2 / SKELETON.num_joints)
 
 
+def test_frames_that_are_missing_are_time_that_passes():
+    """An even turn has no second difference whatever is missing of it, and a parabola the same everywhere."""
+    rest, times = rest_pose(SKELETON), np.array([0.0, 1.0, 4.0, 6.0])
+    gaps = jnp.diff(jnp.asarray(times))
+    for bend in (0.0, 0.02):
+        poses = [turned(rest, 2, 0.1 * t + bend * t**2) for t in times]
+        whole = float(temporal_energy(SKELETON, stack_poses(poses, 30.0).poses, gaps))
+        assert whole == pytest.approx(bend**2 / SKELETON.num_joints, rel=1e-9, abs=1e-20)
+
+
 def test_its_mean_over_frames_is_the_temporal_term(rng):
     poses = [random_pose(SKELETON, rng, 0.3) for _ in range(5)]
     each = [

@@ -262,6 +262,13 @@ def test_clouds_from_arrays(tmp_path, rng, mesh):
     np.savez(tmp_path / "e.npz", points=points[0], offsets=np.array([0, 9]))
     with pytest.raises(InputError, match="offsets must rise"):
         read_clouds(tmp_path / "e.npz")
+    for faces, told in (
+        (mesh.faces + 1, "the faces name points 1 to"),
+        (mesh.faces * 1.0, "float64 .*whole numbers"),
+    ):
+        np.savez(tmp_path / "f.npz", vertices=mesh.vertices[None], faces=faces)
+        with pytest.raises(InputError, match=told):
+            read_clouds(tmp_path / "f.npz")
 
 
 @pytest.mark.shared

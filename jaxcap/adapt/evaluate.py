@@ -183,12 +183,7 @@ def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
 def _each_by_itself(task: Task, state: AdaptState, frames: Sequence[int]) -> Motion:
     """The poses of some frames as the stage `pose` finds them from those of a state."""
     settings = task.settings._replace(every=0, alone=0, rounds=(), temporal=0.0)
-    some = task._replace(
-        cloud=lambda number: task.cloud(frames[number]),
-        frames=len(frames),
-        settings=settings,
-        missing=tuple(number for number, frame in enumerate(frames) if frame in task.missing),
-    )
+    some = task.some(frames)._replace(settings=settings)
     begun = state._replace(done=len(plan(settings)) - 1, motion=_taken(state.motion, frames))
     (found,) = adapt_body(some, begun)
     return found.motion

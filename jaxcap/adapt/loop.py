@@ -163,7 +163,8 @@ def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
     poses = [state.motion[n] for n in there]
     temporal = settings.temporal
     if temporal is None:
-        rough = motion_energy(body.skeleton, stack_poses(poses, task.rate))
+        # a pose that is wild would leave all others rough
+        rough = motion_energy(body.skeleton, state.motion, without={*state.lost, *task.missing})
         temporal = BALANCE * balanced(state.terms[-1].data, rough)
 
     # every frame is in some windows, and in each as often as it has steps
@@ -172,7 +173,9 @@ def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
     def pairs_in(number: int, pose: Pose) -> Pairs:
         return pairs_at(task, body, pose, scan_at(number))
 
-    smooth = smooth_poses(body, poses, pairs_in, task.prior, state.weight, temporal, boxes=task.boxes)
+    smooth = smooth_poses(
+        body, poses, pairs_in, task.prior, state.weight, temporal, boxes=task.boxes, times=there
+    )
     motion = _every_frame(task, dict(zip(there, smooth, strict=True)))
     return told(task, state._replace(motion=motion), str(stage), some_of(task.scanned))
 

@@ -173,5 +173,7 @@ def _improve(
 
 
 def best_share(shares: Float[Array, "N"], values: Float[Array, "N"]) -> Float[Array, ""]:
-    """The share of a step of the least value; one that is worth no number is never the best."""
-    return shares[jnp.argmin(jnp.where(jnp.isnan(values), jnp.inf, values))]
+    """The share of a step of the least value; one that is worth no number is never the best, and no step is taken where
+    all are."""
+    values = jnp.where(jnp.isfinite(values), values, jnp.inf)
+    return jnp.where(jnp.isfinite(values).any(), shares[jnp.argmin(values)], 0.0)

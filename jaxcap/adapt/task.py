@@ -1,6 +1,6 @@
 """What an adaptation is asked, what it has reached, and the stages in between (Adaptation, 4.1.4)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from ..body.body import Body
@@ -19,7 +19,8 @@ TIMES = 10
 
 
 class Settings(NamedTuple):
-    """What adaptation may be told; weights are against the mean squared distance of a pair, metres squared."""
+    """What adaptation may be told; weights are against the mean squared distance of a pair, metres squared, but for that
+    of shape: against their sum, as the more scans there are the more they are to be believed."""
 
     #: frames that the body is adapted to, spread over the motion
     frames: int = 40
@@ -106,6 +107,16 @@ class Task(NamedTuple):
     def scan(self, frame: int) -> Scan:
         """What pairs are found in."""
         return make_scan(self.cloud(frame)) if self.mesh is None else self.mesh(frame)
+
+    def some(self, frames: Sequence[int]) -> "Task":
+        """The task of some of the frames, numbered from 0."""
+        mesh = self.mesh
+        return self._replace(
+            cloud=lambda number: self.cloud(frames[number]),
+            mesh=None if mesh is None else lambda number: mesh(frames[number]),
+            frames=len(frames),
+            missing=tuple(number for number, frame in enumerate(frames) if frame in self.missing),
+        )
 
 
 class Stage(NamedTuple):

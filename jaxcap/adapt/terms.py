@@ -1,11 +1,12 @@
 """The terms of the objective, each by itself and without its weight (Adaptation, section 4.1.3)."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
@@ -55,9 +56,15 @@ def symmetry_energy(skeleton: Skeleton, mirrored: Sequence[tuple[int, int]]) -> 
     return float(jnp.sum(differences**2))
 
 
-def motion_energy(skeleton: Skeleton, motion: Motion) -> float:
-    """Of frames that follow each other; none of fewer than three (eq. 4.9)."""
-    return float(temporal_energy(skeleton, motion.poses)) if len(motion) > 2 else 0.0
+def motion_energy(skeleton: Skeleton, motion: Motion, without: Collection[int] = ()) -> float:
+    """Of frames that follow each other, where there are three at least `without` some, and else of all (eq. 4.9); none of
+    fewer than three."""
+    every = np.arange(len(motion))
+    frames = np.setdiff1d(every, list(without))
+    frames = frames if len(frames) > 2 else every
+    poses = jax.tree.map(lambda leaf: leaf[frames], motion.poses)
+    since = jnp.asarray(np.diff(frames), float)
+    return float(temporal_energy(skeleton, poses, since)) if len(frames) > 2 else 0.0
 
 
 def balanced(data: float, term: float) -> float:

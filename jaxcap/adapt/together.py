@@ -76,9 +76,12 @@ def adapt_together(
         return Sparse(rows, columns, jnp.asarray(known.data, dtype))
 
     squared = shape.laplacian.T @ shape.laplacian
-    known = ShapeArrays(
-        arrays(shape.laplacian), arrays(squared), shape.poses, jnp.asarray(shape.vectors, dtype)
+    # scans may be of another precision than the body
+    poses, pairs, prior, modes, belief, shaped = jax.tree.map(
+        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf,
+        (poses, pairs, prior, modes, belief, shape.poses),
     )
+    known = ShapeArrays(arrays(shape.laplacian), arrays(squared), shaped, jnp.asarray(shape.vectors, dtype))
     amounts = Weights(*(jnp.asarray(part, dtype) for part in weights))
     coupled = jnp.asarray(edges, jnp.int32), slots
     limit = jnp.asarray(tolerance, dtype)

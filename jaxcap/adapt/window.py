@@ -1,12 +1,13 @@
 """Smooth motion: the poses of some frames at once, coupled by their second differences (Adaptation, 4.1.4)."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..body.body import Body
@@ -37,6 +38,7 @@ def smooth_poses(
     stride: int = STRIDE,
     steps: int = 2,
     boxes: PoseBoxes | None = None,
+    times: Sequence[int] | None = None,
 ) -> list[Pose]:
     """Poses of a whole sequence by windows that overlap, each with its first frame held where the window
     before left it; memory is that of one window.
@@ -46,8 +48,10 @@ def smooth_poses(
 
     **Arguments:** `pairs_at(frame, pose)` gives the pairs of a frame; `weight` of the prior and `temporal` of the
     second differences, against the mean squared distance of a pair (eqs. 4.3, 4.9); `boxes` are hard, as in
-    `fit_pose`, and poses that are beyond them are brought back first.
+    `fit_pose`, and poses that are beyond them are brought back first; `times` of the poses, frames that rise, where some
+    are missing between them.
     """
+    when = np.arange(len(poses)) if times is None else np.asarray(times)
     boxes = no_boxes() if boxes is None else boxes
     weights = jnp.asarray(weight, float), jnp.asarray(temporal, float)
     poses = [brought_in(boxes, body.skeleton, pose) for pose in poses]
@@ -68,17 +72,18 @@ def smooth_poses(
         for frame in [frame for frame in known if frame < start]:
             del known[frame]
         held, window = int(start > 0), poses[start:stop]
+        since = jnp.asarray(np.diff(when[start:stop]), float)
         best, worse = (math.inf, window), 0
         for step in range(steps + 1):
             pairs = stack_pairs([pairs_of_frame(start + i, pose) for i, pose in enumerate(window)])
-            total = float(window_energy(body, stack(window), pairs, prior, *weights))
+            total = float(window_energy(body, stack(window), pairs, prior, *weights, since))
             if total < best[0]:
                 best, worse = (total, window), 0
             else:
                 worse += 1
             if step == steps or worse > UPHILL:
                 break
-            moved = _improve(body, stack(window), pairs, prior, boxes, *weights, jnp.asarray(held > 0))
+            moved = _improve(body, stack(window), pairs, prior, boxes, *weights, jnp.asarray(held > 0), since)
             window = window[:held] + unstack(moved, stop - start)[held:]
         poses[start:stop] = best[1]
         if stop == len(poses):
@@ -86,11 +91,15 @@ def smooth_poses(
     return poses
 
 
-def temporal_energy(skeleton: Skeleton, poses: Pose) -> Float[Array, ""]:
+def temporal_energy(
+    skeleton: Skeleton, poses: Pose, since: Float[Array, "G"] | None = None
+) -> Float[Array, ""]:
     """`Q_temp` (eqs. 4.9 and 4.10): the mean over inner frames and joints of the squared difference of a
-    rotation vector from the mean of its neighbours', radians squared."""
+    rotation vector from the mean of its neighbours', radians squared. `since` are the frames from each pose to
+    the next, one where not given."""
     q = poses.rotations
-    apart = second_difference(q[:-2], q[1:-1], q[2:])
+    since = jnp.ones(len(q) - 1) if since is None else since
+    apart = second_difference(q[:-2], q[1:-1], q[2:], since[:-1], since[1:])
     return jnp.sum(apart**2) / (apart.shape[0] * apart.shape[1])
 
 
@@ -102,12 +111,12 @@ def window_energy(
     prior: AbstractEnergy,
     weight: Float[Array, ""],
     temporal: Float[Array, ""],
+    since: Float[Array, "G"] | None = None,
 ) -> Float[Array, ""]:
     """`Q` of the poses of some frames (eq. 4.3): the mean over frames of `Q_data + weight Q_pose`, which is what
     `fit_pose` makes least, and `temporal Q_temp`."""
-
     each = jax.lax.map(lambda frame: frame_energy(body, frame[0], frame[1], prior, weight), (poses, pairs))
-    return jnp.mean(each) + temporal * temporal_energy(body.skeleton, poses)
+    return jnp.mean(each) + temporal * temporal_energy(body.skeleton, poses, since)
 
 
 def window_step(
@@ -119,6 +128,7 @@ def window_step(
     weight: Float[Array, ""],
     temporal: Float[Array, ""],
     held: Bool[Array, ""],
+    since: Float[Array, "G"] | None = None,
 ) -> tuple[BoxChart, Float[Array, "F D"]]:
     """The damped step of all frames of a window within their boxes, and the charts whose numbers it is by.
 
@@ -128,7 +138,7 @@ def window_step(
     own, sides = jax.lax.map(
         lambda frame: frame_equations(body, frame[0], frame[1], prior, weight), (poses, pairs)
     )
-    slopes, rough = _temporal_rows(skeleton, poses)
+    slopes, rough = _temporal_rows(skeleton, poses, since)
     banded, smooth_sides = banded_equations(slopes, -rough)
     blocks = (temporal * banded.blocks).at[:, 0].add(own / frames)
     sides = sides / frames + temporal * smooth_sides
@@ -154,32 +164,36 @@ def _improve(
     weight: Float[Array, ""],
     temporal: Float[Array, ""],
     held: Bool[Array, ""],
+    since: Float[Array, "G"],
 ) -> Pose:
     """The poses after the best length of a step for these pairs, which may be none."""
-    charts, step = window_step(body, poses, pairs, prior, boxes, weight, temporal, held)
+    charts, step = window_step(body, poses, pairs, prior, boxes, weight, temporal, held, since)
 
     def moved(share):
         move = jax.vmap(move_within, (None, None, 0, 0, 0))
         return move(boxes, body.skeleton, poses, charts, share * step)
 
     def value(share):
-        return window_energy(body, moved(share), pairs, prior, weight, temporal)
+        return window_energy(body, moved(share), pairs, prior, weight, temporal, since)
 
     shares = jnp.asarray([*SHARES, 0.0], step.dtype)
     values = jax.lax.map(value, shares)
     return moved(best_share(shares, values))
 
 
-def _temporal_rows(skeleton: Skeleton, poses: Pose) -> tuple[Float[Array, "K 3 R D"], Float[Array, "K R"]]:
+def _temporal_rows(
+    skeleton: Skeleton, poses: Pose, since: Float[Array, "G"] | None
+) -> tuple[Float[Array, "K 3 R D"], Float[Array, "K R"]]:
     """The residual of `Q_temp`, an inner frame after the other, and its Jacobian by the frame before, its own and the
     one after."""
     inner = poses.scale.shape[0] - 2
+    since = jnp.ones(inner + 1) if since is None else since
     threes = jax.tree.map(lambda leaf: jnp.stack([leaf[:-2], leaf[1:-1], leaf[2:]], 1), poses)
 
-    def rows(three):
+    def rows(three, since, until):
         def residual(d):
             q = jax.vmap(retract, (None, 0, 0))(skeleton, three, d).rotations
-            apart = second_difference(*q)
+            apart = second_difference(q[0], q[1], q[2], since, until)
             apart = apart.reshape(-1) / jnp.sqrt(jnp.asarray(inner * len(apart), apart.dtype))
             return apart, apart
 
@@ -187,7 +201,7 @@ def _temporal_rows(skeleton: Skeleton, poses: Pose) -> tuple[Float[Array, "K 3 R
         slope, apart = jax.jacfwd(residual, has_aux=True)(zero)
         return jnp.swapaxes(slope, 0, 1), apart
 
-    return jax.vmap(rows)(threes)
+    return jax.vmap(rows)(threes, since[:-1], since[1:])
 
 
 def _by_charts(

@@ -16,12 +16,11 @@ from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from ..edit.retargeting.retarget import retarget
 from ..errors import InputError
-from ..fit.check import check_cloud
+from ..fit.check import check_extent
 from ..geometry.camera import Camera
 from ..io.cameras import read_cameras
 from ..io.clouds import Scan, Scans
 from ..io.registry import read_motion
-from ..observe import Cloud
 from .say import progress, warn
 from .sources import Up, up_rotation
 
@@ -53,8 +52,7 @@ def look_through(scans: Scans, body: Body) -> Looked:
         try:
             scan = scans[frame]
             digests[frame] = _digest(scan)
-            points = jnp.asarray(scan.points)
-            check_cloud(body, Cloud(points, jnp.zeros_like(points), jnp.ones(len(points))), scan.name)
+            check_extent(body, scan.points, scan.name)
         except InputError as error:
             if frame == 0:
                 raise

@@ -39,6 +39,8 @@ def check_results(
     if resume and overwrite:
         raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
     every = [path for path in (out, motion, report) if path is not None]
+    if motion.resolve() == out.resolve():
+        raise InputError(f"{out}: body and motion cannot be one file; give --motion another name.")
     check_absent(every, overwrite or resume)
     if resume and report is None and out.is_file() and not kept.is_file():
         raise InputError(

@@ -25,9 +25,19 @@ class SecondDifference(AbstractEnergy):
 
 
 def second_difference(
-    before: Float[Array, "*frames J 4"], here: Float[Array, "*frames J 4"], after: Float[Array, "*frames J 4"]
+    before: Float[Array, "*frames J 4"],
+    here: Float[Array, "*frames J 4"],
+    after: Float[Array, "*frames J 4"],
+    since: Float[Array, "*frames"] | float = 1.0,
+    until: Float[Array, "*frames"] | float = 1.0,
 ) -> Float[Array, "*frames J 3"]:
     """Half the sum of the rotation vectors to the frame before and to the one after: those of eq. 4.10 from the pose
-    between the two, so that none is near half a turn however far a motion turns in all."""
+    between the two, so that none is near half a turn however far a motion turns in all.
+
+    `since` and `until` are the frames from the one before and to the one after where some are missing: it is half the
+    second derivative of the parabola through the three, none of a motion that is even.
+    """
     back = rotation.conjugate(here)
-    return (rotation.log(rotation.multiply(back, before)) + rotation.log(rotation.multiply(back, after))) / 2
+    since, until = (jnp.asarray(gap, here.dtype)[..., None, None] for gap in (since, until))
+    left, right = (rotation.log(rotation.multiply(back, there)) for there in (before, after))
+    return (until * left + since * right) / (since * until * (since + until))

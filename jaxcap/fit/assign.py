@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from ..geometry.closest import nearest_on_surface
-from ..observe import Cloud, padded_size
+from ..observe import Cloud, padded_size, unit_normals
 
 
 class Scan(NamedTuple):
@@ -35,7 +35,7 @@ def make_scan(cloud: Cloud) -> Scan:
 def make_mesh_scan(
     vertices: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Scan:
-    """The surface of a scan whose points are joined by triangles; vertices in metres.
+    """The surface of a scan whose points are joined by triangles; vertices in metres, normals of any length.
 
     **Raises:** `ValueError` where it has no vertices or one that is not finite, or a triangle of a vertex that is not there.
     """
@@ -45,7 +45,7 @@ def make_mesh_scan(
         )
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise ValueError(f"A triangle is of vertex {faces.max()}, and the mesh has {len(vertices)} vertices.")
-    return Scan(vertices, normals, KDTree(vertices), padded_size(len(vertices)), faces)
+    return Scan(vertices, unit_normals(normals), KDTree(vertices), padded_size(len(vertices)), faces)
 
 
 class Surface(NamedTuple):

@@ -1,6 +1,7 @@
 """Whether a cloud can be fitted by a body at all, before an hour is spent on it."""
 
 import numpy as np
+from jaxtyping import Float
 
 from ..body.body import Body
 from ..errors import InputError
@@ -21,7 +22,11 @@ def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
     **Raises:** `InputError` with one sentence: fewer points than the pose has parameters, or an
     extent that points to another unit, which is named.
     """
-    points = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
+    check_extent(body, np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], name)
+
+
+def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> None:
+    """`check_cloud` of points that are in no cloud yet, metres."""
     dofs = body.skeleton.num_dofs
     if len(points) < dofs:
         raise InputError(
