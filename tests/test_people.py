@@ -1,5 +1,7 @@
 """How people differ: from a body to its traits and back, and proportions from scans."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +22,11 @@ from jaxcap.metrics import scan_to_surface
 def people():
     template = jc.human(resolution="low", joints="tracking")
     return learn_people(template, people_of_many_shapes(80, resolution="low", joints="tracking"))
+
+
+def seen_with(somebody: jc.Body, seen: jc.Body) -> jc.Body:
+    """The surface that is seen, with the joints of who it is."""
+    return eqx.tree_at(lambda b: b.vertices, somebody, seen.vertices)
 
 
 def joints_off(body: jc.Body, other: jc.Body) -> float:
@@ -60,7 +67,6 @@ def test_people_of_fewer_vertices_are_those_of_all(people):
     template = reduce_body(people.template, 900)
     fewer = people_like(template, people.template)
     assert fewer is not None
-    assert people_like(template) is None
     somebody = jc.human(resolution="low", joints="tracking", sex="female", height=1.58, weight=0.8, age=40)
     surface = np.asarray(people.template.vertices, float), np.asarray(people.template.faces)
     hold = attach(np.asarray(template.vertices, float), *surface)
@@ -72,6 +78,39 @@ def test_people_of_fewer_vertices_are_those_of_all(people):
     )
     assert np.median(off) < 0.003
     assert float(jnp.linalg.norm(found.skeleton.centres - somebody.skeleton.centres, axis=1).mean()) < 0.004
+
+
+@pytest.mark.parametrize("traits", [{}, {"sex": "female", "weight": 0.9, "height": 1.55}])
+def test_people_of_other_triangles_are_those_of_somebody_like_them(traits):
+    """Of a template that is nobody's reduced by name, and stands elsewhere: somebody new is on its surface, joints and all."""
+    whole, shift = jc.human(resolution="full", joints="tracking", **traits), jnp.array([0.3, -0.8, 0.1])
+    template = reduce_body(whole, 2000)
+    template = eqx.tree_at(lambda b: (b.vertices, b.skeleton.centres), template, (template.vertices + shift, template.skeleton.centres + shift))  # fmt: skip
+    people = people_like(template)
+    assert people is not None
+    somebody = jc.human(resolution="full", joints="tracking", sex="male", height=1.85, weight=0.6)
+    hold = attach(np.asarray(template.vertices - shift, float), np.asarray(whole.vertices, float), np.asarray(whole.faces))  # fmt: skip
+    there = follow(hold, np.asarray(somebody.vertices, float))
+    seen = eqx.tree_at(lambda b: b.vertices, template, jnp.asarray(there, jnp.float32))
+    found = person(people, traits_like(people, seen))
+    assert joints_off(found, seen_with(somebody, seen)) < 0.3 * joints_off(
+        template, seen_with(somebody, seen)
+    )
+    off = scan_to_surface(
+        np.asarray(found.vertices - found.vertices.mean(0), float),
+        np.asarray(somebody.vertices - seen.vertices.mean(0), float),
+        np.asarray(somebody.faces),
+    )
+    assert np.median(off) < 0.005
+
+
+def test_nobody_is_like_something_else(people):
+    """Other joints, another rest pose, another being."""
+    template = reduce_body(people.template, 900)
+    assert people_like(eqx.tree_at(lambda b: b.vertices, template, 1.5 * template.vertices)) is None
+    names = tuple(f"bone {n}" for n in range(template.skeleton.num_joints))
+    other = dataclasses.replace(template.skeleton, names=names)
+    assert people_like(eqx.tree_at(lambda b: b.skeleton, template, other)) is None
 
 
 def test_traits_are_told_by_scans(people):

@@ -34,7 +34,7 @@ def make_task(
     whole: Body | None = None,
 ) -> Task:
     """What `adapt_body` is to do. Poses are held near rest as far as anatomy says, bones of the left are as long as those
-    of the right, and where the template is the human it becomes the person that people's shapes tell of.
+    of the right, and where the template is a human, of any triangles, it becomes the person that people's shapes tell of.
 
     **Arguments:** `clouds`, a `Cloud` for each frame, metres, asked for when they are needed; `rate`, frames a second; `start`, a pose near
     that of the first frame, which is searched for where it is not given; `likely`, which poses are likely beside what
