@@ -3,7 +3,8 @@
     python -m benchmarks.adapt_people --actors 1 --frames 60 --setups a --starts given --keep rows.json
 
 The template is a body learned from 60 poses of the embedded human at its usual build, as meshes, given where the
-joints stand in the first; or with `--template human` he himself. Which poses are likely is learned from the same 60, which are
+joints stand in the first; or with `--template human` he himself,
+or `reduced` to 3,000 vertices of other triangles. Which poses are likely is learned from the same 60, which are
 of other takes than those that are judged; `--prior none` leaves it out. Each actor has another sex, weight and height, and two bumps that no shape of the human has: on the
 head like hair, on the back like cloth. A motion of the CMU database is scanned by eight cameras all around with
 2 mm of noise (`a`), or by four on an arc of 145 degrees with 6 mm and holes (`b`); clouds alone go in, with a first pose
@@ -28,6 +29,7 @@ from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.adapt.loop import AdaptState, adapt_body, plan
 from jaxcap.adapt.prepare import make_task
+from jaxcap.body.reduce import reduce_body
 from jaxcap.fit.sequence import track_frames
 from jaxcap.fit.track import make_tracker
 from jaxcap.geometry import rotation
@@ -170,6 +172,8 @@ def template_of(name: str) -> jc.Body:
     """The template by its word."""
     if name == "human":
         return jc.human(joints="tracking", resolution="medium")
+    if name == "reduced":
+        return reduce_body(jc.human(joints="tracking", resolution="medium"), 3000)
     return learned_template() if name == "learned" else jc.load_body(name)
 
 
@@ -240,7 +244,7 @@ def main() -> None:
     parser.add_argument("--setups", nargs="*", choices=("a", "b"), default=["a", "b"])
     parser.add_argument("--starts", nargs="*", choices=("given", "wrong", "searched"), default=["given", "wrong"])  # fmt: skip
     parser.add_argument(
-        "--template", default="learned", help="human, learned, or a body .npz that was learned so"
+        "--template", default="learned", help="human, reduced, learned, or a body .npz that was learned so"
     )
     parser.add_argument(
         "--prior", choices=("learned", "none"), default="learned", help="which poses are likely"
