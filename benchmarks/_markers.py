@@ -76,7 +76,7 @@ def performer(seed: int = 0, dtype=jnp.float32) -> Subject:
 def make_scene(
     shared: Path,
     take: str,
-    trouble: Trouble = Trouble(),  # noqa: B008
+    trouble: Trouble = Trouble(),
     seed: int = 0,
     rate: float = 120.0,
     frames: int | None = None,

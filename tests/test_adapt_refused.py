@@ -197,6 +197,18 @@ def test_what_a_body_explains_of_its_own_surface_and_of_one_inside_out(scene):
     assert len(apart) == len(points)
 
 
+def test_what_a_human_explains_of_its_own_scan():
+    body, rng = jc.human(resolution="low", joints="tracking"), np.random.default_rng(0)
+    pose, faces = rest_pose(body.skeleton), np.asarray(body.faces)
+    points, normals = sample_surface(np.asarray(_posed(body, pose).vertices, float), faces, 2500, rng)
+    found = [
+        likeness(there(body, pose), 0, make_scan(jc.make_cloud(points, sign * normals)))[0].share
+        for sign in (1, -1)
+    ]
+    assert found[0] > 0.95
+    assert found[1] < 0.05
+
+
 @pytest.mark.parametrize(
     ("share", "length", "person"),
     [

@@ -11,7 +11,7 @@ from helpers import chain_body, random_pairs, random_pose
 
 from jaxcap.adapt.equations import num_pairs, pose_equations, stack
 from jaxcap.adapt.window import smooth_poses, temporal_energy, window_energy, window_step
-from jaxcap.body.pose import retract
+from jaxcap.body.pose import rest_pose, retract
 from jaxcap.body.pose_boxes import PoseBoxes, box_chart, make_pose_boxes, no_boxes
 from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.boxed import solve_boxed
@@ -160,3 +160,20 @@ def test_windows_ask_for_pairs_of_frames_that_moved_and_forget_those_behind(rng)
     assert asked == [0, 1, 2, 3] * 2 + [4, 5] + [3, 4, 5] + [6, 7] + [5, 6, 7]
     rough = [float(temporal_energy(SKELETON, stack(each))) for each in (poses, found)]
     assert rough[1] < 0.2 * rough[0]
+
+
+def test_an_even_motion_with_a_gap_stays_as_it_is(rng):
+    """With nothing but smoothness to say: poses stay where times are told, and move where they are not."""
+    times, rest = [0, 1, 4, 5, 6, 8], rest_pose(SKELETON)
+    ball = np.array([kind == "ball" for kind in SKELETON.kinds])
+    way = jnp.asarray(np.where(ball[:, None], 0.05 * rng.normal(size=(len(ball), 3)), 0.0))
+    turned = [rotation.multiply(rest.rotations, rotation.exp(time * way)) for time in times]
+    poses = [eqx.tree_at(lambda p: p.rotations, rest, rotations) for rotations in turned]
+    pairs = random_pairs(BODY, rng, 60)
+    none = eqx.tree_at(lambda p: p.weights, pairs, jnp.zeros_like(pairs.weights))
+    moves = []
+    for told in (times, None):
+        found = smooth_poses(BODY, poses, lambda *_: none, PRIOR, 0.0, 1.0, frames=4, stride=2, times=told)
+        moves.append(max(float(jnp.abs(there.rotations - pose.rotations).max()) for there, pose in zip(found, poses, strict=True)))  # fmt: skip
+    assert moves[0] < 1e-9
+    assert moves[1] > 1e-3

@@ -63,6 +63,8 @@ def test_meshes_that_are_none():
         make_mesh_scan(POINTS, POINTS, np.array([[0, 1, 99]]))
     with pytest.raises(ValueError, match="0 vertices"):
         make_mesh_scan(POINTS[:0], POINTS[:0], TRIANGLES)
+    with pytest.raises(ValueError, match="finite"):
+        make_mesh_scan(POINTS * np.nan, POINTS, TRIANGLES)
 
 
 def test_normals_of_any_length_and_none():
@@ -73,5 +75,3 @@ def test_normals_of_any_length_and_none():
     scan = make_mesh_scan(POINTS, normals, TRIANGLES)
     np.testing.assert_array_equal(scan.normals[:2], 0.0)
     np.testing.assert_allclose(scan.normals[2:], (POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True))[2:])
-    with pytest.raises(ValueError, match="finite"):
-        make_mesh_scan(POINTS * np.nan, POINTS, TRIANGLES)

@@ -263,7 +263,7 @@ def test_clouds_from_arrays(tmp_path, rng, mesh):
     with pytest.raises(InputError, match="offsets must rise"):
         read_clouds(tmp_path / "e.npz")
     for faces, told in (
-        (mesh.faces + 1, "the faces name points 1 to"),
+        (mesh.faces + 1, r"face \d+ names vertices \[.*\], but there are only 0 to"),
         (mesh.faces * 1.0, "float64 .*whole numbers"),
     ):
         np.savez(tmp_path / "f.npz", vertices=mesh.vertices[None], faces=faces)

@@ -50,7 +50,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         self,
         rtol: float = 1e-5,
         atol: float = 1e-6,
-        linear_solver: lx.AbstractLinearSolver = lx.Normal(lx.Cholesky()),  # noqa: B008
+        linear_solver: lx.AbstractLinearSolver = lx.Normal(lx.Cholesky()),
     ):
         self.rtol, self.atol, self.norm = rtol, atol, optx.max_norm
         self.descent = optx.DampedNewtonDescent(linear_solver)

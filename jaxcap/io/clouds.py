@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..errors import InputError
-from .mesh import check_points, read_mesh, vertex_normals
+from .mesh import check_faces, check_points, read_mesh, vertex_normals
 from .npz import load_arrays
 from .paths import cut, find_files, order_files
 from .text import unit_scale
@@ -99,18 +99,6 @@ def read_clouds(
     return Scans([str(path) for path in paths], load)
 
 
-def _check_faces(faces: np.ndarray, count: int, path: Path) -> None:
-    """That triangles are of the points of every frame, of which the least has `count`."""
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise InputError(
-            f"{path}: the faces are {faces.dtype} of the shape {faces.shape}; they must be whole numbers, (T, 3)."
-        )
-    if faces.size and not (faces.min() >= 0 and faces.max() < count):
-        raise InputError(
-            f"{path}: the faces name points {faces.min()} to {faces.max()}, and a frame has those from 0 to {count - 1}."
-        )
-
-
 def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> Scans:
     arrays = load_arrays(path)
     faces, offsets = arrays.get("faces"), arrays.get("offsets")
@@ -131,7 +119,13 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
     ):
         raise InputError(f"{path}: the offsets must rise from 0 to the number of points, {len(points)}.")
     if faces is not None:
-        _check_faces(faces, points.shape[1] if offsets is None else int(np.diff(offsets).min()), path)
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+            raise InputError(
+                f"{path}: the faces are {faces.dtype} of the shape {faces.shape}; they must be whole numbers, (T, 3)."
+            )
+        # the same for all frames, so of the points of the one that has the least
+        least = points.shape[1] if offsets is None else np.diff(offsets).min(initial=len(points))
+        check_faces(faces, int(least), path)
     count = len(points) if offsets is None else len(offsets) - 1
     frames = cut(list(range(count)), first, last, str(path))
 

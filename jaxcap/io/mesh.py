@@ -56,11 +56,7 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
     reader = {".off": read_off, ".obj": read_obj}.get(suffix, _read_trimesh)
     vertices, faces, normals = reader(path)
     check_points(vertices, path)
-    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        row = int(np.argmax((faces < 0).any(1) | (faces >= len(vertices)).any(1)))
-        raise InputError(
-            f"{path}: face {row} names vertices {faces[row].tolist()}, but there are only 0 to {len(vertices) - 1}."
-        )
+    check_faces(faces, len(vertices), path)
     if normals is not None:
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = normals / np.where(lengths > 0, lengths, 1.0)
@@ -109,6 +105,15 @@ def check_points(points: np.ndarray, where: str | Path) -> None:
         raise InputError(
             f"{where}: {wrong.sum()} of {len(points)} points are NaN or infinite, the first is point "
             f"{int(wrong.argmax())}; remove them."
+        )
+
+
+def check_faces(faces: np.ndarray, count: int, where: str | Path) -> None:
+    """Raises `InputError` where a face is of a vertex that is not among the `count`."""
+    if faces.size and not (faces.min() >= 0 and faces.max() < count):
+        row = int(np.argmax((faces < 0).any(1) | (faces >= count).any(1)))
+        raise InputError(
+            f"{where}: face {row} names vertices {faces[row].tolist()}, but there are only 0 to {count - 1}."
         )
 
 

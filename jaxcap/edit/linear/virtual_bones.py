@@ -89,7 +89,10 @@ def extended_skeleton(skeleton: Skeleton, bones: VirtualBones) -> Skeleton:
         np.concatenate([skeleton.axes, np.asarray(skeleton.axes)[bones.joints]]),
     )
     dtype = skeleton.centres.dtype
-    arrays = lambda s: (s.centres, s.orientations, s.axes)  # noqa: E731
+
+    def arrays(s: Skeleton):
+        return s.centres, s.orientations, s.axes
+
     return eqx.tree_at(arrays, longer, tuple(array.astype(dtype) for array in arrays(longer)))
 
 

@@ -113,7 +113,9 @@ def floor_of(points: Float[Array | np.ndarray, "F N 3"], up: np.ndarray = UP) ->
 
 @eqx.filter_jit
 def _retarget_frames(source, target, poses, sources, alignment, anchors, ratio, lift) -> Pose:
-    frame = lambda pose: _retarget_frame(source, target, pose, sources, alignment, anchors, ratio, lift)  # noqa: E731
+    def frame(pose: Pose) -> Pose:
+        return _retarget_frame(source, target, pose, sources, alignment, anchors, ratio, lift)
+
     return jax.vmap(frame)(poses)
 
 

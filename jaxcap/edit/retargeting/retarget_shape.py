@@ -77,7 +77,10 @@ def retarget_shape(
         (start, np.minimum(np.arange(start, start + length), len(motion) - 1))
         for start in range(0, len(motion), length)
     ]
-    surface = lambda frames: np.asarray(deform_all(source, take_poses(motion.poses, frames)), float)  # noqa: E731
+
+    def surface(frames):
+        return np.asarray(deform_all(source, take_poses(motion.poses, frames)), float)
+
     if floor is None:
         floor = floor_under(source, motion.poses)
     parts, errors, path = [], [], _Path(ratio, float(floor))
