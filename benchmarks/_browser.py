@@ -2,6 +2,7 @@
 
 import contextlib
 import shutil
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -65,6 +66,16 @@ def open_page(browser, url: str, size: tuple[int, int], patience: float = 60.0):
 def wait_for_node(page, name: str) -> None:
     """Until a node of the scene has a geometry in the page."""
     page.wait_for_function(f"({GEOMETRY})('{name}') !== null")
+
+
+def wait_for_eye(page, camera: Any, middle: ArrayLike) -> None:
+    """Until the browser tells by `client.camera` that it looks at `middle`, where its window has turned it: before, that
+    is where a page looks that has just come."""
+    end = time.monotonic() + 60.0
+    while np.abs(np.array(camera.look_at) - middle).max() > 1e-3:
+        if time.monotonic() > end:
+            raise TimeoutError("The browser does not tell that its eye has moved.")
+        page.wait_for_timeout(20)
 
 
 def pixel(camera: Any, place: ArrayLike, size: tuple[int, int]) -> Float[np.ndarray, "2"]:

@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from benchmarks._browser import find_chromium, launched, open_page, pixel, wait_for_node
+from benchmarks._browser import find_chromium, launched, open_page, pixel, wait_for_eye, wait_for_node
 from benchmarks.report import finish, progress
 from jaxcap.body.body import Body
 from jaxcap.body.human import human
@@ -90,6 +90,7 @@ def browser_milliseconds(body: Body, moves: int, rest: float) -> list[float]:
         while not windows or windows[0].note:
             time.sleep(0.1)
         window = windows[0]
+        wait_for_eye(page, window.client.camera, window.middle)
         at = pixel(window.client.camera, ik.constraint_at(window.session, hand).target, SIZE)
         page.mouse.move(*at)
         page.mouse.down()

@@ -12,6 +12,7 @@ from PIL import Image
 
 import jaxcap as jc
 from benchmarks._browser import pixel as on_page
+from benchmarks._browser import wait_for_eye
 from jaxcap.edit.ik import session as ik
 from jaxcap.edit.ik.solve import SOLVERS
 from jaxcap.view.ik.controls import SOLVERS as LABELS
@@ -55,6 +56,7 @@ def open_window(chromium, served):
     window = wait(lambda: set(windows) - before).pop()
     wait(lambda: not window.note, PATIENCE)
     wait_for_node(page, SURFACE)
+    wait_for_eye(page, window.client.camera, window.middle)
     return page, window
 
 
@@ -181,13 +183,8 @@ def test_a_browser_that_closes_in_a_drag_leaves_no_trace(chromium, served, body,
     page, window = open_window(chromium, served)
     windows = served[1]
     start = pixel(page, window, body.vertices[hand_of(body)])
-    # a page that has just come may not listen yet
-    for _ in range(12):
-        page.mouse.click(*start)
-        page.wait_for_timeout(2000)
-        if window.session.state.constraints:
-            break
-    (held,) = window.session.state.constraints
+    page.mouse.click(*start)
+    (held,) = wait(lambda: window.session.state.constraints)
     wait(lambda: "/handles/1/ball" in page.evaluate("Object.keys(window.__viserMutable.nodeRefFromName)"))
     start = pixel(page, window, held.target)
     capfd.readouterr()

@@ -79,7 +79,7 @@ class IkWindow:
             self._skeleton.visible = False
             places = np.concatenate([np.asarray(body.vertices), np.asarray(body.skeleton.centres)])
             low, high = places.min(0), places.max(0)
-            self.size = float((high - low).max())
+            self.size, self.middle = float((high - low).max()), (low + high) / 2
             self.handles = Handles(client.scene, BALL * self.size, self._dragged)
             self.controls = IkControls(
                 client, session, self._inbox.put, self._hold, self._redraw, self._save, self._load
@@ -88,10 +88,9 @@ class IkWindow:
                 "/ground", width=4 * self.size, height=4 * self.size, plane="xz",
                 position=(0.0, float(low[1]), 0.0), cell_size=0.1 * self.size, section_size=0.5 * self.size,
             )  # fmt: skip
-            middle = (low + high) / 2
             # in this order, as what is looked at moves with the eye
-            client.camera.position = middle + self.size * np.array([0.3, 0.2, 1.15])
-            client.camera.look_at = middle
+            client.camera.position = self.middle + self.size * np.array([0.3, 0.2, 1.15])
+            client.camera.look_at = self.middle
         self.shown = self._show()
         client.scene.on_click()(self._clicked)
 
