@@ -186,12 +186,13 @@ def stack_clouds(clouds: list[Cloud]) -> Cloud:
 
 
 def thin_cloud(cloud: Cloud, count: int, seed: int = 0) -> Cloud:
-    """A random `count` of the points of one frame, drawn by weight; padded as `make_cloud` does."""
+    """A random `count` of the points of one frame, drawn by weight; padded as `make_cloud` does. Of a cloud without any,
+    only padding is left."""
     weights = np.asarray(cloud.weights, float)
-    size = padded_size(count)
-    chosen = np.random.default_rng(seed).choice(
-        len(weights), min(count, int((weights > 0).sum())), replace=False, p=weights / weights.sum()
-    )
-    index = np.pad(np.sort(chosen), (0, size - len(chosen)), mode="edge")
+    size, there = padded_size(count), int((weights > 0).sum())
+    likely = weights / weights.sum() if there else None
+    chosen = np.random.default_rng(seed).choice(len(weights), min(count, there), replace=False, p=likely)
+    padding = size - len(chosen)
+    index = np.pad(np.sort(chosen), (0, padding), mode="edge") if there else np.zeros(size, int)
     kept = jnp.asarray(np.arange(size) < len(chosen), cloud.weights.dtype)
     return Cloud(cloud.points[index], cloud.normals[index], kept)

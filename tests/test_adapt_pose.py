@@ -6,9 +6,8 @@ import pytest
 from adapt_scene import make_scene, task_of
 
 from jaxcap.adapt import pose as module
-from jaxcap.adapt.loop import AdaptState, Settings, adapt_body, plan
 from jaxcap.adapt.pose import UPHILL, best_share, fit_pose
-from jaxcap.body.pose import retract, stack_poses
+from jaxcap.body.pose import retract
 from jaxcap.fit.correspond import make_scan
 
 
@@ -74,22 +73,6 @@ def test_damping_grows_where_steps_are_too_long_and_falls_again(scene, monkeypat
     shares = [1.0, 0.1, 0.0, 0.5, 1.0, 1.5]
     _, asked = steps_through(monkeypatch, offsets, scene, shares, steps=6, damping=1e-3)
     np.testing.assert_allclose(asked, [1e-3, 1e-3, 1e-2, 1e-1, 1e-1, 1e-2], rtol=1e-6)
-
-
-def test_poses_in_pieces_are_those_in_one_go_and_from_any_piece_on(scene):
-    _, actor, poses, _ = scene
-    task = task_of(scene)._replace(settings=Settings(frames=3, alone=1, rounds=(1,), temporal=0.0))
-    way = jnp.asarray(0.02 * np.random.default_rng(2).normal(size=actor.skeleton.num_dofs))
-    off = stack_poses([retract(actor.skeleton, pose, way) for pose in poses], 10.0)
-    before = AdaptState(len(plan(task.settings)) - 1, actor, 1.0, off, weight=1e-8)
-    (whole,) = adapt_body(task, before)
-    states = list(adapt_body(task, before, every=4))
-    assert [(state.done - before.done, state.within) for state in states] == [(0, 4), (1, 0)]
-    # frames that are not done are as they were
-    np.testing.assert_array_equal(states[0].motion[5].rotations, off[5].rotations)
-    for last in (states[-1], *adapt_body(task, states[0])):
-        np.testing.assert_array_equal(last.motion.poses.rotations, whole.motion.poses.rotations)
-        assert last.history == whole.history
 
 
 @pytest.mark.parametrize(

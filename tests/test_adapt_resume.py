@@ -24,8 +24,8 @@ from jaxcap.cli.adapt_state import fingerprint_of, hash_of, keep_state
 from jaxcap.io.clouds import read_clouds
 from jaxcap.io.registry import write_motion
 
-#: stages that are done when Ctrl-C comes: the first round of vertices is one of those left
-DONE = 3
+#: how far a run is when Ctrl-C comes: within tracking, and, gone on with, when the first round of vertices is left
+DONE = (1, 2), (3, 0)
 
 
 @pytest.fixture(scope="module")
@@ -182,22 +182,23 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_bits(folder, capsys, monkeypa
     runs(capsys, *words(folder, whole, *report, folder / "with.html"))
     before = whole.read_bytes()
 
-    kept = []
+    monkeypatch.setattr(adapt_module, "KEPT", 2)
+    more: tuple = ()
+    for done, within in DONE:
 
-    def stopping(path, state, header):
-        if len(kept) == DONE:
-            raise KeyboardInterrupt
-        kept.append(state.done)
-        keep_state(path, state, header)
+        def stopping(path, state, header):
+            keep_state(path, state, header)
+            if (state.done, state.within) == (done, within):  # noqa: B023
+                raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch:
-        patch.setattr(adapt_module, "keep_state", stopping)
-        with pytest.raises(SystemExit) as stop:
-            runs(capsys, *words(folder, parts, "--frames", 3))
-    assert stop.value.code == 130
-    told = capsys.readouterr().err
-    assert f"stopped; {DONE} stages are kept in {parts}.partial; --resume goes on" in told
-    assert not parts.exists()
+        with monkeypatch.context() as patch:
+            patch.setattr(adapt_module, "keep_state", stopping)
+            with pytest.raises(SystemExit) as stop:
+                runs(capsys, *words(folder, parts, "--frames", 3, *more))
+        assert stop.value.code == 130
+        told, more = capsys.readouterr().err, ("--resume",)
+        assert f"kept in {parts}.partial; --resume goes on" in told
+        assert not parts.exists()
     quoted = ("adapt", folder / "body.npz", folder / "*.ply", "-o", parts, "--start", folder / "start.npz")
     runs(capsys, *quoted, "--frames", 3, "--resume")
     assert not (folder / "parts.npz.partial").exists()

@@ -314,3 +314,9 @@ def test_points_and_vertices_beyond_every_aperture_are_in_no_pair(rng):
     both = within_aperture([right, left], VERTICES)
     np.testing.assert_array_equal(both, within | within_aperture([left], VERTICES))
     assert both.sum() > within.sum()
+
+
+def test_a_cloud_without_points_is_told_what_to_do_with():
+    nothing = make_cloud(np.ones((9, 3)), np.ones((9, 3)), np.zeros(9))
+    with pytest.raises(ValueError, match="name its frame in `missing`"):
+        make_scan(nothing)

@@ -134,3 +134,6 @@ def test_thinning_draws_points_by_weight(rng):
     everything = thin_cloud(cloud, 5000)
     assert jnp.sum(everything.weights > 0) == 800
     assert rows(thin_cloud(cloud, 100, seed=1).points) != rows(thin.points)
+    nothing = thin_cloud(make_cloud(points, points, np.zeros(1000)), 100)
+    assert nothing.points.shape == thin.points.shape
+    assert not nothing.weights.any()

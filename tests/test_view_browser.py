@@ -11,7 +11,7 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import deform_all
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.cli.results import pack, record_width, whose_poses
+from jaxcap.cli.frame_rows import pack, record_width, whose_poses
 from jaxcap.fit.em import FrameStatistics
 from jaxcap.fit.recover import TrackedFrame
 from jaxcap.fit.track import make_tracker, start_state

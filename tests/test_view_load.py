@@ -10,7 +10,7 @@ from helpers import chain_body, chain_skeleton, random_pose
 from jaxcap.body.body import Body, deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
-from jaxcap.cli.results import pack, record_width, whose_poses
+from jaxcap.cli.frame_rows import pack, record_width, whose_poses
 from jaxcap.errors import InputError
 from jaxcap.fit.em import FrameStatistics
 from jaxcap.fit.recover import TrackedFrame

@@ -25,7 +25,7 @@ from .task import Stage as Stage
 from .task import Task as Task
 from .task import plan as plan
 from .terms import balanced, motion_energy
-from .window import FRAMES, smooth_poses
+from .window import FRAMES, smooth_windows
 
 #: frames that the actor's size is read from
 SIZED = 3
@@ -35,10 +35,13 @@ BALANCE = 0.1
 #: weight of the pose prior while the first poses are found, where it is to be balanced with the data
 FIRST_WEIGHT = 1e-6
 
+#: what is reached within a stage, and at its end
+Steps = Generator[AdaptState, None, AdaptState]
+
 
 def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> Iterator[AdaptState]:
-    """Adapt a template to an actor, and yield what is reached after every stage; and where `every` is given, within the stage of
-    single poses also after every so many frames.
+    """Adapt a template to an actor, and yield what is reached after every stage; and where `every` is given, within the
+    stages that go through the frames, which are tracking, single poses and smoothing, also after every so many of them.
 
     The stages (`plan`): the actor's size from the first frames; all frames tracked; proportions, and hands turned over
     that lie the wrong way up; then vertices and joints adapted to some that are spread over the motion, in rounds; all
@@ -58,10 +61,8 @@ def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> I
             assert state is not None
             if stage.name == "adapt":
                 state = adapt_round(task, state, scans, stage)
-            elif stage.name == "pose":
-                state = yield from _poses(task, state, stage, every)
             else:
-                state = _STAGES[stage.name](task, state, stage)
+                state = yield from _STAGES[stage.name](task, state, stage, every)
         yield (state := state._replace(done=number + 1))
 
 
@@ -118,8 +119,10 @@ def _between(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Array, 
     return retract(skeleton, before, share * difference(skeleton, before, after))
 
 
-def _turn(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
+def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Hands that lie the wrong way up, which shows once proportions are the actor's; then all frames are tracked again."""
+    if state.within:
+        return (yield from _track(task, state, stage, every))
     first, tracker = task.scanned[:SIZED], make_tracker(state.body)
     clouds = [task.cloud(n) for n in first]
     # the body has changed since these were tracked, and other frames have been fitted to it
@@ -127,24 +130,33 @@ def _turn(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
     turned = turn_over(tracker, clouds, poses)
     if turned[0] is poses[0]:
         return told(task, state, str(stage), some_of(task.scanned))
-    return _track(task, state, stage, turned[0])
+    return (yield from _track(task, state, stage, every, turned[0]))
 
 
-def _track(task: Task, state: AdaptState, stage: Stage, start: Pose | None = None) -> AdaptState:
+def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose | None = None) -> Steps:
     """All frames, or the first ones, by the tracker, which is fast, and searches for frames that are lost."""
     there = [n for n in task.scanned if stage.frames is None or n < stage.frames] or task.scanned[:1]
-    clouds = (task.cloud(n) for n in there)
-    start = state.motion[there[0]] if start is None else start
-    frames = list(track_frames(make_tracker(state.body), clouds, start, sigma=0.03))
-    lost = {n for n, frame in zip(there, frames, strict=True) if frame.lost}
-    motion = _every_frame(task, {n: frame.pose for n, frame in zip(there, frames, strict=True)})
-    state = state._replace(motion=motion, lost=tuple(sorted(lost | set(task.missing))), chosen=())
+    since = state.within
+    if not since:
+        state = state._replace(lost=tuple(task.missing), chosen=())
+    begin = state.tracked or (state.motion[there[0]] if start is None else start)
+    clouds = (task.cloud(n) for n in there[since:])
+    frames = track_frames(make_tracker(state.body), clouds, begin, sigma=0.03, first=since)
+    poses, lost = {n: state.motion[n] for n in there[:since]}, set(state.lost)
+    later = {n: state.motion[n] for n in task.scanned}
+    for done, (n, frame) in enumerate(zip(there[since:], frames, strict=True), since + 1):
+        poses[n] = frame.pose
+        if frame.lost:
+            lost.add(n)
+        if every and done % every == 0 and done < len(there):
+            motion = _every_frame(task, later | poses)
+            yield state._replace(motion=motion, lost=tuple(sorted(lost)), within=done, tracked=frame)
+    motion, lost = _every_frame(task, poses), tuple(sorted(lost))
+    state = state._replace(motion=motion, lost=lost, within=0, tracked=None)
     return told(task, state, str(stage), some_of(task.scanned) if stage.frames is None else there[-1:])
 
 
-def _poses(
-    task: Task, state: AdaptState, stage: Stage, every: int
-) -> Generator[AdaptState, None, AdaptState]:
+def _poses(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Every pose by itself, with pairs both ways; so many frames at a time, from those on that are done."""
     there = task.scanned
     while state.within < len(there):
@@ -157,15 +169,16 @@ def _poses(
     return told(task, state._replace(within=0), str(stage), some_of(task.scanned))
 
 
-def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
+def _smooth(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     """All poses, smooth in time. Frames without a scan are left out, and lie between the others."""
     settings, body, there = task.settings, state.body, task.scanned
-    poses = [state.motion[n] for n in there]
-    temporal = settings.temporal
-    if temporal is None:
-        # a pose that is wild would leave all others rough
-        rough = motion_energy(body.skeleton, state.motion, without={*state.lost, *task.missing})
-        temporal = BALANCE * balanced(state.terms[-1].data, rough)
+    if not state.within:
+        temporal = settings.temporal
+        if temporal is None:
+            # a pose that is wild would leave all others rough
+            rough = motion_energy(body.skeleton, state.motion, without={*state.lost, *task.missing})
+            temporal = BALANCE * balanced(state.terms[-1].data, rough)
+        state = state._replace(temporal=temporal)
 
     # every frame is in some windows, and in each as often as it has steps
     scan_at = functools.lru_cache(FRAMES)(lambda number: task.scan(there[number]))
@@ -173,15 +186,30 @@ def _smooth(task: Task, state: AdaptState, stage: Stage) -> AdaptState:
     def pairs_in(number: int, pose: Pose) -> Pairs:
         return pairs_at(task, body, pose, scan_at(number))
 
-    smooth = smooth_poses(
-        body, poses, pairs_in, task.prior, state.weight, temporal, boxes=task.boxes, times=there
+    windows = smooth_windows(
+        body,
+        [state.motion[n] for n in there],
+        pairs_in,
+        task.prior,
+        state.weight,
+        state.temporal,
+        boxes=task.boxes,
+        times=there,
+        begin=state.within,
     )
-    motion = _every_frame(task, dict(zip(there, smooth, strict=True)))
-    return told(task, state._replace(motion=motion), str(stage), some_of(task.scanned))
+    for poses, done in windows:
+        last = done == len(there)
+        if last or (every and done - state.within >= every):
+            motion = _every_frame(task, dict(zip(there, poses, strict=True)))
+            state = state._replace(motion=motion, within=0 if last else done)
+            if not last:
+                yield state
+    return told(task, state, str(stage), some_of(task.scanned))
 
 
-_STAGES: dict[str, Callable[[Task, AdaptState, Stage], AdaptState]] = {
+_STAGES: dict[str, Callable[[Task, AdaptState, Stage, int], Steps]] = {
     "track": _track,
     "turn": _turn,
+    "pose": _poses,
     "smooth": _smooth,
 }

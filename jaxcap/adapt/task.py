@@ -8,6 +8,7 @@ from ..body.pose import Motion, Pose
 from ..body.pose_boxes import PoseBoxes
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Matching, Scan, make_scan
+from ..fit.recover import TrackedFrame
 from ..geometry.camera import Camera
 from ..observe import Cloud
 from .people import People
@@ -68,8 +69,12 @@ class AdaptState(NamedTuple):
     weight: float = 0.0
     #: what each term was worth after each stage, as the history has them
     terms: tuple[Terms, ...] = ()
+    #: weight of second differences, once it is balanced
+    temporal: float = 0.0
     #: frames of the stage that comes next which are done already
     within: int = 0
+    #: the last of them, where it is one of tracking
+    tracked: TrackedFrame | None = None
 
 
 class Task(NamedTuple):

@@ -1,7 +1,8 @@
 """Smooth motion: the poses of some frames at once, coupled by their second differences (Adaptation, 4.1.4)."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import equinox as eqx
@@ -51,10 +52,35 @@ def smooth_poses(
     `fit_pose`, and poses that are beyond them are brought back first; `times` of the poses, frames that rise, where some
     are missing between them.
     """
+    windows = smooth_windows(
+        body, poses, pairs_at, prior, weight, temporal,
+        frames=frames, stride=stride, steps=steps, boxes=boxes, times=times,
+    )  # fmt: skip
+    (last,) = deque(windows, maxlen=1)
+    return last[0]
+
+
+def smooth_windows(
+    body: Body,
+    poses: list[Pose],
+    pairs_at: Callable[[int, Pose], Pairs],
+    prior: AbstractEnergy,
+    weight: float,
+    temporal: float,
+    *,
+    frames: int = FRAMES,
+    stride: int = STRIDE,
+    steps: int = 2,
+    boxes: PoseBoxes | None = None,
+    times: Sequence[int] | None = None,
+    begin: int = 0,
+) -> Iterator[tuple[list[Pose], int]]:
+    """`smooth_poses`, window by window: all poses after each of them, and the first frame of the next one, at which
+    `begin` goes on from these poses to the same end; after the last window it is how many poses there are."""
     when = np.arange(len(poses)) if times is None else np.asarray(times)
     boxes = no_boxes() if boxes is None else boxes
     weights = jnp.asarray(weight, float), jnp.asarray(temporal, float)
-    poses = [brought_in(boxes, body.skeleton, pose) for pose in poses]
+    poses = list(poses) if begin else [brought_in(boxes, body.skeleton, pose) for pose in poses]
     known: dict[int, tuple[Pose, Pairs]] = {}
 
     def pairs_of_frame(frame: int, pose: Pose) -> Pairs:
@@ -63,12 +89,14 @@ def smooth_poses(
             known[frame] = pose, pairs_at(frame, pose)
         return known[frame][1]
 
-    for start in range(0, max(len(poses) - 2, 1), stride):
+    if len(poses) < 3:
+        yield poses, len(poses)
+        return
+    start = begin
+    while start < len(poses):
         stop = min(start + frames, len(poses))
         # a window of another length would be compiled anew, so the last one begins earlier
         start = max(stop - frames, 0)
-        if stop - start < 3:
-            break
         for frame in [frame for frame in known if frame < start]:
             del known[frame]
         held, window = int(start > 0), poses[start:stop]
@@ -86,9 +114,8 @@ def smooth_poses(
             moved = _improve(body, stack(window), pairs, prior, boxes, *weights, jnp.asarray(held > 0), since)
             window = window[:held] + unstack(moved, stop - start)[held:]
         poses[start:stop] = best[1]
-        if stop == len(poses):
-            break
-    return poses
+        start = stop if stop == len(poses) else min(start + stride, len(poses) - frames)
+        yield list(poses), start
 
 
 def temporal_energy(

@@ -161,7 +161,7 @@ class Adapt:
         with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
                 for reached in adapt_body(task, state, every=KEPT):
-                    if reached.done == 1 and not self.unchecked:
+                    if reached.done == 1 and not (reached.within or self.unchecked):
                         _check_first(task, reached, first)
                     keep_state(self.kept, reached, header)
                     state = reached

@@ -11,13 +11,15 @@ from ..adapt.task import AdaptState
 from ..adapt.terms import Terms
 from ..body.body import Body
 from ..errors import InputError
+from ..fit.track import make_tracker
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..io.registry import MOTION_WRITERS
+from .frame_rows import pack, unpack
 from .outputs import check_absent
 from .results import make_writable
 
 #: arrays of a checkpoint beside body, motion and history
-NEEDS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "terms")
+NEEDS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "temporal", "tracked", "terms")
 
 
 def check_results(
@@ -60,6 +62,8 @@ def checkpoint_of(state: AdaptState) -> Checkpoint:
         "chosen": np.array(state.chosen, int),
         "traits": np.array(state.traits, float),
         "weight": np.array(state.weight, float),
+        "temporal": np.array(state.temporal, float),
+        "tracked": np.zeros(0) if state.tracked is None else pack(state.tracked, 0.0),
         "terms": np.array(state.terms, float).reshape(-1, len(Terms._fields)),
     }
     return Checkpoint(state.body, state.motion, state.history, arrays)
@@ -80,6 +84,8 @@ def state_of(kept: Checkpoint) -> AdaptState:
         history=kept.history,
         traits=traits,
         weight=float(arrays["weight"]),
+        temporal=float(arrays["temporal"]),
+        tracked=unpack(make_tracker(kept.body), arrays["tracked"])[0] if len(arrays["tracked"]) else None,
         terms=tuple(Terms(*row) for row in arrays["terms"].tolist()),
     )
 

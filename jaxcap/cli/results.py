@@ -5,25 +5,19 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
-from ..body.pose import rest_pose, stack_poses
+from ..body.pose import stack_poses
 from ..body.skeleton import Skeleton
 from ..errors import InputError
-from ..fit.em import FrameStatistics
 from ..fit.recover import TrackedFrame
-from ..fit.track import Tracker, start_state
+from ..fit.track import Tracker
 from ..io.bvh import write_bvh
 from ..io.clouds import Scans
 from ..io.npz import save_motion
 from ..io.table import write_csv, write_json
 
-#: numbers of a row in front of its pose
-POSE_AT = 1
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
 
@@ -76,35 +70,6 @@ def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
     }
 
 
-def whose_poses(skeleton: Skeleton) -> dict[str, object]:
-    """What tells one who follows a run where poses are in its rows, and whose."""
-    return {"joints": list(skeleton.names), "pose at": POSE_AT}
-
-
-def pack(frame: TrackedFrame, seconds: float) -> Float[np.ndarray, "R"]:
-    """A frame as one row of numbers, exact in both precisions."""
-    return np.concatenate(
-        [[seconds], *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(frame))]
-    )
-
-
-def unpack(tracker: Tracker, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame, float]:
-    """The frame of a row that `pack` made, to the last bit."""
-    leaves, tree = jax.tree.flatten(_template(tracker))
-    numbers, at = [], POSE_AT
-    for leaf in leaves:
-        size = np.size(leaf)
-        values = row[at : at + size].reshape(np.shape(leaf))
-        numbers.append(jnp.asarray(values, leaf.dtype) if eqx.is_array(leaf) else type(leaf)(values))
-        at += size
-    return jax.tree.unflatten(tree, numbers), float(row[0])
-
-
-def record_width(tracker: Tracker) -> int:
-    """How many numbers a row has."""
-    return len(pack(_template(tracker), 0.0))
-
-
 def write_results(
     folder: Path,
     skeleton: Skeleton,
@@ -136,11 +101,3 @@ def _numbers(frame: TrackedFrame) -> dict[str, object]:
         "mean_distance": float(statistics.mean_distance),
         "state": "lost" if frame.lost else "converged",
     }
-
-
-def _template(tracker: Tracker) -> TrackedFrame:
-    """A frame with the shapes and types of all frames."""
-    pose = rest_pose(tracker.body.skeleton)
-    number = jnp.zeros((), pose.rotations.dtype)
-    state = start_state(tracker, pose)
-    return TrackedFrame(pose, FrameStatistics(number, number, number, number), False, state, (0.0, 0.0, 0.0))

@@ -18,8 +18,9 @@ from ..fit.track import Tracker, make_tracker
 from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
 from ..io.limits import read_limits
+from .frame_rows import pack, record_width, unpack, whose_poses
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
-from .results import check_folder, fingerprint, pack, record_width, unpack, whose_poses, write_results
+from .results import check_folder, fingerprint, write_results
 from .say import progress, say, warn
 from .sources import Clouds, load_body, load_cloud
 from .timed import timed

@@ -1,0 +1,91 @@
+"""Stages that go through the frames: in pieces they are what they are in one go, and from the file of any piece on."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from adapt_scene import make_scene, task_of
+
+import jaxcap as jc
+from jaxcap.adapt import loop
+from jaxcap.adapt.loop import AdaptState, Settings, adapt_body, plan
+from jaxcap.adapt.terms import Terms
+from jaxcap.body.pose import retract, stack_poses
+from jaxcap.cli.adapt_state import keep_state, state_to_go_on_from
+
+HEADER = {"who": "a test"}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene()
+
+
+def before_stage(scene, name: str, **changes):
+    """The task, and a state whose next stage is the last of a name, with poses that are off."""
+    _, actor, poses, _ = scene
+    task = task_of(scene)._replace(settings=Settings(frames=3, alone=1, rounds=(1,)), **changes)
+    way = jnp.asarray(0.02 * np.random.default_rng(2).normal(size=actor.skeleton.num_dofs))
+    off = stack_poses([retract(actor.skeleton, pose, way) for pose in poses], 10.0)
+    names = [stage.name for stage in plan(task.settings)]
+    done = len(names) - 1 - names[::-1].index(name)
+    terms = (Terms(1e-5, 1.0, 1e-3, 0.0, 0.0),)
+    return task, AdaptState(done, actor, 1.0, off, weight=1e-8, terms=terms, history=(("size", 3.0),))
+
+
+def stage_of(task, state: AdaptState, every: int = 0) -> list[AdaptState]:
+    """What is reached within the next stage, and at its end."""
+    reached = []
+    for one in adapt_body(task, state, every):
+        reached.append(one)
+        if one.done > state.done:
+            return reached
+    raise AssertionError("the stage has no end")
+
+
+@pytest.mark.parametrize(
+    ("name", "pieces"), [("track", [2, 4]), ("turn", [2, 4]), ("pose", [2, 4]), ("smooth", [2])]
+)
+def test_pieces_are_the_whole_and_any_can_be_gone_on_from(scene, name, pieces, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "smooth_windows", partial(loop.smooth_windows, frames=4, stride=2))
+    # any poses other than those given are hands that were turned
+    monkeypatch.setattr(loop, "turn_over", lambda tracker, clouds, poses: scene[2][:3])
+    task, before = before_stage(scene, name)
+    (whole,) = stage_of(task, before)
+    reached = stage_of(task, before, every=2)
+    assert [(state.done - before.done, state.within) for state in reached] == [
+        *((0, within) for within in pieces),
+        (1, 0),
+    ]
+    assert np.abs(np.asarray(whole.motion.poses.rotations - before.motion.poses.rotations)).max() > 1e-3
+    ends = [reached[-1]]
+    for state in reached[:-1]:
+        keep_state(tmp_path / "kept", state, HEADER)
+        kept = state_to_go_on_from(tmp_path / "kept", HEADER, resume=True, overwrite=False)
+        ends.append(stage_of(task, kept)[-1])
+    for end in ends:
+        assert end._replace(body=whole.body, motion=whole.motion) == whole
+        for one, other in zip(*map(jax.tree.leaves, (whole.motion, end.motion)), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_frames_that_are_not_done_are_as_they_were(scene):
+    task, before = before_stage(scene, "pose")
+    state = stage_of(task, before, every=4)[0]
+    np.testing.assert_array_equal(state.motion[5].rotations, before.motion[5].rotations)
+    assert np.abs(np.asarray(state.motion[0].rotations - before.motion[0].rotations)).max() > 1e-4
+
+
+def test_lost_and_missing_frames_are_told_from_any_piece_on(scene, monkeypatch):
+    """Also those before the piece that is gone on from."""
+    noise = np.random.default_rng(3).uniform(-1.0, 1.0, (600, 3))
+
+    def cloud(number):
+        return jc.make_cloud(noise, noise) if number == 1 else task_of(scene).cloud(number)
+
+    task, before = before_stage(scene, "track", cloud=cloud, missing=(3,))
+    first, *_, last = stage_of(task, before._replace(lost=(0, 3)), every=2)
+    assert (first.within, first.lost, last.lost) == (2, (1, 3), (1, 3))
+    assert stage_of(task, first)[-1].lost == (1, 3)
