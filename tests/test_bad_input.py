@@ -1,5 +1,7 @@
 """What users get wrong: one sentence on stderr, exit code 2, no traceback, nothing half-written."""
 
+import re
+
 import numpy as np
 import pytest
 from cli import fails, tree
@@ -7,6 +9,7 @@ from helpers import chain_body
 
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skeleton import make_skeleton
+from jaxcap.errors import InputError
 from jaxcap.fit.check import check_cloud
 from jaxcap.io.bvh import write_bvh
 from jaxcap.io.npz import save_body, save_motion
@@ -253,3 +256,22 @@ def test_cloud_of_a_body_is_fine():
     points = np.asarray(body.vertices)
     for cloud in (points, points[:24], np.concatenate([points, [[50.0, 0, 0]]])):
         check_cloud(body, make_cloud(cloud, cloud))
+
+
+@pytest.mark.parametrize(
+    ("share", "factor", "likely"),
+    [
+        (1.0, 1000, "millimetres (mm): say"),
+        (1.0, 100, "centimetres (cm)"),
+        # of a person who is not seen whole
+        (0.6, 100, "centimetres (cm) or inches (in): say"),
+        (1.0, 39.37, "inches (in): say"),
+        (1.0, 1e6, "check the units"),
+    ],
+)
+def test_units_that_a_scan_may_be_in_are_named(share, factor, likely):
+    body = chain_body()
+    points = np.asarray(body.vertices)
+    seen = points[points[:, 1] <= points[:, 1].min() + share * np.ptp(points[:, 1])]
+    with pytest.raises(InputError, match=re.escape(likely)):
+        check_cloud(body, make_cloud(factor * seen, seen))

@@ -11,6 +11,8 @@ from ..observe import Cloud
 _UNITS = {"millimetres (mm)": 1e-3, "centimetres (cm)": 1e-2, "inches (in)": 0.0254, "feet (ft)": 0.3048}
 #: a cloud so many times as large as its body is in another unit; outliers and floors reach far
 LARGEST, SMALLEST = 8.0, 0.02
+#: and in one that it may be in, at most so many times as large or as small
+ALIKE = 3.0
 
 
 def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
@@ -37,10 +39,10 @@ def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> Non
     extent, height = float((high - low).max()), float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
     if SMALLEST * height <= extent <= LARGEST * height:
         return
-    metres = {unit: abs(np.log(extent * size / height)) for unit, size in _UNITS.items()}
-    likely = min(metres, key=lambda unit: metres[unit])
-    if extent > height and metres[likely] < np.log(4.0):
-        hint = f"it looks like {likely}: say so with the unit"
+    # centimetres and inches are too near to each other for people of whom only a part is seen
+    likely = [unit for unit, size in _UNITS.items() if height / ALIKE < extent * size < ALIKE * height]
+    if extent > height and likely:
+        hint = f"it looks like {' or '.join(likely)}: say so with the unit"
     else:
         hint = "check the units of both"
     raise InputError(f"{name} is {extent:.4g} m long, and the body {height:.4g} m; {hint}.")
