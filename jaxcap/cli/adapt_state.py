@@ -143,5 +143,5 @@ def keep_state(path: Path, state: AdaptState, header: Mapping[str, object]) -> N
 def kept_words(path: Path, done: int) -> str:
     """What is left of a run that ends before its time."""
     if not (done and path.is_file()):
-        return "no stage was done"
+        return "0 stages were done"
     return f"{done} {'stage is' if done == 1 else 'stages are'} kept in {path}; --resume goes on"

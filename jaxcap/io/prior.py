@@ -110,7 +110,9 @@ def check_fit(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
     """Raises `InputError` where a prior is of another skeleton."""
     reason = misfit(prior, skeleton)
     if reason is not None:
-        raise InputError(f"{path}: this prior is of another skeleton: {reason}; learn one for this skeleton.")
+        raise InputError(
+            f"{path}: this prior is of another skeleton: {reason}; learn one for this skeleton; `jaxcap prior learn --body` carries motions over."
+        )
 
 
 def prior_arrays(prior: PairPrior, boxes: PoseBoxes | None = None) -> dict[str, np.ndarray]:
