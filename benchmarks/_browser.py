@@ -69,13 +69,14 @@ def wait_for_node(page, name: str) -> None:
 
 
 def wait_for_eye(page, camera: Any, middle: ArrayLike) -> None:
-    """Until the browser tells by `client.camera` that it looks at `middle`, where its window has turned it: before, that
-    is where a page looks that has just come."""
-    end = time.monotonic() + 60.0
-    while np.abs(np.array(camera.look_at) - middle).max() > 1e-3:
+    """Until the browser tells by `client.camera` that it looks at `middle`, where its window has turned it. What is there
+    before is what the window asked for, or where a page looks that has just come."""
+    asked, end = time.time(), time.monotonic() + 60.0
+    while camera.update_timestamp < asked or np.abs(np.array(camera.look_at) - middle).max() > 1e-3:
         if time.monotonic() > end:
             raise TimeoutError("The browser does not tell that its eye has moved.")
-        page.wait_for_timeout(20)
+        page.evaluate("window.__viserMutable.sendCamera()")
+        page.wait_for_timeout(50)
 
 
 def pixel(camera: Any, place: ArrayLike, size: tuple[int, int]) -> Float[np.ndarray, "2"]:

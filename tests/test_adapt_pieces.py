@@ -61,6 +61,8 @@ def test_pieces_are_the_whole_and_any_can_be_gone_on_from(scene, name, pieces, t
     ]
     assert np.abs(np.asarray(whole.motion.poses.rotations - before.motion.poses.rotations)).max() > 1e-3
     ends = [reached[-1]]
+    # hands that are turned over already are not looked for again
+    monkeypatch.setattr(loop, "turn_over", None)
     for state in reached[:-1]:
         keep_state(tmp_path / "kept", state, HEADER)
         kept = state_to_go_on_from(tmp_path / "kept", HEADER, resume=True, overwrite=False)
@@ -83,9 +85,13 @@ def test_lost_and_missing_frames_are_told_from_any_piece_on(scene, monkeypatch):
     noise = np.random.default_rng(3).uniform(-1.0, 1.0, (600, 3))
 
     def cloud(number):
-        return jc.make_cloud(noise, noise) if number == 1 else task_of(scene).cloud(number)
+        return jc.make_cloud(noise, noise) if number in (1, 4) else task_of(scene).cloud(number)
 
     task, before = before_stage(scene, "track", cloud=cloud, missing=(3,))
-    first, *_, last = stage_of(task, before._replace(lost=(0, 3)), every=2)
-    assert (first.within, first.lost, last.lost) == (2, (1, 3), (1, 3))
-    assert stage_of(task, first)[-1].lost == (1, 3)
+    (whole,) = stage_of(task, before)
+    assert set(whole.lost) > {1, 3}
+    for state in stage_of(task, before._replace(lost=(0, 3)), every=1)[:-1]:
+        end = stage_of(task, state)[-1]
+        assert end.lost == whole.lost
+        # those that are searched for are searched for from the same random starts
+        np.testing.assert_array_equal(end.motion.poses.rotations, whole.motion.poses.rotations)

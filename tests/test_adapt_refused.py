@@ -273,8 +273,9 @@ def test_a_disk_that_is_full(scene, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", full)
-    with pytest.raises(jc.InputError, match=r"No space left.*free some space.*1 stage is kept.*--resume"):
-        keep_state(path, state._replace(done=2), header)
+    for later in (state._replace(done=2), state._replace(within=2)):
+        with pytest.raises(jc.InputError, match=r"No space left.*free some space.*1 stage is kept.*--resume"):
+            keep_state(path, later, header)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
     kept = state_to_go_on_from(path, header, resume=True, overwrite=False)

@@ -261,17 +261,19 @@ def test_cloud_of_a_body_is_fine():
 @pytest.mark.parametrize(
     ("share", "factor", "likely"),
     [
-        (1.0, 1000, "millimetres (mm): say"),
-        (1.0, 100, "centimetres (cm)"),
+        (1.0, 1000, "it looks like millimetres (mm): say"),
+        (1.0, 100, "it looks like centimetres (cm): say"),
+        (0.7, 100, "it looks like centimetres (cm): say"),
+        (1.0, 10, "it looks like decimetres (dm): say"),
         # of a person who is not seen whole
-        (0.6, 100, "centimetres (cm) or inches (in): say"),
-        (1.0, 39.37, "inches (in): say"),
-        (1.0, 1e6, "check the units"),
+        (0.4, 100, "it looks like centimetres (cm) or inches (in): say"),
+        (0.6, 39.37, "it looks like inches (in): say"),
+        (1.0, 1e6, "check the units of both."),
     ],
 )
 def test_units_that_a_scan_may_be_in_are_named(share, factor, likely):
     body = chain_body()
-    points = np.asarray(body.vertices)
-    seen = points[points[:, 1] <= points[:, 1].min() + share * np.ptp(points[:, 1])]
+    height = np.ptp(np.asarray(body.vertices), axis=0).max()
+    seen = np.linspace([0.0, 0.0, 0.1], [0.1, share * height, 0.1], 200)
     with pytest.raises(InputError, match=re.escape(likely)):
         check_cloud(body, make_cloud(factor * seen, seen))

@@ -316,7 +316,7 @@ def test_points_and_vertices_beyond_every_aperture_are_in_no_pair(rng):
     assert both.sum() > within.sum()
 
 
-def test_a_cloud_without_points_is_told_what_to_do_with():
+def test_a_cloud_without_points_is_no_scan():
     nothing = make_cloud(np.ones((9, 3)), np.ones((9, 3)), np.zeros(9))
-    with pytest.raises(ValueError, match="name its frame in `missing`"):
+    with pytest.raises(ValueError, match="no points with a weight above zero"):
         make_scan(nothing)

@@ -223,6 +223,7 @@ def test_a_body_without_faces_is_dragged_by_its_points(chromium, body):
     (window,) = wait(lambda: list(windows))
     wait(lambda: not window.note, PATIENCE)
     wait_for_node(page, "/body/points")
+    wait_for_eye(page, window.client.camera, window.middle)
     page.mouse.click(*pixel(page, window, bare.vertices[hand_of(bare)]))
     (held,) = wait(lambda: window.session.state.constraints)
     assert np.linalg.norm(np.subtract(held.target, bare.vertices[hand_of(bare)])) < 0.05

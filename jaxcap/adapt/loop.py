@@ -135,24 +135,22 @@ def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
 
 def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose | None = None) -> Steps:
     """All frames, or the first ones, by the tracker, which is fast, and searches for frames that are lost."""
-    there = [n for n in task.scanned if stage.frames is None or n < stage.frames] or task.scanned[:1]
-    since = state.within
-    if not since:
+    there, passed = task.frames_of(stage), state.within
+    if not passed:
         state = state._replace(lost=tuple(task.missing), chosen=())
-    begin = state.tracked or (state.motion[there[0]] if start is None else start)
-    clouds = (task.cloud(n) for n in there[since:])
-    frames = track_frames(make_tracker(state.body), clouds, begin, sigma=0.03, first=since)
-    poses, lost = {n: state.motion[n] for n in there[:since]}, set(state.lost)
-    later = {n: state.motion[n] for n in task.scanned}
-    for done, (n, frame) in enumerate(zip(there[since:], frames, strict=True), since + 1):
+    before = state.tracked or (state.motion[there[0]] if start is None else start)
+    clouds = (task.cloud(n) for n in there[passed:])
+    frames = track_frames(make_tracker(state.body), clouds, before, sigma=0.03, first=passed)
+    poses, lost = {n: state.motion[n] for n in there[:passed]}, set(state.lost)
+    for done, (n, frame) in enumerate(zip(there[passed:], frames, strict=True), passed + 1):
         poses[n] = frame.pose
         if frame.lost:
             lost.add(n)
         if every and done % every == 0 and done < len(there):
-            motion = _every_frame(task, later | poses)
+            motion = _every_frame(task, {n: state.motion[n] for n in task.scanned} | poses)
             yield state._replace(motion=motion, lost=tuple(sorted(lost)), within=done, tracked=frame)
-    motion, lost = _every_frame(task, poses), tuple(sorted(lost))
-    state = state._replace(motion=motion, lost=lost, within=0, tracked=None)
+    motion = _every_frame(task, poses)
+    state = state._replace(motion=motion, lost=tuple(sorted(lost)), within=0, tracked=None)
     return told(task, state, str(stage), some_of(task.scanned) if stage.frames is None else there[-1:])
 
 

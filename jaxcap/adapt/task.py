@@ -7,6 +7,7 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.pose_boxes import PoseBoxes
 from ..energy.term import AbstractEnergy
+from ..errors import InputError
 from ..fit.correspond import Matching, Scan, make_scan
 from ..fit.recover import TrackedFrame
 from ..geometry.camera import Camera
@@ -109,9 +110,18 @@ class Task(NamedTuple):
         """Frames that have a scan."""
         return sorted(set(range(self.frames)) - set(self.missing))
 
+    def frames_of(self, stage: "Stage") -> list[int]:
+        """Frames with a scan that a stage goes through."""
+        return [n for n in self.scanned if stage.frames is None or n < stage.frames] or self.scanned[:1]
+
     def scan(self, frame: int) -> Scan:
-        """What pairs are found in."""
-        return make_scan(self.cloud(frame)) if self.mesh is None else self.mesh(frame)
+        """What pairs are found in. Raises `InputError` where the cloud of a frame has no points."""
+        if self.mesh is not None:
+            return self.mesh(frame)
+        try:
+            return make_scan(self.cloud(frame))
+        except ValueError as error:
+            raise InputError(f"frame {frame}: {error} Name it among the `missing` frames.") from None
 
     def some(self, frames: Sequence[int]) -> "Task":
         """The task of some of the frames, numbered from 0."""

@@ -156,7 +156,7 @@ class Adapt:
     def adapt(
         self, task: Task, state: AdaptState | None, header: dict[str, object], first: str
     ) -> AdaptState:
-        """All stages that are left, each kept when it is done; `first` names the first scan."""
+        """All stages that are left, each kept when it is done and long ones within, too; `first` names the first scan."""
         stages = plan(task.settings)
         with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
@@ -165,7 +165,7 @@ class Adapt:
                         _check_first(task, reached, first)
                     keep_state(self.kept, reached, header)
                     state = reached
-                    bar.tell(state.done, _reached(state, stages))
+                    bar.tell(state.done, _reached(task, state, stages))
             except KeyboardInterrupt:
                 done = 0 if state is None else state.done
                 raise KeyboardInterrupt(f"stopped; {kept_words(self.kept, done)}") from None
@@ -310,10 +310,11 @@ def _check_first(task: Task, state: AdaptState, where: str) -> None:
         raise InputError(f"{error} If it is one person all the same, give --unchecked.") from None
 
 
-def _reached(state: AdaptState, stages: Sequence[Stage]) -> str:
+def _reached(task: Task, state: AdaptState, stages: Sequence[Stage]) -> str:
     """What a user is told of a state."""
     if state.within:
-        return f"{stages[state.done]}: {state.within} of {len(state.motion)} frames"
+        stage = stages[state.done]
+        return f"{stage}: {state.within} of {len(task.frames_of(stage))} frames"
     return f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body"
 
 

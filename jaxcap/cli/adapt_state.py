@@ -19,7 +19,7 @@ from .outputs import check_absent
 from .results import make_writable
 
 #: arrays of a checkpoint beside body, motion and history
-NEEDS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "temporal", "tracked", "terms")
+NEEDS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "terms")
 
 
 def check_results(
@@ -73,9 +73,9 @@ def state_of(kept: Checkpoint) -> AdaptState:
     """The state of a checkpoint that `checkpoint_of` made, to the last bit."""
     arrays = kept.arrays
     lost, chosen, traits = (tuple(arrays[name].tolist()) for name in ("lost", "chosen", "traits"))
+    tracked = arrays.get("tracked", np.zeros(0))
     return AdaptState(
         done=int(arrays["done"]),
-        within=int(arrays["within"]),
         body=kept.body,
         size=float(arrays["size"]),
         motion=kept.motion,
@@ -84,8 +84,9 @@ def state_of(kept: Checkpoint) -> AdaptState:
         history=kept.history,
         traits=traits,
         weight=float(arrays["weight"]),
-        temporal=float(arrays["temporal"]),
-        tracked=unpack(make_tracker(kept.body), arrays["tracked"])[0] if len(arrays["tracked"]) else None,
+        temporal=float(arrays.get("temporal", 0.0)),
+        within=int(arrays["within"]),
+        tracked=unpack(make_tracker(kept.body), tracked, kept.motion[0])[0] if len(tracked) else None,
         terms=tuple(Terms(*row) for row in arrays["terms"].tolist()),
     )
 
@@ -137,7 +138,9 @@ def keep_state(path: Path, state: AdaptState, header: Mapping[str, object]) -> N
     try:
         save_checkpoint(path, checkpoint_of(state), header)
     except InputError as error:
-        raise InputError(f"{error} {kept_words(path, state.done - 1)}.") from None
+        # what is kept is of the stage before, or of this one so far
+        done = state.done if state.within else state.done - 1
+        raise InputError(f"{error} {kept_words(path, done)}.") from None
 
 
 def kept_words(path: Path, done: int) -> str:

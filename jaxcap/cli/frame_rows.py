@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..body.pose import rest_pose
+from ..body.pose import Pose, rest_pose
 from ..body.skeleton import Skeleton
 from ..fit.em import FrameStatistics
 from ..fit.recover import TrackedFrame
@@ -28,9 +28,12 @@ def pack(frame: TrackedFrame, seconds: float) -> Float[np.ndarray, "R"]:
     )
 
 
-def unpack(tracker: Tracker, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame, float]:
-    """The frame of a row that `pack` made, to the last bit."""
-    leaves, tree = jax.tree.flatten(_template(tracker))
+def unpack(
+    tracker: Tracker, row: Float[np.ndarray, "R"], like: Pose | None = None
+) -> tuple[TrackedFrame, float]:
+    """The frame of a row that `pack` made, to the last bit; `like` is a pose of the precision that the run was begun with,
+    the body's where not given."""
+    leaves, tree = jax.tree.flatten(_template(tracker, like))
     numbers, at = [], POSE_AT
     for leaf in leaves:
         size = np.size(leaf)
@@ -42,12 +45,12 @@ def unpack(tracker: Tracker, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame,
 
 def record_width(tracker: Tracker) -> int:
     """How many numbers a row has."""
-    return len(pack(_template(tracker), 0.0))
+    return len(pack(_template(tracker, None), 0.0))
 
 
-def _template(tracker: Tracker) -> TrackedFrame:
+def _template(tracker: Tracker, like: Pose | None) -> TrackedFrame:
     """A frame with the shapes and types of all frames."""
-    pose = rest_pose(tracker.body.skeleton)
+    pose = rest_pose(tracker.body.skeleton) if like is None else like
     number = jnp.zeros((), pose.rotations.dtype)
     state = start_state(tracker, pose)
     return TrackedFrame(pose, FrameStatistics(number, number, number, number), False, state, (0.0, 0.0, 0.0))

@@ -28,11 +28,11 @@ class Scan(NamedTuple):
 def make_scan(cloud: Cloud) -> Scan:
     """The points of a cloud that are there, and their tree.
 
-    **Raises:** `ValueError` where it has none, as of a frame that is to be named among the `missing` of a task.
+    **Raises:** `ValueError` where there is none.
     """
     there = np.asarray(cloud.weights) > 0
     if not there.any():
-        raise ValueError("No point of the cloud has weight; name its frame in `missing`, and it is left out.")
+        raise ValueError("The cloud has no points with a weight above zero.")
     points, normals = (np.asarray(part, float)[there] for part in (cloud.points, cloud.normals))
     return Scan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
 

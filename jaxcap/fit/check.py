@@ -8,11 +8,17 @@ from ..errors import InputError
 from ..observe import Cloud
 
 #: metres in one unit, of those in which files come
-_UNITS = {"millimetres (mm)": 1e-3, "centimetres (cm)": 1e-2, "inches (in)": 0.0254, "feet (ft)": 0.3048}
+_UNITS = {
+    "millimetres (mm)": 1e-3,
+    "centimetres (cm)": 1e-2,
+    "decimetres (dm)": 0.1,
+    "inches (in)": 0.0254,
+    "feet (ft)": 0.3048,
+}
 #: a cloud so many times as large as its body is in another unit; outliers and floors reach far
 LARGEST, SMALLEST = 8.0, 0.02
-#: and in one that it may be in, at most so many times as large or as small
-ALIKE = 3.0
+#: in a unit that it may be in it is of such a part of the body's size
+PART, WHOLE = 0.25, 1.35
 
 
 def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
@@ -39,8 +45,13 @@ def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> Non
     extent, height = float((high - low).max()), float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
     if SMALLEST * height <= extent <= LARGEST * height:
         return
+    shares = {unit: extent * size / height for unit, size in _UNITS.items()}
     # centimetres and inches are too near to each other for people of whom only a part is seen
-    likely = [unit for unit, size in _UNITS.items() if height / ALIKE < extent * size < ALIKE * height]
+    likely = [unit for unit, share in shares.items() if PART < share < WHOLE]
+    if not likely:
+        # with a floor or a room around it
+        nearest = min(shares, key=lambda unit: abs(np.log(shares[unit])))
+        likely = [nearest] if abs(np.log(shares[nearest])) < np.log(4.0) else []
     if extent > height and likely:
         hint = f"it looks like {' or '.join(likely)}: say so with the unit"
     else:
