@@ -80,7 +80,7 @@ def test_frames_that_are_not_done_are_as_they_were(scene):
     assert np.abs(np.asarray(state.motion[0].rotations - before.motion[0].rotations)).max() > 1e-4
 
 
-def test_lost_and_missing_frames_are_told_from_any_piece_on(scene, monkeypatch):
+def test_lost_and_missing_frames_are_told_from_any_piece_on(scene):
     """Also those before the piece that is gone on from."""
     noise = np.random.default_rng(3).uniform(-1.0, 1.0, (600, 3))
 
@@ -95,3 +95,20 @@ def test_lost_and_missing_frames_are_told_from_any_piece_on(scene, monkeypatch):
         assert end.lost == whole.lost
         # those that are searched for are searched for from the same random starts
         np.testing.assert_array_equal(end.motion.poses.rotations, whole.motion.poses.rotations)
+
+
+def test_what_a_cloud_cannot_be_read_for_is_told_as_it_is(scene):
+    """And only of one without points, that its frame may be left out."""
+
+    def unreadable(number):
+        raise jc.InputError("scan_0002.ply: cannot be read; check the path.")
+
+    def empty(number):
+        return jc.make_cloud(np.ones((9, 3)), np.ones((9, 3)), np.zeros(9))
+
+    with pytest.raises(jc.InputError, match=r"^scan_0002.ply: cannot be read; check the path.$"):
+        task_of(scene, cloud=unreadable).scan(2)
+    with pytest.raises(
+        jc.InputError, match=r"^frame 2: .* no points .* Name it among the `missing` frames.$"
+    ):
+        task_of(scene, cloud=empty).scan(2)

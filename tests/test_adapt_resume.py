@@ -24,8 +24,9 @@ from jaxcap.cli.adapt_state import fingerprint_of, hash_of, keep_state
 from jaxcap.io.clouds import read_clouds
 from jaxcap.io.registry import write_motion
 
-#: how far a run is when Ctrl-C comes: within tracking, and, gone on with, when the first round of vertices is left
-DONE = (1, 2), (3, 0)
+#: stages and frames of the next one that are kept when Ctrl-C comes, and words for it: within tracking, and, gone on
+#: with, when the first round of vertices is left
+STOPS = ((1, 2), "1 stage is"), ((3, 0), "3 stages are")
 
 
 @pytest.fixture(scope="module")
@@ -173,6 +174,19 @@ def test_what_is_given_is_told_in_a_few_words():
     assert adapt_module.clouds_words(many) == "scans/0.ply ... scans/299.ply (300 files)"
 
 
+def stopped_after(at):
+    """A `keep_state` that Ctrl-C meets once it has kept so many stages, and frames of the next one."""
+    kept = []
+
+    def keep(path, state, header):
+        if kept[-1:] == [at]:
+            raise KeyboardInterrupt
+        keep_state(path, state, header)
+        kept.append((state.done, state.within))
+
+    return keep
+
+
 @pytest.mark.slow
 def test_a_run_that_is_stopped_goes_on_to_the_same_bits(folder, capsys, monkeypatch):
     """And its report, made with it, is the one that is made afterwards."""
@@ -184,20 +198,14 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_bits(folder, capsys, monkeypa
 
     monkeypatch.setattr(adapt_module, "KEPT", 2)
     more: tuple = ()
-    for done, within in DONE:
-
-        def stopping(path, state, header):
-            keep_state(path, state, header)
-            if (state.done, state.within) == (done, within):  # noqa: B023
-                raise KeyboardInterrupt
-
+    for at, done in STOPS:
         with monkeypatch.context() as patch:
-            patch.setattr(adapt_module, "keep_state", stopping)
+            patch.setattr(adapt_module, "keep_state", stopped_after(at))
             with pytest.raises(SystemExit) as stop:
                 runs(capsys, *words(folder, parts, "--frames", 3, *more))
         assert stop.value.code == 130
         told, more = capsys.readouterr().err, ("--resume",)
-        assert f"kept in {parts}.partial; --resume goes on" in told
+        assert f"stopped; {done} kept in {parts}.partial; --resume goes on" in told
         assert not parts.exists()
     quoted = ("adapt", folder / "body.npz", folder / "*.ply", "-o", parts, "--start", folder / "start.npz")
     runs(capsys, *quoted, "--frames", 3, "--resume")

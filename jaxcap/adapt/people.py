@@ -66,11 +66,14 @@ def people_like(template: Body, whole: Body | None = None) -> People | None:
     `whole` body has them that the template was reduced from, whose surface its vertices then hang on; or where it has
     other triangles, but the joints and about the surface of some human at rest."""
     of, shift = template if whole is None else whole, np.zeros(3)
-    resolution, one = human_resolution(of), human(joints="tracking", resolution=OTHER)
-    if resolution is None and (whole is not None or template.skeleton.names != one.skeleton.names):
-        return None
-    drawn = people_of_many_shapes(DRAWN, resolution=resolution or OTHER, joints="tracking")
-    if resolution is None:
+    resolution = human_resolution(of)
+    if resolution is not None:
+        drawn = people_of_many_shapes(DRAWN, resolution=resolution, joints="tracking")
+    else:
+        one = human(joints="tracking", resolution=OTHER)
+        if whole is not None or template.skeleton.names != one.skeleton.names:
+            return None
+        drawn = people_of_many_shapes(DRAWN, resolution=OTHER, joints="tracking")
         of, shift = someone_like(template, learn_people(one, drawn))
         if not is_like(template, of):
             return None

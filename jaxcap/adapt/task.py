@@ -118,8 +118,9 @@ class Task(NamedTuple):
         """What pairs are found in. Raises `InputError` where the cloud of a frame has no points."""
         if self.mesh is not None:
             return self.mesh(frame)
+        cloud = self.cloud(frame)
         try:
-            return make_scan(self.cloud(frame))
+            return make_scan(cloud)
         except ValueError as error:
             raise InputError(f"frame {frame}: {error} Name it among the `missing` frames.") from None
 

@@ -65,9 +65,14 @@ def pull_back(
 ) -> Float[Array, "V R 8"]:
     """How `apply(d, x)` moves along directions `m (V, R, 3)` with the eight numbers of `d`, unit or
     not: the derivative of `m . apply(d, x)`, in closed form."""
+
     # component by component, which a CPU does several times faster than by short vectors
-    dot = lambda a, b: a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # noqa: E731
-    cross = lambda a, b: tuple(a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3))  # noqa: E731
+    def dot(a, b):
+        return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+    def cross(a, b):
+        return tuple(a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3))
+
     n = 2.0 / _squared(d)
     shift = tuple((n * _displacement(d, x)).T[:, :, None])
     p, m = tuple(x.T[:, :, None]), tuple(jnp.moveaxis(directions, 2, 0))

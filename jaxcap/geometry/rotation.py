@@ -150,7 +150,10 @@ def to_matrix(q: Quaternion) -> Matrix:
 def from_matrix(r: Matrix) -> Quaternion:
     """The quaternion of a rotation matrix (Shepperd 1978: the largest of the four
     components is taken first, so that none is lost to cancellation)."""
-    m = lambda i, j: r[..., i, j]  # noqa: E731
+
+    def m(i, j):
+        return r[..., i, j]
+
     trace = m(0, 0) + m(1, 1) + m(2, 2)
     candidates = jnp.stack(
         [

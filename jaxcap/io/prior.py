@@ -111,7 +111,8 @@ def check_fit(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
     reason = misfit(prior, skeleton)
     if reason is not None:
         raise InputError(
-            f"{path}: this prior is of another skeleton: {reason}; learn one for this skeleton; `jaxcap prior learn --body` carries motions over."
+            f"{path}: this prior is of another skeleton: {reason}; learn one for this skeleton; "
+            "`jaxcap prior learn --body` carries motions over."
         )
 
 
