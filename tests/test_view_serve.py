@@ -236,7 +236,7 @@ def test_a_window_ends_with_ctrl_c(tmp_path):
     ) as program:
         assert program.stdout is not None
         line = program.stdout.readline()
-        url = re.search(r"http://localhost:\d+", line)
+        url = re.search(r"http://127\.0\.0\.1:\d+/\S+/", line)
         assert url is not None, line
         assert urllib.request.urlopen(url.group(), timeout=30).status == 200
         program.send_signal(signal.SIGINT)

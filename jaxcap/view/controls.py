@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from .column import DISTANCE, PLAIN, POSTERIOR, Choice
 from .contents import Contents
 from .heat import heat_legend
+from .text import as_markdown
 from .timeline import SPEEDS, Timeline
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ class Controls:
             follow = gui.add_checkbox("Newest frame", self.newest, visible=self.newest)
         with gui.add_folder("Show"):
             self._switches(gui, contents)
-        self._note = gui.add_markdown("\n\n".join(contents.told), visible=bool(contents.told))
-        self._told = "\n\n".join(contents.told)
+        self._told = "\n\n".join(map(as_markdown, contents.told))
+        self._note = gui.add_markdown(self._told, visible=bool(contents.told))
         # values that are set here call these, too; a browser's has a client
         self._frame.on_update(lambda event: self._seek(int(event.target.value), event.client is not None))
         self._play.on_click(lambda event: self._turn())
@@ -55,7 +56,7 @@ class Controls:
     def draw(self, frame: int, note: str) -> None:
         """Tell the frame that is shown, and what is wrong with it."""
         now, timeline = time.monotonic(), self.timeline
-        text = "\n\n".join(filter(None, (note, self._told)))
+        text = "\n\n".join(filter(None, (as_markdown(note), self._told)))
         if text != self._note.content:
             self._note.content, self._note.visible = text, bool(text)
         if timeline.playing and now - self._drawn < 1.0 / FOLLOWING:

@@ -1,4 +1,4 @@
-"""A server of windows: opened on a port that is free, and a window of its own for every browser.
+"""A server of windows: opened on a port that is free, behind a door, and a window of its own for every browser.
 
 viser is imported when a window is opened and not before, as it comes with an extra.
 """
@@ -10,10 +10,12 @@ import socket
 import threading
 import types
 import warnings
+import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
+from .door import Door, guarding
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
@@ -26,16 +28,21 @@ PORT = 8080
 #: nobody but this machine
 HOST = "127.0.0.1"
 
+_doors: "weakref.WeakKeyDictionary[ViserServer, Door]" = weakref.WeakKeyDictionary()
+
 
 def open_server(port: int | None = None, host: str = HOST, title: str | None = None) -> ViserServer:
-    """A server with y up, light and nothing to see, at `address(server)`. It says nothing on its own.
+    """Open a server with y up, light and nothing to see. It prints nothing.
+
+    It answers at `address(server)` alone, which holds a random token; a request from another page, for another
+    host or without the token is refused (`Door`).
 
     **Arguments:** `port`, where None is 8080 if that is free and any free one else; `host`, the
     address of this machine that it listens at: `0.0.0.0` is every one, for browsers elsewhere;
     `title`, which stands above the controls.
 
-    **Raises:** `InputError` where viser is not installed, the port is taken or the host is not of
-    this machine.
+    **Raises:** `InputError` where viser is not installed or of a version that cannot be guarded, the port is
+    taken or the host is not of this machine.
     """
     try:
         import rich
@@ -49,11 +56,22 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
     # a browser that closes while a frame is on its way is no fault; a filter that is there already is not added again
     warnings.filterwarnings("ignore", message="Queued an? .* on a closed connection")
     # its own table tells ports and not what is shown; only what this thread says is held back
-    with rich.get_console().capture():
+    door = Door(host, free)
+    with rich.get_console().capture(), guarding(door):
         server = viser.ViserServer(host=host, port=free, label=title, verbose=False)
+    _doors[server] = door
+    if server.get_port() not in door.guarded:
+        close_server(server)
+        raise InputError(
+            f"viser {viser.__version__}: its server opens in a way that cannot be guarded against other pages; "
+            'run pip install "jaxcap[view]" for a version that can.'
+        )
     if server.get_port() != free:
         close_server(server)
         raise _taken(host, free)
+    # viser's tunnel would show the window to the world
+    server.request_share_url = lambda verbose=True: None
+    server.gui.configure_theme(show_share_button=False)
     # before viser's own, which tells of its end
     atexit.register(_ending(server))
     server.scene.set_up_direction("+y")
@@ -79,10 +97,8 @@ def _ending(server: ViserServer) -> Callable[[], None]:
 
 
 def address(server: ViserServer) -> str:
-    """What to give a browser."""
-    host = server.get_host()
-    named = "localhost" if host in ("0.0.0.0", HOST) else f"[{host}]" if ":" in host else host
-    return f"http://{named}:{server.get_port()}"
+    """The address to give a browser, with the token; nothing else opens the window."""
+    return _doors[server].address
 
 
 def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Event], None]) -> None:

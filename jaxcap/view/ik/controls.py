@@ -7,6 +7,7 @@ from ...edit.ik import session as ik
 from ...edit.ik.constraints import Constraint, describe
 from ...edit.ik.session import IkSession, IkSettings
 from ...edit.ik.solve import Solver
+from ..text import as_markdown
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -100,7 +101,7 @@ class IkControls:
         """Tell what a session is, and what is wrong."""
         self._selected = selected
         chosen = next((one for one in session.state.constraints if one.point == selected), None)
-        _put(self._note, "content", note)
+        _put(self._note, "content", as_markdown(note))
         _put(self._note, "visible", bool(note))
         _put(self._state, "content", _told(session))
         self._draw_chosen(chosen)
@@ -113,7 +114,9 @@ class IkControls:
         _put(self._redo, "disabled", not session.future)
 
     def _draw_chosen(self, chosen: Constraint | None) -> None:
-        _put(self._name, "content", NOTHING if chosen is None else f"**{describe(chosen.point)}**")
+        _put(
+            self._name, "content", NOTHING if chosen is None else f"**{as_markdown(describe(chosen.point))}**"
+        )
         for knob in (self._weight, self._pinned, self._remove):
             _put(knob, "disabled", chosen is None)
         _put(self._turn, "visible", chosen is not None and chosen.orientation is not None)
