@@ -124,6 +124,15 @@ def test_adapt_speed(checkout, shared):
 
 
 @pytest.mark.slow
+@pytest.mark.shared
+def test_retarget_rigs(checkout, shared):
+    rigs = ("unreal", "rigify", "makehuman", "nameless", "one_arm", "no_arms")
+    line = run(checkout, "retarget_rigs", "--takes", "02_05", "--frames", "40", "--rigs", *rigs)
+    assert meets(line, "wrong", "silent", "worst_degrees", "worst_ratio_percent")
+    assert line["figures"]["refused_rigs"] == ["no_arms"]
+
+
+@pytest.mark.slow
 def test_gradients(checkout):
     assert run(checkout, "gradients")["passed"]
 

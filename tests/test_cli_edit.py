@@ -1,19 +1,23 @@
 """`jaxcap edit` as a user types it, and what is refused."""
 
 import json
+import re
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 from cli import fails, runs
+from stick_person import build
 
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.cli import main
 from jaxcap.edit.retargeting.soles import lowest
+from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
 from jaxcap.io.colours import read_colours
+from jaxcap.io.joint_names import read_joint_names
 from jaxcap.io.registry import read_motion
 
 SKELETON = jc.make_skeleton(
@@ -125,6 +129,64 @@ def test_retarget_brings_feet_to_the_floor_and_hands_together(capsys, folder):
     assert "retargeted by the surface" in told
     moved = jc.load_motion(folder / "skin.npz")
     assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.01
+
+
+def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, folder):
+    """Joints of another program; and arms that nothing shows, until a table says which they are."""
+    target = build()
+    still = lambda skeleton: jc.stack_poses([jc.rest_pose(skeleton)] * 2)  # noqa: E731
+    jc.save_motion(folder / "sticks.npz", still(target), target)
+    scheme = "Hips {s}UpperLeg {s}LowerLeg {s}Foot {s}Toes Spine Chest Neck Tail_1 Collar_{s} UpperArm_{s} LowerArm_{s} Hand_{s}"
+    source = build(scheme=scheme)
+    jc.save_motion(folder / "other_rig.npz", still(source), source)
+    words = ("edit", "retarget", folder / "other_rig.npz", folder / "sticks.npz", "-o")
+    told = runs(capsys, *words, folder / "matched.npz", "--write-names", folder / "table.json")
+    assert "20 joints of the source match one of the target" in told and "LeftUpperLeg = LeftUpLeg" in told
+    assert "no match in the source: Tail_1: left out" in told
+    assert "no match in the target: Head: stays at rest, moved by Neck" in told
+    table = read_joint_names(folder / "table.json")
+    assert table["LowerArm_Left"] == "LeftForeArm" and table["Tail_1"] is None
+    # arms by names that say something else, of which no lengths show what they are
+    wrong = {name: f"tail_{row}" for row, name in enumerate(source.names) if "Arm" in name or "Hand" in name}
+    called = [wrong.get(name, name) for name in source.names]
+    source = jc.make_skeleton(called, source.parents, source.kinds, source.centres)
+    jc.save_motion(folder / "other_rig.npz", still(source), source)
+    said = fails(capsys, *words, folder / "new.npz")
+    assert (
+        "No arm of the target has a match in the source" in said
+        and "new_names.json has what was found" in said
+    )
+    assert not (folder / "new.npz").exists()
+    table = json.loads((folder / "new_names.json").read_text())
+    assert "LeftForeArm" in table["unmatched"] and table["names"]["LeftUpperLeg"] == "LeftUpLeg"
+    said = fails(capsys, *words, folder / "new.npz")
+    assert "new_names.json is there already" in said
+    for name, other in wrong.items():
+        side = "Left" if "Left" in name else "Right"
+        part = {"UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand"}[name.split("_")[0]]
+        table["names"][other] = side + part
+    (folder / "new_names.json").write_text(json.dumps(table))
+    told = runs(capsys, *words, folder / "new.npz", "--names", folder / "new_names.json")
+    assert "20 joints of the source match" in told
+    (folder / "new.npz").unlink()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "names.json:1: this is not JSON"),
+        ('{"a": 1}', "'a' leads to 1"),
+        ('{"a": "b", "a": "c"}', "'a' stands twice"),
+        ('{"format": "other", "names": {}}', "this is 'other' of version None"),
+        ("[]", "there is no table of joints"),
+        ("[" * 100000, "nested too deeply"),
+    ],
+)
+def test_damaged_tables_of_joints_end_in_one_sentence(tmp_path, text, said):
+    path = tmp_path / "names.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_joint_names(path)
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from ..adapt.meet import some_of
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
+from ..edit.retargeting.plan import plan_retarget
 from ..edit.retargeting.retarget import retarget
 from ..errors import InputError
 from ..fit.check import check_extent
@@ -106,6 +107,9 @@ def first_pose(path: Path, skeleton: Skeleton) -> Pose:
     """The first pose of a motion, carried over to a skeleton of other proportions. Raises `InputError`."""
     of, motion = read_motion(path)
     try:
-        return retarget(motion.slice(slice(1)), of, skeleton)[0]
+        plan = plan_retarget(of, skeleton, None, motion)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+    for line in plan.matches.warnings:
+        warn(f"{path}: {line}")
+    return retarget(motion.slice(slice(1)), of, skeleton, plan=plan)[0]

@@ -37,7 +37,12 @@ from .linear.linearise import Linearised as Linearised
 from .linear.linearise import linear_motion as linear_motion
 from .linear.linearise import linear_pose as linear_pose
 from .linear.linearise import linearise as linearise
+from .matching.match import match_joints as match_joints
+from .matching.matches import JointMatches as JointMatches
+from .matching.matches import UnmatchedJoints as UnmatchedJoints
 from .reflection import mirror as mirror
+from .retargeting.plan import RetargetPlan as RetargetPlan
+from .retargeting.plan import plan_retarget as plan_retarget
 from .retargeting.point_pairs import Met as Met
 from .retargeting.point_pairs import PointPair as PointPair
 from .retargeting.point_pairs import meet_points as meet_points

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from ...edit.retargeting.point_pairs import PointPair
 from ...errors import InputError
+from ...io.joint_names import read_joint_names
 from ...io.text import read_text
 
 
@@ -26,6 +27,20 @@ def table_of(path: Path) -> list[list[str]]:
     if not rows:
         raise InputError(f"{path}: there are no pairs in it; give one to a line.")
     return rows
+
+
+def names_of(path: Path) -> dict[str, str | None]:
+    """The table of joints in a `.json` file, or in a text file with two names to a line. Raises `InputError`."""
+    if path.suffix.lower() == ".json":
+        return read_joint_names(path)
+    names: dict[str, str | None] = {}
+    for number, here, *there in table_of(path):
+        if here in names:
+            raise InputError(
+                f"{path}:{number}: the joint '{here}' stands in two lines; give each joint of the source once."
+            )
+        names[here] = there[0]
+    return names
 
 
 def point_pair(path: Path, row: list[str]) -> PointPair:

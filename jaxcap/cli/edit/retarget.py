@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -12,17 +13,20 @@ from ...body.body import Body
 from ...body.kinematics import joint_paths
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
+from ...edit.matching.matches import UnmatchedJoints
+from ...edit.retargeting.plan import UP, plan_retarget
 from ...edit.retargeting.point_pairs import meet_points
-from ...edit.retargeting.retarget import UP, retarget, size_ratio, vertical
+from ...edit.retargeting.retarget import retarget
 from ...edit.retargeting.retarget_shape import retarget_shape
 from ...edit.retargeting.soles import floor_under, ground, lowest, sole_heights
 from ...errors import InputError
+from ...io.joint_names import write_joint_names
 from ..options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion
 from ..say import progress, say, warn
 from ..sources import load_body
 from .files import MotionFile, OutMotion, read_edited, save
-from .pairs import point_pair, table_of
+from .pairs import names_of, point_pair, table_of
 from .skeletons import OTHER_UNIT, extent, load_target, skeleton_of
 
 OptionalBody = Annotated[str | None, arg(metavar="BODY", help_behavior_hint="")]
@@ -59,7 +63,10 @@ class Retarget:
     by: Literal["auto", "surface", "names"] = "auto"
     """By what source and target are aligned; auto takes the surface where --source has the target's mesh."""
     names: OptionalFile = None
-    """A text file with the name of a joint of the source and one of the target in each line, where names do not match."""
+    """A table of the joints that match, in place of what names and trees show: JSON as a refusal or --write-names writes it, or a text file with a
+    joint of the source and one of the target in each line."""
+    write_names: OptionalFile = None
+    """Write the table of the joints that match as JSON, to be changed and given by --names."""
     points: OptionalFile = None
     """A text file of points that are to meet: in each line one of the source, one of the target, and a weight if not 1. A
     name is a joint, a number a vertex."""
@@ -115,12 +122,22 @@ class Retarget:
             raise InputError("--by surface takes the body that the motion is of; give it by --source.")
         if self.in_place and self.points is None:
             raise InputError("--in-place is for --points, and none are given.")
-        if self.names is not None and self.by == "surface":
-            raise InputError(
-                "--names is for retargeting by names, and --by surface was given; leave one of them out."
-            )
+        for name, path in (("--names", self.names), ("--write-names", self.write_names)):
+            if path is not None and self.by == "surface":
+                raise InputError(
+                    f"{name} is for retargeting by names, and --by surface was given; leave one of them out."
+                )
+        if self.write_names is not None:
+            self.check_table(self.write_names)
         if self.floor is not None and not np.isfinite(self.floor):
             raise InputError(f"--floor is {self.floor}; it must be a number of metres.")
+
+    def check_table(self, path: Path) -> None:
+        """That a table of joints may be written there. Raises `InputError`."""
+        if path.suffix.lower() != ".json":
+            raise InputError(f"{path}: a table of joints is written as .json; give it that ending.")
+        if path.exists() and not self.overwrite:
+            raise InputError(f"{path}: this file is there already; give --overwrite to replace it.")
 
     def source_body(self) -> Body | None:
         return None if self.source is None else load_body(self.source)[0]
@@ -185,12 +202,32 @@ class Retarget:
         return Found(moved.motion, moved.ratio, moved.floor, UP)
 
     def along_names(self, motion: Motion, source: Body | Skeleton, target: Skeleton) -> Found:
-        names = None if self.names is None else {row[1]: row[2] for row in table_of(self.names)}
+        names = None if self.names is None else names_of(self.names)
         skeleton = skeleton_of(source)
-        up = vertical(skeleton, target, names)
-        floor = self.floor_for(motion, source, up)
-        moved = retarget(motion, skeleton, target, names, floor=floor)
-        return Found(moved, size_ratio(skeleton, target, names), floor, up)
+        try:
+            plan = plan_retarget(skeleton, target, names, motion)
+        except UnmatchedJoints as error:
+            raise InputError(
+                f"{self.motion}: {str(error).rstrip('.')}; {self.table_to_start(error, target)}"
+            ) from None
+        for line in plan.matches.lines():
+            say(line)
+        for line in plan.matches.warnings:
+            warn(f"{self.motion}: {line}")
+        if self.write_names is not None:
+            write_joint_names(self.write_names, plan.matches.names, list(plan.matches.unmatched_target))
+            say(f"written: {self.write_names}, the table of joints")
+        floor = self.floor_for(motion, source, plan.up)
+        moved = retarget(motion, skeleton, target, floor=floor, plan=plan)
+        return Found(moved, plan.ratio, floor, plan.up)
+
+    def table_to_start(self, error: UnmatchedJoints, target: Skeleton) -> str:
+        """Write the table that a refusal offers beside the motion that was asked for, and say where it is."""
+        path = self.write_names or self.out.with_name(f"{self.out.stem}_names.json")
+        if path.exists() and not self.overwrite:
+            return f"{path} is there already; fill it in and give it by --names, or give --overwrite to have a new one."
+        write_joint_names(path, error.names, sorted(set(target.names) - set(error.names.values())))
+        return f"{path} has what was found: fill it in and give it by --names."
 
     def stand(self, motion: Motion, source: Body | Skeleton, target: Body, found: Found) -> Found:
         if isinstance(source, Body):

@@ -13,6 +13,7 @@ from ...adapt.zeroing import num_zeroed
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton, same_joints
+from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...errors import InputError
 from ...io.npz import load_limits
@@ -20,7 +21,7 @@ from ...io.prior import save_prior
 from ...io.registry import read_motion
 from ..options import Flag, OptionalUnit, arg
 from ..outputs import check_npz
-from ..say import progress, say, table
+from ..say import progress, say, table, warn
 from ..sources import load_body
 from .shape import learn_shape
 
@@ -131,9 +132,12 @@ class Learn:
                         "that they are to be carried over to, by --body."
                     )
                 try:
-                    motion, carried = retarget(motion, other, skeleton), carried + 1
+                    plan = plan_retarget(other, skeleton, None, motion)
                 except ValueError as error:
                     raise InputError(f"{path}: {error}") from None
+                for line in plan.matches.warnings:
+                    warn(f"{path}: {line}")
+                motion, carried = retarget(motion, other, skeleton, plan=plan), carried + 1
             motions.append(motion)
         if carried:
             say(f"{carried} of {len(motions)} motions carried over to the skeleton of {self.body}")

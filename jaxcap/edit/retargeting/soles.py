@@ -7,7 +7,8 @@ from ...body.body import Body, deform_all
 from ...body.kinematics import joint_paths
 from ...body.pose import Motion, Pose, shift_roots, take_poses
 from ...body.skeleton import Skeleton
-from .retarget import LOWEST, UP, floor_of
+from .plan import UP
+from .retarget import LOWEST, floor_of
 
 #: joints that come so near to the floor some time bear the body, metres
 BEARS = 0.15

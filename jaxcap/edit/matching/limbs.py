@@ -1,0 +1,214 @@
+"""Find the arms and legs of a skeleton: chains of three joints, by names and by the tree.
+
+Every chain of three joints, each below the one before, gets a score as a leg and as an arm: what the names say, how alike the lengths of its two bones
+are, and how long it is. A limb has a twin on the other side with bones of the same lengths, so limbs are chosen in pairs, and legs together with arms.
+Lengths are taken along the bones, so no pose counts, and joints may have names that are in no table.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from ...body.skeleton import Skeleton
+from .names import ARM, LEG, JointName, Side
+
+#: points for a name that says the part, that likely says it, that may say it, and that says another
+SAYS, LIKELY, MAY_SAY, DENIES = 3.0, 2.5, 1.5, -4.0
+#: points for a helper, and for a joint that is passed over
+HELPER, PASSED = -3.0, -0.5
+#: how unlike the two bones of a limb may be without loss, as a logarithm, and what more of it costs
+UNLIKE, COST = 0.3, 4.0
+#: a limb needs so many points by its names where it has no twin, and a pair so many each where no name says anything
+ALONE, UNNAMED = 5.0, -1.0
+#: by so many points more than all others the limbs of a body without names have to be likely
+SURE = 0.3
+#: chains of each kind, and pairs of them, that are looked at together
+CHAINS, PAIRS = 40, 12
+
+
+class Limb(NamedTuple):
+    """Hold an arm or a leg: joints of the skeleton."""
+
+    #: thigh, shin and foot; or upper arm, forearm and hand
+    joints: tuple[int, int, int]
+    #: what the names say
+    side: Side | None
+    #: points by names, and in all
+    named: float
+    score: float
+
+
+class Limbs(NamedTuple):
+    """Hold the limbs of a skeleton: none, one or two of each kind; of two without sides the order means nothing."""
+
+    legs: tuple[Limb, ...]
+    arms: tuple[Limb, ...]
+
+
+def find_limbs(skeleton: Skeleton, names: list[JointName]) -> Limbs:
+    """Find legs and arms of a skeleton with the `names` of its joints as `read_name` reads them."""
+    ancestors = _ancestors(skeleton)
+    centres = np.asarray(skeleton.centres, float)
+    parents = np.array(skeleton.parents)
+    steps = np.linalg.norm(centres - centres[np.maximum(parents, 0)], axis=1)
+    along = np.zeros(len(steps))
+    for joint, parent in enumerate(parents):
+        along[joint] = 0.0 if parent < 0 else along[parent] + steps[joint]
+    twins = _have_twins(skeleton, along)
+    chains = {kind: _chains(ancestors, along, names, twins, kind) for kind in (LEG, ARM)}
+    pairs = {kind: _pairs(chains[kind], along, ancestors) for kind in (LEG, ARM)}
+    scored = [
+        (_together(legs, arms, along, ancestors), Limbs(legs or (), arms or ()))
+        for legs in (*pairs[LEG], None)
+        for arms in (*pairs[ARM], None)
+    ]
+    score, best = max(scored, key=lambda item: item[0])
+    if score <= 0:
+        best = Limbs((), ())
+    rivals = [other for points, other in scored if points > max(score - SURE, 0.0)]
+    kept = Limbs(*(_unrivalled(best[kind], [other[kind] for other in rivals]) for kind in (0, 1)))
+    return _with_single(kept, chains, ancestors)
+
+
+def _unrivalled(limbs: tuple[Limb, ...], rivals: list[tuple[Limb, ...]]) -> tuple[Limb, ...]:
+    """The limbs, unless no name says that they are, and others of the same side are as likely."""
+    if any(limb.named > 0 for limb in limbs):
+        return limbs
+    own = {limb.joints for limb in limbs}
+    return () if any({limb.joints for limb in other} != own for other in rivals) else limbs
+
+
+def lowest_common(skeleton: Skeleton, joints: list[int]) -> int:
+    """Find the joint that all of some joints hang on, the lowest; -1 where there is none."""
+    descent = skeleton.descent[:, joints].all(axis=1)
+    common = np.flatnonzero(descent)
+    return int(common[np.argmax(skeleton.depths[common])]) if len(common) else -1
+
+
+def _ancestors(skeleton: Skeleton) -> list[list[int]]:
+    """Joints above each one, the root first, and the joint itself."""
+    found: list[list[int]] = []
+    for joint, parent in enumerate(skeleton.parents):
+        found.append([*(found[parent] if parent >= 0 else []), joint])
+    return found
+
+
+def _have_twins(skeleton: Skeleton, along: np.ndarray) -> np.ndarray:
+    """(J,) whether another joint hangs as deep and as far from the root, as joints of limbs do and those of the trunk do not."""
+    depths = skeleton.depths
+    near = np.abs(along[:, None] - along) < 0.1 * np.maximum(along[:, None], along)
+    alike = (depths[:, None] == depths) & near & ~np.eye(len(along), dtype=bool)
+    return alike.any(axis=1)
+
+
+def _points(name: JointName, part: str) -> float:
+    points = HELPER if name.helper else 0.0
+    if part in name.parts:
+        first = SAYS if len(name.parts) == 1 else LIKELY
+        return points + (first if name.parts[0] == part else MAY_SAY)
+    return points + (DENIES if name.parts else 0.0)
+
+
+def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ...]) -> list[Limb]:
+    """Chains that may be limbs, the best first."""
+    points = {part: [_points(name, part) for name in names] for part in kind}
+    found: list[Limb] = []
+    reach = np.zeros(len(names))
+    for last, above in enumerate(ancestors):
+        reach[above] = np.maximum(reach[above], along[last] - along[above])
+
+    def passed(above: list[int], first: int, last: int, part: str) -> int:
+        between = above[above.index(first) + 1 : above.index(last)]
+        return sum(part not in names[joint].parts and not names[joint].helper for joint in between)
+
+    for last, above in enumerate(ancestors):
+        # a joint that is called otherwise is the end of no such limb
+        if points[kind[2]][last] <= DENIES:
+            continue
+        for first, middle in combinations(above[:-1], 2):
+            if points[kind[0]][first] <= DENIES or points[kind[1]][middle] <= DENIES:
+                continue
+            upper, lower = along[middle] - along[first], along[last] - along[middle]
+            if min(upper, lower) < 1e-6 or max(upper, lower) > 5 * min(upper, lower):
+                continue
+            sides = {names[joint].side for joint in (first, middle, last)} - {None}
+            if len(sides) == 2:
+                continue
+            named = points[kind[0]][first] + points[kind[1]][middle] + points[kind[2]][last]
+            if named <= 0 and not twins[[first, middle, last]].all():
+                continue
+            # beyond a hand or a foot there is less than half of a limb, unless it carries something
+            beyond = min(max(0.0, reach[last] / (upper + lower) - 0.5), 0.5)
+            skipped = passed(above, first, middle, kind[0]) + passed(above, middle, last, kind[1])
+            score = named + PASSED * skipped - COST * beyond
+            score -= COST * max(0.0, abs(np.log(upper / lower)) - UNLIKE)
+            found.append(Limb((first, middle, last), next(iter(sides), None), named, float(score)))
+    if not found:
+        return []
+    longest = max(along[limb.joints[2]] - along[limb.joints[0]] for limb in found)
+    sized = [
+        limb._replace(score=limb.score + np.log((along[limb.joints[2]] - along[limb.joints[0]]) / longest))
+        for limb in found
+    ]
+    return sorted(sized, key=lambda limb: -limb.score)[:CHAINS]
+
+
+def _pairs(chains: list[Limb], along, ancestors) -> list[tuple[Limb, Limb]]:
+    """Two chains that are each other's twin, the best first, left before right where the names say it."""
+    found = []
+    for a, b in combinations(chains, 2):
+        if a.joints[0] in ancestors[b.joints[2]] or b.joints[0] in ancestors[a.joints[2]]:
+            continue
+        if ancestors[a.joints[0]][0] != ancestors[b.joints[0]][0] or (
+            a.side == b.side and a.side is not None
+        ):
+            continue
+        score = a.score + b.score + (1.0 if a.side and b.side else -1.0 if a.side or b.side else 0.0)
+        for first, last in ((0, 1), (1, 2)):
+            lengths = [along[limb.joints[last]] - along[limb.joints[first]] for limb in (a, b)]
+            score -= COST * abs(np.log(lengths[0] / lengths[1]))
+        if min(a.named, b.named) <= 0.0 and min(a.score, b.score) < UNNAMED:
+            continue
+        found.append((float(score), (b, a) if a.side == "right" or b.side == "left" else (a, b)))
+    return [pair for _, pair in sorted(found, key=lambda item: -item[0])][:PAIRS]
+
+
+def _together(legs, arms, along, ancestors) -> float:
+    """Points of a pair of legs and a pair of arms of one body; either may be missing."""
+    if legs is None or arms is None:
+        only = legs or arms
+        # one pair alone has to have names: two like chains may be anything
+        return (
+            0.0
+            if only is None or min(limb.named for limb in only) < ALONE
+            else sum(limb.score for limb in only)
+        )
+    for leg in legs:
+        for arm in arms:
+            if leg.joints[0] in ancestors[arm.joints[2]] or arm.joints[0] in ancestors[leg.joints[2]]:
+                return 0.0
+    lengths = [sum(along[limb.joints[2]] - along[limb.joints[0]] for limb in pair) for pair in (legs, arms)]
+    # legs are longer than arms
+    short = max(0.0, float(np.log(lengths[1] / lengths[0])) + 0.1)
+    return 10.0 + sum(limb.score for limb in (*legs, *arms)) - COST * short
+
+
+def _with_single(limbs: Limbs, chains, ancestors) -> Limbs:
+    """A leg or an arm that has no twin, where its names leave no doubt."""
+    taken = [limb for pair in limbs for limb in pair]
+    found = list(limbs)
+    for place, kind in enumerate((LEG, ARM)):
+        if found[place]:
+            continue
+        for chain in chains[kind]:
+            free = all(
+                chain.joints[0] not in ancestors[t.joints[2]]
+                and t.joints[0] not in ancestors[chain.joints[2]]
+                for t in taken
+            )
+            if free and chain.named >= ALONE and chain.side:
+                found[place] = (chain,)
+                taken.append(chain)
+                break
+    return Limbs(found[0], found[1])

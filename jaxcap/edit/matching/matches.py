@@ -1,0 +1,115 @@
+"""Say which joints of two skeletons match, and what becomes of those that do not."""
+
+from typing import NamedTuple
+
+from ...body.skeleton import Skeleton
+from .reference import Reference
+
+
+class UnmatchedJoints(ValueError):
+    """Say that limbs have no match; `names` is a table to start from, None where a joint of the source has no match."""
+
+    def __init__(self, message: str, names: dict[str, str | None]):
+        super().__init__(message)
+        self.names = names
+
+
+class JointMatches(NamedTuple):
+    """Hold which joints of a source and a target match, by their indices."""
+
+    source: Skeleton
+    target: Skeleton
+    #: target -> source, where both are the same joint of a person, or are called alike
+    pairs: dict[int, int]
+    #: target -> (a, b, share): it turns as `a` of the source does, or by `share` of the way from `a` to `b`
+    followed: dict[int, tuple[int, int, float]]
+    #: the two as they stand, with their persons
+    stands: tuple[Reference, Reference]
+    #: sentences that a user has to read
+    warnings: tuple[str, ...]
+
+    @property
+    def names(self) -> dict[str, str | None]:
+        """The joints of the source by name with those of the target, None without a match; ends of bones are left out."""
+        found = {here: there for there, here in self.pairs.items()}
+        return {
+            name: self.target.names[found[joint]] if joint in found else None
+            for joint, name in enumerate(self.source.names)
+            if joint in found or not _is_end(self.source, joint)
+        }
+
+    @property
+    def unmatched_source(self) -> dict[str, str]:
+        """Joints of the source without a match, and what becomes of their rotation."""
+        used = {joint: self.target.names[there] for there, joint in self.pairs.items()}
+        carried = dict(used)
+        for there, (a, b, _) in self.followed.items():
+            for joint in (a, b):
+                carried.setdefault(joint, self.target.names[there])
+        found = {}
+        for joint, name in enumerate(self.source.names):
+            if joint in used or _is_end(self.source, joint):
+                continue
+            if joint in carried:
+                found[name] = f"composed onto {carried[joint]}"
+                continue
+            below = _next_below(self.source, joint, set(carried))
+            onto = sorted({carried[child] for child in below}, key=self.target.names.index)
+            found[name] = (
+                f"composed onto {', '.join(onto)}" if onto else "left out, as nothing below it has a match"
+            )
+        return found
+
+    @property
+    def unmatched_target(self) -> dict[str, str]:
+        """Joints of the target without a match, and what they do."""
+        found = {}
+        for joint, name in enumerate(self.target.names):
+            if joint in self.pairs or _is_end(self.target, joint):
+                continue
+            if joint in self.followed:
+                a, b, share = self.followed[joint]
+                found[name] = (
+                    f"turns {share:.0%} of the way from {self.source.names[a]} to {self.source.names[b]}"
+                )
+            else:
+                parent = self.target.parents[joint]
+                found[name] = "stays at rest" + (
+                    f", moved by {self.target.names[parent]}" if parent >= 0 else ""
+                )
+        return found
+
+    def lines(self) -> list[str]:
+        """Say all of it, a line each."""
+        pairs = {self.source.names[here]: self.target.names[there] for there, here in self.pairs.items()}
+        alike = [name for name, there in pairs.items() if name == there]
+        other = [f"{name} = {there}" for name, there in pairs.items() if name != there]
+        matched = ", ".join([*other, *([f"{len(alike)} of the same name"] if alike else [])])
+        said = [f"{len(pairs)} joints of the source match one of the target: {matched}"]
+        for which, found in (("source", self.unmatched_source), ("target", self.unmatched_target)):
+            fates: dict[str, list[str]] = {}
+            for name, fate in found.items():
+                fates.setdefault(fate, []).append(name)
+            said += [f"no match in the {which}: {', '.join(names)}: {fate}" for fate, names in fates.items()]
+        frame = self.stands[0].frame
+        if frame is not None:
+            said.append(
+                f"the source's rest pose does not stand; frame {frame}, in which it stands straightest, takes its place"
+            )
+        return said
+
+
+def _is_end(skeleton: Skeleton, joint: int) -> bool:
+    """Whether a joint only marks the end of a bone."""
+    return skeleton.kinds[joint] == "fixed" and joint not in skeleton.parents
+
+
+def _next_below(skeleton: Skeleton, joint: int, some: set[int]) -> list[int]:
+    """The nearest of some joints on every way down from a joint."""
+    found, waiting = [], [joint]
+    while waiting:
+        above = waiting.pop()
+        for child, parent in enumerate(skeleton.parents):
+            if parent == above:
+                (found if child in some else waiting).append(child)
+    return found

@@ -1,0 +1,146 @@
+"""Read side and body part from the name of a joint, in the naming schemes of other programs.
+
+The words are those of CMU's ASF and BVH files, Biovision, MotionBuilder, Motive, Vicon, Xsens, Kinect, Mixamo, Unity, VRM, Unreal, Rigify,
+MakeHuman, 3ds Max Biped, Source, Daz, Poser, SMPL and Bandai Namco. A word may stand for two parts, as "shoulder" is the clavicle in one
+scheme and the upper arm in another; the tree then decides (`limbs`).
+"""
+
+import re
+from typing import Literal, NamedTuple
+
+Side = Literal["left", "right"]
+
+LEG, ARM = ("thigh", "shin", "foot"), ("upper_arm", "forearm", "hand")
+FINGERS = ("thumb", "index", "middle", "ring", "little", "finger")
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+#: body part -> its words, in small letters without separators; parts in the order in which a word stands for them
+_PARTS: dict[tuple[str, ...], str] = {
+    ("thigh",): "thigh thighbend upleg upperleg legupper upthigh femur hipbend buttockthigh",
+    ("shin", "thigh"): "leg",
+    ("shin",): "shin shinbend calf lowerleg leglower lowleg loleg knee tibia shank crus",
+    ("foot", "toes"): "foot feet",
+    ("foot",): "ankle talus",
+    ("toes",): "toe toes toebase toesbase ball balltoe metatarsal metatarsals forefoot",
+    ("clavicle", "upper_arm"): "shoulder",
+    ("clavicle",): "clavicle clav collar collarbone scapula shoulderblade sternoclavicular",
+    ("upper_arm", "forearm"): "arm",
+    ("upper_arm",): "upperarm uarm uparm armupper upperarmbend humerus shldr shldrbend bicep glenohumeral",
+    ("forearm",): "forearm forearmbend lowerarm armlower lowarm loarm foarm farm elbow radius ulna",
+    ("hand",): "wrist carpus",
+    ("hand", "palm"): "hand",
+    ("palm",): "palm fingerbase",
+    ("hip_side",): "hipjoint buttock",
+    ("pelvis",): "hips pelvis root cog spinebase hipcenter hipcentre lowerbody",
+    (
+        "spine",
+    ): "spine chest back abdomen torso thorax waist stomach belly ribs ribcage lowerback upperback upperchest lowerchest "
+    "abdomenlower abdomenupper chestlower chestupper spinelower spinemiddle spineupper spinemid spinenavel spinechest spineshoulder "
+    "lumbar thoracic upperbody sternum",
+    ("neck",): "neck lowerneck upperneck necklower neckupper neckbase cervical shouldercenter shouldercentre",
+    ("head",): "head skull cranium",
+    ("thumb",): "thumb handthumb fingerthumb thumbfinger",
+    ("index",): "index handindex indexfinger findex fingerindex",
+    ("middle",): "middle mid handmiddle middlefinger fmiddle handmid fingermiddle",
+    ("ring",): "ring handring ringfinger fring fingerring",
+    ("little",): "little pinky pinkie handpinky handlittle littlefinger pinkyfinger fpinky fingerpinky",
+    ("finger",): "finger fingers handfinger",
+}
+PARTS: dict[str, tuple[str, ...]] = {word: parts for parts, words in _PARTS.items() for word in words.split()}
+
+#: "hip" is the pelvis, unless it has a side: then it is the joint of the thigh
+HIP = "hip"
+#: words that say nothing of the part
+_EMPTY = _words(
+    "mixamorig bip biped valvebiped valve cc def org mch jnt jt joint joints bone bones bn j b c m f g x sk skel skeleton character rig "
+    "avg ctrl anim mesh armature reference actor base"
+)
+#: joints that serve the skin or an animator, and are no joint of a person
+_HELPERS = _words(
+    "twist roll ik fk pole end nub tip helper share corrective adj adjust bulge weapon prop attach socket volume aux muscle target dummy "
+    "fix jiggle breast pec skirt hair cloth cape tail eye jaw face toeik null site locator"
+)
+_LEFT, _RIGHT = frozenset(["l", "left", "lft"]), frozenset(["r", "right", "rgt"])
+_GLUED = {"left": "left", "right": "right", "l": "left", "r": "right"}
+_PIECES = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+#: vertebrae, as Xsens has them
+_VERTEBRA = re.compile(r"(l[1-5]|t\d{1,2}|c[1-7])$")
+#: places of a finger's bones
+_ORDER = {"metacarpal": 0, "proximal": 1, "intermediate": 2, "distal": 3}
+
+
+class JointName(NamedTuple):
+    """Hold what the name of a joint says."""
+
+    side: Side | None
+    #: parts of the body that the name may mean, likeliest first; empty for an unknown word
+    parts: tuple[str, ...]
+    #: the last number in the name; None without one
+    number: int | None
+    #: whether it is a joint for skinning or control, such as a twist joint
+    helper: bool
+
+
+def plain_name(name: str) -> str:
+    """Remove a namespace, such as `mixamorig:` or `Character1|`, and change to small letters without separators."""
+    name = re.sub(r"^(mixamorig|bip|valvebiped[._]bip)\d*[ _:]?", "", _bare(name), flags=re.IGNORECASE)
+    return re.sub(r"[^0-9a-z]", "", name.lower())
+
+
+def read_name(name: str) -> JointName:
+    """Read side, part and number from the name of a joint."""
+    pieces = [piece.lower() for piece in _PIECES.findall(_bare(name))]
+    words = [piece for piece in pieces if not piece.isdigit()]
+    numbers = [int(piece) for piece in pieces if piece.isdigit()]
+    number = numbers[-1] if numbers else None
+    if _VERTEBRA.match("".join(pieces)):
+        return JointName(None, ("neck" if pieces[0] == "c" else "spine",), None, False)
+    sides: set[Side] = set()
+    kept, helper = [], False
+    for word in words:
+        if word in _LEFT or word in _RIGHT:
+            sides.add("left" if word in _LEFT else "right")
+        elif word in _HELPERS or (word.endswith("twist") and word != "twist"):
+            helper = True
+            kept += [word.removesuffix("twist")] if word.endswith("twist") and word != "twist" else []
+        elif word in _ORDER:
+            number = _ORDER[word] if number is None else number
+        else:
+            kept.append(word)
+    side = next(iter(sides)) if len(sides) == 1 else None
+    parts = _parts("".join(kept), side) or _parts("".join(word for word in kept if word not in _EMPTY), side)
+    if not parts and not sides:
+        side, parts, helper = _glued("".join(word for word in kept if word not in _EMPTY), helper)
+    return JointName(side, parts, number, helper)
+
+
+def _bare(name: str) -> str:
+    return re.split(r"[:|]", name)[-1] or name
+
+
+def _parts(stem: str, side: Side | None) -> tuple[str, ...]:
+    if stem == HIP:
+        return ("thigh",) if side else ("pelvis",)
+    return PARTS.get(stem, ())
+
+
+def _glued(stem: str, helper: bool) -> tuple[Side | None, tuple[str, ...], bool]:
+    """Split a name in one case, such as `lfemur`, `rthumb`, `leftupleg` or `hipright`."""
+    for ending in ("", "twist", "roll", "end", "nub"):
+        if ending and not stem.endswith(ending):
+            continue
+        whole = stem.removesuffix(ending)
+        if ending and _parts(whole, None):
+            return None, _parts(whole, None), True
+        for word, side in _GLUED.items():
+            for rest, found in (
+                (whole[len(word) :], whole.startswith(word)),
+                (whole[: -len(word)], whole.endswith(word)),
+            ):
+                if found and _parts(rest, side):
+                    return side, _parts(rest, side), helper or bool(ending)
+    return None, (), helper

@@ -1,0 +1,305 @@
+"""Name the joints of a person: limbs, trunk, neck, head, hands and feet, whatever the file calls them."""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ...body.skeleton import Skeleton
+from ...geometry.axes import nearest_axis
+from .limbs import Limb, Limbs, find_limbs, lowest_common
+from .names import ARM, FINGERS, LEG, JointName, Side, read_name
+
+#: parts of one limb, from the trunk on
+LIMBS = {"leg": (*LEG, "toes"), "arm": ("clavicle", *ARM)}
+#: toes point forward by so many of their lengths at least where they say which side is left
+POINTED = 0.3
+
+
+class Person(NamedTuple):
+    """Hold which joints of a skeleton are which of a person; -1 or nothing where there is none."""
+
+    pelvis: int
+    #: from the pelvis to the neck, and from there to the head, without both
+    spine: tuple[int, ...]
+    neck: tuple[int, ...]
+    head: int
+    #: (side, part) -> joint; parts as in `LIMBS`, and "palm"; of limbs whose side no name says, left and right are still open
+    parts: dict[tuple[Side, str], int]
+    #: (side, finger, number of the bone) -> joint
+    fingers: dict[tuple[Side, str, int], int]
+    #: kinds of limbs whose sides no name says
+    sideless: tuple[str, ...]
+
+    def limb(self, side: Side, kind: str) -> tuple[int, ...]:
+        """Thigh, shin and foot of a "leg", or upper arm, forearm and hand of an "arm"; empty where it is not there."""
+        names = LEG if kind == "leg" else ARM
+        return tuple(self.parts[side, part] for part in names) if (side, names[0]) in self.parts else ()
+
+
+def find_person(skeleton: Skeleton) -> Person:
+    """Find a person in a skeleton, by the names of its joints and by its tree; no pose counts."""
+    names = [read_name(name) for name in skeleton.names]
+    limbs = find_limbs(skeleton, names)
+    parts: dict[tuple[Side, str], int] = {}
+    for kind, found in (("leg", limbs.legs), ("arm", limbs.arms)):
+        for side, limb in zip(_sides(found), found, strict=True):
+            for part, joint in zip(LEG if kind == "leg" else ARM, limb.joints, strict=True):
+                parts[side, part] = joint
+    pelvis, spine, neck, head = _trunk(skeleton, names, limbs)
+    trunk = {pelvis, head, *spine, *neck}
+    fingers: dict[tuple[Side, str, int], int] = {}
+    for side in ("left", "right"):
+        _feet(skeleton, names, parts, side)
+        _shoulder(skeleton, names, parts, side, trunk)
+        _hand(skeleton, names, parts, fingers, side)
+    sideless = tuple(
+        kind
+        for kind, found in (("leg", limbs.legs), ("arm", limbs.arms))
+        if found and not any(limb.side for limb in found)
+    )
+    return Person(pelvis, spine, neck, head, parts, fingers, sideless)
+
+
+def settle_sides(person: Person, places: Float[np.ndarray, "J 3"], up: Float[np.ndarray, "3"]) -> Person:
+    """Find left and right of limbs without sides in their names, by the joints' places in a pose that stands along `up`: by limbs that have
+    sides, or by the toes, which point forward.
+
+    **Raises:** `ValueError` where neither shows the sides, or the toes show that names and places contradict each other.
+    """
+    left = np.zeros(3)
+    for kind, part in (("leg", "thigh"), ("arm", "upper_arm")):
+        if kind not in person.sideless and ("left", part) in person.parts and ("right", part) in person.parts:
+            left += places[person.parts["left", part]] - places[person.parts["right", part]]
+    forward = _forward(person, places, up)
+    if forward is not None and left.any() and np.cross(up, forward) @ left < 0:
+        raise ValueError(
+            "By the names of its joints this person's left is where by its toes the right is: the names are swapped, or the file is "
+            "mirrored; say which joints match by a table of names."
+        )
+    if not person.sideless:
+        return person
+    if not left.any():
+        if forward is None:
+            raise ValueError(
+                "No name says which limbs are left and right, and no toes show where the front is; say which joints match by a table of "
+                "names."
+            )
+        left = np.cross(up, forward)
+    for kind in person.sideless:
+        first = "thigh" if kind == "leg" else "upper_arm"
+        across = places[person.parts["left", first]] - places[person.parts["right", first]]
+        if across @ left < 0:
+            person = _swapped(person, kind)
+    return person
+
+
+def trunk_direction(
+    person: Person, places: Float[np.ndarray, "... J 3"]
+) -> Float[np.ndarray, "... 3"] | None:
+    """Find the direction from the hips to the shoulders, or to the head; None where the person has neither."""
+    thighs = [joint for (_, part), joint in person.parts.items() if part == "thigh"]
+    upper = [joint for (_, part), joint in person.parts.items() if part == "upper_arm"]
+    low = thighs or ([person.pelvis] if person.pelvis >= 0 else [])
+    high = upper or ([person.head] if person.head >= 0 else [])
+    if not low or not high:
+        return None
+    along = places[..., high, :].mean(-2) - places[..., low, :].mean(-2)
+    return along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
+
+
+def far_end(skeleton: Skeleton, person: Person, side: Side, kind: str, last: int) -> int | None:
+    """Find the joint at the far end of a hand or a foot: toes, palm, a finger, or else the only joint below it; None where it has none.
+
+    **Arguments:** `last` is the hand, of the kind "arm", or the foot, of the kind "leg".
+    """
+    named = person.parts.get((side, "toes" if kind == "leg" else "palm"))
+    if named is not None:
+        return named
+    if kind == "arm":
+        for finger in ("middle", "finger", "index", "ring"):
+            own = [
+                (number, joint)
+                for (s, f, number), joint in person.fingers.items()
+                if (s, f) == (side, finger)
+            ]
+            if own:
+                return min(own)[1]
+    below = [child for child, parent in enumerate(skeleton.parents) if parent == last]
+    return below[0] if len(below) == 1 else None
+
+
+def _sides(limbs: tuple[Limb, ...]) -> tuple[Side, ...]:
+    """The sides of one or two limbs, left first where no name says it."""
+    if len(limbs) == 1:
+        return (limbs[0].side or "left",)
+    return ("left", "right") if limbs else ()
+
+
+def _trunk(
+    skeleton: Skeleton, names: list[JointName], limbs: Limbs
+) -> tuple[int, tuple[int, ...], tuple[int, ...], int]:
+    """Pelvis, spine, neck and head."""
+    thighs = [limb.joints[0] for limb in limbs.legs]
+    arms = [limb.joints[0] for limb in limbs.arms]
+    if not thighs and not arms:
+        return -1, (), (), -1
+    parents, descent = skeleton.parents, skeleton.descent
+    top = (
+        lowest_common(skeleton, [parents[arm] for arm in arms])
+        if arms and min(parents[a] for a in arms) >= 0
+        else -1
+    )
+    if thighs:
+        pelvis = lowest_common(skeleton, [max(parents[thigh], 0) for thigh in thighs])
+        # of a leg alone the joint of the hip's side may be above the thigh
+        while pelvis >= 0 and names[pelvis].parts[:1] == ("hip_side",) and parents[pelvis] >= 0:
+            pelvis = parents[pelvis]
+    else:
+        path = _path(skeleton, -1, top)
+        called = [joint for joint in path if "pelvis" in names[joint].parts]
+        pelvis = called[-1] if called else (path[0] if path else -1)
+    taken = descent[[limb.joints[0] for limb in (*limbs.legs, *limbs.arms)]].any(axis=0)
+    head = _head(skeleton, names, top, taken)
+    end = head if head >= 0 else top
+    if head >= 0 and "neck" in names[head].parts:
+        # the trunk ends at the neck
+        head = -1
+    if end < 0:
+        return pelvis, (), (), head
+    start = lowest_common(skeleton, [pelvis, end])
+    chain = [joint for joint in _path(skeleton, start, end) if joint not in (pelvis, head)]
+    under = set(_path(skeleton, -1, top)) if top >= 0 else set()
+    called = head >= 0 and "head" in names[head].parts
+    is_neck = [
+        "neck" in names[joint].parts
+        or (bool(under) and joint not in under and not (called and "spine" in names[joint].parts))
+        for joint in chain
+    ]
+    # from the first neck on all are neck
+    first = is_neck.index(True) if True in is_neck else len(chain)
+    return pelvis, tuple(chain[:first]), tuple(chain[first:]), head
+
+
+def _path(skeleton: Skeleton, start: int, end: int) -> list[int]:
+    """The joints below `start`, which is left out, down to `end`."""
+    found = []
+    while end >= 0 and end != start:
+        found.append(end)
+        end = skeleton.parents[end]
+    return found[::-1]
+
+
+def _head(skeleton: Skeleton, names: list[JointName], top: int, taken: np.ndarray) -> int:
+    depths = skeleton.depths
+    named = [
+        j
+        for j, name in enumerate(names)
+        if name.parts[:1] == ("head",) and not name.helper and not taken[j] and not name.side
+    ]
+    if named:
+        return min(named, key=lambda joint: depths[joint])
+    if top < 0:
+        return -1
+    # the end of the chain that goes on from the shoulders between the arms
+    joint, last = top, -1
+    while True:
+        below = [
+            child
+            for child, parent in enumerate(skeleton.parents)
+            if parent == joint
+            and not taken[child]
+            and not skeleton.descent[child, taken].any()
+            and set(names[child].parts) <= {"spine", "neck"}
+            and not names[child].helper
+        ]
+        if len(below) != 1:
+            return last
+        joint = last = below[0]
+
+
+def _feet(skeleton: Skeleton, names: list[JointName], parts, side: Side) -> None:
+    foot = parts.get((side, "foot"))
+    if foot is None:
+        return
+    below = _below(skeleton, foot)
+    named = [joint for joint in below if "toes" in names[joint].parts and not names[joint].helper]
+    nameless = [joint for joint in below if not names[joint].parts and not names[joint].helper]
+    if named or (len(nameless) == 1 == len(below)):
+        parts[side, "toes"] = min(named or nameless, key=lambda joint: skeleton.depths[joint])
+
+
+def _shoulder(skeleton: Skeleton, names: list[JointName], parts, side: Side, trunk: set[int]) -> None:
+    upper = parts.get((side, "upper_arm"))
+    if upper is None:
+        return
+    above, joint = [], skeleton.parents[upper]
+    while joint >= 0 and joint not in trunk:
+        above.append(joint)
+        joint = skeleton.parents[joint]
+    if joint < 0:
+        return
+    called = [joint for joint in above if "clavicle" in names[joint].parts and not names[joint].helper]
+    unknown = [joint for joint in above if not names[joint].helper]
+    if called or unknown:
+        parts[side, "clavicle"] = (called or unknown)[-1] if called else unknown[0]
+
+
+def _hand(skeleton: Skeleton, names: list[JointName], parts, fingers, side: Side) -> None:
+    hand = parts.get((side, "hand"))
+    if hand is None:
+        return
+    seen: dict[str, list[int]] = {}
+    for joint in _below(skeleton, hand):
+        name = names[joint]
+        if name.helper or not name.parts:
+            continue
+        if name.parts[0] in ("palm", "hand"):
+            parts.setdefault((side, "palm"), joint)
+        elif name.parts[0] in FINGERS:
+            seen.setdefault(name.parts[0], []).append(joint)
+    for finger, joints in seen.items():
+        joints = sorted(joints, key=lambda joint: skeleton.depths[joint])
+        if not all(skeleton.descent[above, below] for above, below in pairwise(joints)):
+            # several fingers by one name: which one is which is not said
+            continue
+        for place, joint in enumerate(joints):
+            number = names[joint].number
+            fingers.setdefault((side, finger, place + 1 if number is None else number), joint)
+
+
+def _below(skeleton: Skeleton, joint: int) -> list[int]:
+    return [below for below in np.flatnonzero(skeleton.descent[joint]).tolist() if below != joint]
+
+
+def _forward(person: Person, places: np.ndarray, up: np.ndarray) -> np.ndarray | None:
+    """Where the toes point, level; None where they are not there or point nowhere."""
+    feet = [
+        (person.parts.get((side, "foot")), person.parts.get((side, "toes"))) for side in ("left", "right")
+    ]
+    steps = [places[toes] - places[foot] for foot, toes in feet if foot is not None and toes is not None]
+    if not steps:
+        return None
+    level = sum(step - (step @ up) * up for step in steps)
+    assert isinstance(level, np.ndarray)
+    return level if np.linalg.norm(level) > POINTED * sum(np.linalg.norm(step) for step in steps) else None
+
+
+def _swapped(person: Person, kind: str) -> Person:
+    """With left and right of one kind of limb exchanged."""
+    own = {*LIMBS[kind], *(("palm",) if kind == "arm" else ())}
+    other: dict[Side, Side] = {"left": "right", "right": "left"}
+    parts = {
+        (other[side] if part in own else side, part): joint for (side, part), joint in person.parts.items()
+    }
+    fingers = person.fingers
+    if kind == "arm":
+        fingers = {(other[side], finger, n): joint for (side, finger, n), joint in fingers.items()}
+    return person._replace(parts=parts, fingers=fingers)
+
+
+def nearest_up(direction: Float[np.ndarray, "3"], within: float) -> Float[np.ndarray, "3"]:
+    """Find the coordinate axis that a direction is near to, within some radians; the direction itself where none is."""
+    axis = nearest_axis(direction)
+    return axis if axis @ direction > np.cos(within) else direction

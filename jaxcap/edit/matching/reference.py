@@ -1,0 +1,139 @@
+"""Find a pose in which a person stands, by which rest poses are compared.
+
+Rest poses of files need not be poses of a person: where joints have frames of their own, as in files from Unreal, Maya or Bandai Namco, all bones of a
+BVH file lie along one axis until the first frame. Then the frame of the motion in which the person stands straightest takes the place of rest.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...body.pose import Motion, Pose, take_poses
+from ...body.skeleton import Skeleton
+from ...geometry.axes import nearest_axis
+from .person import Person, nearest_up, settle_sides, trunk_direction
+
+#: cosine between trunk and legs of somebody who stands, at most, and how long a leg is of its bones, at least
+STANDS, STRETCHED = -0.5, 0.7
+#: frames that are looked at, and degrees from a coordinate axis within which a person stands along it
+LOOKED_AT, NEAR = 300, np.radians(25.0)
+
+
+class Reference(NamedTuple):
+    """Hold a pose in which a person stands; J joints."""
+
+    person: Person
+    #: (J, 3) metres
+    places: Float[np.ndarray, "J 3"]
+    #: (J, 4) rotations in the world, from rest
+    rotations: Float[np.ndarray, "J 4"]
+    #: the frame of the motion; None where it is the rest pose
+    frame: int | None
+    #: columns left, up and front of the person; None where they do not show
+    axes: Float[np.ndarray, "3 3"] | None
+    #: the coordinate axis from the feet to the hips; None without legs
+    up: Float[np.ndarray, "3"] | None
+
+
+def find_reference(skeleton: Skeleton, person: Person, motion: Motion | None, which: str) -> Reference:
+    """Find the pose in which a person stands: rest, or else the straightest frame of a motion; and the sides of limbs without sides in their names.
+
+    **Arguments:** `which` is "source" or "target", for sentences.
+
+    **Raises:** `ValueError` where the person stands neither at rest nor in any frame, or left and right do not show.
+    """
+    rest = np.asarray(skeleton.centres, float)
+    still = np.tile([1.0, 0, 0, 0], (len(rest), 1))
+    if standing(person, rest) > 0:
+        return _reference(person, rest, still, None, which)
+    if motion is None or len(motion) == 0:
+        raise ValueError(
+            f"The rest pose of the {which} is not that of somebody who stands, so it cannot be compared with another one; "
+            + (
+                "give a motion of it that has a frame in which it stands."
+                if which == "source"
+                else "give one whose rest pose stands."
+            )
+        )
+    frames = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).astype(int))
+    places, turns = posed(skeleton, take_poses(motion.poses, frames))
+    scores = np.array([standing(person, frame) for frame in places])
+    best = int(np.argmax(scores))
+    if scores[best] <= 0:
+        raise ValueError(
+            f"The {which} stands neither at rest nor in any frame, legs below the trunk, so its rest pose cannot be compared with another "
+            "one; give a motion with a frame in which it stands."
+        )
+    return _reference(person, places[best], turns[best], int(frames[best]), which)
+
+
+def posed(skeleton: Skeleton, poses: Pose) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F J 4"]]:
+    """Find places and rotations of all joints in the world, in each pose of a stack, metres and quaternions.
+
+    In NumPy, as a skeleton comes once and compiling for it would take longer.
+    """
+    centres = np.asarray(skeleton.centres, float)
+    turns = np.array(poses.rotations, float)
+    steps = np.asarray(poses.translations, float)
+    scale = np.asarray(poses.scale, float)[:, None]
+    places = np.zeros((len(turns), len(centres), 3))
+    for joint, parent in enumerate(skeleton.parents):
+        if parent < 0:
+            places[:, joint] = scale * (centres[joint] + steps[:, joint])
+            continue
+        above = Rotation.from_quat(turns[:, parent][:, [1, 2, 3, 0]])
+        places[:, joint] = places[:, parent] + scale * above.apply(
+            centres[joint] - centres[parent] + steps[:, joint]
+        )
+        whole = above * Rotation.from_quat(turns[:, joint][:, [1, 2, 3, 0]])
+        turns[:, joint] = whole.as_quat()[:, [3, 0, 1, 2]]
+    return places, turns
+
+
+def standing(person: Person, places: Float[np.ndarray, "J 3"]) -> float:
+    """Say how straight a person stands: above zero where the legs go the other way than the trunk, and two for a straight line. One where
+    the skeleton has no legs or no trunk, which any pose may be."""
+    trunk = trunk_direction(person, places)
+    legs = [leg for side in ("left", "right") if (leg := person.limb(side, "leg"))]
+    if trunk is None or not legs:
+        return 1.0
+    score = []
+    for thigh, shin, foot in legs:
+        leg = places[foot] - places[thigh]
+        bones = np.linalg.norm(places[shin] - places[thigh]) + np.linalg.norm(places[foot] - places[shin])
+        length = max(float(np.linalg.norm(leg)), 1e-12)
+        cosine = float(leg @ trunk) / length
+        score.append(
+            -1.0 if cosine > STANDS or length < STRETCHED * bones else length / max(bones, 1e-12) - cosine
+        )
+    return float(min(score)) if min(score) < 0 else float(np.mean(score))
+
+
+def _reference(
+    person: Person, places: np.ndarray, turns: np.ndarray, frame: int | None, which: str
+) -> Reference:
+    trunk = trunk_direction(person, places)
+    up = None
+    legs = [leg for side in ("left", "right") if (leg := person.limb(side, "leg"))]
+    if legs:
+        up = nearest_axis(np.mean([places[leg[0]] - places[leg[2]] for leg in legs], axis=0))
+    if trunk is None:
+        return Reference(person, places, turns, frame, None, up)
+    along = nearest_up(trunk, NEAR)
+    try:
+        person = settle_sides(person, places, along)
+    except ValueError as error:
+        raise ValueError(f"In the {which}: {error}") from None
+    left = np.zeros(3)
+    for part in ("thigh", "upper_arm"):
+        if ("left", part) in person.parts and ("right", part) in person.parts:
+            left += places[person.parts["left", part]] - places[person.parts["right", part]]
+    left -= (left @ along) * along
+    if np.linalg.norm(left) < 1e-6:
+        return Reference(person, places, turns, frame, None, up)
+    left = nearest_up(left / np.linalg.norm(left), NEAR) if frame is None else left
+    left = left - (left @ along) * along
+    left = left / np.linalg.norm(left)
+    return Reference(person, places, turns, frame, np.stack([left, along, np.cross(left, along)], 1), up)

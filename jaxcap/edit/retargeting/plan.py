@@ -1,0 +1,248 @@
+"""Work out what a retargeting does not change over its frames: which joint follows which, and how rest poses differ.
+
+Every bone of the target that has a match turns in the world as its source bone does, after a constant rotation that makes up for the two rest
+poses (T-pose against A-pose): limbs are aligned bone by bone, so that they point the same way, and so that elbows and knees bend about the same
+axis; the trunk is aligned as a whole, as its bones differ by anatomy and not by pose.
+"""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...body.pose import Motion, take_poses
+from ...body.skeleton import Skeleton
+from ...body.symmetry import twin_joints
+from ...geometry import rotation
+from ...geometry.axes import nearest_turn
+from ...geometry.procrustes import nearest_rotation
+from ..matching.match import SIDES, match_joints
+from ..matching.matches import JointMatches
+from ..matching.person import far_end
+from ..matching.reference import posed
+from .hinges import hinge_normal, rest_normal, twist_between
+
+#: the vertical where no legs show it
+UP = np.array([0.0, 1.0, 0.0])
+#: frames that hinges are found from
+LOOKED_AT = 300
+#: limbs that rest alike to so many radians are not turned about their bones
+ALIKE = 1e-3
+
+
+class RetargetPlan(NamedTuple):
+    """Hold what does not change over the frames of a retargeting; J is the number of joints of the target, S of the source."""
+
+    matches: JointMatches
+    #: (J, 2) the joints of the source that each one lies between, -1 for none, and (J,) how far it is from the first to the second
+    sources: np.ndarray
+    shares: np.ndarray
+    #: (S, 4) the rotations of the source in the world where it stands
+    reference: np.ndarray
+    #: (J, 4) rotation from the target's rest to the source's where it stands, bone by bone
+    alignment: np.ndarray
+    #: the joints whose mean is carried over: indices into source and target
+    anchors: tuple[np.ndarray, np.ndarray]
+    #: target metres for one source metre
+    ratio: float
+    #: (3,) the vertical of the source's world
+    up: np.ndarray
+
+
+def plan_retarget(
+    source: Skeleton,
+    target: Skeleton,
+    names: Mapping[str, str | None] | None = None,
+    motion: Motion | None = None,
+) -> RetargetPlan:
+    """Match two skeletons and align their rest poses.
+
+    **Arguments:** `names` as `match_joints` takes it. `motion` of the source shows about which axes its elbows and knees bend, and how it
+    stands where its rest pose does not.
+
+    **Raises:** as `match_joints` does.
+    """
+    matches = match_joints(source, target, names, motion=motion)
+    here, there = matches.stands
+    centres = np.asarray(target.centres, float)
+    followed = matches.followed
+    sources, shares = np.full((target.num_joints, 2), -1), np.zeros(target.num_joints)
+    for joint, (a, b, share) in followed.items():
+        sources[joint], shares[joint] = (a, b), share
+    upright = _upright(matches, centres)
+    alignment = _align(matches, centres, upright, _hinges(matches, motion))
+    follows = _follows(target, source, matches.pairs)
+    legs = [
+        leg for side in SIDES if (leg := there.person.limb(side, "leg")) and set(leg) <= set(matches.pairs)
+    ]
+    bones = [pair for leg in legs for pair in pairwise(leg)] or list(follows.items())
+    lengths = [
+        sum(np.linalg.norm(places[own(b)] - places[own(a)]) for a, b in bones)
+        for places, own in ((centres, int), (here.places, matches.pairs.__getitem__))
+    ]
+    anchors = np.array([leg[0] for leg in legs] or [min(matches.pairs)])
+    ratio = float(lengths[0] / lengths[1]) if lengths[1] > 0 else 1.0
+    up = here.up if here.up is not None and legs else UP
+    return RetargetPlan(
+        matches,
+        sources,
+        shares,
+        here.rotations,
+        alignment,
+        (np.array([matches.pairs[joint] for joint in anchors]), anchors),
+        ratio,
+        up,
+    )
+
+
+def _align(matches: JointMatches, centres: np.ndarray, upright: np.ndarray, hinges) -> np.ndarray:
+    """(J, 4) what turns each bone of the target from its rest to the source's where that stands."""
+    source, target = matches.source, matches.target
+    person, pairs = matches.stands[1].person, matches.pairs
+    places = matches.stands[0].places
+    limbs = _limb_bones(matches)
+    follows, descent = _follows(target, source, pairs), source.descent
+    girdles = {joint for (_, part), joint in person.parts.items() if part == "clavicle"}
+    ends = {joint for (_, part), joint in person.parts.items() if part in ("hand", "foot")}
+    sided = {joint for pair in twin_joints(target.names) for joint in pair} | set(person.parts.values())
+    alignment = np.tile(np.asarray(rotation.from_matrix(jnp.asarray(upright))), (target.num_joints, 1))
+    for joint in sorted(sided):
+        parent = target.parents[joint]
+        if parent >= 0:
+            alignment[joint] = alignment[parent]
+        if joint in limbs:
+            child, own = limbs[joint]
+        else:
+            child = follows.get(joint)
+            own = pairs.get(child) if child is not None else None
+        # a hand or foot without an end in both lies on as the bone above
+        blunt = joint in ends and joint not in limbs
+        if joint not in pairs or child is None or own is None or joint in girdles or blunt:
+            continue
+        if not descent[pairs[joint], own]:
+            continue
+        bone = centres[child] - centres[joint]
+        goal = places[own] - places[pairs[joint]]
+        lengths = np.linalg.norm(bone), np.linalg.norm(goal)
+        if min(lengths) < 1e-6:
+            continue
+        # from where the parent's alignment leaves it, so that no twist comes in between
+        turned = jnp.asarray(alignment[joint])
+        carried = rotation.rotate(turned, jnp.asarray(bone / lengths[0]))
+        turned = rotation.multiply(rotation.shortest_arc(carried, jnp.asarray(goal / lengths[1])), turned)
+        if joint in hinges:
+            bend, normal = hinges[joint]
+            twist = twist_between(np.asarray(rotation.rotate(turned, jnp.asarray(bend))), normal, goal)
+            about = rotation.about_axis(jnp.asarray(goal / lengths[1]), jnp.asarray(twist))
+            turned = rotation.multiply(about, turned)
+        alignment[joint] = turned
+    return alignment
+
+
+def _limb_bones(matches: JointMatches) -> dict[int, tuple[int, int]]:
+    """Of each joint of a limb of the target with a match, the far ends of its bone in target and source."""
+    here, there = (stand.person for stand in matches.stands)
+    found: dict[int, tuple[int, int]] = {}
+    for side in SIDES:
+        for kind in ("leg", "arm"):
+            limb = [joint for joint in there.limb(side, kind) if joint in matches.pairs]
+            found |= {a: (b, matches.pairs[b]) for a, b in pairwise(limb)}
+            last = there.parts.get((side, "foot" if kind == "leg" else "hand"))
+            if last is None or last not in matches.pairs:
+                continue
+            end = far_end(matches.target, there, side, kind, last)
+            own = far_end(matches.source, here, side, kind, matches.pairs[last])
+            if end is not None and own is not None:
+                found[last] = end, own
+    return found
+
+
+def _hinges(matches: JointMatches, motion: Motion | None) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """First joints of limbs with the axes of their hinges: the target's at rest, and the source's where it stands."""
+    stand, source = matches.stands[0], matches.source
+    centres, found = np.asarray(matches.target.centres, float), {}
+    if motion is None or len(motion) == 0:
+        places, turns = stand.places[None], stand.rotations[None]
+    else:
+        frames = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).astype(int))
+        places, turns = posed(source, take_poses(motion.poses, frames))
+    for side in SIDES:
+        for kind in ("leg", "arm"):
+            limb = matches.stands[1].person.limb(side, kind)
+            if not limb or not set(limb) <= set(matches.pairs):
+                continue
+            own = rest_normal(*centres[list(limb)])
+            here = [matches.pairs[joint] for joint in limb]
+            if own is None or _rest_alike(centres[list(limb)], stand.places[here], matches):
+                continue
+            bone = matches.followed[limb[0]][0]
+            normal = hinge_normal(
+                source,
+                (here[0], here[1], here[2]),
+                places,
+                _matrices(turns[:, bone]),
+                stand.places,
+                _matrices(stand.rotations[bone]),
+            )
+            if normal is None:
+                continue
+            if source.kinds[here[1]] == "revolute":
+                # the sign of its axis means nothing: the limb's own bend has it, or else the nearer one
+                normal = normal * (
+                    _bend_sign(places, turns[:, bone], here, normal, stand.rotations[bone]) or 1.0
+                )
+            found[limb[0]] = own, normal
+    return found
+
+
+def _bend_sign(places, turns, limb, normal: np.ndarray, reference: np.ndarray) -> float:
+    """Whether a limb bends about an axis that way round, or the other; zero where it does not bend."""
+    upper, lower = (places[:, limb[i + 1]] - places[:, limb[i]] for i in (0, 1))
+    own = np.einsum("fba,fb->fa", _matrices(turns), np.cross(upper, lower)).sum(axis=0)
+    return float(np.sign(_matrices(reference) @ own @ normal))
+
+
+def _rest_alike(here: np.ndarray, there: np.ndarray, matches: JointMatches) -> bool:
+    """Whether the bones of a limb point the same way in both rest poses."""
+    if matches.stands[0].frame is not None:
+        return False
+    a, b = (
+        np.diff(limb, axis=0) / np.linalg.norm(np.diff(limb, axis=0), axis=1)[:, None]
+        for limb in (here, there)
+    )
+    return bool(np.linalg.norm(a - b, axis=1).max() < ALIKE)
+
+
+def _matrices(quaternions: np.ndarray) -> np.ndarray:
+    return Rotation.from_quat(quaternions[..., [1, 2, 3, 0]]).as_matrix()
+
+
+def _follows(target: Skeleton, source: Skeleton, pairs: Mapping[int, int]) -> dict[int, int]:
+    """The next matched joint along the longest chain of matched joints below each one."""
+    chain = dict.fromkeys(pairs, 0)
+    follows: dict[int, int] = {}
+    for joint in sorted(pairs, reverse=True):
+        above = target.parents[joint]
+        while above >= 0 and above not in pairs:
+            above = target.parents[above]
+        if above >= 0 and chain[joint] + 1 >= chain[above]:
+            chain[above], follows[above] = chain[joint] + 1, joint
+    return follows
+
+
+def _upright(matches: JointMatches, centres: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation from the target's rest to the source where it stands, whatever the arms do: by left, up and front of both; and where these do
+    not show, the best fit of the joints (Kabsch), put onto the nearest turn of the coordinate axes, because a person at rest
+    stands along them, and the fit itself where none is near."""
+    here, there = matches.stands
+    if here.axes is not None and there.axes is not None:
+        return here.axes @ there.axes.T
+    joints = sorted(matches.pairs)
+    target, source = centres[joints], here.places[[matches.pairs[joint] for joint in joints]]
+    fit = nearest_rotation((source - source.mean(0)).T @ (target - target.mean(0)))
+    snapped = nearest_turn(fit)
+    near = np.trace(snapped.T @ fit) > 1 + 2 * np.cos(np.radians(30.0)) and np.linalg.det(snapped) > 0
+    return snapped if near else fit
