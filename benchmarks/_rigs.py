@@ -12,7 +12,7 @@ import jaxcap as jc
 from jaxcap.edit.matching.reference import posed
 
 #: joints of the ASF files that a rig is made of; the rest is left out
-SIDED = ["clavicle", "humerus", "radius", "wrist", "femur", "tibia", "foot", "toes"]
+SIDED = ["clavicle", "humerus", "radius", "wrist", "femur", "tibia", "foot", "toes", "hand"]
 TRUNK = ["root", "lowerback", "upperback", "thorax", "lowerneck", "upperneck", "head"]
 #: z up, x forward, as Unreal has it
 Z_UP = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])

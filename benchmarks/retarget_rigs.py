@@ -50,7 +50,7 @@ LIMBS = tuple(
 
 def _table(sided: str, trunk: str) -> dict[str, str]:
     """Names in the order of the ASF's, `-` for one that the rig does not have."""
-    bones = ["clavicle", "humerus", "radius", "wrist", "femur", "tibia", "foot", "toes"]
+    bones = ["clavicle", "humerus", "radius", "wrist", "femur", "tibia", "foot", "toes", "hand"]
     middle = ["root", "lowerback", "upperback", "thorax", "lowerneck", "upperneck", "head"]
     pairs = [*zip(bones, sided.split(), strict=True), *zip(middle, trunk.split(), strict=True)]
     return {own: name.replace("~", " ") for own, name in pairs if name != "-"}
@@ -138,14 +138,16 @@ TUNED = (
     ),
     Rig(
         "unity",
-        _table(
-            "{s}Shoulder {s}UpperArm {s}LowerArm {s}Hand {s}UpperLeg {s}LowerLeg {s}Foot {s}Toes {s}MiddleProximal",
-            "Hips Spine Chest UpperChest Neck - Head",
-        ),
+        {
+            **_table(
+                "{s}Shoulder {s}UpperArm {s}LowerArm {s}Hand {s}UpperLeg {s}LowerLeg {s}Foot {s}Toes {s}MiddleProximal",
+                "Hips Spine Chest UpperChest Neck - Head",
+            ),
+            "Extra": "Extra",
+        },
         LONG,
-        (with_joint("Extra", "lowerback", "upperback")),
+        (with_joint("Extra", "lowerback", "upperback"),),
         hangs=A_POSE,
-        framed=False,
         size=1.2,
     ),
     Rig(
@@ -192,7 +194,7 @@ HELD_OUT = (
             "t12": "T12",
         },
         LONG,
-        (with_joint("t12", "upperback", "thorax")),
+        (with_joint("t12", "upperback", "thorax"),),
         hangs={"humerus": 80.0, "radius": 80.0, "wrist": 80.0},
         axes=Z_UP,
     ),

@@ -46,7 +46,8 @@ def make_pose(shifts, turns, scale):
 def still(skeleton, frames=1):
     count = skeleton.num_joints
     return Motion(
-        Pose(np.zeros((frames, count, 3)), np.tile([1.0, 0, 0, 0], (frames, count, 1)), np.ones(frames)), 30.0
+        make_pose(np.zeros((frames, count, 3)), np.tile([1.0, 0, 0, 0], (frames, count, 1)), np.ones(frames)),
+        30.0,
     )
 
 
