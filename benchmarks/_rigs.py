@@ -235,7 +235,8 @@ def _frame(acted: Acting, row: int, rig: Rig) -> Rotation:
     """The rotation of a joint's frame at the ASF's rest, which is none in its file."""
     if not rig.framed:
         name = acted.names[row]
-        angle = np.radians(rig.hangs.get(name[1:], 0.0)) * (1 if name.startswith("l") else -1)
+        # a joint along a bone hangs as the bone does
+        angle = np.radians(rig.hangs.get(name[1:].split("_")[0], 0.0)) * (1 if name.startswith("l") else -1)
         # what hangs down at the rig's rest has to be turned up to be as the ASF's rest has it
         return Rotation.from_rotvec([0, 0, angle]) if angle else Rotation.identity()
     below = [child for child, parent in enumerate(acted.parents) if parent == acted.names[row]]

@@ -151,24 +151,23 @@ def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, folder)
     called = [wrong.get(name, name) for name in source.names]
     source = jc.make_skeleton(called, source.parents, source.kinds, source.centres)
     jc.save_motion(folder / "other_rig.npz", still(source), source)
-    said = fails(capsys, *words, folder / "new.npz")
+    said = fails(capsys, *words, folder / "armed.npz")
     assert (
         "No arm of the target has a match in the source" in said
-        and "new_names.json has what was found" in said
+        and "armed_names.json has what was found" in said
     )
-    assert not (folder / "new.npz").exists()
-    table = json.loads((folder / "new_names.json").read_text())
+    assert not (folder / "armed.npz").exists()
+    table = json.loads((folder / "armed_names.json").read_text())
     assert "LeftForeArm" in table["unmatched"] and table["names"]["LeftUpperLeg"] == "LeftUpLeg"
-    said = fails(capsys, *words, folder / "new.npz")
-    assert "new_names.json is there already" in said
+    said = fails(capsys, *words, folder / "armed.npz")
+    assert "armed_names.json is there already" in said
     for name, other in wrong.items():
         side = "Left" if "Left" in name else "Right"
         part = {"UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand"}[name.split("_")[0]]
         table["names"][other] = side + part
-    (folder / "new_names.json").write_text(json.dumps(table))
-    told = runs(capsys, *words, folder / "new.npz", "--names", folder / "new_names.json")
+    (folder / "armed_names.json").write_text(json.dumps(table))
+    told = runs(capsys, *words, folder / "armed.npz", "--names", folder / "armed_names.json")
     assert "20 joints of the source match" in told
-    (folder / "new.npz").unlink()
 
 
 @pytest.mark.parametrize(

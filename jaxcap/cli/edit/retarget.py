@@ -185,7 +185,7 @@ class Retarget:
             )
         if self.ground and not isinstance(target, Body):
             raise InputError(f"{self.target}: --ground takes a body with a surface; this is a skeleton.")
-        return alike and self.by != "names" and self.names is None
+        return alike and self.by != "names" and self.names is None and self.write_names is None
 
     def along_surface(self, motion: Motion, source: Body, target: Body) -> Found:
         moved = retarget_shape(

@@ -23,6 +23,8 @@ UNLIKE, COST = 0.3, 4.0
 ALONE, UNNAMED = 5.0, -1.0
 #: by so many points more than all others the limbs of a body without names have to be likely
 SURE = 0.3
+#: joints from the first of a limb to its last, at most
+LONGEST = 24
 #: chains of each kind, and pairs of them, that are looked at together
 CHAINS, PAIRS = 40, 12
 
@@ -126,7 +128,7 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
         # a joint that is called otherwise is the end of no such limb
         if points[kind[2]][last] <= DENIES:
             continue
-        for first, middle in combinations(above[:-1], 2):
+        for first, middle in combinations(above[-LONGEST:-1], 2):
             if points[kind[0]][first] <= DENIES or points[kind[1]][middle] <= DENIES:
                 continue
             upper, lower = along[middle] - along[first], along[last] - along[middle]

@@ -36,8 +36,8 @@ def match_joints(
     **Arguments:** `names` leads from joints of the source to those of the target, or to None; where it is given nothing else matches. `motion` of
     the source is for files whose rest pose is not that of a person.
 
-    **Raises:** `UnmatchedJoints`, a `ValueError`, where both arms or both legs have no match; `ValueError` for a name that a skeleton does not
-    have, or two joints for one, where fewer than three joints match, or where neither rest nor motion shows how the person stands.
+    **Raises:** `UnmatchedJoints`, a `ValueError`, where both arms or both legs have no match, or fewer than three joints match; `ValueError` for a
+    name that a skeleton does not have, or two joints for one, or where neither rest nor motion shows how the person stands.
     """
     persons = find_person(source), find_person(target)
     if names is not None:
@@ -53,13 +53,14 @@ def match_joints(
         here, there = stands
         pairs, followed = _matched(here.person, there.person)
         _called_alike(source, target, pairs, followed)
-    if len(pairs) < LEAST:
-        raise ValueError(
-            f"{len(pairs)} joints of the source ({', '.join(source.names)}) match one of the target "
-            f"({', '.join(target.names)}); say which do with a table of names from source to target."
-        )
     _to_the_end_of_bones(source, there.person, pairs, followed)
     found = JointMatches(source, target, pairs, followed, (here, there), ())
+    if len(pairs) < LEAST:
+        raise UnmatchedJoints(
+            f"{len(pairs)} joints of the source ({', '.join(source.names)}) match one of the target "
+            f"({', '.join(target.names)}); say which do with a table of names from source to target.",
+            found.names,
+        )
     return found._replace(warnings=tuple(_check_limbs(found, names is not None)))
 
 

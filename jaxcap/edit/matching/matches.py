@@ -46,6 +46,9 @@ class JointMatches(NamedTuple):
         for there, (a, b, _) in self.followed.items():
             for joint in (a, b):
                 carried.setdefault(joint, self.target.names[there])
+        children: dict[int, list[int]] = {}
+        for joint, parent in enumerate(self.source.parents):
+            children.setdefault(parent, []).append(joint)
         found = {}
         for joint, name in enumerate(self.source.names):
             if joint in used or _is_end(self.source, joint):
@@ -53,7 +56,7 @@ class JointMatches(NamedTuple):
             if joint in carried:
                 found[name] = f"composed onto {carried[joint]}"
                 continue
-            below = _next_below(self.source, joint, set(carried))
+            below = _next_below(children, joint, set(carried))
             onto = sorted({carried[child] for child in below}, key=self.target.names.index)
             found[name] = (
                 f"composed onto {', '.join(onto)}" if onto else "left out, as nothing below it has a match"
@@ -104,12 +107,10 @@ def _is_end(skeleton: Skeleton, joint: int) -> bool:
     return skeleton.kinds[joint] == "fixed" and joint not in skeleton.parents
 
 
-def _next_below(skeleton: Skeleton, joint: int, some: set[int]) -> list[int]:
+def _next_below(children: dict[int, list[int]], joint: int, some: set[int]) -> list[int]:
     """The nearest of some joints on every way down from a joint."""
     found, waiting = [], [joint]
     while waiting:
-        above = waiting.pop()
-        for child, parent in enumerate(skeleton.parents):
-            if parent == above:
-                (found if child in some else waiting).append(child)
+        for child in children.get(waiting.pop(), []):
+            (found if child in some else waiting).append(child)
     return found
