@@ -134,7 +134,9 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
             upper, lower = along[middle] - along[first], along[last] - along[middle]
             if min(upper, lower) < 1e-6 or max(upper, lower) > 5 * min(upper, lower):
                 continue
-            sides = {names[joint].side for joint in (first, middle, last)} - {None}
+            sides: set[Side] = {
+                side for joint in (first, middle, last) if (side := names[joint].side) is not None
+            }
             if len(sides) == 2:
                 continue
             named = points[kind[0]][first] + points[kind[1]][middle] + points[kind[2]][last]

@@ -189,8 +189,8 @@ def _check_limbs(matches: JointMatches, by_table: bool) -> list[str]:
     here, there = (stand.person for stand in matches.stands)
     said = []
     for kind in ("arm", "leg"):
-        own = [side for side in SIDES if here.limb(side, kind)]
-        sides = [side for side in SIDES if there.limb(side, kind)]
+        own: list[Side] = [side for side in SIDES if here.limb(side, kind)]
+        sides: list[Side] = [side for side in SIDES if there.limb(side, kind)]
         matched = [side for side in sides if set(there.limb(side, kind)) <= set(matches.pairs)]
         if matched:
             said += [

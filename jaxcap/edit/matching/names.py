@@ -65,7 +65,7 @@ _HELPERS = _words(
     "fix jiggle breast pec skirt hair cloth cape tail eye jaw face toeik null site locator"
 )
 _LEFT, _RIGHT = frozenset(["l", "left", "lft"]), frozenset(["r", "right", "rgt"])
-_GLUED = {"left": "left", "right": "right", "l": "left", "r": "right"}
+_GLUED: dict[str, Side] = {"left": "left", "right": "right", "l": "left", "r": "right"}
 _PIECES = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 #: vertebrae, as Xsens has them
 _VERTEBRA = re.compile(r"(l[1-5]|t\d{1,2}|c[1-7])$")

@@ -160,7 +160,7 @@ def _trunk(
         path = _path(skeleton, -1, top)
         called = [joint for joint in path if "pelvis" in names[joint].parts]
         pelvis = called[-1] if called else (path[0] if path else -1)
-    taken = descent[[limb.joints[0] for limb in (*limbs.legs, *limbs.arms)]].any(axis=0)
+    taken = np.asarray(descent[[limb.joints[0] for limb in (*limbs.legs, *limbs.arms)]].any(axis=0))
     head = _head(skeleton, names, top, taken)
     end = head if head >= 0 else top
     if head >= 0 and "neck" in names[head].parts:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...body.kinematics import forward_kinematics, joint_paths, joint_positions
+from ...body.kinematics import forward_kinematics, joint_positions
 from ...body.pose import Motion, Pose, rest_pose, universal_angles
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
@@ -59,11 +59,11 @@ def retarget(
         plan = plan_retarget(source, target, names, motion)
         for sentence in plan.matches.warnings:
             warnings.warn(f"{sentence[0].upper()}{sentence[1:]}.", stacklevel=2)
-    if floor is None:
-        floor = floor_of(joint_paths(source, motion.poses), plan.up)
-    dtype = target.centres.dtype
-    places, turns = posed(source, motion.poses)
     # what is of the source stays in NumPy, so that one target compiles once for all sources
+    places, turns = posed(source, motion.poses)
+    if floor is None:
+        floor = floor_of(places, plan.up)
+    dtype = target.centres.dtype
     since = _multiply(turns, plan.reference * np.array([1.0, -1.0, -1.0, -1.0]))
     first, second = (since[:, np.maximum(plan.sources[:, end], 0)] for end in (0, 1))
     lift = (1.0 - plan.ratio) * floor * plan.up
