@@ -17,6 +17,7 @@ from ..energy.pair_prior import LikelihoodPrior, MahalanobisPrior
 from ..errors import InputError
 from ..fit.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
 from ..io.clouds import Scans, read_clouds
+from ..io.lock import run_lock
 from ..io.prior import Priors
 from ..io.registry import write_motion
 from ..report.adaptation import report_adaptation
@@ -113,6 +114,11 @@ class Adapt:
 
     def run(self) -> None:
         self.check()
+        with run_lock(self.out, self.motion_path):
+            self.adapt_all()
+
+    def adapt_all(self) -> None:
+        """Read, adapt, write and report, with no other run that writes the same files."""
         known = prior_file(self.body, self.prior)
         header = {**self.settings(), "prior": hash_of(known)}
         body, _ = load_body(self.body, vertices=self.vertices)

@@ -17,10 +17,11 @@ from ..errors import InputError
 from ..fit.sequence import track_frames
 from ..fit.track import make_tracker
 from ..io.atomic import replacing
+from ..io.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe import make_cloud
 from .options import OptionalCount, arg
-from .results import FILES, check_folder, write_results
+from .results import FILES, check_folder, make_writable, write_results
 from .say import progress, say, table, warn
 from .timed import timed
 
@@ -49,7 +50,13 @@ class Demo:
     def run(self) -> None:
         if self.seconds < 0.1 or self.points < 200 or not self.noise >= 0:
             raise InputError("A demo needs at least 0.1 seconds, 200 points, and noise that is not negative.")
-        self.make_folder()
+        make_writable(self.out)
+        with run_lock(self.out):
+            self.perform()
+
+    def perform(self) -> None:
+        """Make, scan and track the performance, alone in the folder."""
+        self.check_folder()
         true_body = human()
         body = human(resolution=self.vertices or "medium")
         truth = walk_and_wave(true_body.skeleton, self.seconds)
@@ -99,7 +106,7 @@ class Demo:
             warn(f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
         say(f"{', '.join(FILES)} and demo.png are in {self.out}")
 
-    def make_folder(self) -> None:
+    def check_folder(self) -> None:
         """An earlier demo may be replaced, other results may not. Raises `InputError`."""
         earlier = (self.out / "demo.png").is_file()
         if not earlier and any((self.out / name).exists() for name in FILES):

@@ -11,6 +11,7 @@ from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..fit.registered import fit_meshes
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..io.lock import run_lock
 from ..io.meshes import read_named_meshes
 from ..io.npz import save_body, save_motion
 from ..io.registry import read_skeleton
@@ -81,6 +82,11 @@ class Learn:
         kept = self.out.with_name(f"{self.out.name}.partial")
         check_npz(self.out, self.overwrite, "a body")
         check_npz(motion_path, self.overwrite)
+        with run_lock(self.out, motion_path):
+            self.learn_all(motion_path, kept)
+
+    def learn_all(self, motion_path: Path, kept: Path) -> None:
+        """Read, learn, write and score, with no other run that writes the same files."""
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         train, held = split(len(sequence), self.hold_out)
         if self.hold_out is not None and not held.size:

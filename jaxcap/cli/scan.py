@@ -17,12 +17,14 @@ from ..errors import InputError
 from ..geometry.camera import Camera, check_sees, ring_of_cameras
 from ..io.body_motion import read_motion_of
 from ..io.cameras import read_cameras, write_cameras
+from ..io.lock import run_lock
 from ..io.npz import save_motion
 from ..io.ply import write_ply
 from ..scanner.fuse import Scan as Fused
 from ..scanner.scan import dropped_views, scan_frame
 from ..scanner.settings import Scanner, check_scanner
 from .options import BodySpec, Flag, OptionalCount, OptionalFile, arg
+from .results import make_writable
 from .say import progress, say, warn
 from .scan_folder import begin_folder, frame_path, gather_clouds
 from .sources import load_body
@@ -98,6 +100,12 @@ class Scan:
         shown = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).round().astype(int))
         places = np.asarray(deform_all(body, take_poses(motion.poses, shown)), float)
         cameras = self.place(places)
+        make_writable(self.out)
+        with run_lock(self.out):
+            self.scan_all(scanner, cameras, body, motion)
+
+    def scan_all(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion) -> None:
+        """Scan all frames that are left, alone in the folder."""
         begin_folder(self.out, self.settings(), (body, motion, cameras), self.resume, self.overwrite)
         write_cameras(self.out / "cameras.json", cameras)
         save_motion(self.out / "truth.npz", motion, body.skeleton)

@@ -14,14 +14,12 @@ from ..io.atomic import replacing
 from ..io.mesh import read_mesh
 from ..io.table import write_json
 from ..io.text import read_text
-from .results import make_writable
 
 #: what the scans were made with
 HEADER = "scan.json"
 CLOUDS = "clouds.npz"
 FILES = (HEADER, "cameras.json", "truth.npz", CLOUDS)
-#: scans, and what is left of those that were being written when a run was killed
-_SCAN = re.compile(r"(scan_\d{4,}|\.scan_\d{4,}\.\d+)\.ply$")
+_SCAN = re.compile(r"scan_\d{4,}\.ply$")
 
 
 def frame_path(folder: Path, frame: int) -> Path:
@@ -34,10 +32,9 @@ def begin_folder(
 ) -> None:
     """Make a folder ready for scans made with `settings` of `inputs`, whose arrays count.
 
-    **Raises:** `InputError` where it cannot be written to, holds scans that are neither to be gone on
+    **Raises:** `InputError` where it holds scans that are neither to be gone on
     with nor to be replaced, or ones that were made with something else.
     """
-    make_writable(folder)
     header = {**settings, **fingerprint(inputs)}
     scans = [path for path in folder.iterdir() if _SCAN.match(path.name)]
     there = [*scans, *(folder / name for name in FILES if (folder / name).exists())]
@@ -47,7 +44,7 @@ def begin_folder(
         )
     if resume and there:
         _check_same(folder / HEADER, header)
-    for path in there if overwrite else [path for path in scans if path.name.startswith(".")]:
+    for path in there if overwrite else ():
         path.unlink()
     write_json(folder / HEADER, header)
 

@@ -18,9 +18,10 @@ from ..fit.track import Tracker, make_tracker
 from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
 from ..io.limits import read_limits
+from ..io.lock import run_lock
 from .frame_rows import pack, record_width, unpack, whose_poses
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
-from .results import check_folder, fingerprint, write_results
+from .results import check_folder, fingerprint, make_writable, write_results
 from .say import progress, say, warn
 from .sources import Clouds, load_body, load_cloud
 from .timed import timed
@@ -93,7 +94,13 @@ class Track:
         load_cloud(scans, 0, body, self.up)
         tracker = self.tracker(body, limits)
         header = {**self.settings(), **fingerprint(tracker, scans), **whose_poses(body.skeleton)}
-        path = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
+        make_writable(self.out)
+        with run_lock(self.out):
+            self.track(tracker, scans, header)
+
+    def track(self, tracker: Tracker, scans: Scans, header: dict[str, object]) -> None:
+        """Track all frames that are left, and write the results, alone in the folder."""
+        path, body = check_folder(self.out, JOURNAL, self.resume, self.overwrite), tracker.body
         going_on = self.resume and path.is_file()
         journal = (
             resume_journal(path, header) if going_on else begin_journal(path, header, record_width(tracker))

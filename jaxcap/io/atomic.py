@@ -2,6 +2,8 @@
 
 import errno
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,28 +12,49 @@ from ..errors import InputError
 
 #: no space on the device, no more for this user, no larger files
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+#: how the names of temporary folders end
+_ENDING = ".unfinished"
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A path beside `path` to write to; it takes the place of `path` when the block ends
-    well, and vanishes when it does not.
+    """Yield a temporary path to write to; rename it to `path` when the block ends well, remove it when it does not.
 
-    **Raises:** `InputError` where the folder cannot be written to, or is full: what was at `path` is there still.
+    The temporary file has the name of `path`, in a new folder next to it that only this user can enter (`mkdtemp`: a
+    random name, never a symbolic link). So threads and processes that write the same path never share a file, whatever
+    library writes it, and the file has the permissions of any new file. The last one to end wins.
+
+    **Raises:** `InputError` where the folder cannot be written to, or is full: an earlier file at `path` is not changed.
     """
     path = Path(path)
-    beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    folder = None
     try:
-        yield beside
-        os.replace(beside, path)
+        # a name may be as long as the file system allows, so only its beginning is repeated
+        folder = tempfile.mkdtemp(_ENDING, f".{path.name[:64]}.", path.parent)
+        temporary = Path(folder) / path.name
+        yield temporary
+        os.replace(temporary, path)
     except OSError as error:
         mend = "free some space there" if error.errno in FULL else "give a path in a writable folder"
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); {mend}.") from None
     finally:
-        beside.unlink(missing_ok=True)
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_unfinished(path: str | Path) -> None:
+    """Remove temporary files that killed programs left of `path`, or of all files in it where it is a folder.
+
+    Only for a caller that no other program writes this path at the same time as, such as the owner of its `RunLock`.
+    """
+    path = Path(path)
+    folder, begin = (path, ".") if path.is_dir() else (path.parent, f".{path.name[:64]}.")
+    for there in folder.glob(f".*{_ENDING}"):
+        if there.name.startswith(begin) and not there.is_symlink():
+            shutil.rmtree(there, ignore_errors=True)
 
 
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file whole. Raises `InputError` where it cannot be written."""
-    with replacing(path) as beside:
-        beside.write_text(text, encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -10,7 +10,6 @@ written anew.
 """
 
 import json
-import os
 import struct
 import zlib
 from collections.abc import Mapping
@@ -20,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import InputError
+from .atomic import replacing
 
 MAGIC = b"JAXCAPJ1"
 
@@ -56,10 +56,9 @@ def begin_journal(path: str | Path, header: Mapping[str, object], width: int) ->
     path = Path(path)
     text = json.dumps({"width": width, **header}).encode()
     data = MAGIC + struct.pack("<I", len(text)) + text
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
     try:
-        beside.write_bytes(data)
-        os.replace(beside, path)
         return Journal(path, width, np.zeros((0, width)), len(data))
     except OSError as error:
         raise InputError(

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...body.skeleton import Skeleton
 from ...errors import InputError
+from ...io.lock import run_lock
 from ...io.marker_corrections import read_corrections, write_corrections
 from ...io.registry import read_skeleton
 from ...io.subject import save_subject
@@ -85,6 +86,11 @@ class Fit:
 
     def run(self) -> None:
         pairs = self.check()
+        with run_lock(self.out, *self.joints):
+            self.fit(pairs)
+
+    def fit(self, pairs: tuple[tuple[str, str], ...]) -> None:
+        """Read, fit and write, with no other run that writes the same files."""
         takes = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.files]
         united = unite_takes(takes)
         corrections = None if self.segments is None else read_corrections(self.segments)

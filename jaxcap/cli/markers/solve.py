@@ -8,6 +8,7 @@ import numpy as np
 import tyro
 
 from ...errors import InputError
+from ...io.lock import run_lock
 from ...io.registry import MOTION_WRITERS, write_markers, write_motion
 from ...io.subject import load_subject
 from ...markers.fill import fill_gaps
@@ -74,8 +75,11 @@ class Solve:
         subject = load_subject(self.subject)
         # a trial that is wrong is told before any has results
         trials = [read_take(path, self.unit, self.performer, self.up, self.pieces, "--performer") for path in self.trials]  # fmt: skip
-        for path, frames in zip(self.trials, trials, strict=True):
-            self.solve(subject, path, frames)
+        if self.into_folder:
+            make_folder(self.out)
+        with run_lock(*((self.out,) if self.into_folder else (self.out, *self.joints, *self.filled))):
+            for path, frames in zip(self.trials, trials, strict=True):
+                self.solve(subject, path, frames)
 
     @property
     def into_folder(self) -> bool:
@@ -139,8 +143,6 @@ class Solve:
             )
         kept = held_residuals(subject, solution.residuals, solution.lost)
         solution = solution._replace(told=(*solution.told, *strays(subject.labels, kept)))
-        if self.into_folder:
-            make_folder(self.out)
         for file in self.motions(path):
             write_motion(file, subject.skeleton, solution.motion)
             say(f"motion: {file}")
