@@ -1,5 +1,6 @@
 """What users get wrong: one sentence on stderr, exit code 2, no traceback, nothing half-written."""
 
+import os
 import re
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
 from jaxcap.fit.check import check_cloud
 from jaxcap.io.bvh import write_bvh
+from jaxcap.io.lock import run_lock
 from jaxcap.io.npz import save_body, save_motion
 from jaxcap.observe import make_cloud
 
@@ -69,6 +71,24 @@ def change_clouds(inputs, change) -> None:
     with np.load(inputs / "clouds.npz") as file:
         points = file["points"]
     np.savez(inputs / "clouds.npz", points=change(points))
+
+
+def test_one_run_at_a_time(inputs, tmp_path, capsys):
+    """A second run in a folder is told whose it is, and changes nothing there; the first's end frees it."""
+    out = tmp_path / "out"
+    out.mkdir()
+    with run_lock(out):
+        before = tree(out)
+        for command in (
+            ("track", inputs / "body.npz", inputs / "clouds.npz", "-o", out, "--overwrite"),
+            ("demo", "-o", out),
+        ):
+            assert f"out: another run (process {os.getpid()}) writes here" in fails(capsys, *command)
+        assert tree(out) == before
+    with run_lock(out / "body.npz"):
+        command = ("learn", inputs / "clouds.npz", "-o", out / "body.npz")
+        assert "body.npz: another run (process" in fails(capsys, *command)
+    assert tree(out) == {}
 
 
 def test_empty_cloud(inputs, capsys):

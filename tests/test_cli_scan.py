@@ -89,7 +89,9 @@ def test_a_stopped_run_goes_on_to_the_same_end(inputs, tmp_path, capsys, monkeyp
     assert f"stopped after 2 of {FRAMES} scans, which are written; --resume goes on" in told
     monkeypatch.setattr(scan_module, "scan_frame", scan_frame)
     # what a run leaves that is killed while it writes
-    (tmp_path / "half" / ".scan_0002.77.ply").write_text("ply")
+    torn = tmp_path / "half" / ".scan_0002.ply.abcdefgh.unfinished" / "scan_0002.ply"
+    torn.parent.mkdir()
+    torn.write_text("ply")
     assert "give --resume" in fails(capsys, *command(inputs, tmp_path / "half", *bad))
     told = fails(capsys, *command(inputs, tmp_path / "half", "--resume", "--drop", 0.2))
     assert "scan.json: the scans were made with another" in told

@@ -1,18 +1,33 @@
 """C3D: what several programs write, byte by byte, is read; what is written is read again by ezc3d."""
 
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
 import ezc3d
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from alone import ALONE
 from c3d_bytes import c3d_bytes
 from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxcap as jc
 from jaxcap.errors import InputError
+from jaxcap.io import c3d_child, c3d_process
 from jaxcap.io.c3d import read_c3d, write_c3d
 from jaxcap.io.registry import read_marker_file
 
+#: limits as the program sets them for itself, with a second of CPU
+LIMITED = f"""
+import importlib.util
+spec = importlib.util.spec_from_file_location("program", {c3d_process.__file__!r})
+program = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(program)
+program.SECONDS = 1
+program._limit(0)
+"""
 NAMES = ["LKNE", "RKNE", "LANK", "RANK"]
 
 
@@ -190,6 +205,12 @@ def _with(raw, behind, instead):
             "cut short or damaged within its parameters",
         ),
         (_with(c3d_bytes(walked(), NAMES), b"UNITS\x08\x00\xff", b"\x9e"), "damaged within its parameters"),
+        # a list of words without dimensions: a segmentation fault within ezc3d 1.7
+        (
+            _with(c3d_bytes(walked(), NAMES), b"LABELS\x17\x00\xff", b"\x00"),
+            r"this is not a whole C3D file \(ezc3d crashes with it, SIG\w+\); copy or export it again",
+        ),
+        (c3d_bytes(np.full((5, 4, 3), np.inf), NAMES), "infinite, the first is 'LKNE' in frame 1"),
         (c3d_bytes(walked(), NAMES, processor="mips"), "numbers are those of a MIPS processor"),
         (c3d_bytes(np.zeros((5, 0, 3)), []), "no markers in it"),
         (c3d_bytes(walked(0), NAMES), "no frames in it"),
@@ -247,6 +268,68 @@ def test_real_files(shared):
     assert (arm.seen.shape, arm.labels[0]) == ((580, 43), "ASISr")
     with pytest.raises(InputError, match="looks like millimetres: pass unit='mm'"):
         jc.read_markers(folder / "cmu_02_05.c3d", unit="m")
+
+
+#: programs in place of ezc3d's, and what is told of them
+_PROGRAMS = {
+    "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)": "crashes with it, SIGSEGV",
+    "import time; time.sleep(60)": "does not end within 3 s",
+    "import sys; sys.exit('bad')": "ends with it, bad",
+    "print('{')": "ended before all was read",
+    "pass": "ended before all was read",
+    LIMITED + "while True: pass": "does not come to an end with it",
+    LIMITED + "bytearray(4 << 30)": "ends with it, MemoryError",
+}
+
+
+@pytest.mark.parametrize("program", _PROGRAMS)
+def test_process_that_fails(tmp_path, monkeypatch, program):
+    """However the process ends, its caller is told by a sentence."""
+    path = written(tmp_path, walked(), NAMES)
+    (tmp_path / "program.py").write_text(program)
+    monkeypatch.setattr(c3d_child, "_PROGRAM", tmp_path / "program.py")
+    monkeypatch.setattr(c3d_child, "_WAIT", 3 if "sleep" in program else 60)
+    with pytest.raises(InputError, match=_PROGRAMS[program]):
+        read_c3d(path)
+
+
+def test_threads_read_at_once(tmp_path):
+    path = written(tmp_path, walked(), NAMES)
+    with ThreadPoolExecutor(4) as threads:
+        files = list(threads.map(read_c3d, [path] * 4))
+    for file in files:
+        np.testing.assert_allclose(file.frames.places, walked() / 1000, atol=1e-6)
+
+
+def test_script_without_a_main_guard(tmp_path):
+    """Such as `multiprocessing` would run again and again: it reads once, from any folder, and nothing else is printed."""
+    path = written(tmp_path, walked(), NAMES)
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"{ALONE}\nfrom pathlib import Path\nfrom jaxcap.io.c3d_child import load_c3d\nprint(load_c3d(Path({str(path)!r})).points.shape)"
+    )
+    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("(3, 4, 6)\n", "")
+
+
+def test_no_python_to_start(tmp_path, monkeypatch):
+    path = written(tmp_path, walked(), NAMES)
+    monkeypatch.setattr(sys, "frozen", True, raising=False)
+    with pytest.raises(InputError, match="there is no Python to start; convert it to .trc"):
+        read_c3d(path)
+
+
+@pytest.mark.shared
+def test_real_file_that_kills_ezc3d(shared, tmp_path):
+    """One flipped byte of a real take, the count of its analog channels, ends the process that reads it and no other."""
+    raw = bytearray((shared / "data" / "markers" / "cmu_02_05.c3d").read_bytes())
+    at = raw.index(b"USED\x07\x00\x02\x00", raw.index(b"GEN_SCALE")) + 8
+    raw[at] = 0x80
+    (tmp_path / "flipped.c3d").write_bytes(raw)
+    with pytest.raises(
+        InputError, match=r"flipped.c3d: this is not a whole C3D file \(ezc3d crashes with it, SIGSEGV\)"
+    ):
+        jc.read_markers(tmp_path / "flipped.c3d")
 
 
 @pytest.mark.shared

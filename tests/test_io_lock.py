@@ -5,24 +5,15 @@ import stat
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
+from alone import ALONE
 
-import jaxcap
 from jaxcap.errors import InputError
 from jaxcap.io.atomic import replacing, write_text
 from jaxcap.io.journal import begin_journal
 from jaxcap.io.lock import run_lock
 
-PACKAGE = Path(jaxcap.__file__).parent
-# the modules of `jaxcap.io` without all that `jaxcap` imports, which takes seconds
-ALONE = f"""
-import sys, types
-for name, folder in (("jaxcap", {str(PACKAGE)!r}), ("jaxcap.io", {str(PACKAGE / "io")!r})):
-    sys.modules[name] = types.ModuleType(name)
-    sys.modules[name].__path__ = [folder]
-"""
 HOLD = f"""{ALONE}
 import time
 from jaxcap.io.lock import run_lock
@@ -120,9 +111,14 @@ def test_permissions_are_those_of_any_new_file(tmp_path, mask):
 def test_longest_names_and_failures_leave_nothing(tmp_path):
     path = tmp_path / ("n" * 251 + ".txt")
     write_text(path, "text")
-    with pytest.raises(RuntimeError), replacing(path) as temporary:
-        temporary.write_text("half")
-        raise RuntimeError
+
+    def fail():
+        with replacing(path) as temporary:
+            temporary.write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
     assert path.read_text() == "text"
     assert os.listdir(tmp_path) == [path.name]
     with pytest.raises(InputError, match="cannot be written"):

@@ -228,3 +228,29 @@ def test_what_is_not_read_is_said(tmp_path):
     ):
         with pytest.raises(InputError, match=sentence):
             read_usd_body(tmp_path / name)
+
+
+@pytest.mark.parametrize("arc", ["sublayer", "reference", "payload"])
+def test_layers_outside_of_the_folder_are_not_read(tmp_path, rng, arc):
+    """The body lies in a layer next to the file's folder; in the folder it is read."""
+    from pxr import Usd, UsdGeom
+
+    body = chain_body()
+    (tmp_path / "in").mkdir()
+    write_usd(tmp_path / "body.usda", body)
+    write_usd(tmp_path / "in" / "body.usda", body)
+    for name, folder in (("inside", "."), ("outside", "..")):
+        stage = Usd.Stage.CreateNew(str(tmp_path / "in" / f"{name}.usda"))
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        asset = f"{folder}/body.usda"
+        if arc == "sublayer":
+            stage.GetRootLayer().subLayerPaths.append(asset)
+        elif arc == "reference":
+            stage.DefinePrim("/A").GetReferences().AddReference(asset)
+        else:
+            stage.DefinePrim("/A").GetPayloads().AddPayload(asset)
+        stage.GetRootLayer().Save()
+    again, _ = read_usd_body(tmp_path / "in" / "inside.usda")
+    np.testing.assert_allclose(again.vertices, body.vertices, atol=1e-6)
+    with pytest.raises(InputError, match="it names '../body.usda', which is outside of its folder"):
+        read_usd_body(tmp_path / "in" / "outside.usda")

@@ -8,14 +8,14 @@ the names that Plug-in Gait gives to its outputs.
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..errors import InputError
 from ..observe import MarkerFrames
 from .atomic import replacing
-from .c3d_header import announced_size, read_header
+from .c3d_child import load_c3d
+from .c3d_header import read_header
 from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file
 from .text import unit_scale
 
@@ -58,35 +58,33 @@ def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """
     path = Path(path)
     first, declared = read_header(path)
-    loaded = _load(path, declared)
-    points = np.asarray(loaded["data"]["points"], float)
-    residuals = np.asarray(loaded["data"]["meta_points"]["residuals"], float)
+    loaded = load_c3d(path)
+    points, residuals, words = loaded.points, loaded.residuals, loaded.words
     if points.shape[1] and points.shape[2] < declared:
         raise InputError(
             f"{path}: the file is cut short: {points.shape[2]} of the {declared} frames that it announces are in "
             "it; copy it again."
         )
-    group: dict[str, Any] = loaded["parameters"].get("POINT", {})
-    labels, told = _strings(group, "LABELS"), []
+    labels, told = _strings(words, "LABELS"), []
     count = points.shape[1]
     if len(labels) > count:
         told.append(
             f"there are {len(labels)} labels for {count} points; the last {len(labels) - count} are dropped."
         )
     labels = [label.strip(" \t\r\n\0") for label in labels[:count]] + [""] * (count - len(labels))
-    kinds = point_kinds(labels, group)
+    kinds = point_kinds(labels, words)
     others: dict[str, tuple[str, ...]] = {}
     for label, kind in zip(labels, kinds, strict=True):
         if kind:
             others[kind] = (*others.get(kind, ()), label)
     markers = [i for i, kind in enumerate(kinds) if not kind]
-    places = np.transpose(points[:3, markers], (2, 1, 0)).copy()
-    places[(residuals[0][markers] < 0).T] = np.nan
-    said = " ".join(_strings(group, "UNITS")[:1])
+    places = np.transpose(points[:, markers], (2, 1, 0)).copy()
+    places[(residuals[markers] < 0).T] = np.nan
+    _check_finite(path, places, [labels[i] for i in markers])
+    said = " ".join(_strings(words, "UNITS")[:1])
     if unit is None and not file_unit(said, ""):
         told.append(f"its unit is {repr(said) if said else 'not told'}; lengths are read as millimetres.")
-    rates = np.ravel(group.get("RATE", {}).get("value", ())).tolist()
-    rate = rates[0] if rates and rates[0] > 0 else loaded["header"]["points"]["frame_rate"]
+    rate = loaded.rates[0] if loaded.rates and loaded.rates[0] > 0 else loaded.header_rate
     return make_file(
         path,
         places,
@@ -99,6 +97,17 @@ def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
         others=others,
         told=told,
     )
+
+
+def _check_finite(path: Path, places: np.ndarray, labels: list[str]) -> None:
+    """Raises `InputError` where a coordinate is infinite; NaN is a gap."""
+    wrong = np.isinf(places).any(2)
+    if wrong.any():
+        frame, marker = np.unravel_index(int(wrong.argmax()), wrong.shape)
+        raise InputError(
+            f"{path}: {wrong.sum()} places of markers are infinite, the first is '{labels[marker]}' in frame "
+            f"{frame + 1}; copy or export it again."
+        )
 
 
 def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:
@@ -135,7 +144,7 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
                 lower.unlink(missing_ok=True)
 
 
-def point_kinds(labels: list[str], group: dict[str, Any]) -> list[str]:
+def point_kinds(labels: list[str], group: dict[str, list[str]]) -> list[str]:
     """For each point "" for a marker, or what else it is: `angles`, `forces`, ..."""
     named: dict[str, str] = {}
     groups = [*KINDS, *(word.strip().upper() for word in _strings(group, "TYPE_GROUPS"))]
@@ -163,31 +172,11 @@ def _segment_axes(labels: list[str]) -> set[str]:
     return {stem + end for stem in stems if {stem + end for end in "OPAL"} <= there for end in "OPAL"}
 
 
-def _strings(group: dict[str, Any], name: str) -> list[str]:
+def _strings(group: dict[str, list[str]], name: str) -> list[str]:
     """A list of words that goes on in NAME2, NAME3, ..., as lists of more than 255 do."""
     words: list[str] = []
     number = 1
     while (key := name if number == 1 else f"{name}{number}") in group:
-        value = group[key].get("value", ())
-        words += [word for word in ([value] if isinstance(value, str) else value) if isinstance(word, str)]
+        words += group[key]
         number += 1
     return words
-
-
-def _load(path: Path, declared: int) -> Any:
-    import ezc3d
-
-    try:
-        return ezc3d.c3d(str(path))
-    except Exception as strict:  # whatever a damaged file makes of a reader
-        try:
-            return ezc3d.c3d(str(path), ignore_bad_formatting=True)
-        except Exception:
-            if path.stat().st_size < announced_size(path, declared):
-                raise InputError(
-                    f"{path}: the file is cut short: it ends before its {declared} frames do; copy it again."
-                ) from None
-            reason = str(strict).splitlines()[0][:120].rstrip(". ") if str(strict) else type(strict).__name__
-            raise InputError(
-                f"{path}: this is not a whole C3D file ({reason}); copy or export it again."
-            ) from None

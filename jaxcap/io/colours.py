@@ -1,11 +1,11 @@
 """Colours of a mesh's vertices, as PLY, OBJ and GLB files give them."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
 
+from .mesh import load_by_trimesh
 from .obj import read_obj_colours
 
 
@@ -23,9 +23,7 @@ def read_colours(path: str | Path, count: int) -> UInt8[np.ndarray, "V 4"] | Non
 def _trimesh_colours(path: Path) -> np.ndarray | None:
     import trimesh
 
-    loaded: Any = trimesh.load(path, process=False)
-    if isinstance(loaded, trimesh.Scene):
-        loaded = loaded.to_geometry() if loaded.geometry else trimesh.Trimesh()
+    loaded = load_by_trimesh(path)
     if isinstance(loaded, trimesh.PointCloud):
         return np.asarray(loaded.colors, np.uint8)
     if loaded.visual.kind != "vertex":

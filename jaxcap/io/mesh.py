@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from ..errors import InputError
 from .atomic import replacing, write_text
+from .inside import InsideResolver
 from .obj import read_obj, write_obj
 from .off import read_off
 from .text import UNITS, unit_scale
@@ -173,13 +174,26 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return total / np.where(lengths > 0, lengths, 1.0)
 
 
-def _read_trimesh(path: Path):
+def load_by_trimesh(path: Path) -> Any:
+    """A mesh or a cloud of trimesh's: without its textures and materials, which nothing here needs, and with other files
+    that it names from its own folder alone."""
     import trimesh
 
+    more: dict[str, Any] = {"resolver": InsideResolver(path), "skip_materials": True}
+    if path.suffix.lower() == ".ply":
+        # vertices stay as they are in the file, where trimesh would take them apart along seams of a texture
+        more["fix_texture"] = False
+    loaded: Any = trimesh.load(path, process=False, **more)
+    if isinstance(loaded, trimesh.Scene):
+        loaded = loaded.to_geometry() if loaded.geometry else trimesh.Trimesh()
+    return loaded
+
+
+def _read_trimesh(path: Path):
     try:
-        loaded: Any = trimesh.load(path, process=False)
-        if isinstance(loaded, trimesh.Scene):
-            loaded = loaded.to_geometry() if loaded.geometry else trimesh.Trimesh()
+        loaded = load_by_trimesh(path)
+    except InputError:
+        raise
     except Exception as error:  # whatever a damaged file makes of a reader
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:120].rstrip(". ")
         raise InputError(f"{path}: this is not a whole {path.suffix} file ({reason}).") from None

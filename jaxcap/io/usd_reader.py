@@ -13,6 +13,7 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..errors import InputError
 from .bound import Joints, bind, body_of, motion_of, placing
+from .inside import is_inside, outside
 from .meshes import triangulate
 from .surface import Surface, as_shares, joined
 from .usd import SUFFIXES as WRITTEN
@@ -45,11 +46,29 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
             f"{path}: USD is read by the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
         ) from None
     try:
+        _check_layers(path)
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = str(error).strip().splitlines()[-1].strip()
         raise InputError(f"{path}: this is not a whole USD file ({reason[:200]}).") from None
     return _Skinned(path, stage).read()
+
+
+def _check_layers(path: Path) -> None:
+    """That every layer that a file is composed of lies in its folder. Raises `InputError`."""
+    from pxr import Sdf
+
+    layers, seen = [Sdf.Layer.FindOrOpen(str(path))], set()
+    while layers:
+        layer = layers.pop()
+        for name in layer.GetCompositionAssetDependencies() if layer else ():
+            found = layer.ComputeAbsolutePath(name)
+            # a layer within a package is called package.usdz[layer.usdc]
+            if not is_inside(path, found.partition("[")[0]):
+                raise outside(path, name)
+            if found not in seen:
+                seen.add(found)
+                layers.append(Sdf.Layer.FindOrOpen(found))
 
 
 class _Skinned:
