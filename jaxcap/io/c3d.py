@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..observe import MarkerFrames
 from .atomic import replacing
 from .c3d_child import load_c3d
-from .c3d_header import read_header
+from .c3d_header import announced_size, read_header
 from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file
 from .text import unit_scale
 
@@ -58,7 +58,14 @@ def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """
     path = Path(path)
     first, declared = read_header(path)
-    loaded = load_c3d(path)
+    try:
+        loaded = load_c3d(path)
+    except InputError:
+        if path.stat().st_size < announced_size(path, declared):
+            raise InputError(
+                f"{path}: the file is cut short: it ends before its {declared} frames do; copy it again."
+            ) from None
+        raise
     points, residuals, words = loaded.points, loaded.residuals, loaded.words
     if points.shape[1] and points.shape[2] < declared:
         raise InputError(
