@@ -1,11 +1,18 @@
-"""Every test runs in float64 with shapes checked at run time; `JAXCAP_TEST_FLOAT32=1` leaves
-JAX at its default precision, for the tests marked `float32`."""
+"""Run every test in float64 with shapes checked at run time.
 
+`JAXCAP_TEST_FLOAT32=1` leaves JAX at its default precision, for the tests marked `float32`. Tests run in several
+processes, which share one cache of compiled functions."""
+
+import gc
 import os
+import shutil
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("MPLBACKEND", "Agg")
+# compiled once for all processes, those of the command line's tests among them; the default is for larger programs
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", f"{Path(__file__).resolve().parents[1]}/.pytest_cache/jax")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 import hypothesis
 import jax
@@ -30,7 +37,40 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("jaxcap")
 
 CHECKOUT = Path(__file__).resolve().parents[1]
+CACHE = CHECKOUT / ".pytest_cache" / "jax"
 SHARED = Path(os.environ.get("JAXCAP_SHARED") or CHECKOUT.parent / "shared")
+
+
+#: what a worker needs at most, and the size from which the cache is begun anew, in bytes
+WORKER_MEMORY, CACHE_SIZE = 4 << 30, 2 << 30
+#: pieces of memory that a process may map, and those from which compiled functions are forgotten
+MAPS = Path("/proc/self/maps")
+MANY_MAPS = 30_000
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Use all cores that the process may use, as long as memory is enough."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError):
+        return cores
+    return max(1, min(cores, memory // WORKER_MEMORY))
+
+
+def pytest_sessionstart(session):
+    """Keep the cache of compiled functions from growing without end."""
+    if hasattr(session.config, "workerinput") or not CACHE.is_dir():
+        return
+    if sum(file.stat().st_size for file in CACHE.rglob("*") if file.is_file()) > CACHE_SIZE:
+        shutil.rmtree(CACHE, ignore_errors=True)
+
+
+def pytest_collection_finish(session):
+    """Leave what was imported out of garbage collection, which tracing sets off very often."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
 
 
 def pytest_collection_modifyitems(items):
@@ -43,9 +83,11 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True, scope="module")
 def _forget_compiled():
-    """Compiled functions stay mapped into memory, and a process may map only so many pieces."""
+    """Forget compiled functions before they are too many: each is mapped into memory in several pieces, and a process
+    may map 65,530."""
     yield
-    jax.clear_caches()
+    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MANY_MAPS:
+        jax.clear_caches()
 
 
 @pytest.fixture(autouse=True)
