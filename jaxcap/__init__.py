@@ -1,213 +1,39 @@
 """Fit articulated bodies to what sensors saw: poses, motions and their energies in JAX."""
 
-from . import edit as edit
-from .adapt.loop import AdaptState as AdaptState
-from .adapt.loop import Settings as AdaptSettings
-from .adapt.loop import Task as AdaptTask
-from .adapt.loop import adapt_body as adapt_body
-from .adapt.people import People as People
-from .adapt.people import learn_people as learn_people
-from .adapt.people import people_like as people_like
-from .adapt.pose import fit_pose as fit_pose
-from .adapt.pose_prior import learn_pair_prior as learn_pair_prior
-from .adapt.pose_prior import learn_ranges as learn_ranges
-from .adapt.prepare import make_task as make_adapt_task
-from .adapt.shape_prior import ShapePrior as ShapePrior
-from .adapt.shape_prior import make_shape_prior as make_shape_prior
-from .adapt.terms import PairDistances as PairDistances
-from .adapt.together import adapt_together as adapt_together
-from .adapt.window import smooth_poses as smooth_poses
-from .body.body import Body as Body
-from .body.body import Posed as Posed
-from .body.body import pose_body as pose_body
-from .body.euler_boxes import EulerBox as EulerBox
-from .body.euler_boxes import EulerBoxes as EulerBoxes
-from .body.euler_boxes import make_euler_boxes as make_euler_boxes
-from .body.human import human as human
-from .body.kinematics import Transforms as Transforms
-from .body.kinematics import forward_kinematics as forward_kinematics
-from .body.limit_surface import LimitSurface as LimitSurface
-from .body.limit_surface import SurfaceLimits as SurfaceLimits
-from .body.limit_surface import comfort as comfort
-from .body.limits import AbstractLimits as AbstractLimits
-from .body.limits import AllLimits as AllLimits
-from .body.limits import Cone as Cone
-from .body.limits import JointRanges as JointRanges
-from .body.limits import allowed as allowed
-from .body.limits import make_joint_ranges as make_joint_ranges
-from .body.pair_prior import PairPrior as PairPrior
-from .body.pair_prior import likelihood as likelihood
-from .body.pair_prior import make_pair_prior as make_pair_prior
-from .body.pose import Motion as Motion
-from .body.pose import Pose as Pose
-from .body.pose import difference as difference
-from .body.pose import project as project
-from .body.pose import rest_pose as rest_pose
-from .body.pose import retract as retract
-from .body.pose import stack_poses as stack_poses
-from .body.pose_boxes import PoseBoxes as PoseBoxes
-from .body.pose_boxes import make_pose_boxes as make_pose_boxes
-from .body.reduce import reduce_body as reduce_body
-from .body.sample import sample_poses as sample_poses
-from .body.skeleton import Skeleton as Skeleton
-from .body.skeleton import make_skeleton as make_skeleton
-from .body.skin import AbstractSkin as AbstractSkin
-from .body.skin import DualQuaternionSkin as DualQuaternionSkin
-from .body.skin import LinearSkin as LinearSkin
-from .body.skin import RigidSkin as RigidSkin
-from .body.skin import SwingTwistSkin as SwingTwistSkin
-from .body.skin import swing_twist_from as swing_twist_from
-from .edit.ik.constraints import Constraint as Constraint
-from .edit.ik.constraints import Constraints as Constraints
-from .edit.ik.constraints import make_constraints as make_constraints
-from .edit.ik.solve import IkOptions as IkOptions
-from .edit.ik.solve import solve_ik as solve_ik
-from .edit.linear.influences import limit_influences as limit_influences
-from .edit.linear.linearise import Linearised as Linearised
-from .edit.linear.linearise import linear_motion as linear_motion
-from .edit.linear.linearise import linear_pose as linear_pose
-from .edit.linear.linearise import linearise as linearise
-from .edit.retargeting.retarget import retarget as retarget
-from .edit.retargeting.retarget_shape import retarget_shape as retarget_shape
-from .energy.landmarks import BoneLandmarks as BoneLandmarks
-from .energy.landmarks import JointLandmarks as JointLandmarks
-from .energy.landmarks import VertexLandmarks as VertexLandmarks
-from .energy.landmarks import joint_landmarks as joint_landmarks
-from .energy.laplacian import LaplacianShape as LaplacianShape
-from .energy.laplacian import make_laplacian_shape as make_laplacian_shape
-from .energy.limits import JointLimits as JointLimits
-from .energy.moments import RigidMoments as RigidMoments
-from .energy.moments import rigid_moments as rigid_moments
-from .energy.pair_prior import LikelihoodPrior as LikelihoodPrior
-from .energy.pair_prior import MahalanobisPrior as MahalanobisPrior
-from .energy.points import PointToPlane as PointToPlane
-from .energy.points import PointToPoint as PointToPoint
-from .energy.prior import PosePrior as PosePrior
-from .energy.prior import RestPrior as RestPrior
-from .energy.prior import tangent_deviations as tangent_deviations
-from .energy.soft_object import SoftObject as SoftObject
-from .energy.soft_object import SoftPoints as SoftPoints
-from .energy.soft_object import make_soft_object as make_soft_object
-from .energy.soft_object import soft_distance as soft_distance
-from .energy.symmetry import BoneSymmetry as BoneSymmetry
-from .energy.temporal import SecondDifference as SecondDifference
-from .energy.term import AbstractEnergy as AbstractEnergy
-from .energy.term import energies as energies
-from .energy.vertices import AbstractVertexEnergy as AbstractVertexEnergy
-from .errors import InputError as InputError
-from .fit.batch import fit_batch as fit_batch
-from .fit.batch import scan_track as scan_track
-from .fit.correspond import Matching as Matching
-from .fit.correspond import NearestOnSurface as NearestOnSurface
-from .fit.correspond import NearestVertex as NearestVertex
-from .fit.correspond import SoftAssignment as SoftAssignment
-from .fit.correspond import find_pairs as find_pairs
-from .fit.correspond import make_mesh_scan as make_mesh_scan
-from .fit.correspond import make_scan as make_scan
-from .fit.correspond import places_on as places_on
-from .fit.em import Mixture as Mixture
-from .fit.em import make_mixture as make_mixture
-from .fit.gauss_newton import GaussNewton as GaussNewton
-from .fit.initialise import initialise as initialise
-from .fit.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
-from .fit.manifold import AbstractManifoldSolver as AbstractManifoldSolver
-from .fit.parts import make_parts as make_parts
-from .fit.posterior import posterior as posterior
-from .fit.priority import OrderedSolution as OrderedSolution
-from .fit.priority import priority_step as priority_step
-from .fit.priority import solve_in_order as solve_in_order
-from .fit.recover import TrackedFrame as TrackedFrame
-from .fit.registered import MeshFit as MeshFit
-from .fit.registered import fit_meshes as fit_meshes
-from .fit.sequence import track as track
-from .fit.sequence import track_frames as track_frames
-from .fit.solve import Solution as Solution
-from .fit.solve import solve as solve
-from .fit.track import Tracker as Tracker
-from .fit.track import make_tracker as make_tracker
-from .fit.track import start_state as start_state
-from .fit.track import track_frame as track_frame
-from .fit.turn_over import turn_over as turn_over
-from .fit.uncertainty import Uncertainty as Uncertainty
-from .fit.uncertainty import describe_unobservable as describe_unobservable
-from .fit.uncertainty import uncertainty as uncertainty
-from .fit.visible import visible_vertices as visible_vertices
-from .geometry.camera import Camera as Camera
-from .geometry.camera import look_at as look_at
-from .geometry.camera import ring_of_cameras as ring_of_cameras
-from .io.amass import read_amass as read_amass
-from .io.amass import write_amass as write_amass
-from .io.amc import read_amc as read_amc
-from .io.asf import read_asf as read_asf
-from .io.bvh import read_bvh as read_bvh
-from .io.bvh import write_bvh as write_bvh
-from .io.cameras import read_cameras as read_cameras
-from .io.cameras import write_cameras as write_cameras
-from .io.clouds import read_clouds as read_clouds
-from .io.constraints import read_constraints as read_constraints
-from .io.constraints import write_constraints as write_constraints
-from .io.gltf import write_gltf as write_gltf
-from .io.gltf_reader import read_gltf as read_gltf
-from .io.limits import load_limits as load_limits
-from .io.limits import read_limits as read_limits
-from .io.limits import save_limits as save_limits
-from .io.mesh import read_mesh as read_mesh
-from .io.mesh import write_mesh as write_mesh
-from .io.meshes import read_meshes as read_meshes
-from .io.meshes import save_meshes as save_meshes
-from .io.npz import load_body as load_body
-from .io.npz import load_motion as load_motion
-from .io.npz import save_body as save_body
-from .io.npz import save_motion as save_motion
-from .io.prior import Priors as Priors
-from .io.prior import load_prior as load_prior
-from .io.prior import load_priors as load_priors
-from .io.prior import save_prior as save_prior
-from .io.registry import read_markers as read_markers
-from .io.registry import read_skinned as read_skinned
-from .io.registry import write_markers as write_markers
-from .io.subject import load_subject as load_subject
-from .io.subject import save_subject as save_subject
-from .io.usd import write_usd as write_usd
-from .learn.loop import Learned as Learned
-from .learn.loop import LearnState as LearnState
-from .learn.loop import learn_body as learn_body
-from .limits.boxes import learn_boxes as learn_boxes
-from .limits.check import allowed_frames as allowed_frames
-from .limits.check import comfort_frames as comfort_frames
-from .limits.check import nearest_frames as nearest_frames
-from .limits.check import residual_frames as residual_frames
-from .limits.compare import compare_samples as compare_samples
-from .limits.learn import learn_limits as learn_limits
-from .limits.marker_frames import arm_samples as arm_samples
-from .limits.project import project_motion as project_motion
-from .limits.samples import gather_samples as gather_samples
-from .markers.calibrate import Calibration as Calibration
-from .markers.calibrate import calibrate as calibrate
-from .markers.fill import fill_gaps as fill_gaps
-from .markers.fill import joint_frames as joint_frames
-from .markers.gaps import join_pieces as join_pieces
-from .markers.local import LocalFit as LocalFit
-from .markers.local import fit_local as fit_local
-from .markers.partition import find_partition as find_partition
-from .markers.segment import Segments as Segments
-from .markers.segment import make_segments as make_segments
-from .markers.shared import Trust as Trust
-from .markers.solve import MarkerSolution as MarkerSolution
-from .markers.solve import solve_markers as solve_markers
-from .markers.stream import make_streamer as make_streamer
-from .markers.stream import stream_frame as stream_frame
-from .markers.subject import Subject as Subject
-from .markers.subject import make_subject as make_subject
-from .markers.subject import marker_places as marker_places
-from .markers.unite import unite_takes as unite_takes
-from .markers.vertex_markers import vertex_frames as vertex_frames
-from .observe import Cloud as Cloud
-from .observe import MarkerFrames as MarkerFrames
-from .observe import MeshSequence as MeshSequence
-from .observe import make_cloud as make_cloud
-from .observe import make_markers as make_markers
-from .observe import stack_clouds as stack_clouds
-from .rig.rig import rig_mesh as rig_mesh
-from .scanner.scan import scan_frame as scan_frame
-from .scanner.settings import Scanner as Scanner
+import functools
+import importlib
+import importlib.util
+from pathlib import Path
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562), so that `import jaxcap` alone loads nothing: the command line's
+    help has no need of JAX. `__init__.pyi` says where names come from, for type checkers too."""
+    if name == "__all__":
+        return list(_origins())
+    if name.startswith("__"):
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    module, attribute = _origins().get(name, (name, None))
+    if attribute is None and importlib.util.find_spec(f"{__name__}.{module}") is None:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    found = importlib.import_module(f"{__name__}.{module}")
+    globals()[name] = found = found if attribute is None else getattr(found, attribute)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_origins()})
+
+
+@functools.cache
+def _origins() -> dict[str, tuple[str, str | None]]:
+    """Each public name's module and its name there; None for a module itself."""
+    import ast
+
+    found: dict[str, tuple[str, str | None]] = {}
+    for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                name = alias.asname or alias.name
+                found[name] = (node.module, alias.name) if node.module else (alias.name, None)
+    return found

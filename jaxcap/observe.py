@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .errors import InputError
 from .geometry.normals import estimate_normals
 from .geometry.order import spatial_order
+from .geometry.stacking import stack
 
 
 class Cloud(eqx.Module):
@@ -179,9 +180,9 @@ def stack_clouds(clouds: list[Cloud]) -> Cloud:
         return jnp.pad(leaf, ((0, size - leaf.shape[0]),) + ((0, 0),) * (leaf.ndim - 1), mode="edge")
 
     return Cloud(
-        jnp.stack([padded(cloud.points) for cloud in clouds]),
-        jnp.stack([padded(cloud.normals) for cloud in clouds]),
-        jnp.stack([jnp.pad(cloud.weights, (0, size - cloud.weights.shape[0])) for cloud in clouds]),
+        stack([padded(cloud.points) for cloud in clouds]),
+        stack([padded(cloud.normals) for cloud in clouds]),
+        stack([jnp.pad(cloud.weights, (0, size - cloud.weights.shape[0])) for cloud in clouds]),
     )
 
 

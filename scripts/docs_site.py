@@ -86,10 +86,10 @@ def dotted(path: str) -> str:
 
 
 def public_names() -> dict[str, str]:
-    """The module that each public name comes from, without `jaxcap`, in the order of `jaxcap/__init__.py`; then those
+    """The module that each public name comes from, without `jaxcap`, in the order of `jaxcap/__init__.pyi`; then those
     of its namespaces, as `edit.cut`, that do not stand there by themselves."""
     found, namespaces = {}, []
-    for module, name in _imports(ROOT / "jaxcap" / "__init__.py"):
+    for module, name in _imports(ROOT / "jaxcap" / "__init__.pyi"):
         if module:
             found[name] = module
         else:

@@ -182,7 +182,33 @@ def test_a_stopped_run_goes_on_to_the_same_result(inputs, tmp_path, capsys, slow
     assert not partial.exists()
     a, b = load_body(whole), load_body(cut)
     np.testing.assert_array_equal(a.vertices, b.vertices)
-    assert "no unfinished run" in fails(capsys, *arguments, tmp_path / "new.npz", "--resume")
+    assert "--overwrite" in fails(capsys, *arguments, cut, "--resume")
+
+
+def test_a_run_stopped_before_its_first_round_is_resumed(inputs, tmp_path, capsys, slow_learner):
+    """Nothing is kept by then, and whoever resumes cannot know that."""
+    arguments = ["learn", inputs / "meshes.npz", "--rounds", "3", "-o"]
+    runs(capsys, *arguments, tmp_path / "new.npz", "--resume")
+    assert slow_learner["resume"] is None
+    runs(capsys, *arguments, tmp_path / "whole.npz")
+    a, b = load_body(tmp_path / "whole.npz"), load_body(tmp_path / "new.npz")
+    np.testing.assert_array_equal(a.vertices, b.vertices)
+
+
+def test_a_run_killed_while_it_writes_is_resumed(inputs, tmp_path, capsys, slow_learner, monkeypatch):
+    """The body is there by then, and its motion is not."""
+    arguments = ["learn", inputs / "meshes.npz", "--rounds", "3", "-o", tmp_path / "new.npz"]
+
+    def killed(*_):
+        raise SystemExit(137)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(verb, "save_motion", killed)
+        with pytest.raises(SystemExit):
+            runs(capsys, *arguments)
+    assert (tmp_path / "new.npz").is_file() and not (tmp_path / "new-motion.npz").exists()
+    runs(capsys, *arguments, "--resume")
+    assert (tmp_path / "new-motion.npz").is_file() and not (tmp_path / "new.npz.partial").exists()
 
 
 @pytest.mark.parametrize(

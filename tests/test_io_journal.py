@@ -1,12 +1,15 @@
 """The journal of a run: exact, and safe against whatever the end of a program leaves; tables."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from jaxcap.errors import InputError
-from jaxcap.io.journal import begin_journal, read_header, resume_journal
+from jaxcap.io import journal as journal_module
+from jaxcap.io.journal import begin_journal, read_header, read_records, resume_journal
 from jaxcap.io.table import write_csv, write_json
 
 HEADER = {"sigma0": 0.1, "up": "y", "vertices": None}
@@ -33,10 +36,13 @@ def same(a, b) -> bool:
 def test_records_come_back_to_the_last_bit(tmp_path, records):
     write(tmp_path / "journal", records)
     with resume_journal(tmp_path / "journal", HEADER) as journal:
-        assert same(journal.records, records)
+        assert same(journal.read(), records)
+        assert same(journal.last, records[-1])
         journal.append(records[0])
+        assert same(journal.read(slice(2, 4)), np.concatenate([records, records[:1]])[:, 2:4])
     with resume_journal(tmp_path / "journal", HEADER) as journal:
-        assert same(journal.records, np.concatenate([records, records[:1]]))
+        assert journal.count == len(records) + 1
+        assert same(journal.last, records[0])
     assert read_header(tmp_path / "journal") == {**HEADER, "width": 7}
 
 
@@ -50,7 +56,7 @@ def test_any_end_leaves_the_whole_records(tmp_path, records):
         path.write_bytes(data[:end])
         whole = (end - start) // size
         with resume_journal(path, HEADER) as journal:
-            assert same(journal.records, records[:whole])
+            assert same(journal.read(), records[:whole])
             for record in records[whole:]:
                 journal.append(record)
         assert path.read_bytes() == data
@@ -62,7 +68,45 @@ def test_damaged_record_ends_what_counts(tmp_path, records):
     data[-3 * 60 + 20] ^= 1
     path.write_bytes(data)
     with resume_journal(path, HEADER) as journal:
-        assert same(journal.records, records[:2])
+        assert same(journal.read(), records[:2])
+
+
+def test_records_are_read_in_blocks(tmp_path, monkeypatch, records):
+    """Blocks of two records of 60 bytes, whatever their number, and from any record on."""
+    monkeypatch.setattr(journal_module, "BLOCK", 130)
+    path = tmp_path / "journal"
+    data = write(path, records)
+    for after in range(6):
+        assert same(read_records(path, after), records[after:])
+    for end in range(len(data) - 5 * 60, len(data)):
+        path.write_bytes(data[:end])
+        assert len(read_records(path)) == 5 - (len(data) - end + 59) // 60
+    data = bytearray(data)
+    data[-2 * 60 + 20] ^= 1
+    path.write_bytes(data)
+    assert same(read_records(path, 1), records[1:3])
+
+
+def test_a_full_disk_names_the_journal(tmp_path, records):
+    """A limit on the size of files stops the second record in its middle; resuming writes it anew."""
+    path = tmp_path / "journal"
+    size = len(write(path, records[:0]))
+    script = (
+        "import resource, sys, numpy as np\n"
+        "from jaxcap.io.journal import resume_journal\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 90}, resource.RLIM_INFINITY))\n"
+        f"with resume_journal({str(path)!r}, {HEADER!r}) as journal:\n"
+        "    journal.append(np.arange(7.0))\n"
+        "    journal.append(np.arange(7.0))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    last = done.stderr.strip().splitlines()[-1]
+    assert f"{path}: record 1 cannot be written (File too large); free some space there" in last
+    assert path.stat().st_size == size + 90
+    with resume_journal(path, HEADER) as journal:
+        assert same(journal.read(), np.arange(7.0)[None])
+        journal.append(records[0])
+    assert same(read_records(path), np.stack([np.arange(7.0), records[0]]))
 
 
 def test_what_is_no_journal(tmp_path, records):

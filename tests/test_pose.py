@@ -124,3 +124,20 @@ def test_motions_stack_and_slice(rng):
     same_pose(half[1], frames[3])
     places = jax.jit(jax.vmap(lambda pose: places_of(SKELETON, pose)))(motion.poses)
     np.testing.assert_allclose(places[2], places_of(SKELETON, frames[2]), atol=1e-13)
+
+
+def test_thousands_of_poses_are_stacked_without_compiling(rng):
+    """As NumPy stacks them; where poses are traced, derivatives go through."""
+    several = [random_pose(SKELETON, rng, 0.3) for _ in range(3)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jnp, "stack", None)
+        motion = poses.stack_poses(several * 2000, 25.0)
+    assert (len(motion), motion.rate) == (6000, 25.0)
+    np.testing.assert_array_equal(motion.poses.rotations[:3], np.stack([pose.rotations for pose in several]))
+    same_pose(motion[5999], several[2])
+    slope = jax.grad(
+        lambda x: jnp.sum(poses.stack_poses([eqx.tree_at(lambda p: p.scale, several[0], x)] * 2).poses.scale)
+    )
+    assert slope(1.0) == 2.0
+    with pytest.raises(ValueError, match="no poses to stack"):
+        poses.stack_poses([])

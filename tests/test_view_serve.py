@@ -245,7 +245,8 @@ def test_a_window_ends_with_ctrl_c(tmp_path):
         finally:
             program.kill()
     assert program.returncode == 130
-    assert out == "" and error.strip() == "jaxcap: stopped"
+    # words while it starts depend on how busy the machine is
+    assert out == "" and error.strip().splitlines()[-1] == "jaxcap: stopped" and "Traceback" not in error
 
 
 def _environment() -> dict[str, str]:

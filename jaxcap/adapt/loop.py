@@ -1,6 +1,7 @@
 """A template becomes the actor of a sequence of scans, in two passes (Adaptation, 4.1.4 and 4.2.1)."""
 
 import functools
+import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 
 import equinox as eqx
@@ -27,6 +28,8 @@ from .task import plan as plan
 from .terms import balanced, motion_energy
 from .window import FRAMES, smooth_windows
 
+_LOG = logging.getLogger(__name__)
+
 #: frames that the actor's size is read from
 SIZED = 3
 #: share of the weights that balance the pose prior and second differences with the data (eqs. 4.15 and 4.16): as much
@@ -52,9 +55,11 @@ def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> I
     Memory is that of the clouds of the chosen frames, or of one window.
     """
     scans: dict[int, Scan] = {}
-    for number, stage in enumerate(plan(task.settings)):
+    stages = plan(task.settings)
+    for number, stage in enumerate(stages):
         if state is not None and number < state.done:
             continue
+        _LOG.info("adapting, stage %d of %d: %s", number + 1, len(stages), stage)
         if stage.name == "size":
             state = _size(task)
         else:

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..geometry import rotation
+from ..geometry.stacking import concatenate, stack
 from .skeleton import Skeleton, dof_layout
 
 
@@ -59,16 +61,11 @@ def rest_pose(skeleton: Skeleton) -> Pose:
     )
 
 
-def stack_poses(poses: list[Pose], rate: float = 30.0) -> Motion:
-    """A `Motion` of single poses."""
-    return Motion(
-        Pose(
-            jnp.stack([pose.translations for pose in poses]),
-            jnp.stack([pose.rotations for pose in poses]),
-            jnp.stack([pose.scale for pose in poses]),
-        ),
-        rate,
-    )
+def stack_poses(poses: Sequence[Pose], rate: float = 30.0) -> Motion:
+    """Stack single poses to a `Motion`, differentiably. Raises `ValueError` where there are none."""
+    if not poses:
+        raise ValueError("There are no poses to stack; give at least one.")
+    return Motion(jax.tree.map(lambda *leaves: stack(leaves), *poses), rate)
 
 
 def take_poses(poses: Pose, frames: Int[np.ndarray | Array, "K"] | slice) -> Pose:
@@ -79,9 +76,9 @@ def take_poses(poses: Pose, frames: Int[np.ndarray | Array, "K"] | slice) -> Pos
 def concatenate_poses(parts: Sequence[Pose]) -> Pose:
     """Stacks of poses, one behind the other."""
     return Pose(
-        jnp.concatenate([part.translations for part in parts]),
-        jnp.concatenate([part.rotations for part in parts]),
-        jnp.concatenate([part.scale for part in parts]),
+        concatenate([part.translations for part in parts]),
+        concatenate([part.rotations for part in parts]),
+        concatenate([part.scale for part in parts]),
     )
 
 

@@ -34,8 +34,8 @@ PriorForm = Literal["nearest", "mean"]
 #: what is paired with points of a scan, by the word for it
 PAIRS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
 Paired = Literal["vertices", "surface", "soft"]
-#: frames within a long stage after which its poses are kept
-KEPT = 25
+#: frames within a long stage after which its poses are kept, at least, and at most so many times: all poses are written
+KEPT, TIMES = 25, 40
 OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")]
 
 
@@ -166,7 +166,7 @@ class Adapt:
         stages = plan(task.settings)
         with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
-                for reached in adapt_body(task, state, every=KEPT):
+                for reached in adapt_body(task, state, every=max(KEPT, task.frames // TIMES)):
                     if reached.done == 1 and not (reached.within or self.unchecked):
                         _check_first(task, reached, first)
                     keep_state(self.kept, reached, header)

@@ -117,12 +117,11 @@ def state_to_go_on_from(
 ) -> AdaptState | None:
     """The state that `keep_state` left; None to begin anew.
 
-    **Raises:** `InputError` where there is none to resume, it was begun with another `header`, or one is in the way.
+    **Raises:** `InputError` where it was begun with another `header`, or one is in the way.
     """
     if resume:
-        if not path.is_file():
-            raise InputError(f"{path}: there is no unfinished run to go on from; leave --resume out.")
-        return state_of(load_checkpoint(path, header, NEEDS))
+        # without one the run was stopped before its first stage was kept
+        return state_of(load_checkpoint(path, header, NEEDS)) if path.is_file() else None
     if path.exists() and not overwrite:
         raise InputError(
             f"{path}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."

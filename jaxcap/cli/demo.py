@@ -10,6 +10,7 @@ import numpy as np
 from ..body.body import pose_body
 from ..body.human import human
 from ..body.kinematics import forward_kinematics, joint_positions
+from ..body.pose import Motion
 from ..demo.performance import walk_and_wave
 from ..demo.picture import View, draw
 from ..demo.scanner import Scanner, scan
@@ -20,6 +21,7 @@ from ..io.atomic import replacing
 from ..io.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe import make_cloud
+from .frame_rows import pack, results_of
 from .options import OptionalCount, arg
 from .results import FILES, check_folder, make_writable, write_results
 from .say import progress, say, table, warn
@@ -74,16 +76,15 @@ class Demo:
         say(
             f"tracking {self.points} points a frame on {len(body.vertices)} vertices; the first frame compiles"
         )
-        frames, seconds = [], []
-        for frame, took in progress(timed(track_frames(make_tracker(body), clouds)), len(clouds)):
-            frames.append(frame)
-            seconds.append(took)
-        write_results(
-            self.out, body.skeleton, frames, seconds, truth.rate, [f"scan {i}" for i in range(len(frames))]
-        )
-        places = np.array([np.asarray(_joints(body.skeleton, frame.pose)) for frame in frames])
+        tracker = make_tracker(body)
+        steps = progress(timed(track_frames(tracker, clouds)), len(clouds))
+        results = results_of(tracker, np.stack([pack(frame, took) for frame, took in steps]))
+        names, seconds = [f"scan {number}" for number in range(len(clouds))], results.seconds
+        write_results(self.out, body.skeleton, results, truth.rate, names)
+        motion = Motion(results.poses, truth.rate)
+        places = np.array([np.asarray(_joints(body.skeleton, motion[frame])) for frame in range(len(motion))])
         errors = joint_errors(places, np.array(joints))
-        self.picture(body, frames, clouds, errors)
+        self.picture(body, motion, clouds, errors)
         summary = distance_summary(errors.reshape(-1))
         table(
             ["joint centres, mm", "mean", "median", "99 %", "worst"],
@@ -99,11 +100,11 @@ class Demo:
         )
         steady = seconds[len(seconds) // 2 :]
         say(
-            f"{len(frames)} frames: {seconds[0]:.1f} s for the first, then {1 / np.median(steady):.0f} frames a second"
+            f"{len(motion)} frames: {seconds[0]:.1f} s for the first, then {1 / np.median(steady):.0f} frames a second"
         )
-        lost = [number for number, frame in enumerate(frames) if frame.lost]
-        if lost:
-            warn(f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
+        lost = np.flatnonzero(results.lost)
+        if lost.size:
+            warn(f"{len(lost)} of {len(motion)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
         say(f"{', '.join(FILES)} and demo.png are in {self.out}")
 
     def check_folder(self) -> None:
@@ -113,12 +114,12 @@ class Demo:
             raise InputError(f"{self.out}: this folder holds the results of a run; give another one by -o.")
         check_folder(self.out, "journal", False, earlier)
 
-    def picture(self, body, frames, clouds, errors) -> None:
+    def picture(self, body, motion, clouds, errors) -> None:
         views = []
-        for number in np.linspace(0.25, 0.95, 3) * (len(frames) - 1):
+        for number in np.linspace(0.25, 0.95, 3) * (len(motion) - 1):
             number = round(number)
             points = np.asarray(clouds[number].points)[np.asarray(clouds[number].weights) > 0][:SHOWN]
-            vertices = np.asarray(_pose_body(body, frames[number].pose).vertices)
+            vertices = np.asarray(_pose_body(body, motion[number]).vertices)
             views.append(
                 View(
                     f"frame {number}: joints within {1000 * errors[number].mean():.1f} mm on average",

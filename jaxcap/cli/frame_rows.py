@@ -1,10 +1,12 @@
 """A tracked frame as a row of numbers, which a run that was stopped goes on from."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..body.pose import Pose, rest_pose
 from ..body.skeleton import Skeleton
@@ -41,6 +43,39 @@ def unpack(
         numbers.append(jnp.asarray(values, leaf.dtype) if eqx.is_array(leaf) else type(leaf)(values))
         at += size
     return jax.tree.unflatten(tree, numbers), float(row[0])
+
+
+class Results(NamedTuple):
+    """The results of N frames: what rows start with, without what the next frame needs."""
+
+    seconds: Float[np.ndarray, "N"]
+    #: stacked over the frames
+    poses: Pose
+    #: as arrays (N,)
+    statistics: FrameStatistics
+    lost: Bool[np.ndarray, "N"]
+
+
+def results_of(tracker: Tracker, rows: Float[np.ndarray, "N R"]) -> Results:
+    """The results of rows that `pack` made, or of their first `results_width` columns."""
+    leaves, tree = jax.tree.flatten(_results_in(_template(tracker, None)))
+    arrays, at = [], POSE_AT
+    for leaf in leaves:
+        size = np.size(leaf)
+        columns = rows[:, at : at + size].reshape(-1, *np.shape(leaf))
+        arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
+        at += size
+    poses, statistics, lost = jax.tree.unflatten(tree, arrays)
+    return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), np.asarray(lost))
+
+
+def results_width(tracker: Tracker) -> int:
+    """How many numbers of a row are results."""
+    return POSE_AT + sum(np.size(leaf) for leaf in jax.tree.leaves(_results_in(_template(tracker, None))))
+
+
+def _results_in(frame: TrackedFrame) -> tuple[Pose, FrameStatistics, bool]:
+    return frame.pose, frame.statistics, frame.lost
 
 
 def record_width(tracker: Tracker) -> int:

@@ -22,6 +22,7 @@ from ..observe import MeshSequence
 from ..report.learned import report_learning
 from ..report.scores import Scores
 from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
+from .heartbeat import doing
 from .options import Flag, OptionalCount, OptionalFile, Unit, arg
 from .outputs import check_npz, make_folder
 from .rounds import Rounds
@@ -80,13 +81,16 @@ class Learn:
         self.check()
         motion_path = self.motion or self.out.with_name(f"{self.out.stem}-motion.npz")
         kept = self.out.with_name(f"{self.out.name}.partial")
-        check_npz(self.out, self.overwrite, "a body")
-        check_npz(motion_path, self.overwrite)
+        # a run that was killed while it wrote its results goes on with its last round
+        replace = self.overwrite or (self.resume and kept.is_file())
+        check_npz(self.out, replace, "a body")
+        check_npz(motion_path, replace)
         with run_lock(self.out, motion_path):
             self.learn_all(motion_path, kept)
 
     def learn_all(self, motion_path: Path, kept: Path) -> None:
         """Read, learn, write and score, with no other run that writes the same files."""
+        doing("reading the meshes")
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         train, held = split(len(sequence), self.hold_out)
         if self.hold_out is not None and not held.size:
@@ -101,6 +105,7 @@ class Learn:
         if self.report is not None:
             make_folder(self.report)
         learned = self.learn(sequence[train], skeleton, kept, header, resumed)
+        doing("writing the body and checking it")
         save_body(self.out, learned.body)
         save_motion(motion_path, learned.motion, learned.body.skeleton)
         kept.unlink(missing_ok=True)
@@ -155,11 +160,12 @@ class Learn:
         return {**{name: getattr(self, name) for name in names}, "skin": skin, "skeleton": skeleton}
 
     def start(self, kept: Path, header: dict[str, object]) -> LearnState | None:
-        """The state to go on from. Raises `InputError` where there is none to resume, or one in the way."""
+        """The state to go on from; None to begin. Raises `InputError` where another run's is in the way."""
         if self.resume:
-            if not kept.is_file():
-                raise InputError(f"{kept}: there is no unfinished run to go on from; leave --resume out.")
-            return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round", "curve")))
+            if kept.is_file():
+                return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round", "curve")))
+            # stopped before its first round was done, as far as anyone can know
+            return None
         if kept.exists() and not self.overwrite:
             raise InputError(
                 f"{kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
@@ -221,6 +227,7 @@ class Learn:
         """Scores on training and on held-out meshes, said and reported."""
         groups = {"training": (learned.motion, np.ones(len(train), bool), train)}
         if held.size:
+            doing("fitting the meshes held out")
             fit = fit_meshes(learned.body, sequence[held])
             groups["held out"] = (fit.motion, np.asarray(fit.converged), held)
         scores: dict[str, Scores] = {
@@ -239,6 +246,7 @@ class Learn:
             shown = {
                 label: (motion, sequence[rows], scores[label]) for label, (motion, _, rows) in groups.items()
             }
+            doing("drawing the report")
             report_learning(self.report, learned.body, shown, learned.history, learned.curve, self.settings())
             say(f"report.json and pictures are in {self.report}")
 

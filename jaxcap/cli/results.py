@@ -8,15 +8,15 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ..body.pose import stack_poses
+from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
-from ..fit.recover import TrackedFrame
 from ..fit.track import Tracker
 from ..io.bvh import write_bvh
 from ..io.clouds import Scans
 from ..io.npz import save_motion
 from ..io.table import write_csv, write_json
+from .frame_rows import Results
 
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
@@ -71,33 +71,28 @@ def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
 
 
 def write_results(
-    folder: Path,
-    skeleton: Skeleton,
-    frames: list[TrackedFrame],
-    seconds: list[float],
-    rate: float,
-    names: Sequence[str],
+    folder: Path, skeleton: Skeleton, results: Results, rate: float, names: Sequence[str]
 ) -> None:
-    """Motion and statistics of the frames of a run; `names` are those of the clouds."""
-    motion = stack_poses([frame.pose for frame in frames], rate)
+    """Write motion and statistics of the frames of a run; `names` are those of the clouds."""
+    motion = Motion(results.poses, rate)
     write_bvh(folder / "motion.bvh", skeleton, motion)
     save_motion(folder / "motion.npz", motion, skeleton)
+    statistics = results.statistics
+    columns = {
+        # of a mean point, per metre^3: what expectation maximisation makes small
+        "energy": -statistics.log_likelihood,
+        "sigma": statistics.sigma,
+        "outlier_share": statistics.outlier_share,
+        "mean_distance": statistics.mean_distance,
+        "state": np.where(results.lost, "lost", "converged"),
+        "seconds": results.seconds,
+    }
     rows = [
-        {"frame": number, "cloud": Path(name).name, **_numbers(frame), "seconds": took}
+        {"frame": number, "cloud": Path(name).name, **dict(zip(columns, values, strict=True))}
         # the names go on where a run was stopped
-        for number, (name, frame, took) in enumerate(zip(names, frames, seconds, strict=False))
+        for number, (name, *values) in enumerate(
+            zip(names, *(column.tolist() for column in columns.values()), strict=False)
+        )
     ]
     write_csv(folder / "statistics.csv", rows)
     write_json(folder / "statistics.json", {"rate": rate, "frames": rows})
-
-
-def _numbers(frame: TrackedFrame) -> dict[str, object]:
-    statistics = frame.statistics
-    return {
-        # of a mean point, per metre^3: what expectation maximisation makes small
-        "energy": -float(statistics.log_likelihood),
-        "sigma": float(statistics.sigma),
-        "outlier_share": float(statistics.outlier_share),
-        "mean_distance": float(statistics.mean_distance),
-        "state": "lost" if frame.lost else "converged",
-    }

@@ -1,10 +1,13 @@
 """The bar of a run that goes round by round."""
 
+import contextlib
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
 
-from .say import warn
+from .heartbeat import doing
+from .say import bar, warn
 
 
 class Rounds:
@@ -14,38 +17,28 @@ class Rounds:
 
     def __init__(self, total: int, done: int = 0, label: str = "learning"):
         self.total, self.done, self.label, self.start = total, done, label, time.monotonic()
-        self._bar = self._task = None
+        self._move: Callable[..., None] | None = None
+        self._open = contextlib.ExitStack()
 
     def __enter__(self) -> "Rounds":
         if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-            columns = (
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("{task.fields[note]}"),
-                TimeElapsedColumn(),
-            )
-            self._bar = Progress(*columns, console=Console(stderr=True))
-            self._bar.start()
-            self._task = self._bar.add_task(self.label, total=self.total, completed=self.done, note="")
+            self._move = self._open.enter_context(bar(self.label, self.total, self.done))
+        doing(self.label)
         return self
 
     def tell(self, done: int, note: str) -> None:
         """That so many rounds are done."""
         self.done = done
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done, note=note)
+        if self._move is not None:
+            self._move(done, note)
         else:
             seconds = time.monotonic() - self.start
             warn(f"{self.label}: round {done} of at most {self.total}, {note}, {seconds:.0f} s")
+        doing(f"{self.label}, round {done + 1}")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._bar is not None and self._task is not None:
-            if kind is None:
-                self._bar.update(self._task, total=self.done)
-            self._bar.stop()
+        if self._move is not None and kind is None:
+            self._move(total=self.done)
+        self._open.close()

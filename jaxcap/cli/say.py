@@ -1,8 +1,11 @@
 """What the command line says, and the bar of a long run."""
 
+import contextlib
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+
+from .heartbeat import doing, shown_by, write_line
 
 #: seconds between two lines where there is no terminal to draw a bar on
 QUIET = 5.0
@@ -10,14 +13,12 @@ QUIET = 5.0
 
 def say(text: str) -> None:
     """A line of the result."""
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
+    write_line(sys.stdout, text)
 
 
 def warn(text: str) -> None:
     """A line beside the result."""
-    sys.stderr.write(f"jaxcap: {text}\n")
-    sys.stderr.flush()
+    write_line(sys.stderr, f"jaxcap: {text}")
 
 
 def table(head: list[str], rows: list[list[str]]) -> None:
@@ -39,32 +40,50 @@ def progress(
     yield from (_bar if sys.stderr.isatty() else _lines)(frames, total, done, label, what)
 
 
-def _bar(frames: Iterable, total: int, done: int, label: str, what: str) -> Iterator:
+@contextlib.contextmanager
+def bar(label: str, total: int, done: int) -> Iterator[Callable[..., None]]:
+    """A bar on the terminal, and what moves it: `move(done, note, total)`, each as it was where not given."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn("{task.description}"),
+        "{task.description}",
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
+        "{task.fields[note]}",
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(label, total=total, completed=done, rate="compiling")
+    with Progress(*columns, TextColumn("{task.fields[word]}"), console=Console(stderr=True)) as shown:
+        task = shown.add_task(label, total=total, completed=done, note="", word="")
+
+        def move(done: int | None = None, note: str | None = None, total: int | None = None) -> None:
+            shown.update(task, completed=done, total=total, word="")
+            if note is not None:
+                shown.update(task, note=note)
+
+        with shown_by(lambda word: shown.update(task, word=word)):
+            yield move
+
+
+def _bar(frames: Iterable, total: int, done: int, label: str, what: str) -> Iterator:
+    with bar(label, total, done) as move:
         clock = _Clock(what)
-        for frame in frames:
-            bar.update(task, advance=1, rate=clock.tick())
+        doing(label)
+        for number, frame in enumerate(frames, done + 1):
+            move(number, clock.tick())
+            doing(label)
             yield frame
 
 
 def _lines(frames: Iterable, total: int, done: int, label: str, what: str) -> Iterator:
     clock, told = _Clock(what), time.monotonic()
+    doing(label)
     for number, frame in enumerate(frames, done + 1):
         rate, now = clock.tick(), time.monotonic()
         if now - told > QUIET:
             warn(f"{label}: {number} of {total} {what}, {rate}, {clock.left(total - number)} left")
             told = now
+        doing(f"{label}, {number} of {total} {what} done")
         yield frame
 
 

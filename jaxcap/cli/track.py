@@ -19,7 +19,8 @@ from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
 from ..io.limits import read_limits
 from ..io.lock import run_lock
-from .frame_rows import pack, record_width, unpack, whose_poses
+from .frame_rows import pack, record_width, results_of, results_width, unpack, whose_poses
+from .heartbeat import doing
 from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
 from .results import check_folder, fingerprint, make_writable, write_results
 from .say import progress, say, warn
@@ -27,6 +28,8 @@ from .sources import Clouds, load_body, load_cloud
 from .timed import timed
 
 JOURNAL = "journal"
+#: lost frames that are named
+TOLD = 20
 
 
 @dataclass
@@ -106,18 +109,24 @@ class Track:
             resume_journal(path, header) if going_on else begin_journal(path, header, record_width(tracker))
         )
         with journal:
-            frames, seconds = self.follow(tracker, scans, journal)
-        write_results(self.out, body.skeleton, frames, seconds, self.rate, scans.names)
-        lost = [number for number, frame in enumerate(frames) if frame.lost]
+            self.follow(tracker, scans, journal)
+        doing("writing the results")
+        rows = journal.read(slice(results_width(tracker)))[: len(scans)]
+        results = results_of(tracker, rows)
+        write_results(self.out, body.skeleton, results, self.rate, scans.names)
         say(
-            f"{len(frames)} frames in {sum(seconds):.1f} s: motion.bvh, motion.npz, statistics.csv and "
+            f"{len(rows)} frames in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
-        if lost:
-            warn(f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
-        if len(frames) < len(scans):
+        lost = np.flatnonzero(results.lost)
+        if lost.size:
+            more = f" and {len(lost) - TOLD} more" if len(lost) > TOLD else ""
+            warn(
+                f"{len(lost)} of {len(rows)} frames are lost: {', '.join(map(str, lost[:TOLD]))}{more}; counted from 0"
+            )
+        if len(rows) < len(scans):
             raise KeyboardInterrupt(
-                f"stopped after {len(frames)} of {len(scans)} frames, which are written; --resume goes on"
+                f"stopped after {len(rows)} of {len(scans)} frames, which are written; --resume goes on"
             )
 
     def check(self) -> None:
@@ -157,38 +166,30 @@ class Track:
         terms = tuple(self.limit_weight * JointLimits(part) for part in limits)
         return make_tracker(body, mixture, terms, iterations=self.iterations)
 
-    def follow(
-        self, tracker: Tracker, scans: Scans, journal: Journal
-    ) -> tuple[list[TrackedFrame], list[float]]:
-        """All frames, the ones of the journal first; fewer after Ctrl-C."""
-        rows = [unpack(tracker, row) for row in journal.records[: len(scans)]]
-        frames, seconds = [row[0] for row in rows], [row[1] for row in rows]
-        begin = len(frames)
+    def follow(self, tracker: Tracker, scans: Scans, journal: Journal) -> None:
+        """Track all frames that the journal does not have, into it; fewer after Ctrl-C."""
+        steps = self.steps(tracker, scans, journal)
         try:
-            for frame, took in progress(self.steps(tracker, scans, frames), len(scans), begin):
+            for frame, took in progress(steps, len(scans), min(journal.count, len(scans))):
                 journal.append(pack(frame, took))
-                frames.append(frame)
-                seconds.append(took)
         except KeyboardInterrupt:
-            if not frames:
+            if not journal.count:
                 journal.path.unlink()
                 raise
         except InputError as error:
-            kept = f" The {len(frames)} frames before it are kept; mend it and give --resume to go on."
+            kept = f" The {journal.count} frames before it are kept; mend it and give --resume to go on."
             raise InputError(f"{error}{kept}") from None
-        return frames, seconds
 
-    def steps(
-        self, tracker: Tracker, scans: Scans, before: list[TrackedFrame]
-    ) -> Iterator[tuple[TrackedFrame, float]]:
-        """The frames behind `before`, each with the seconds it took."""
+    def steps(self, tracker: Tracker, scans: Scans, journal: Journal) -> Iterator[tuple[TrackedFrame, float]]:
+        """The frames behind those of the journal, each with the seconds it took."""
+        begin = journal.count
         return timed(
             track_frames(
                 tracker,
-                iter(Clouds(scans, tracker.body, self.up)[len(before) :]),
-                before[-1] if before else None,
+                iter(Clouds(scans, tracker.body, self.up)[begin:]),
+                None if journal.last is None else unpack(tracker, journal.last)[0],
                 search=self.initialise,
                 sigma=self.sigma0,
-                first=len(before),
+                first=begin,
             )
         )

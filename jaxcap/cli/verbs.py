@@ -2,11 +2,16 @@
 
 import contextlib
 import difflib
+import importlib
 import io
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from ..errors import InputError
+from .heartbeat import doing
+from .stopping import leaving_at_once
 
 #: what tyro draws its boxes with, where a terminal has more than ASCII and where it has not
 _RULE = re.compile("─+|-{3,}")
@@ -14,33 +19,81 @@ _RULE = re.compile("─+|-{3,}")
 _SET_IN, _EXPLAINED = 4, 8
 
 
-def run_verb(verbs: Mapping[str, type], prog: str, description: str, arguments: Sequence[str]) -> None:
-    """Make the verb that the arguments name of the rest of them, and run it; without any, tell the help.
+class Verb(NamedTuple):
+    """A verb that is not imported yet."""
+
+    #: its class in this package: `edit.cut.Cut`
+    place: str
+    #: one line of the help
+    summary: str
+
+
+class Group(NamedTuple):
+    """Verbs and groups of verbs by name."""
+
+    summary: str
+    description: str
+    verbs: "Mapping[str, Verb | Group]"
+
+
+def run_verb(group: Group, prog: str, arguments: Sequence[str], keep: bool = True) -> None:
+    """Run the verb that the arguments name with the rest of them; without any, print the help. Only this verb is imported;
+    `keep` says whether what it compiles is kept for later runs.
 
     **Raises:** `InputError` where there is no such verb or option, one is missing, or has a value that it cannot have.
     """
-    import tyro
+    word, *rest = arguments or ["--help"]
+    if word in ("-h", "--help"):
+        sys.stdout.write(help_of(group, prog))
+        raise SystemExit(0)
+    found = group.verbs.get(word)
+    if found is None:
+        what = f"no option '{word}' of '{prog}'" if word.startswith("-") else f"no '{prog} {word}'"
+        raise InputError(f"there is {what}{_meant(word, group.verbs)}; verbs are {', '.join(group.verbs)}.")
+    if isinstance(found, Group):
+        run_verb(found, f"{prog} {word}", rest, keep)
+    else:
+        command = _command(found, f"{prog} {word}", rest, keep)
+        doing(word)
+        command.run()
 
-    words = list(arguments) or ["--help"]
-    if not words[0].startswith("-") and words[0] not in verbs:
-        raise InputError(
-            f"there is no '{prog} {words[0]}'{_meant(words[0], verbs)}; verbs are {', '.join(verbs)}."
-        )
+
+def help_of(group: Group, prog: str) -> str:
+    """The help of a group of verbs."""
+    wide = max(map(len, group.verbs))
+    lines = [f"  {name:{wide}}  {verb.summary}" for name, verb in group.verbs.items()]
+    return "\n".join(
+        [
+            f"usage: {prog} VERB ...",
+            "",
+            group.description,
+            "",
+            *lines,
+            "",
+            f"'{prog} VERB --help' explains a verb, 'jaxcap --version' prints the version.",
+            "",
+        ]
+    )
+
+
+def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
+    """A verb with the options that the words give. Raises `InputError` where they are wrong."""
+    module, _, name = verb.place.rpartition(".")
+    with leaving_at_once():
+        from .compiled import prepare_jax
+
+        prepare_jax(keep)
+        import tyro
+
+        made = getattr(importlib.import_module(f"{__package__}.{module}"), name)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            command = tyro.extras.subcommand_cli_from_dict(
-                dict(verbs),
-                prog=prog,
-                description=description,
-                args=words,
-                config=(tyro.conf.FlagCreatePairsOff,),
-            )
+            return tyro.cli(made, prog=prog, args=words, config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit as stop:
         if not stop.code:
             raise
         raise InputError(unboxed(said.getvalue())) from None
-    command.run()
 
 
 def unboxed(box: str) -> str:
@@ -64,6 +117,6 @@ def unboxed(box: str) -> str:
     return "; ".join(text[0].lower() + text[1:] for text in texts if text) + "."
 
 
-def _meant(word: str, verbs: Mapping[str, type]) -> str:
+def _meant(word: str, verbs: Iterable[str]) -> str:
     close = difflib.get_close_matches(word, verbs, 1)
     return f" (did you mean '{close[0]}'?)" if close else ""

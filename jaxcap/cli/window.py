@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ..view.serve import address, close_server, open_server
+from .heartbeat import resting
 from .options import arg
 from .say import say
 
@@ -33,6 +34,7 @@ def keep_window(
         say(f"{shown}: {address(server)} (Ctrl-C ends)")
         if browser:
             webbrowser.open(address(server))
-        threading.Event().wait()
+        with resting():
+            threading.Event().wait()
     finally:
         close_server(server)

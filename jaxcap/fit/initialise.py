@@ -1,5 +1,7 @@
 """Find a pose from nothing: many starts side by side, the best go on."""
 
+import logging
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +20,8 @@ from ..observe import Cloud, thin_cloud
 from .em import Estimate, box_volume, em_step, uniform_priors
 from .parts import make_parts
 from .track import Tracker
+
+_LOG = logging.getLogger(__name__)
 
 #: sigma falls from the size of a trunk to that of a wrist, metres
 COARSE = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
@@ -169,12 +173,14 @@ def initialise(
     coarse = coarse_tracker(tracker) if coarse is None else coarse
     few = thin_cloud(cloud, COARSE_POINTS)
     skeleton = tracker.body.skeleton
+    _LOG.info("searching for the pose in all directions")
     rest = rest_pose(skeleton)
     vertical = jnp.asarray(up, rest.rotations.dtype)
     wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE, FINE))
     starts = turned_starts(coarse, few, rest, turns, vertical)
     starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
     poses, _ = anneal_all(coarse, few, starts, wide)
+    _LOG.info("searching near the best poses")
     limbs = tangent_deviations(skeleton, 0.02, 0.4)
     poses = perturbed_starts(skeleton, _first(poses, keep), neighbours, limbs, keys[1])
     poses, _ = anneal_all(coarse, few, poses, fine)
@@ -194,6 +200,7 @@ def refine(
     hand and the same hand turned over."""
     skeleton = tracker.body.skeleton
     near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
+    _LOG.info("searching near the best pose with the whole body")
     sigmas = jnp.asarray(FINE[2:], poses.rotations.dtype)
     poses, scores = anneal_all(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)
     return jax.tree.map(lambda leaf: leaf[0], poses), scores[0]

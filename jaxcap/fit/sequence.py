@@ -1,9 +1,11 @@
 """Track whole sequences, as a stream or at once."""
 
+import logging
 import warnings
 from collections.abc import Iterable, Iterator
 
 import jax
+import numpy as np
 
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
@@ -13,6 +15,8 @@ from .check import check_cloud
 from .initialise import coarse_tracker, initialise
 from .recover import TrackedFrame, doubtful, first_frame, judge, next_frame, recover
 from .track import Tracker, make_tracker
+
+_LOG = logging.getLogger(__name__)
 
 
 def track_frames(
@@ -51,6 +55,7 @@ def track_frames(
             state, statistics = next_frame(tracker, frame.state, cloud)
             frame = judge(frame.usual, state, statistics)
         if doubtful(frame):
+            _LOG.info("searching for a better pose of frame %d", number)
             coarse = coarse_tracker(tracker) if coarse is None else coarse
             frame = recover(tracker, coarse, frame, before, cloud, jax.random.key(number), up)
         yield frame
@@ -78,13 +83,17 @@ def track(
     """
     tracker = make_tracker(body) if tracker is None else tracker
     checked = (_checked(body, number, cloud) for number, cloud in enumerate(_each(clouds)))
-    frames = list(track_frames(tracker, checked, start, search=search, sigma=sigma, up=up))
-    lost = [number for number, frame in enumerate(frames) if frame.lost]
+    poses, lost = [], []
+    for number, frame in enumerate(track_frames(tracker, checked, start, search=search, sigma=sigma, up=up)):
+        # copies in NumPy: an array of JAX takes a kilobyte beside its numbers
+        poses.append(jax.tree.map(np.array, frame.pose))
+        if frame.lost:
+            lost.append(number)
     if lost:
         warnings.warn(
-            f"{len(lost)} of {len(frames)} frames are lost: {', '.join(map(str, lost[:20]))}.", stacklevel=2
+            f"{len(lost)} of {len(poses)} frames are lost: {', '.join(map(str, lost[:20]))}.", stacklevel=2
         )
-    return stack_poses([frame.pose for frame in frames], rate)
+    return stack_poses(poses, rate)
 
 
 def _each(clouds: Iterable[Cloud] | Cloud) -> Iterator[Cloud]:

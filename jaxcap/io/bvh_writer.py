@@ -6,6 +6,7 @@ order Z X Y, and go on from frame to frame without jumps of a turn.
 """
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ _ROTATIONS = "Zrotation Xrotation Yrotation"
 _POSITIONS = "Xposition Yposition Zposition"
 #: digits kept for the number of frames, which is not known before the end
 _WIDTH = 10
+#: frames that are written at once
+_AT_ONCE = 1000
 
 
 def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | float = "cm") -> None:
@@ -40,9 +43,13 @@ def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | 
             with BvhWriter(
                 beside, skeleton, motion.rate, unit, float(scales[0]) if len(scales) else 1.0
             ) as writer:
-                poses = [np.asarray(a) for a in (motion.poses.translations, motion.poses.rotations, scales)]
-                for translations, rotations, scale in zip(*poses, strict=True):
-                    writer.write_arrays(translations, rotations, float(scale), count=False)
+                translations, rotations = (
+                    np.asarray(motion.poses.translations),
+                    np.asarray(motion.poses.rotations),
+                )
+                for start in range(0, len(scales), _AT_ONCE):
+                    some = slice(start, start + _AT_ONCE)
+                    writer.write_arrays(translations[some], rotations[some], scales[some], count=False)
         except InputError as error:
             raise InputError(str(error).replace(str(beside), str(path))) from None
 
@@ -134,39 +141,32 @@ class BvhWriter:
         **Raises:** `InputError` where its scale is not the file's, or a joint moves away
         whose kind does not let it.
         """
-        self.write_arrays(np.asarray(pose.translations), np.asarray(pose.rotations), float(pose.scale))
+        arrays = (pose.translations, pose.rotations, pose.scale)
+        translations, rotations, scales = (np.asarray(array)[None] for array in arrays)
+        self.write_arrays(translations, rotations, scales)
 
     def write_arrays(
         self,
-        translations: Float[np.ndarray, "J 3"],
-        rotations: Float[np.ndarray, "J 4"],
-        scale: float = 1.0,
+        translations: Float[np.ndarray, "F J 3"],
+        rotations: Float[np.ndarray, "F J 4"],
+        scales: Float[np.ndarray, "F"],
         count: bool = True,
     ) -> None:
-        """`write` for the parts of a pose; without `count` the number of frames in the file
+        """`write` for the arrays of some frames; without `count` the number of frames in the file
         is left until the end."""
-        if abs(scale - self.scale) > 1e-6 * abs(self.scale):
-            raise InputError(
-                f"{self.path}: frame {self.frames} has the scale {scale:g} and the file {self.scale:g}; "
-                "BVH has one size for all frames."
-            )
-        still = np.abs(np.where(self._moves[:, None], 0.0, translations)).max(1)
-        if still.max() > 1e-6:
-            raise InputError(
-                f"{self.path}: frame {self.frames} moves joint '{self._skeleton.names[int(still.argmax())]}' away from "
-                f"its place, but it is a {self._skeleton.kinds[int(still.argmax())]} joint."
-            )
-        turned = Rotation.from_quat(np.asarray(rotations, float)[self._order], scalar_first=True)
-        angles = _euler(turned.as_matrix(), self._previous)
-        self._previous = angles
-        places = (self._places + translations[self._order]) * self._factor
-        numbers = [
-            number
-            for place, angle, moves in zip(places, np.degrees(angles), self._moves[self._order], strict=True)
-            for number in (*place, *angle)[0 if moves else 3 :]
-        ]
-        self._file.write((" ".join(f"{number:.6f}" for number in numbers) + "\n").encode())
-        self.frames += 1
+        self._check(translations, scales)
+        turned = np.asarray(rotations, float)[:, self._order]
+        matrices = Rotation.from_quat(turned.reshape(-1, 4), scalar_first=True).as_matrix()
+        angles = _euler(matrices.reshape(*turned.shape[:2], 3, 3), self._previous)
+        self._previous = angles[-1]
+        moves = self._moves[self._order]
+        places = (self._places + translations[:, self._order]) * self._factor
+        numbers = np.concatenate([places, np.degrees(angles)], 2)
+        # positions of the joints that move, and rotations of all
+        rows = numbers[:, np.stack([moves, np.ones_like(moves)], 1).repeat(3, 1)]
+        line = " ".join(["%.6f"] * self._width) + "\n"
+        self._file.write("".join(line % tuple(row) for row in rows.tolist()).encode())
+        self.frames += len(rows)
         if count:
             self._rewrite_count()
 
@@ -181,6 +181,25 @@ class BvhWriter:
 
     def __exit__(self, *_) -> None:
         self.close()
+
+    def _check(self, translations: np.ndarray, scales: np.ndarray) -> None:
+        """That frames have the file's scale and no joint moves away. Raises `InputError`."""
+        wrong = np.abs(scales - self.scale) > 1e-6 * abs(self.scale)
+        if wrong.any():
+            first = int(wrong.argmax())
+            raise InputError(
+                f"{self.path}: frame {self.frames + first} has the scale {scales[first]:g} and the file "
+                f"{self.scale:g}; BVH has one size for all frames."
+            )
+        still = np.abs(np.where(self._moves[:, None], 0.0, translations)).max(2)
+        wrong = still.max(1) > 1e-6
+        if wrong.any():
+            first = int(wrong.argmax())
+            joint = int(still[first].argmax())
+            raise InputError(
+                f"{self.path}: frame {self.frames + first} moves joint '{self._skeleton.names[joint]}' away from "
+                f"its place, but it is a {self._skeleton.kinds[joint]} joint."
+            )
 
     def _prepare(self, path, skeleton: Skeleton, rate: float, unit: str | float, scale: float) -> None:
         self.path, self.scale, self.frames = Path(path), scale, 0
@@ -253,20 +272,32 @@ def _hierarchy(skeleton: Skeleton, factor: float, moves: np.ndarray) -> tuple[st
 
 
 def _euler(r: np.ndarray, previous: np.ndarray) -> np.ndarray:
-    """Angles `(J, 3)` with `R = Rz(a) Rx(b) Ry(c)`: of the two triples, and of all whole
-    turns, the ones nearest to the frame before.
+    """Angles `(F, J, 3)` with `R = Rz(a) Rx(b) Ry(c)`: of the two triples, and of all whole
+    turns, the ones nearest to the frame before, of which the first is `previous` `(J, 3)`.
 
     Where Z and Y turn about one axis (b at a right angle), Z stays and Y takes all.
     """
-    cosine = np.hypot(r[:, 0, 1], r[:, 1, 1])
+    cosine = np.hypot(r[..., 0, 1], r[..., 1, 1])
     locked = cosine < 1e-9
-    a = np.where(locked, previous[:, 0], np.arctan2(-r[:, 0, 1], r[:, 1, 1]))
-    b = np.arctan2(r[:, 2, 1], cosine)
+    a = np.arctan2(-r[..., 0, 1], r[..., 1, 1])
+    b = np.arctan2(r[..., 2, 1], cosine)
+    angles = np.empty((*r.shape[:2], 3))
+    for frame, here in enumerate(_triples(r, a, b)):
+        if locked[frame].any():
+            kept = np.where(locked[frame], previous[:, 0], a[frame])
+            here = next(_triples(r[frame, None], kept[None], b[frame, None]))
+        both = here - 2 * np.pi * np.round((here - previous) / (2 * np.pi))
+        far = np.abs(both - previous).sum(-1)
+        previous = angles[frame] = np.where((far[1] < far[0] - 1e-9)[:, None], both[1], both[0])
+    return angles
+
+
+def _triples(r: np.ndarray, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
+    """For each frame both triples of angles, `(2, J, 3)`, from the first two of one."""
     # from what is left after Z, so that the product holds however badly a is determined
     c = np.arctan2(
-        np.cos(a) * r[:, 0, 2] + np.sin(a) * r[:, 1, 2], np.cos(a) * r[:, 0, 0] + np.sin(a) * r[:, 1, 0]
+        np.cos(a) * r[..., 0, 2] + np.sin(a) * r[..., 1, 2],
+        np.cos(a) * r[..., 0, 0] + np.sin(a) * r[..., 1, 0],
     )
-    both = np.stack([np.stack([a, b, c], 1), np.stack([a + np.pi, np.pi - b, c + np.pi], 1)])
-    both -= 2 * np.pi * np.round((both - previous) / (2 * np.pi))
-    far = np.abs(both - previous).sum(-1)
-    return np.where((far[1] < far[0] - 1e-9)[:, None], both[1], both[0])
+    one, other = np.stack([a, b, c], -1), np.stack([a + np.pi, np.pi - b, c + np.pi], -1)
+    yield from np.stack([one, other], 1)

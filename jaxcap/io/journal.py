@@ -6,40 +6,71 @@
     records     float64 little endian, each with a CRC-32 behind it
 
 A record that was torn by the end of the program is told by its length or its sum, and is
-written anew.
+written anew. Records are read in blocks: memory does not grow with their number.
 """
 
 import json
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float
 
 from ..errors import InputError
-from .atomic import replacing
+from .atomic import FULL, replacing
 
 MAGIC = b"JAXCAPJ1"
+#: bytes of records that are read at once
+BLOCK = 1 << 22
 
 
 class Journal:
-    """Records of `width` floats at the end of a file. Make one by `begin` or `resume`."""
+    """Records of `width` floats at the end of a file. Make one by `begin_journal` or `resume_journal`.
 
-    def __init__(self, path: Path, width: int, records: Float[np.ndarray, "N width"], start: int):
-        self.path, self.width, self.records = path, width, records
-        self._file = open(path, "r+b")  # noqa: SIM115 - closed by `close`
-        self._file.truncate(start)
-        self._file.seek(start)
+    `count` is the number of records in the file, `last` the last one of those that were there at the start.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        width: int,
+        start: int,
+        count: int = 0,
+        last: Float[np.ndarray, "width"] | None = None,
+    ):
+        self.path, self.width, self.count, self.last = path, width, count, last
+        # without a buffer: what cannot be written must not be tried once more when the file is closed
+        self._file = open(path, "r+b", buffering=0)  # noqa: SIM115 - closed by `close`
+        end = start + _size(width) * count
+        self._file.truncate(end)
+        self._file.seek(end)
 
     def append(self, record: Float[np.ndarray, "width"]) -> None:
-        """Write one record and hand it to the operating system: it outlives this program."""
+        """Write one record and hand it to the operating system: it outlives this program.
+
+        **Raises:** `InputError` where the disk is full: the records before this one are in the file.
+        """
         data = np.asarray(record, "<f8").tobytes()
         if len(data) != 8 * self.width:
             raise ValueError(f"A record of this journal has {self.width} numbers, not {len(data) // 8}.")
-        self._file.write(data + struct.pack("<I", zlib.crc32(data)))
-        self._file.flush()
+        left = memoryview(data + struct.pack("<I", zlib.crc32(data)))
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError as error:
+            mend = "free some space there" if error.errno in FULL else "see that its folder can be written to"
+            raise InputError(
+                f"{self.path}: record {self.count} cannot be written ({error.strerror}); {mend} and resume the run."
+            ) from None
+        self.count += 1
+
+    def read(self, columns: slice = slice(None)) -> Float[np.ndarray, "N columns"]:
+        """Some columns of all records, those of this run included."""
+        return read_records(self.path, columns=columns)
 
     def close(self) -> None:
         self._file.close()
@@ -59,38 +90,44 @@ def begin_journal(path: str | Path, header: Mapping[str, object], width: int) ->
     with replacing(path) as temporary:
         temporary.write_bytes(data)
     try:
-        return Journal(path, width, np.zeros((0, width)), len(data))
+        return Journal(path, width, len(data))
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); give a path in a writable folder."
-        ) from None
+        mend = "free some space there" if error.errno in FULL else "give a path in a writable folder"
+        raise InputError(f"{path}: cannot be written ({error.strerror}); {mend}.") from None
 
 
 def read_header(path: str | Path) -> dict[str, object]:
-    """What a journal was begun with. Raises `InputError` where the file is no journal."""
-    return _read(Path(path))[0]
+    """Read the header that a journal was begun with. Raises `InputError` where the file is no journal."""
+    with _opened(Path(path)) as (_, header, _):
+        return header
 
 
 def resume_journal(path: str | Path, header: Mapping[str, object]) -> Journal:
-    """A journal that goes on behind its last whole record, with the whole ones in `records`.
+    """Open a journal behind its last whole record.
 
     **Raises:** `InputError` where the file is no journal, or was begun with another `header`:
-    the first difference is told.
+    the first difference is named.
     """
     path = Path(path)
-    there, body, start = _read(path)
-    width = int(str(there.pop("width")))
-    check_same_run(path, there, header)
-    whole = _records(body, width)
-    return Journal(path, width, whole, start + (8 * width + 4) * len(whole))
+    with _opened(path) as (file, there, start):
+        width = int(str(there.pop("width")))
+        check_same_run(path, there, header)
+        count, last = 0, None
+        for block in _blocks(file, width):
+            count, last = count + len(block), block[-1].copy()
+    return Journal(path, width, start, count, last)
 
 
-def read_records(path: str | Path, after: int = 0) -> Float[np.ndarray, "N width"]:
-    """The whole records behind the first `after`, while another program writes the journal: one that is
-    half written is not there yet. Raises `InputError` where the file is no journal."""
-    there, body, _ = _read(Path(path))
-    width = int(str(there["width"]))
-    return _records(body[(8 * width + 4) * after :], width)
+def read_records(
+    path: str | Path, after: int = 0, columns: slice = slice(None)
+) -> Float[np.ndarray, "N columns"]:
+    """Read the whole records behind the first `after`, or some columns of them, also while another program writes the
+    journal: a record that is half written is left out. Raises `InputError` where the file is no journal."""
+    with _opened(Path(path)) as (file, there, start):
+        width = int(str(there["width"]))
+        file.seek(start + _size(width) * after)
+        blocks = [block[:, columns].copy() for block in _blocks(file, width)]
+    return np.concatenate([np.zeros((0, width))[:, columns], *blocks])
 
 
 def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str, object]) -> None:
@@ -108,34 +145,47 @@ def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str,
             )
 
 
-def _records(body: bytes, width: int) -> Float[np.ndarray, "N width"]:
-    """The records up to the first that is torn."""
-    size = 8 * width + 4
-    records = []
-    for at in range(0, len(body) - size + 1, size):
-        data, (total,) = body[at : at + size - 4], struct.unpack("<I", body[at + size - 4 : at + size])
-        if zlib.crc32(data) != total:
-            break
-        records.append(np.frombuffer(data, "<f8"))
-    return np.stack(records) if records else np.zeros((0, width))
+def _size(width: int) -> int:
+    """The bytes of a record with its sum."""
+    return 8 * width + 4
 
 
-def _read(path: Path) -> tuple[dict[str, object], bytes, int]:
-    """Header, the bytes behind it, and where they start."""
+def _blocks(file: BinaryIO, width: int) -> Iterator[Float[np.ndarray, "N width"]]:
+    """The records from where the file stands, up to the first that is torn."""
+    size = _size(width)
+    record = np.dtype([("numbers", "<f8", (width,)), ("sum", "<u4")])
+    while data := file.read(max(BLOCK // size, 1) * size):
+        block = np.frombuffer(data, record, len(data) // size)
+        whole = next(
+            (n for n, (numbers, total) in enumerate(block) if zlib.crc32(numbers.tobytes()) != total),
+            len(block),
+        )
+        if whole:
+            yield block["numbers"][:whole]
+        if whole < len(block) or len(data) % size:
+            return
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[BinaryIO, dict[str, object], int]]:
+    """A journal that is open where its records start, its header, and this place."""
     try:
-        data = path.read_bytes()
+        file = open(path, "rb")  # noqa: SIM115 - closed below
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from None
-    try:
-        if data[:8] != MAGIC:
-            raise ValueError
-        start = 12 + struct.unpack("<I", data[8:12])[0]
-        header = json.loads(data[12:start])
-        if len(data) < start or not isinstance(header.get("width"), int):
-            raise ValueError
-    except (ValueError, struct.error, AttributeError):
-        raise InputError(f"{path}: this is not the journal of a run; overwrite it.") from None
-    return header, data[start:], start
+    with file:
+        try:
+            magic, length = file.read(8), file.read(4)
+            if magic != MAGIC:
+                raise ValueError
+            start = 12 + struct.unpack("<I", length)[0]
+            text = file.read(start - 12)
+            header = json.loads(text)
+            if len(text) < start - 12 or not isinstance(header.get("width"), int):
+                raise ValueError
+        except (ValueError, struct.error, AttributeError):
+            raise InputError(f"{path}: this is not the journal of a run; overwrite it.") from None
+        yield file, header, start
 
 
 def _short(value: object) -> str:

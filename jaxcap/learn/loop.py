@@ -1,5 +1,6 @@
 """Learn an animatable body from registered meshes: three improvements in turn, until Q is least."""
 
+import logging
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
@@ -25,6 +26,8 @@ from .start import SkinName, Start, start_free, start_from_motion, start_from_sk
 from .state import LearnState
 from .vertices import VertexSolver, carry_back
 from .weights import improve_weights
+
+_LOG = logging.getLogger(__name__)
 
 #: a round that lowers Q by less than this share is the last on its mesh
 ENOUGH = 8e-3
@@ -102,6 +105,7 @@ def learn_body(
     coarse = coarsen(meshes)
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
+        _LOG.info("finding parts and joints")
         start = _start(meshes, joints, skin, symmetry, skeleton, free_bones)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
@@ -114,6 +118,7 @@ def learn_body(
             coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE, given
         )
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging)
+        _LOG.info("carrying the body over to all vertices")
         state = state._replace(body=_refine(state, meshes, coarse, _projects(state, stage)))
     # joints that were exchanged on the coarse mesh stay
     state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging)
@@ -201,6 +206,7 @@ def _project(state: LearnState, stage: _Stage) -> LearnState:
     body, poses, targets = state.body, state.motion.poses, stage.meshes.vertices
     if not _projects(state, stage):
         return state
+    _LOG.info("improving all unknowns at once")
     found = improve_all(body, poses, targets, state.pairs)
     value = float(objective(found.body, found.poses, targets, stage.metric))
     before = state.history[-1][1]
@@ -211,6 +217,7 @@ def _project(state: LearnState, stage: _Stage) -> LearnState:
 
 def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
     targets = stage.meshes.vertices
+    _LOG.info("exchanging joints")
 
     def improve(before: LearnState, made: Graft) -> LearnState:
         value = float(objective(made.body, made.poses, targets, stage.metric))
@@ -255,10 +262,13 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     # the first weights on a mesh have far to go
     far = far or not _has(state, stage, "weights")
     effort = FIRST_SWEEPS if far else SWEEPS
+    _LOG.info("round %d: weights", state.round + 1)
     better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=far).body
     state = _keep(state, better, stage, "weights")
+    _LOG.info("round %d: rest vertices", state.round + 1)
     rest = stage.vertices.solve(state.body, poses, targets)
     state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
+    _LOG.info("round %d: joints and poses", state.round + 1)
     state = _improve_joints(state, stage, STEPS)
     return state._replace(round=state.round + 1)
 

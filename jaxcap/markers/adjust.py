@@ -5,6 +5,7 @@ variances of the markers that come from the data. These, the axes about which jo
 how skin slides are renewed whenever the fit has got as good as they let it.
 """
 
+import logging
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,6 +22,8 @@ from .shared import Trust, constraint_rows, prior_precision, shared_between, shi
 from .skin import Skin, find_skin, renewed, sliding, still
 from .subject import Subject
 from .turning import Drawn, Turning, drawn, free_turning, turning_of
+
+_LOG = logging.getLogger(__name__)
 
 #: below this no residual is believed, metres
 EXACT = 2e-5
@@ -143,6 +146,7 @@ def descend(
             constraints = np.pad(constraints, ((0, 0), (0, state.skin.slides.size)))
             # what could be gained in all: a damped step gains little along flat valleys
             left = reduced.decrease(reduced.step(0.0, constraints, violation)[0])
+        _LOG.info("fitting all frames together, step %d of at most %d", len(history), problem.steps)
         shared, by_frame = reduced.step(damping, constraints, violation)
         trial = _moved(state, problem.joints, shared, by_frame)
         # poses follow once more for themselves: valleys are curved, and steps along them longer

@@ -1,5 +1,6 @@
 """A subject from frames: all poses, joint centres and marker places together (the global technique)."""
 
+import logging
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ from .shared import Trust, solved_joints
 from .skin import Skin
 from .solve import solve_markers
 from .subject import Subject
+
+_LOG = logging.getLogger(__name__)
 
 #: what a marker counts, of one, that no pose explains
 FAR = 0.05
@@ -96,6 +99,7 @@ def calibrate(
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
         places, seen = matched.places[chosen], jnp.asarray(explained[chosen])
         again = subject is template and not explained[used].all()
+        _LOG.info("fitting %d frames together%s", len(chosen), ", roughly" if again else "")
         # to find exchanged labels a rough fit will do
         effort = (False, min(steps, ROUGHLY)) if again else (skin, steps)
         problem = Problem(template, places, seen, joints, pairs, trust, robust, *effort)
@@ -107,6 +111,7 @@ def calibrate(
             break
         # of whom the markers are is known better now, and so is which of them were exchanged
         motion, usable, explained = _followed(_measured(fit), frames, used)
+    _LOG.info("computing how well the subject is known")
     best = eqx.tree_at(lambda s: s.deviations, subject, fit.terms.deviations)
     known = shared_covariance(best, poses, places, seen, joints, trust, pairs, fit.terms.turning, slid)
     best = _measured(fit)

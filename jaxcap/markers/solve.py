@@ -1,5 +1,6 @@
 """The motion of a known subject through frames of markers."""
 
+import logging
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -10,12 +11,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..body.pose import Motion, Pose
+from ..geometry.stacking import concatenate
 from ..observe import MarkerFrames
 from .frame import Search, SolvedFrame, solve_frame
 from .guess import guess_poses
 from .matched import match_markers
 from .residuals import marker_residuals
 from .subject import Subject
+
+_LOG = logging.getLogger(__name__)
 
 #: markers that a frame must show; fewer leave the whole body's place open
 LEAST = 3
@@ -57,7 +61,9 @@ def solve_markers(subject: Subject, frames: MarkerFrames, search: Search = Searc
     places, seen = matched.places, np.asarray(matched.seen)
     used = seen & (np.asarray(subject.weights) > 0)
     enough = used.sum(1) >= LEAST
+    _LOG.info("solving %d frames", len(places))
     solved = _in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search)
+    _LOG.info("solving frames again that no pose explains")
     solved = _again(subject, places, used, enough, solved)
     lost = ~enough | ~np.isfinite(np.asarray(solved.residuals)).all(1) | _unexplained(subject, used, solved)
     residuals = np.where(seen, np.asarray(_lengths(subject, solved.pose, places)), np.nan)
@@ -86,7 +92,7 @@ def _in_chunks(subject: Subject, places, seen, search: Search) -> SolvedFrame:
 
     with ThreadPoolExecutor(2) as threads:
         parts = [run(0), *threads.map(run, range(1, chunks))]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+    return jax.tree.map(lambda *leaves: concatenate(leaves)[:count], *parts)
 
 
 @eqx.filter_jit

@@ -19,6 +19,7 @@ from ...markers.local import LocalFit, fit_local
 from ...markers.solve import MarkerSolution, solve_markers
 from ...markers.unite import unite_takes
 from ...report.markers import held_residuals, report_markers, total_residuals
+from ..heartbeat import doing
 from ..options import Flag, OptionalFile, OptionalUnit, Up, arg
 from ..outputs import check_npz, make_folder
 from ..say import say
@@ -91,8 +92,10 @@ class Fit:
 
     def fit(self, pairs: tuple[tuple[str, str], ...]) -> None:
         """Read, fit and write, with no other run that writes the same files."""
+        doing("reading the takes")
         takes = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.files]
         united = unite_takes(takes)
+        doing("finding segments and joints")
         corrections = None if self.segments is None else read_corrections(self.segments)
         found = fit_local(
             united,
@@ -124,6 +127,7 @@ class Fit:
             raise InputError(
                 f"{', '.join(self.files)}: no pose of what was found explains any frame; is it one body, and the unit right?"
             )
+        doing("measuring residuals")
         tell_bones(found, fitted if isinstance(fitted, Calibration) else None)
         kept = held_residuals(subject, fitted.residuals, lost)
         totals = total_residuals(kept)
@@ -142,6 +146,7 @@ class Fit:
         )
         write_joints(self.joints, subject.skeleton, fitted.motion, lost)
         if self.report is not None:
+            doing("drawing the report")
             self.write_report(self.report, found, subject, fitted, told, lost)
 
     def write_report(self, folder: Path, found: LocalFit, subject, fitted, told: Sequence[str], lost) -> None:

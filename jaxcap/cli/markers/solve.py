@@ -16,10 +16,12 @@ from ...markers.solve import MarkerSolution, solve_markers
 from ...markers.subject import Subject
 from ...observe import MarkerFrames
 from ...report.markers import held_residuals, report_markers, score_markers, total_residuals
+from ..heartbeat import doing
 from ..options import Flag, OptionalUnit, Up, arg
 from ..outputs import check_parent, make_folder
 from ..say import say, table, warn
 from .found import strays
+from .solved import digest, read_solved, write_solved
 from .streamed import Latency, solve_streamed
 from .takes import (
     Files,
@@ -67,19 +69,56 @@ class Solve:
     """What is up in the trials; results then have y up. As in the trials where not given."""
     pieces: Pieces = "refuse"
     """What is done with trajectories that go on under new names after gaps."""
+    resume: Flag = False
+    """Go on with a run that was stopped: trials that are solved stay as they are."""
     overwrite: Flag = False
     """Replace results where they are there."""
 
     def run(self) -> None:
         self.check()
         subject = load_subject(self.subject)
+        header = {**self.settings(), "subject": digest(self.subject)}
+        solved = read_solved(self.kept, header) if self.resume else {}
+        doing("reading the trials")
         # a trial that is wrong is told before any has results
         trials = [read_take(path, self.unit, self.performer, self.up, self.pieces, "--performer") for path in self.trials]  # fmt: skip
         if self.into_folder:
             make_folder(self.out)
         with run_lock(*((self.out,) if self.into_folder else (self.out, *self.joints, *self.filled))):
             for path, frames in zip(self.trials, trials, strict=True):
-                self.solve(subject, path, frames)
+                if solved.get(path) == digest(path):
+                    say(f"{path}: solved before")
+                    continue
+                doing(f"solving {path}")
+                # from now on results in the way are of this run
+                write_solved(self.kept, header, solved)
+                try:
+                    self.solve(subject, path, frames)
+                except (InputError, KeyboardInterrupt) as stop:
+                    if not solved:
+                        self.kept.unlink(missing_ok=True)
+                    elif isinstance(stop, KeyboardInterrupt):
+                        told = f"{len(solved)} of {len(self.trials)} trials are solved; --resume goes on"
+                        raise KeyboardInterrupt(f"stopped; {told}") from None
+                    raise
+                solved[path] = digest(path)
+                write_solved(self.kept, header, solved)
+            self.kept.unlink(missing_ok=True)
+
+    @property
+    def kept(self) -> Path:
+        """The file of the trials that are solved."""
+        return self.out.with_name(f"{self.out.name}.partial")
+
+    def settings(self) -> dict[str, object]:
+        """What the results depend on, by the names that the user knows."""
+        files = {"joints": self.joints, "filled": self.filled}
+        names = ("unit", "performer", "up", "pieces", "stream")
+        return {
+            **{name: getattr(self, name) for name in names},
+            **{name: [str(path) for path in paths] for name, paths in files.items()},
+            "report": None if self.report is None else str(self.report),
+        }
 
     @property
     def into_folder(self) -> bool:
@@ -117,7 +156,13 @@ class Solve:
         check_points(self.filled, "markers")
         results = [file for path in self.trials for file in (*self.motions(path), *self.named(self.joints, path),
                                                              *self.named(self.filled, path))]  # fmt: skip
-        check_new(results, self.overwrite)
+        if self.resume and self.overwrite:
+            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+        if self.kept.exists() and not (self.resume or self.overwrite):
+            raise InputError(
+                f"{self.kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
+            )
+        check_new(results, self.overwrite or (self.resume and self.kept.is_file()))
 
     def motions(self, trial: str) -> tuple[Path, ...]:
         """The files of a trial's motion."""

@@ -1,0 +1,162 @@
+"""A run of 20,000 frames of 1,000 points by the command line: as fast and as large at its end as at its beginning.
+
+    python -m benchmarks.long_run
+    python -m benchmarks.long_run --frames 300 --block 100 --points 300
+
+`jaxcap track` runs in a process of its own and is watched from outside: its journal says how many frames are done, the
+operating system its memory and processor time. The last block of frames is held to the second one, in processor time,
+since other programs take their share of the clock; seconds by the clock stand beside. From the last frame to the end of the
+process results are written. The clouds are files, of which those a period of the motion apart are one on the disk.
+Run it from the root of the checkout; Linux only.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import jaxcap as jc
+from benchmarks._long_scene import make_limb, write_clouds
+from benchmarks.report import finish, progress
+from jaxcap.io.journal import read_header
+
+#: seconds between two looks, and between two words
+LOOK, SPEAK = 0.05, 15.0
+
+
+class Look(NamedTuple):
+    """What was seen of a run at one time."""
+
+    seconds: float
+    frames: int
+    #: of the process and its threads, seconds
+    processor: float
+    #: resident, bytes
+    memory: float
+
+
+class Watched(NamedTuple):
+    """A run from its start to its end, and its exit code."""
+
+    looks: list[Look]
+    end: float
+    code: int
+
+
+def look_at(process: int, journal: Path, start: float) -> Look:
+    """One look at a running process and its journal."""
+    frames = 0
+    if journal.is_file():
+        width = int(str(read_header(journal)["width"]))
+        frames = (journal.stat().st_size - _begin(journal)) // (8 * width + 4)
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    ticks = os.sysconf("SC_CLK_TCK")
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    processor = (int(fields[11]) + int(fields[12])) / ticks
+    return Look(time.perf_counter() - start, frames, processor, pages * os.sysconf("SC_PAGE_SIZE"))
+
+
+def _begin(journal: Path) -> int:
+    """Where the records of a journal begin."""
+    with open(journal, "rb") as file:
+        return 12 + int.from_bytes(file.read(12)[8:], "little")
+
+
+def watch(command: list[str], journal: Path) -> Watched:
+    """Run a command and look at it until it ends."""
+    start, looks, said = time.perf_counter(), [], 0.0
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
+        while running.poll() is None:
+            time.sleep(LOOK)
+            try:
+                look = look_at(running.pid, journal, start)
+            except (OSError, IndexError, jc.InputError):
+                # it has ended, or not written its journal's head
+                continue
+            if not look.memory:
+                continue
+            looks.append(look)
+            if look.seconds - said > SPEAK:
+                said = look.seconds
+                progress(f"{look.frames} frames, {look.seconds:.0f} s, {look.memory / 1e6:.0f} MB")
+    return Watched(looks, time.perf_counter() - start, running.returncode)
+
+
+def block_figures(looks: list[Look], first: int, last: int) -> tuple[float, float, float]:
+    """Seconds by the clock and of the processor for a frame of a block, and the largest memory in it, bytes."""
+    done = np.array([look.frames for look in looks])
+    edges = np.interp([first, last], done, [look.seconds for look in looks])
+    work = np.interp([first, last], done, [look.processor for look in looks])
+    # what is written after the last frame is not of its block
+    memory = max(look.memory for look in looks if first <= look.frames < last)
+    return float(np.diff(edges)[0]) / (last - first), float(np.diff(work)[0]) / (last - first), memory
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.long_run", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("--frames", type=int, default=20_000)
+    parser.add_argument("--points", type=int, default=1000)
+    parser.add_argument("--block", type=int, default=1000, help="frames of the blocks that are compared")
+    options = parser.parse_args()
+    if options.frames < 3 * options.block:
+        parser.error("give at least three blocks of frames")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        body = make_limb()
+        jc.save_body(folder / "limb.npz", body)
+        (folder / "clouds").mkdir()
+        pattern = write_clouds(folder / "clouds", body, options.frames, options.points)
+        code = "from jaxcap.cli import main; main()"
+        words = ["track", str(folder / "limb.npz"), pattern, "-o", str(folder / "out")]
+        run = watch([sys.executable, "-c", code, *words], folder / "out" / "journal")
+        whole = run.code == 0 and jc.load_motion(folder / "out" / "motion.npz").num_frames == options.frames
+    second = block_figures(run.looks, options.block, 2 * options.block)
+    last = block_figures(run.looks, options.frames - options.block, options.frames)
+    at_end = next((look for look in run.looks if look.frames >= options.frames), run.looks[-1])
+    first = next((look.seconds for look in run.looks if look.frames > 0), run.end)
+    frames_between = options.frames - 2 * options.block
+    figures = {
+        "processor_ratio": last[1] / second[1],
+        "memory_ratio": last[2] / second[2],
+        "clock_ratio": last[0] / second[0],
+        "finished_after_s": run.end - at_end.seconds,
+        "finished_after_processor_s": run.looks[-1].processor - at_end.processor,
+        "frame_ms": 1000 * last[0],
+        "frame_processor_ms": 1000 * last[1],
+        "memory_mb": last[2] / 1e6,
+        "memory_of_100000_mb": (second[2] + (last[2] - second[2]) / frames_between * 100_000) / 1e6,
+        "peak_mb": max(look.memory for look in run.looks) / 1e6,
+        "whole": whole,
+    }
+    limits = {
+        "processor_ratio": ("<=", 1.1),
+        "memory_ratio": ("<=", 1.1),
+        "finished_after_s": ("<=", 5.0),
+        "memory_of_100000_mb": ("<=", 2000.0),
+        "whole": ("==", 1),
+    }
+    sizes = {
+        "frames": options.frames,
+        "points": options.points,
+        "block": options.block,
+        "vertices": len(body.vertices),
+    }
+    finish(
+        "long_run",
+        figures,
+        limits,
+        sizes,
+        {"compile": first, "run": at_end.seconds - first, "whole": run.end},
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,26 @@
+"""Many arrays as one."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array
+
+
+def stack(arrays: Sequence[Array | np.ndarray]) -> Array:
+    """Stack arrays along a new first axis, differentiably.
+
+    `jnp.stack` compiles for every number of arrays, and for minutes from some thousands on: it is only called where it is
+    traced.
+    """
+    return jnp.stack(arrays) if _traced(arrays) else jnp.asarray(np.stack(arrays))
+
+
+def concatenate(arrays: Sequence[Array | np.ndarray]) -> Array:
+    """Join arrays along their first axis, differentiably; as `stack`."""
+    return jnp.concatenate(arrays) if _traced(arrays) else jnp.asarray(np.concatenate(arrays))
+
+
+def _traced(arrays: Sequence[Array | np.ndarray]) -> bool:
+    return any(isinstance(array, Tracer) for array in arrays)
