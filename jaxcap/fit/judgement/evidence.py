@@ -1,0 +1,180 @@
+"""Evidence for and against a pose in a cloud: points that no part explains, and surface without points."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ...body.body import pose_body
+from ...body.pose import Pose
+from ...geometry.camera import Camera, in_picture, project
+from ...observe import Cloud
+from .surface import JudgedSurface
+
+#: points of a cloud that are looked at
+POINTS = 1536
+#: directions from which unknown sensors may look
+DIRECTIONS = 32
+#: least cosine between a point's normal and that of the surface that explains it
+COMPATIBLE = 0.5
+#: distances, as shares of the body's size, from which on a point counts as unexplained and from which on it does so
+#: whole (4 and 8 cm of a person); a sample further from all points than the last one is empty
+NEAR, FAR, EMPTY = 0.023, 0.046, 0.045
+#: so many times the distance of neighbours, for a cloud spread over a person, is as good as empty
+SPARSE = 1.1
+#: side of the cells in which points are counted, as a share of the body's size, and cells along a side of the grid,
+#: which wraps around; unexplained points that are a quarter as dense as those of the surface count whole
+CLUMP, CLUMPS, DENSE = 0.04, 32, 0.25
+#: least cosine between the surface and the line of sight; what lies further behind than `DEEP` in the same cell of
+#: `CELL` is hidden, as shares of the body's size
+GRAZING, CELL, DEEP = 0.6, 0.035, 0.05
+#: where sensors are not known their directions are those whose coverage, of all that is at least so little turned
+#: towards them, is within `AS_GOOD` of the best one's
+FLAT, AS_GOOD = 0.1, 0.03
+#: cells along a side of a depth buffer, which wraps around
+GRID = 64
+
+
+class Evidence(eqx.Module):
+    """Measurements of one frame, by the R regions of a body, and by the D directions that it may be seen from."""
+
+    #: share of the cloud's points that are nearest to each region and that no part explains
+    unexplained: Float[Array, "*frames R"]
+    #: share of the body's area that the sensors ought to see of each region and that has no points
+    empty: Float[Array, "*frames R"]
+    #: share of the surface shown by each direction that has points
+    coverage: Float[Array, "*frames D"]
+
+
+@eqx.filter_jit
+def gather_evidence(
+    surface: JudgedSurface, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
+) -> Evidence:
+    """Measure where a pose and a cloud disagree, from a thinned cloud and the samples of the surface.
+
+    **Arguments:** `sensors` are the cameras where they are known. Otherwise `DIRECTIONS` that are spread over the
+    sphere stand for those that may be there: the array holds one for each direction that sensors look from
+    (`sensors_of`) and zero for the others. Where it is empty or zero, they are the directions of this very frame that
+    show the least empty surface.
+    """
+    posed = pose_body(surface.body, pose)
+    turned = jnp.einsum("sab,sb->sa", posed.transforms.rotations[surface.bones], surface.normals)
+    normals = turned / jnp.linalg.norm(turned, axis=1, keepdims=True)
+    size = surface.size * pose.scale
+    rows, weights = _some_points(cloud)
+    points, point_normals = cloud.points[rows], cloud.normals[rows]
+    # about the body's middle, as differences of squares lose digits far from the origin
+    middle = jnp.mean(posed.vertices, 0)
+    vertices, points = posed.vertices - middle, points - middle
+    squared = jnp.sum(points**2, 1)[:, None] - 2 * points @ vertices.T + jnp.sum(vertices**2, 1)
+    known = jnp.any(point_normals != 0, 1)
+    fits = (point_normals @ normals.T > COMPATIBLE) | ~known[:, None]
+    near = jnp.where(fits, squared, jnp.inf)
+    distances = jnp.sqrt(jnp.maximum(jnp.min(near, 1), 0.0)) / size
+    region = surface.regions[jnp.argmin(squared, 1)]
+    beyond = jnp.clip((distances - NEAR) / (FAR - NEAR), 0.0, 1.0)
+    amount = weights * beyond * _clumped(points / (CLUMP * size), rows, beyond)
+    count = len(surface.names)
+    # among few points gaps are wide
+    gap = jnp.maximum(EMPTY, SPARSE / jnp.sqrt(jnp.maximum(jnp.sum(cloud.weights > 0), 1))) * size
+    covered = jnp.min(jnp.where(weights[:, None] > 0, near, jnp.inf), 0) <= gap**2
+    if isinstance(sensors, Sequence) and len(sensors):
+        expected = jnp.stack([_seen_by(camera, posed.vertices, normals, size) for camera in sensors])
+        share = _coverage(expected, covered)
+        expected = jnp.any(expected, 0)
+    else:
+        directions = jnp.asarray(_spread(DIRECTIONS), vertices.dtype)
+        cosine = (normals @ directions.T).T
+        clear = _unhidden_from(directions, vertices, size)
+        # at flat angles the coverage falls steeply with the angle to the next sensor
+        share = _coverage(clear & (cosine > FLAT), covered)
+        there = share >= jnp.max(share) - AS_GOOD
+        if len(sensors):
+            there = jnp.where(jnp.any(jnp.asarray(sensors) > 0), jnp.asarray(sensors) > 0, there)
+        facing = (cosine > GRAZING) & there[:, None]
+        # a sensor is only about where a direction is: what any of its neighbours cannot see may be hidden
+        expected = jnp.any(facing, 0) & ~jnp.any(facing & ~clear, 0)
+    areas = surface.areas[:, None] * (surface.regions[:, None] == jnp.arange(count))
+    return Evidence(
+        unexplained=jnp.zeros(count, amount.dtype).at[region].add(amount),
+        empty=(expected & ~covered).astype(areas.dtype) @ areas,
+        coverage=share,
+    )
+
+
+def _coverage(shown: Bool[Array, "D S"], covered: Bool[Array, "S"]) -> Float[Array, "D"]:
+    """Share of the samples shown by each direction that have points."""
+    return jnp.sum(shown & covered, 1) / jnp.maximum(jnp.sum(shown, 1), 1)
+
+
+def _some_points(cloud: Cloud) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
+    """Rows of points at equal steps of weight, and equal weights; zero for an empty cloud."""
+    passed = jnp.cumsum(cloud.weights)
+    total = passed[-1]
+    steps = (jnp.arange(POINTS, dtype=passed.dtype) + 0.5) / POINTS * total
+    rows = jnp.minimum(jnp.searchsorted(passed, steps), len(passed) - 1)
+    weights = jnp.where(total > 0, jnp.full(POINTS, 1.0 / POINTS, passed.dtype), 0.0)
+    return rows, weights
+
+
+def _clumped(
+    cells: Float[Array, "N 3"], rows: Int[Array, "N"], beyond: Float[Array, "N"]
+) -> Float[Array, "N"]:
+    """How far each point lies among others that are unexplained as well, as points of a surface do; lone ones are zero.
+
+    `cells` are the points in units of a cell; a point may be there several times, as `rows`, which rise, show.
+    """
+    times = jnp.searchsorted(rows, rows, side="right") - jnp.searchsorted(rows, rows)
+    column = jnp.mod(jnp.floor(cells), CLUMPS).astype(jnp.int32)
+    cell = (column[:, 0] * CLUMPS + column[:, 1]) * CLUMPS + column[:, 2]
+    empty = jnp.zeros(CLUMPS**3, beyond.dtype)
+    surface = empty.at[cell].add(1.0)[cell] - times
+    usual = jnp.nanmedian(jnp.where(beyond == 0, surface, jnp.nan))
+    others = empty.at[cell].add(beyond)[cell] - times * beyond
+    enough = jnp.maximum(DENSE * jnp.where(jnp.isfinite(usual), usual, 0.0), times)
+    return jnp.clip(others / enough, 0.0, 1.0)
+
+
+def _spread(count: int) -> Float[np.ndarray, "D 3"]:
+    """Unit directions spread evenly over the sphere (a Fibonacci lattice)."""
+    steps = np.arange(count) + 0.5
+    polar, around = np.arccos(1 - 2 * steps / count), np.pi * (1 + 5**0.5) * steps
+    return np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)], 1)
+
+
+def _unhidden_from(
+    directions: Float[Array, "D 3"], vertices: Float[Array, "S 3"], size: Float[Array, ""]
+) -> Bool[Array, "D S"]:
+    """Which samples nothing hides from a camera far off in each direction."""
+    helper = jnp.where(jnp.abs(directions[:, 1:2]) < 0.9, jnp.eye(3)[1], jnp.eye(3)[0])
+    across = jnp.cross(helper, directions)
+    across = across / jnp.linalg.norm(across, axis=1, keepdims=True)
+    up = jnp.cross(directions, across)
+    places = jnp.stack([vertices @ across.T, vertices @ up.T], -1) / (CELL * size)
+    return jax.vmap(_unhidden, (1, 1, None))(places, vertices @ directions.T, DEEP * size)
+
+
+def _seen_by(
+    camera: Camera, vertices: Float[Array, "S 3"], normals: Float[Array, "S 3"], size
+) -> Bool[Array, "S"]:
+    """Which samples a camera sees."""
+    sight = camera.eye - vertices
+    sight = sight / jnp.linalg.norm(sight, axis=1, keepdims=True)
+    pixels, depth = project(camera, vertices)
+    # a cell is as wide as `CELL` in the depth of the body's middle
+    wide = CELL * size * jnp.mean(camera.focal) / jnp.maximum(jnp.median(depth), 1e-3)
+    clear = _unhidden(pixels / wide, -depth, DEEP * size)
+    return clear & in_picture(camera, vertices) & (jnp.sum(sight * normals, 1) > GRAZING)
+
+
+def _unhidden(
+    places: Float[Array, "S 2"], nearness: Float[Array, "S"], deep: Float[Array, ""]
+) -> Bool[Array, "S"]:
+    """Which samples have none in their cell that is nearer by more than `deep`."""
+    column, row = (jnp.mod(jnp.floor(places[:, axis]), GRID).astype(jnp.int32) for axis in (0, 1))
+    cell = row * GRID + column
+    nearest = jnp.full(GRID * GRID, -jnp.inf, nearness.dtype).at[cell].max(nearness)
+    return nearness >= nearest[cell] - deep

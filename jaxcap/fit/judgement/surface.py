@@ -1,0 +1,114 @@
+"""The surface of a body as it is judged: samples that stand for equal areas, in regions with names."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...body.body import Body
+from ...geometry.order import spatial_order
+
+#: samples of a surface, about 4 cm from each other on a person
+SAMPLES = 1536
+#: parts with less of the whole area are judged together with the part that they hang on
+LEAST_AREA = 0.012
+#: regions of the joints of a human skeleton as a sentence names them, without their side
+LIMBS: dict[str, tuple[str, ...]] = {
+    "trunk": ("Hips", "LowerBack", "Spine", "Spine1"),
+    "head": ("Neck", "Neck1", "Head"),
+    "arm": ("Shoulder", "Arm", "ForeArm", "Hand", "FingerBase", "HandFinger1", "Thumb"),
+    "leg": ("HipJoint", "UpLeg", "Leg", "Foot", "ToeBase"),
+}
+_SIDES = {"Left": "left", "Right": "right", "L": "left", "R": "right"}
+
+
+class JudgedSurface(eqx.Module):
+    """Samples of a body's surface with the region that each lies in; everything that judging needs of a body."""
+
+    #: the samples as vertices, without faces
+    body: Body
+    #: of the samples at rest, unit
+    normals: Float[Array, "S 3"]
+    #: the bone that moves each sample most
+    bones: Int[Array, "S"]
+    #: share of the surface's area that each sample stands for, one in sum
+    areas: Float[Array, "S"]
+    #: region of each sample
+    regions: Int[Array, "S"]
+    #: longest side of the box around the body at rest, metres
+    size: Float[Array, ""]
+    #: of the regions, for sentences; several regions may have one name
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+def judged_surface(body: Body) -> JudgedSurface:
+    """Sample the surface of a body evenly, and divide it into regions: its parts, the smallest joined to their parents.
+
+    The same body always gives the same samples. Made once, in NumPy.
+    """
+    vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
+    corners, shares = _even_samples(vertices, faces)
+    parts = np.asarray(body.skin.parts())
+    nearest = np.take_along_axis(corners, shares.argmax(1)[:, None], 1)[:, 0]
+    bones = parts[nearest]
+    regions, joints = _regions(body, bones)
+    dtype = body.vertices.dtype
+    triangles = vertices[corners]
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = np.einsum("sk,ska->sa", shares, triangles)
+    samples = Body(
+        body.skeleton,
+        body.skin.carry(corners, shares, body.skeleton),
+        jnp.asarray(points, dtype),
+        jnp.zeros((0, 3), body.faces.dtype),
+    )
+    return JudgedSurface(
+        body=samples,
+        normals=jnp.asarray(normals, dtype),
+        bones=jnp.asarray(bones),
+        areas=jnp.full(len(bones), 1.0 / len(bones), dtype),
+        regions=jnp.asarray(regions),
+        size=jnp.asarray(np.ptp(vertices, axis=0).max(), dtype),
+        names=tuple(region_name(body.skeleton.names[joint]) for joint in joints),
+    )
+
+
+def region_name(joint: str) -> str:
+    """Name the limb of a joint in words, such as "left leg"; the joint's own name where it is not a human's."""
+    sided = [(words, joint.removeprefix(side)) for side, words in _SIDES.items() if joint.startswith(side)]
+    for side, plain in (*sided, ("", joint)):
+        for limb, names in LIMBS.items():
+            if plain in names:
+                return f"{side} {limb}".strip()
+    return joint
+
+
+def _even_samples(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[Int[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
+    """Corners and barycentric shares of points at equal steps of area, over the triangles along Morton's curve."""
+    triangles = vertices[faces]
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    order = np.asarray(spatial_order(triangles.mean(1)))
+    passed = np.cumsum(np.linalg.norm(across, axis=1)[order])
+    steps = np.searchsorted(passed, (np.arange(SAMPLES) + 0.5) / SAMPLES * passed[-1])
+    # places within the triangles by the sequence of Roberts, which leaves no gaps
+    first, second = ((np.arange(SAMPLES) * np.array([[0.7548776662], [0.5698402910]])) + 0.5) % 1.0
+    outside = first + second > 1
+    first, second = np.where(outside, 1 - first, first), np.where(outside, 1 - second, second)
+    return faces[order[steps]], np.stack([1 - first - second, first, second], 1)
+
+
+def _regions(body: Body, bones: Int[np.ndarray, "S"]) -> tuple[Int[np.ndarray, "S"], list[int]]:
+    """Region of every sample, and the joint that each region is named by."""
+    skeleton = body.skeleton
+    share = np.bincount(bones, minlength=skeleton.num_joints) / len(bones)
+    into = np.arange(skeleton.num_joints)
+    for joint in np.argsort(-skeleton.depths, kind="stable"):
+        parent = skeleton.parents[joint]
+        if share[joint] < LEAST_AREA and parent >= 0:
+            into[into == joint] = parent
+            share[parent] += share[joint]
+    joints, regions = np.unique(into[bones], return_inverse=True)
+    return regions, joints.tolist()

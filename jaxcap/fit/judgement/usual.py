@@ -1,0 +1,79 @@
+"""Running statistics of the evidence in a sequence, which single wrong frames do not move."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .evidence import AS_GOOD, DIRECTIONS, Evidence
+from .surface import JudgedSurface
+
+#: least rate at which the running statistics follow the frames
+RATE = 0.03
+#: deviations beyond which a frame moves the statistics no further
+CLIP = 3.0
+#: deviation before the sequence has shown its own, shares of the cloud and of the body's area; and the least one
+DEVIATION, LEAST = 0.002, 0.0005
+
+
+class Usual(eqx.Module):
+    """Levels and deviations of the observed values (`observed`) in the good frames so far."""
+
+    #: how many frames they are of
+    frames: Float[Array, ""]
+    level: Float[Array, "2 Q"]
+    deviation: Float[Array, "2 Q"]
+    #: share of the surface shown by each direction that has points
+    coverage: Float[Array, "D"]
+
+
+def nothing_usual(surface: JudgedSurface, directions: int = DIRECTIONS) -> Usual:
+    """The statistics before the first frame; `directions` is the number of cameras where these are known."""
+    level = jnp.zeros((2, len(surface.names) + 1), surface.areas.dtype)
+    none = jnp.zeros((), level.dtype)
+    return Usual(none, level, jnp.full_like(level, DEVIATION), jnp.zeros(directions, level.dtype))
+
+
+def observed(evidence: Evidence) -> Float[Array, "*frames 2 Q"]:
+    """Values that are judged, for each of the R regions and, last, for the whole body (Q = R + 1): the share of the
+    cloud's points that is unexplained, and the share of the body's area that ought to be seen and is empty."""
+    values = jnp.stack([evidence.unexplained, evidence.empty], -2)
+    return jnp.concatenate([values, jnp.sum(values, -1, keepdims=True)], -1)
+
+
+def sensors_of(usual: Usual) -> Float[Array, "D"]:
+    """Directions that the sensors of a sequence look from, one or zero; all zero as long as none has shown itself."""
+    best = jnp.max(usual.coverage)
+    return ((usual.coverage >= best - AS_GOOD) & (usual.frames > 0)).astype(usual.level.dtype)
+
+
+@eqx.filter_jit
+def renew(usual: Usual, evidence: Evidence) -> Usual:
+    """The statistics with one more frame, which was judged to be right."""
+    first = usual.frames == 0
+    rate = jnp.maximum(1.0 / (usual.frames + 1.0), RATE)
+    value = observed(evidence)
+    bound = CLIP * usual.deviation
+    step = jnp.where(first, value - usual.level, jnp.clip(value - usual.level, -bound, bound))
+    # the mean absolute deviation of a normal distribution is 0.8 of its standard deviation
+    spread = jnp.where(first, usual.deviation, 1.25 * jnp.abs(step))
+    slow = jnp.maximum(1.0 / (usual.frames + 3.0), RATE)
+    return Usual(
+        usual.frames + 1.0,
+        usual.level + rate * step,
+        jnp.maximum(usual.deviation + slow * (spread - usual.deviation), LEAST),
+        usual.coverage + rate * (evidence.coverage - usual.coverage),
+    )
+
+
+@eqx.filter_jit
+def usual_of(evidence: Evidence) -> Usual:
+    """The statistics of frames in any order, stacked `(F, ...)`: medians, and median absolute deviations.
+
+    More than half of the frames have to be right.
+    """
+    values = observed(evidence)
+    level = jnp.median(values, 0)
+    # 1.48 of it is the standard deviation of a normal distribution
+    deviation = jnp.maximum(1.48 * jnp.median(jnp.abs(values - level), 0), LEAST)
+    frames = jnp.full((), float(len(values)), level.dtype)
+    return Usual(frames, level, deviation, jnp.median(evidence.coverage, 0))

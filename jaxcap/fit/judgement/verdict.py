@@ -1,0 +1,78 @@
+"""The verdict on a frame: good, doubtful or lost, and why, by part."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .evidence import POINTS, Evidence
+from .surface import JudgedSurface
+from .usual import Usual, observed
+
+#: excesses over the usual at which a frame is lost, in one region and of the whole body: shares of the cloud's points
+#: that no part explains, and of the body's area that a sensor sees and that is empty
+LIMITS = ((0.005, 0.012), (0.016, 0.03))
+#: what is added to the limits for each unit of the usual level: where much is unexplained more of it changes
+RELATIVE = 0.25
+#: standard deviations of a share of so many points that are added to the limits (Poisson)
+SAMPLING = 3.0
+#: deviations of the good frames that an excess has to surpass, too
+DEVIATIONS = 5.0
+#: share of the limits from which on a frame is doubtful
+DOUBT = 0.7
+#: limits of a first frame, of which nothing is usual, are so many times as wide before it is lost
+FIRST = 10.0
+
+
+class Judgement(eqx.Module):
+    """A frame compared with the sequence's usual ones: shares of the limits at which a frame is lost."""
+
+    #: by region and, last, of the whole body: points that no part explains, and surface without points
+    shares: Float[Array, "2 Q"]
+    #: one, or more for a first frame, for which nothing is usual
+    tolerance: Float[Array, ""]
+    #: of the regions
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def worst(self) -> float:
+        """The largest share of a limit, infinite where there is none."""
+        worst = float(jnp.max(self.shares))
+        return worst if np.isfinite(worst) else np.inf
+
+    @property
+    def verdict(self) -> str:
+        """`good`, `doubtful` or `lost`."""
+        if not self.worst < float(self.tolerance):
+            return "lost"
+        return "good" if self.worst < DOUBT else "doubtful"
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What is wrong and where, without a full stop, the worst first; empty where the verdict is good."""
+        found: dict[str, float] = {}
+        words = "unexplained points near the {}", "{} where a camera sees nothing"
+        for row, what in zip(np.asarray(self.shares, float), words, strict=True):
+            regions = row[:-1]
+            # a whole body over its limit is named by the regions with most of it
+            named = (regions >= DOUBT) | ((row[-1] >= DOUBT) & (regions >= 0.5 * regions.max()))
+            for region in np.flatnonzero(named | ~np.isfinite(regions)):
+                reason = what.format(self.names[region])
+                found[reason] = max(found.get(reason, 0.0), regions[region])
+        return tuple(sorted(found, key=lambda reason: -found[reason]))
+
+
+@eqx.filter_jit
+def judge_evidence(surface: JudgedSurface, usual: Usual, evidence: Evidence) -> Judgement:
+    """Compare the evidence of a frame with what is usual.
+
+    Before the first frame nothing is usual (`nothing_usual`): absolute limits then make a frame doubtful, and `FIRST`
+    times wider ones lost, as clothes leave as much unexplained as a limb that lies a little wrong.
+    """
+    limits = jnp.asarray([[row[0]] * len(surface.names) + [row[1]] for row in LIMITS], usual.level.dtype)
+    chance = SAMPLING * jnp.sqrt(jnp.maximum(usual.level, 0.0) / POINTS)
+    limits = limits + jnp.maximum(RELATIVE * usual.level, chance)
+    limits = jnp.maximum(limits, DEVIATIONS * usual.deviation)
+    shares = (observed(evidence) - usual.level) / limits
+    tolerance = jnp.where(usual.frames > 0, 1.0, FIRST).astype(limits.dtype)
+    return Judgement(shares, tolerance, surface.names)

@@ -1,0 +1,165 @@
+"""Verdicts on poses in clouds: what is counted, by which part, and against what is usual."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxcap.body.body import pose_body
+from jaxcap.body.human import human
+from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.demo.scanner import sample_surface
+from jaxcap.fit.judgement.evidence import _seen_by, gather_evidence
+from jaxcap.fit.judgement.surface import _even_samples, judged_surface, region_name
+from jaxcap.fit.judgement.usual import nothing_usual, renew, sensors_of, usual_of
+from jaxcap.fit.judgement.verdict import judge_evidence
+from jaxcap.fit.visible import visible_vertices
+from jaxcap.geometry.camera import look_at
+from jaxcap.observe import Cloud, make_cloud
+
+BODY = human(resolution="low", joints="tracking")
+SKELETON = BODY.skeleton
+SURFACE = judged_surface(BODY)
+REST = rest_pose(SKELETON)
+NOTHING = nothing_usual(SURFACE)
+NOBODY = sensors_of(NOTHING)
+POINTS = 3000
+_pose_body = eqx.filter_jit(pose_body)
+
+
+def turned(pose: Pose, **angles: float) -> Pose:
+    """A pose with joints turned about their axes of flexion, radians."""
+    layout, change = dof_layout(SKELETON), np.zeros(SKELETON.num_dofs)
+    for name, angle in angles.items():
+        change[layout.rotations[SKELETON.index(name)][1]] = angle
+    return retract(SKELETON, pose, jnp.asarray(change))
+
+
+def scan(pose: Pose, rng, kept=lambda points, normals: np.ones(len(points), bool), extra=()) -> Cloud:
+    """POINTS of the surface; those that are not kept are replaced by others, and `extra` replace some."""
+    vertices = np.asarray(_pose_body(BODY, pose).vertices)
+    points, normals = sample_surface(vertices, np.asarray(BODY.faces), 4 * POINTS, rng)
+    there = np.flatnonzero(kept(points, normals))[:POINTS]
+    points, normals = points[there], normals[there]
+    if len(extra):
+        points[: len(extra)], normals[: len(extra)] = extra, rng.normal(size=np.shape(extra))
+    return make_cloud(points + 0.003 * rng.normal(size=points.shape), normals)
+
+
+def in_front(points, normals):
+    return normals[:, 2] > 0
+
+
+def judged(usual, pose: Pose, cloud: Cloud):
+    return judge_evidence(SURFACE, usual, gather_evidence(SURFACE, pose, cloud, sensors_of(usual)))
+
+
+def test_regions_are_limbs():
+    assert {region_name(name) for name in SKELETON.names} == {
+        "trunk", "head", "left arm", "right arm", "left leg", "right leg",
+    }  # fmt: skip
+    assert region_name("wing_03") == "wing_03"
+    areas = np.bincount(SURFACE.regions, SURFACE.areas)
+    assert areas.sum() == pytest.approx(1.0)
+    assert areas.min() > 0.01
+
+
+def test_a_right_pose_leaves_nothing_unexplained_and_nothing_empty(rng):
+    evidence = gather_evidence(SURFACE, REST, scan(REST, rng), NOBODY)
+    assert float(evidence.unexplained.sum()) < 0.003
+    assert float(evidence.empty.sum()) < 0.003
+    assert float(evidence.coverage.min()) > 0.98
+    # points all over the box around the body, a fifth of all, are no surface
+    lone = rng.uniform([-0.8, -0.8, -0.4], [0.8, 0.9, 0.4], (POINTS // 5, 3))
+    evidence = gather_evidence(SURFACE, REST, scan(REST, rng, extra=lone), NOBODY)
+    assert float(evidence.unexplained.sum()) < 0.015
+
+
+def test_a_clump_of_points_is_counted_where_it_is(rng):
+    """A ball a hand's breadth before the left shin, of one point in thirty."""
+    shin = np.asarray(_pose_body(BODY, REST).vertices)[
+        np.asarray(BODY.skin.parts()) == SKELETON.index("LeftLeg")
+    ]
+    ball = shin.mean(0) + [0.0, 0.0, 0.25] + 0.03 * rng.normal(size=(POINTS // 30, 3))
+    evidence = gather_evidence(SURFACE, REST, scan(REST, rng, extra=ball), NOBODY)
+    by_name = dict.fromkeys(SURFACE.names, 0.0)
+    for name, share in zip(SURFACE.names, np.asarray(evidence.unexplained), strict=True):
+        by_name[name] += share
+    assert by_name["left leg"] == pytest.approx(1 / 30, rel=0.2)
+    assert sum(by_name.values()) - by_name["left leg"] < 0.003
+
+
+def test_a_limb_without_points_is_empty_by_its_area(rng):
+    arm = np.asarray([name == "left arm" for name in SURFACE.names])
+    away, cloud = turned(REST, LeftArm=0.9), scan(REST, rng)
+    usual = renew(NOTHING, gather_evidence(SURFACE, REST, scan(REST, rng), NOBODY))
+    evidence = gather_evidence(SURFACE, away, cloud, sensors_of(usual))
+    area = float(SURFACE.areas @ arm[SURFACE.regions])
+    assert 0.3 * area < float(jnp.sum(evidence.empty[arm])) < area
+    assert float(jnp.sum(evidence.empty[~arm])) < 0.005
+    for known, verdict in ((usual, "lost"), (NOTHING, "doubtful")):
+        judgement = judge_evidence(SURFACE, known, evidence)
+        assert judgement.verdict == verdict
+        assert any("left arm" in reason for reason in judgement.reasons)
+        assert not any("leg" in reason or "head" in reason for reason in judgement.reasons)
+
+
+@pytest.mark.parametrize("kept", [lambda points, normals: np.ones(len(points), bool), in_front])
+def test_right_frames_are_good_and_wrong_ones_are_not(rng, kept):
+    """Whole, and by a sensor that nobody has spoken of: what it cannot see is no fault."""
+    usual = NOTHING
+    for frame in range(6):
+        pose = turned(REST, LeftArm=0.1 * frame, RightLeg=-0.1 * frame, RightUpLeg=0.1 * frame)
+        evidence = gather_evidence(SURFACE, pose, scan(pose, rng, kept), sensors_of(usual))
+        judgement = judge_evidence(SURFACE, usual, evidence)
+        assert judgement.verdict == "good", judgement.reasons
+        assert judgement.reasons == ()
+        usual = renew(usual, evidence)
+    cloud = scan(pose, rng, kept)
+    for wrong in (turned(pose, RightLeg=1.5), turned(pose, LeftArm=1.0), turned(pose, LeftForeArm=2.0)):
+        judgement = judged(usual, wrong, cloud)
+        assert judgement.verdict == "lost"
+        assert judgement.reasons
+    nothing = dataclasses.replace(cloud, weights=jnp.zeros_like(cloud.weights))
+    assert judged(usual, pose, nothing).verdict == "lost"
+
+
+def test_clothes_are_usual_once_they_were_seen(rng):
+    """A jacket of 60 mm about the trunk: doubtful at first, and good afterwards; a lost arm is still seen."""
+    trunk = [SKELETON.index(name) for name in ("LowerBack", "Spine", "Spine1")]
+    offset = 0.06 * np.isin(np.asarray(BODY.skin.parts()), trunk)
+
+    def clothed(pose):
+        posed = _pose_body(BODY, pose)
+        vertices = np.asarray(posed.vertices) + offset[:, None] * np.asarray(posed.normals)
+        points, normals = sample_surface(vertices, np.asarray(BODY.faces), POINTS, rng)
+        return make_cloud(points, normals)
+
+    poses = [turned(REST, LeftUpLeg=0.05 * frame) for frame in range(5)]
+    evidence = [gather_evidence(SURFACE, pose, clothed(pose), NOBODY) for pose in poses]
+    first = judge_evidence(SURFACE, NOTHING, evidence[0])
+    assert first.verdict == "doubtful"
+    assert first.reasons[0] == "unexplained points near the trunk"
+    one_by_one = NOTHING
+    for frame in evidence:
+        one_by_one = renew(one_by_one, frame)
+    at_once = usual_of(jax.tree.map(lambda *leaves: jnp.stack(leaves), *evidence))
+    for usual in (one_by_one, at_once):
+        again = judged(usual, poses[2], clothed(poses[2]))
+        assert again.verdict == "good", (again.shares, again.reasons)
+        assert judged(usual, turned(poses[2], RightArm=1.0), clothed(poses[2])).verdict == "lost"
+
+
+def test_a_camera_sees_what_its_depth_buffer_says():
+    camera = look_at([0.4, 0.6, 2.5], [0.0, 0.0, 0.0], 320, 240, 60.0)
+    posed = _pose_body(SURFACE.body, REST)
+    ours = np.asarray(_seen_by(camera, posed.vertices, SURFACE.normals, SURFACE.size))
+    corners, _ = _even_samples(np.asarray(BODY.vertices), np.asarray(BODY.faces))
+    seen = np.asarray(visible_vertices(camera, BODY.vertices, BODY.faces, 0.02))[corners]
+    # samples are within triangles, and those of which one corner is hidden are on an edge
+    assert (ours & ~seen.any(1)).sum() < 0.02 * ours.sum()
+    assert (ours & seen.all(1)).sum() > 0.6 * seen.all(1).sum()
