@@ -148,7 +148,7 @@ def test_the_human_is_a_body_without_a_file(inputs, tmp_path, capsys):
     low = jc.human(resolution="low", joints="tracking")
     np.testing.assert_array_equal(jc.load_body(tmp_path / "human.npz").vertices, low.vertices)
     told = fails(capsys, "convert", "human:low", tmp_path / "b.npz", "--motion", inputs / "truth.npz")
-    assert "--motion is for a body .npz that becomes" in told
+    assert "--motion is for a body that becomes a .glb" in told
     runs(capsys, "convert", inputs / "body.npz", tmp_path / "b.glb", "--motion", inputs / "truth.npz")
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     runs(
@@ -170,7 +170,7 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
     before = tree(tmp_path)
     for source, target, *options, said in (
         (motion, "out.fbx", "cannot become"),
-        (motion, "out.trc", "--motion", motion, "--motion is for a body .npz"),
+        (motion, "out.trc", "--motion", motion, "--motion is for a body that becomes a .glb"),
         (motion, "out.trc", "--as", "amass", "--as amass is for a motion that becomes an .npz"),
         (motion, "out.bvh", "--as", "amass", "is written as .npz"),
         (motion, "out.bvh", "--up", "y", "other motions have y up"),
@@ -180,8 +180,8 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
         (motion, "out.bvh", "--unit", "mm", "'.npz' files say their unit themselves"),
         (motion, "out.npz", "--target-unit", "mm", "'.npz' files are written in metres"),
         (body, "out.usda", "--target-unit", "mm", "'.usda' files are written in metres"),
-        (motion, "out.bvh", "--influences", "8", "--influences is for a body .npz"),
-        (motion, "out.bvh", "--tolerance", "1", "--tolerance is for a body .npz"),
+        (motion, "out.bvh", "--influences", "8", "--influences is for a body that becomes"),
+        (motion, "out.bvh", "--tolerance", "1", "--tolerance is for a body that becomes"),
         (body, "out.skl", "--body", body, "--body is for a motion"),
         (motion, "out.usda", "not a 'jaxcap body'"),
         (body, "out.bvh", "not a 'jaxcap motion'"),

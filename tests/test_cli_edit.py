@@ -298,7 +298,7 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
         ("cut a.npz -o new.npz --seconds 0 inf", "--seconds is 0 inf"),
         ("cut a.npz -o empty.bvh --frames 0 3 --overwrite", "empty.bvh: this is a folder"),
         ("cut bare.npz -o new.npz --frames 0 3", "does not say its skeleton"),
-        ("cut marked.npz -o new.npz --frames 0 3", "an unmarked file, not a 'jaxcap motion'"),
+        ("cut marked.npz -o new.npz --frames 0 3", "an unmarked file of other arrays, not a 'jaxcap motion'"),
         ("resample a.npz -o new.npz --rate 1e9", "that makes 2e+09 frames"),
         ("keys a.npz -o new.npz --keys new.npz", "give them two names"),
         ("retarget a.npz a.npz -o new.npz --names none.txt", "jaxcap: none.txt: there is no such file"),

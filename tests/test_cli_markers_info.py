@@ -85,7 +85,10 @@ def test_several_subjects_are_told(capsys, tmp_path):
 
 def test_what_is_refused(capsys, trial, tmp_path):
     assert "no such file" in fails(capsys, "markers", "info", tmp_path / "none.c3d")
-    assert "use .c3d, .trc, .csv" in fails(capsys, "markers", "info", tmp_path / "none.bvh")
+    (tmp_path / "some.bvh").touch()
+    assert "a file of markers is expected: .c3d, .trc, .csv" in fails(
+        capsys, "markers", "info", tmp_path / "some.bvh"
+    )
     assert "ends in .png" in fails(capsys, "markers", "info", trial, "--picture", tmp_path / "gaps.jpg")
     assert "not a unit" in fails(capsys, "markers", "info", trial, "--unit", "yards")
     assert "--rows -1" in fails(capsys, "markers", "info", trial, "--rows", "-1")

@@ -93,7 +93,9 @@ def test_what_is_refused(capsys, folder, tmp_path):
     assert "folder is not there" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "none" / "p.npz")
     assert "no motions" in fails(capsys, "prior", "learn", "-o", out)
     assert "no such file" in fails(capsys, "prior", "learn", tmp_path / "none.npz", "-o", out)
-    assert "not read as '.fbx'" in fails(capsys, "prior", "learn", tmp_path / "a.fbx", "-o", out)
+    (tmp_path / "a.fbx").touch()
+    said = fails(capsys, "prior", "learn", tmp_path / "a.fbx", "-o", out)
+    assert "this is an FBX file, which is not read; export .glb from Blender" in said
     other = jc.make_skeleton(("a", "b", "c"), (-1, 0, 1), ("free", "ball", "ball"), np.eye(3))
     still = tmp_path / "other.npz"
     jc.save_motion(still, jc.stack_poses([jc.rest_pose(other)] * 2), other)

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 import trimesh
-from cli import runs
+from cli import fails, runs
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.human import human
@@ -116,13 +116,13 @@ def test_demo_leaves_all_it_promises(tmp_path, capsys):
     )
     assert "joint centres" in out
     assert {path.name for path in (tmp_path / "demo").iterdir()} == {
-        "motion.bvh", "motion.npz", "statistics.csv", "statistics.json", "demo.png",
+        "motion.bvh", "motion.npz", "statistics.csv", "statistics.json", "demo.png", ".gitignore",
     }  # fmt: skip
     assert read_bvh(tmp_path / "demo" / "motion.bvh")[1].num_frames == 15
     frames = json.loads((tmp_path / "demo" / "statistics.json").read_text())["frames"]
     assert [frame["state"] for frame in frames] == ["converged"] * 15
-    # and again: an earlier demo may be replaced
-    runs(
-        capsys, "demo", "-o", tmp_path / "demo", "--seconds", "0.2", "--points", "1500", "--vertices", "1500"
-    )
+    # and again: an earlier demo is replaced where that is asked for
+    again = ["demo", "-o", tmp_path / "demo", "--seconds", "0.2", "--points", "1500", "--vertices", "1500"]
+    assert "give --overwrite to replace them" in fails(capsys, *again)
+    runs(capsys, *again, "--overwrite")
     assert read_bvh(tmp_path / "demo" / "motion.bvh")[1].num_frames == 6

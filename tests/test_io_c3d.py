@@ -234,8 +234,11 @@ def test_paths_that_are_wrong(tmp_path):
     frames = jc.make_markers(walked() / 1000, NAMES, 100.0)
     with pytest.raises(InputError, match="no such file"):
         jc.read_markers(tmp_path / "none.c3d")
-    with pytest.raises(InputError, match=r"'.xyz' files; use .c3d, .trc, .csv"):
-        jc.read_markers(tmp_path / "none.xyz")
+    (tmp_path / "some.what").touch()
+    with pytest.raises(
+        InputError, match=r"'\.what' are not known; a file of markers is expected: \.c3d, \.trc, \.csv"
+    ):
+        jc.read_markers(tmp_path / "some.what")
     (tmp_path / "folder.c3d").mkdir()
     with pytest.raises(InputError, match="cannot be read"):
         jc.read_markers(tmp_path / "folder.c3d")

@@ -107,7 +107,7 @@ def test_obj_counts_back_and_passes_over_the_rest(tmp_path):
         ("a.obj", "v 0 0 0\nf 1 2 3\n", r"face 0 names vertices \[0, 1, 2\]"),
         ("a.ply", "ply\nformat ascii 1.0\nelement vert", "not a whole .ply file"),
         ("a.glb", "glTF", "not a whole .glb file"),
-        ("a.xyz", "1 2 3", "are not read as meshes"),
+        ("a.xyz", "1 2 3", "a point cloud as text, which is not read; write it as .ply"),
     ],
 )
 def test_a_wrong_mesh_is_told(tmp_path, name, text, said):
@@ -193,7 +193,7 @@ def test_what_is_no_file_among_several(folder):
         ("*.off", r"this is a pattern among 5 sources"),
         ("cloud_%d.off", r"this is a pattern among 5 sources"),
         ("b.npz", r"b\.npz: an \.npz is a sequence by itself; give it alone"),
-        ("cameras.json", r"cameras\.json: this is no cloud or mesh .*leave it out"),
+        ("cameras.json", r"cameras\.json: this is .*, where a mesh or a cloud is expected"),
         ("none.off", r"none\.off: there is no such file"),
         ("cloud_9.off", r"cloud_9\.off: this file is named twice"),
     ):

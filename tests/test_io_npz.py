@@ -111,7 +111,7 @@ def rewrite(path, drop=(), **changes):
             lambda p: rewrite(p, vertices=np.array([[np.nan] * 3] * 5)),
             "'vertices' has numbers that are not finite, first in vertex 0",
         ),
-        (lambda p: (p.unlink(), p.mkdir()), "Is a directory"),
+        (lambda p: (p.unlink(), p.mkdir()), "this is a folder, where a body is expected"),
         (lambda p: p.unlink(), "no such file"),
     ],
 )

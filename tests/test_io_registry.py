@@ -53,30 +53,42 @@ def test_a_body_of_kinebens_files(skeleton, tmp_path):
     np.testing.assert_array_equal(body.skin.parts(), bones)
     with pytest.raises(InputError, match="looks like centimetres: pass unit='cm'"):
         read_body(tmp_path / "a.off", tmp_path / "a.skl", tmp_path / "a.vj")
-    with pytest.raises(InputError, match="only with a skeleton and parts"):
+    with pytest.raises(InputError, match="only with a skeleton"):
         read_body(tmp_path / "a.off")
+
+
+def _touched(path):
+    path.touch()
+    return path
 
 
 @pytest.mark.parametrize(
     ("call", "said"),
     [
         (
-            lambda p, s, m: read_motion(p / "a.fbx"),
-            r"motions are not read as '\.fbx' files; use \.bvh, \.amc, \.npz",
+            lambda p, s, m: read_motion(_touched(p / "a.fbx")),
+            r"an FBX file, which is not read; export \.glb from Blender \(File > Import > FBX, then File > Export",
         ),
         (lambda p, s, m: write_motion(p / "a.amc", s, m), r"not written as '\.amc'"),
-        (lambda p, s, m: read_skeleton(p / "a"), "skeletons are not read as ''"),
-        (lambda p, s, m: read_motion(p / "01_01.amc"), r"no \.asf file beside it"),
-        (lambda p, s, m: read_body(p / "a.txt"), r"not read from '\.txt'"),
+        (
+            lambda p, s, m: read_skeleton(_touched(p / "a")),
+            r"its name has no suffix; a skeleton is expected: \.skl, \.bvh",
+        ),
+        (lambda p, s, m: read_motion(p / "01_01.amc"), r"no \.asf file in its folder"),
+        (
+            lambda p, s, m: read_body(_touched(p / "a.txt")),
+            r"a text file, where a body is expected: \.npz, \.glb",
+        ),
+        (lambda p, s, m: read_body(p / "b.txt"), "no such file"),
         (lambda p, s, m: read_motion(p / "a.bvh"), "no such file"),
-        (lambda p, s, m: read_motion(p), "not read as ''"),
+        (lambda p, s, m: read_motion(p), "this is a folder, where a motion is expected; give a file, "),
         (lambda p, s, m: write_motion(p / "none" / "a.npz", s, m), "cannot be written"),
     ],
 )
 def test_what_has_no_reader_is_told(skeleton, motion, tmp_path, call, said):
     with pytest.raises(InputError, match=said):
         call(tmp_path, skeleton, motion)
-    assert not list(tmp_path.iterdir())
+    assert not any(path.stat().st_size for path in tmp_path.iterdir())
 
 
 @pytest.mark.shared

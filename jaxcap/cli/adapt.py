@@ -25,7 +25,18 @@ from .adapt_actor import finished_run, save_actor
 from .adapt_input import first_pose, load_cameras, look_through, warn_of_lost, warn_of_unusable
 from .adapt_prior import carried, prior_file, read_priors
 from .adapt_state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
-from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg, clouds_words
+from .options import (
+    BODY_WORDS,
+    BodySpec,
+    CloudsSpec,
+    Flag,
+    OptionalCount,
+    OptionalFile,
+    Unit,
+    Up,
+    arg,
+    clouds_words,
+)
 from .rounds import Rounds
 from .say import say
 from .sources import Clouds, load_body
@@ -45,10 +56,8 @@ class Adapt:
 
     Scans need not be registered, whole or clean. A run that was stopped goes on with --resume."""
 
-    body: BodySpec
-    """The template: `human` (with options: `human:female,height=1.7`) or a body .npz."""
+    body: Annotated[BodySpec, arg(help=f"The template: {BODY_WORDS}.")]
     clouds: CloudsSpec
-    """Files, a frame each (`scans/*.ply`), a printf pattern (`scan_%03d.ply`), a folder, or an .npz."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """The actor's body, .npz."""
     motion: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
@@ -100,9 +109,9 @@ class Adapt:
     last: OptionalCount = None
     """Last frame, included."""
     unit: Unit = "m"
-    """Unit of the scans: m, dm, cm, mm, in or ft."""
+    """Unit of the scans, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Axis that points up in the scans. Results have y up."""
+    """Axis that points up in the scans, and in a mesh as BODY. Results have y up."""
     rate: float = 30.0
     """Frames a second."""
     vertices: OptionalCount = None
@@ -121,7 +130,7 @@ class Adapt:
         """Read, adapt, write and report, with no other run that writes the same files."""
         known = prior_file(self.body, self.prior)
         header = {**self.settings(), "prior": hash_of(known)}
-        body, _ = load_body(self.body, vertices=self.vertices)
+        body, _ = load_body(self.body, vertices=self.vertices, unit=self.unit, up=self.up)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
             told = clouds_words(self.clouds)
@@ -278,7 +287,7 @@ class Adapt:
             boxes=None if priors is None else priors.boxes,
             shape=None if priors is None else priors.shape,
             mesh=clouds.mesh if self.pairs == "surface" else None,
-            whole=None if self.vertices is None else load_body(self.body)[0],
+            whole=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
         )
 
     def settings(self) -> dict[str, object]:

@@ -21,7 +21,7 @@ from ..fit.check import check_extent
 from ..geometry.camera import Camera
 from ..io.cameras import read_cameras
 from ..io.clouds import Scan, Scans
-from ..io.registry import read_motion
+from .motions import load_motion
 from .say import progress, warn
 from .sources import Up, up_rotation
 
@@ -105,7 +105,7 @@ def _upright(camera: Camera, up: Up) -> Camera:
 
 def first_pose(path: Path, skeleton: Skeleton) -> Pose:
     """The first pose of a motion, carried over to a skeleton of other proportions. Raises `InputError`."""
-    of, motion = read_motion(path)
+    of, motion = load_motion(path)
     try:
         plan = plan_retarget(of, skeleton, None, motion)
     except ValueError as error:

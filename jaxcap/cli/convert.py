@@ -11,14 +11,14 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..io.amass import is_amass, read_amass
-from ..io.body_motion import read_motion_of
+from ..io.clip import split_clip
 from ..io.mesh import read_mesh, write_mesh
 from ..io.npz import save_body
 from ..io.registry import (
     MANNERS,
+    is_skinned,
     read_marker_file,
-    read_motion,
-    read_skeleton,
+    read_skinned,
     write_markers,
     write_motion,
     write_skeleton,
@@ -26,6 +26,7 @@ from ..io.registry import (
 from .convert_body import write_linear_body
 from .convert_points import read_labels, write_points
 from .convert_way import PURPOSES, Way, check_options, check_units, find_way
+from .motions import load_motion, load_motion_of, load_skeleton, tell_clip
 from .options import Flag, OptionalFile, OptionalUnit, arg
 from .outputs import check_absent
 from .say import say, warn
@@ -40,12 +41,13 @@ class Convert:
     """Write a motion, its joint centres, a body with its motion, a mesh or markers in another format; suffixes say what
     is what.
 
-    A motion (.bvh, .npz, .amc with its .asf beside it, .glb) becomes .bvh or .npz, or joint centres as .trc, .c3d or .csv.
-    A body .npz, or `human` (with options), becomes a skinned, animated .glb, .usda, .usdc or .usdz;
-    `human` also a body .npz, and so does a skinned .glb with --as body."""
+    A motion becomes .bvh or .npz, or joint centres as .trc, .c3d or .csv. A body becomes a skinned, animated .glb, .usda,
+    .usdc or .usdz, with its own motion where its file has one; `human` also a body .npz, and every other body with
+    --as body."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
-    """The file to read."""
+    """A motion, a body, a skeleton, a mesh or markers, from any file that is read; `character.glb:Walk` is one clip of
+    several."""
     target: tyro.conf.Positional[Annotated[Path, arg(metavar="TARGET")]]
     """The file to write."""
     unit: OptionalUnit = None
@@ -53,13 +55,14 @@ class Convert:
     target_unit: OptionalUnit = None
     """Unit of the target's lengths; metres where not given, centimetres in BVH, millimetres in TRC and C3D."""
     motion: OptionalFile = None
-    """Motion (.npz, .bvh) of a body that becomes a .glb or USD."""
+    """The motion of a body that becomes a .glb or USD, from any file with a motion."""
     body: OptionalFile = None
-    """The body (.npz or `human`) that a motion is of: for files that do not say where joints are, as AMASS's, and for --vertices."""
+    """The body that a motion is of, for files that do not say where joints are, as AMASS's, and for --vertices: `human`, or
+    any file with a body."""
     as_: Annotated[
         Literal["amass", "body"] | None, arg(name="as", metavar="amass|body", help_behavior_hint="")
     ] = None
-    """What an .npz is to be: a motion in the manner of AMASS (`poses`, `trans`, `betas`, `gender` and the rate, z up), or the body of a .glb."""
+    """What an .npz is to be: a motion in the manner of AMASS (`poses`, `trans`, `betas`, `gender` and the rate, z up), or the body of SOURCE."""
     up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
     """What is up in a motion in AMASS's manner; z where not given."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
@@ -74,7 +77,7 @@ class Convert:
     def run(self) -> None:
         check_absent([self.target], self.overwrite)
         human = names_human(str(self.source))
-        if not human and not self.source.is_file():
+        if not human and not split_clip(self.source)[0].exists():
             raise InputError(f"{self.source}: there is no such file; check the path.")
         # the human is what a body file would be
         own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
@@ -114,29 +117,34 @@ class Convert:
         """The source's motion: of the body where one is given."""
         if self.body is None:
             return *self.motion_of(self.source, None), None
-        body = load_body(str(self.body))[0]
+        body = load_body(str(self.body), unit=self.unit or "m")[0]
         return *self.motion_of(self.source, body), body
 
     def motion_of(self, path: Path, body: Body | None) -> tuple[Skeleton, Motion]:
         if is_amass(path):
             return read_amass(path, None if body is None else body.skeleton, self.up or "z")
         skeleton, motion = (
-            read_motion(path, self.unit)
+            load_motion(path, self.unit)
             if body is None
-            else (body.skeleton, read_motion_of(body, path, self.unit))
+            else (body.skeleton, load_motion_of(body, path, self.unit))
         )
         if not len(motion):
             raise InputError(f"{path}: there are no frames in this motion.")
         return skeleton, motion
 
     def write_own(self) -> None:
-        body = load_body(str(self.source))[0]
+        body = load_body(str(self.source), unit=self.unit or "m")[0]
         save_body(self.target, body)
         say(f"{self.target}: {len(body.vertices)} vertices, {body.skeleton.num_joints} joints")
 
     def write_body(self) -> None:
-        body = load_body(str(self.source))[0]
-        motion = None if self.motion is None else self.motion_of(self.motion, body)[1]
+        if is_skinned(self.source):
+            body, motion = read_skinned(self.source)
+            tell_clip(self.source)
+        else:
+            body, motion = load_body(str(self.source), unit=self.unit or "m")[0], None
+        if self.motion is not None:
+            motion = self.motion_of(self.motion, body)[1]
         write_linear_body(self.target, body, motion, self.tolerance, self.influences)
 
     def write_motion(self) -> None:
@@ -167,6 +175,6 @@ class Convert:
         say(f"{self.target}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")
 
     def write_skeleton(self) -> None:
-        skeleton = read_skeleton(self.source, self.unit)
+        skeleton = load_skeleton(self.source, self.unit)
         write_skeleton(self.target, skeleton, self.target_unit)
         say(f"{self.target}: {skeleton.num_joints} joints")

@@ -5,7 +5,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import InputError
+from ..io.clip import suffix_of
+from ..io.foreign import FOREIGN
+from ..io.kinds import identify, wrong_kind
 from ..io.mesh import SUFFIXES
+from ..io.mesh import WRITTEN as MESH_WRITTEN
 from ..io.registry import (
     BODY_WRITERS,
     MARKER_READERS,
@@ -14,43 +18,49 @@ from ..io.registry import (
     MOTION_WRITERS,
     SKELETON_READERS,
     SKELETON_WRITERS,
+    SKINNED_READERS,
+    is_skinned,
 )
 
 Way = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
 #: what each option is for, and the ways that take it
 PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
-    "motion": ("a body .npz that becomes a .glb or USD", ("body",)),
+    "motion": ("a body that becomes a .glb or USD", ("body",)),
     "body": ("a motion that is to be a body's own", ("motion", "points")),
     "as amass": ("a motion that becomes an .npz", ("motion",)),
-    "as body": ("a skinned .glb that becomes an .npz", ("own",)),
+    "as body": ("a body that becomes an .npz", ("own",)),
     "vertices": ("a motion that becomes .trc, .c3d or .csv", ("points",)),
     "up": ("a motion in AMASS's manner", ("body", "motion", "points")),
-    "tolerance": ("a body .npz that becomes a .glb or USD", ("body",)),
-    "influences": ("a body .npz that becomes a .glb or USD", ("body",)),
+    "tolerance": ("a body that becomes a .glb or USD", ("body",)),
+    "influences": ("a body that becomes a .glb or USD", ("body",)),
 }
 #: these are in metres, or say what they are in
-OWN_UNIT = (".npz", ".glb", ".asf", ".amc")
+OWN_UNIT = (".npz", *SKINNED_READERS, ".asf", ".amc")
 
 
 def find_way(source: Path, target: Path) -> Way:
     """What the suffixes ask for. Raises `InputError` where there is no such way."""
-    here, there = source.suffix.lower(), target.suffix.lower()
-    if here == ".npz" and there in BODY_WRITERS:
+    here, there = suffix_of(source), target.suffix.lower()
+    if there in BODY_WRITERS and (here == ".npz" or is_skinned(source)):
         return "body"
+    if here in SUFFIXES and there in MESH_WRITTEN:
+        return "mesh"
     if here in MOTION_READERS and there in MOTION_WRITERS:
         return "motion"
     if here in MOTION_READERS and there in MARKER_WRITERS:
         return "points"
     if here in MARKER_READERS and there in MARKER_WRITERS:
         return "markers"
-    if here in SUFFIXES:
-        return "mesh"
     if here in SKELETON_READERS and there in SKELETON_WRITERS:
         return "skeleton"
+    if source.is_dir() or here in FOREIGN or identify(source) is None:
+        raise wrong_kind(
+            source, "something to convert", (*MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, *SUFFIXES)
+        )
     raise InputError(
         f"{source}: '{here}' files cannot become '{there}' files; motions are read from {', '.join(MOTION_READERS)} and "
         f"written as {', '.join(MOTION_WRITERS)}, their joint centres as {', '.join(MARKER_WRITERS)}, skeletons as .skl, "
-        f"bodies (.npz) as {', '.join(BODY_WRITERS)}."
+        f"bodies as {', '.join(BODY_WRITERS)} and with --as body as .npz, meshes as {', '.join(MESH_WRITTEN)}."
     )
 
 
@@ -68,9 +78,9 @@ def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
 
 def check_units(way: Way, source: Path, target: Path, unit: str | None, target_unit: str | None) -> None:
     """That units are given where files have none of their own. Raises `InputError`."""
-    if unit and way != "mesh" and source.suffix.lower() in OWN_UNIT:
+    if unit and way != "mesh" and suffix_of(source) in OWN_UNIT:
         raise InputError(
-            f"{source}: '{source.suffix}' files say their unit themselves; leave --unit {unit} out."
+            f"{source}: '{suffix_of(source)}' files say their unit themselves; leave --unit {unit} out."
         )
     if target_unit and way != "mesh" and target.suffix.lower() in (".npz", *BODY_WRITERS):
         raise InputError(

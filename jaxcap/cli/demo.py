@@ -17,17 +17,18 @@ from ..demo.scanner import Scanner, scan
 from ..errors import InputError
 from ..fit.sequence import track_frames
 from ..fit.track import make_tracker
-from ..io.atomic import replacing
+from ..io.atomic import replacing, write_text
 from ..io.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe import make_cloud
 from .frame_rows import pack, results_of
-from .options import OptionalCount, arg
+from .options import Flag, OptionalCount, arg
 from .results import FILES, check_folder, make_writable, write_results
 from .say import progress, say, table, warn
 from .timed import timed
 
 _pose_body = eqx.filter_jit(pose_body)
+PICTURE = "demo.png"
 #: points of a picture's cloud
 SHOWN = 5000
 
@@ -39,7 +40,7 @@ class Demo:
     Leaves motion.bvh, motion.npz, statistics and demo.png."""
 
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("jaxcap-demo")
-    """Folder for the results; those of an earlier demo are replaced."""
+    """Folder for the results; one that is made here is ignored by git."""
     seconds: float = 2.0
     """Length of the performance."""
     points: int = 5000
@@ -48,11 +49,13 @@ class Demo:
     """Deviation of the points, metres."""
     vertices: OptionalCount = None
     """Vertices of the body that is fitted; 5,000 where not given."""
+    overwrite: Flag = False
+    """Replace the results of an earlier demo."""
 
     def run(self) -> None:
         if self.seconds < 0.1 or self.points < 200 or not self.noise >= 0:
             raise InputError("A demo needs at least 0.1 seconds, 200 points, and noise that is not negative.")
-        make_writable(self.out)
+        self.make_folder()
         with run_lock(self.out):
             self.perform()
 
@@ -107,12 +110,21 @@ class Demo:
             warn(f"{len(lost)} of {len(motion)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
         say(f"{', '.join(FILES)} and demo.png are in {self.out}")
 
+    def make_folder(self) -> None:
+        """Make the folder, with a file that lets git ignore one that was not there. Raises `InputError`."""
+        new = not self.out.exists()
+        make_writable(self.out)
+        if new:
+            write_text(self.out / ".gitignore", "# made by jaxcap demo\n*\n")
+
     def check_folder(self) -> None:
-        """An earlier demo may be replaced, other results may not. Raises `InputError`."""
-        earlier = (self.out / "demo.png").is_file()
-        if not earlier and any((self.out / name).exists() for name in FILES):
-            raise InputError(f"{self.out}: this folder holds the results of a run; give another one by -o.")
-        check_folder(self.out, "journal", False, earlier)
+        """That no results are in the folder, or that they are to be replaced. Raises `InputError`."""
+        if not self.overwrite and any((self.out / name).exists() for name in (*FILES, PICTURE)):
+            raise InputError(
+                f"{self.out}: this folder holds the results of a run; give --overwrite to replace them, or another folder "
+                "by -o."
+            )
+        check_folder(self.out, "journal", False, self.overwrite)
 
     def picture(self, body, motion, clouds, errors) -> None:
         views = []
@@ -128,7 +140,7 @@ class Demo:
                     scan_to_surface(points, vertices, np.asarray(body.faces)),
                 )
             )
-        with replacing(self.out / "demo.png") as beside:
+        with replacing(self.out / PICTURE) as beside:
             title = f"jaxcap: {self.points:,} noisy points a frame, mean joint error {1000 * errors.mean():.1f} mm"
             draw(beside, views, np.asarray(body.faces), title)
 

@@ -6,20 +6,18 @@ from typing import Annotated
 
 import equinox as eqx
 import numpy as np
-import tyro
 from jaxtyping import Float
 
 from ..body.body import pose_body
 from ..body.kinematics import joint_paths
 from ..body.skeleton import Skeleton
 from ..errors import InputError
-from ..io.body_motion import read_motion_of
 from ..io.clouds import read_clouds
 from ..io.npz import load_arrays
-from ..io.registry import read_motion
 from ..io.table import write_json
 from ..metrics import Summary, distance_summary, joint_errors, scan_to_surface
-from .options import BodySpec, CloudsSpec, OptionalCount, OptionalFile, Unit, Up, arg
+from .motions import load_motion, load_motion_of
+from .options import BodySpec, CloudsSpec, MotionSpec, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
 from .say import progress, say, table
 from .sources import load_body, up_rotation
 
@@ -31,19 +29,14 @@ class Evaluate:
     """Distances from scan to surface, and errors at the joints where the truth is known."""
 
     body: BodySpec
-    """As for `track`."""
-    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
-    """The body's motion, .npz or .bvh."""
+    motion: MotionSpec
     clouds: CloudsSpec
-    """As for `track`."""
     truth: OptionalFile = None
-    """The true motion (.npz, .bvh, .amc), or an .npz with `joints (F, J, 3)` and `names (J,)`."""
+    """The true motion, from any file that MOTION may be, or an .npz with `joints (F, J, 3)` and `names (J,)`."""
     out: Annotated[OptionalFile, arg(aliases=("-o",))] = None
     """Save the report as JSON."""
-    skl: OptionalFile = None
-    """Skeleton of a mesh; beside it where not given."""
-    vj: OptionalFile = None
-    """Joint of each vertex of a mesh; beside it where not given."""
+    skl: Skl = None
+    vj: Vj = None
     first: OptionalCount = None
     """First cloud: the number in a pattern's names, else counted from 0."""
     last: OptionalCount = None
@@ -62,7 +55,7 @@ class Evaluate:
             raise InputError(f"--points is {self.points}; it must be at least 1.")
         body, _ = load_body(self.body, self.skl, self.vj, vertices=self.vertices, unit=self.unit, up=self.up)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
-        motion = read_motion_of(body, self.motion)
+        motion = load_motion_of(body, self.motion)
         if motion.num_frames != len(scans):
             raise InputError(
                 f"{self.motion}: the motion has {motion.num_frames} frames and there are {len(scans)} clouds; "
@@ -113,14 +106,16 @@ def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], 
                 f"{path}: the array 'joints' has the shape {joints.shape}; it must be (F, {len(names)}, 3)."
             )
     else:
-        own, motion = read_motion(path)
+        own, motion = load_motion(path)
         names, joints = list(own.names), np.asarray(joint_paths(own, motion.poses))
     if len(joints) != frames:
-        raise InputError(f"{path}: the truth has {len(joints)} frames and the motion {frames}.")
+        raise InputError(
+            f"{path}: the truth has {len(joints)} frames and the motion {frames}; give the truth of these."
+        )
     shared = [name for name in names if name in skeleton.names]
     if not shared:
         raise InputError(
-            f"{path}: no joint of the truth is one of the body, which has {', '.join(skeleton.names)}."
+            f"{path}: no joint of the truth is one of the body, which has {', '.join(skeleton.names)}; give the truth of this body."
         )
     return shared, np.asarray(joints, float)[:, [names.index(name) for name in shared]]
 

@@ -13,14 +13,14 @@ from ..errors import InputError
 from ..fit.registered import fit_meshes
 from ..io.meshes import read_named_meshes
 from ..io.npz import save_motion
-from ..io.registry import read_body
 from ..io.table import write_json
 from ..observe import MeshSequence
 from ..report.pictures import error_pictures
-from .options import Flag, Unit, arg
+from .options import BodySpec, Flag, Unit, arg
 from .outputs import check_npz, make_folder
 from .say import say, warn
 from .scoring import score_motion, tell_scores
+from .sources import load_body
 
 MeshesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
@@ -36,8 +36,7 @@ class Fit:
 
     Says how far the meshes are from the body: vertex to surface, and vertex to vertex."""
 
-    body: tyro.conf.Positional[Annotated[Path, arg(metavar="BODY")]]
-    """A body .npz, such as `jaxcap learn` writes."""
+    body: BodySpec
     meshes: MeshesSpec
     """Mesh files, a folder, a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("motion.npz")
@@ -45,7 +44,7 @@ class Fit:
     report: OptionalFolder = None
     """Folder for report.json and heat maps of the error."""
     unit: Unit = "m"
-    """Unit of the meshes: m, dm, cm, mm, in or ft."""
+    """Unit of the meshes, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
     rate: OptionalRate = None
     """Meshes a second; where not given, as the file says, or 30."""
     overwrite: Flag = False
@@ -54,9 +53,7 @@ class Fit:
     def run(self) -> None:
         check_npz(self.out, self.overwrite)
         check_rate(self.rate)
-        if self.body.suffix.lower() != ".npz":
-            raise InputError(f"{self.body}: a body is read from an .npz; learn or rig one first.")
-        body = read_body(self.body)
+        body, _ = load_body(self.body, unit=self.unit)
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         check_size(body, sequence, self.meshes[0])
         try:
@@ -73,7 +70,7 @@ class Fit:
         say(f"{self.out}: {fit.motion.num_frames} poses")
         if self.report is not None:
             make_folder(self.report)
-            write_json(self.report / "report.json", {"body": str(self.body), **scores.report()})
+            write_json(self.report / "report.json", {"body": self.body, **scores.report()})
             error_pictures(self.report, body, fit.motion, sequence, scores)
             say(f"report.json and pictures are in {self.report}")
 

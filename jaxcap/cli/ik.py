@@ -14,13 +14,13 @@ from ..edit.ik.session import IkSession, IkSettings
 from ..edit.ik.solve import Solver
 from ..energy.pair_prior import MahalanobisPrior
 from ..errors import InputError
-from ..io.body_motion import read_motion_of
 from ..io.constraints import read_constraints
 from ..io.limits import read_limits
 from ..io.prior import load_prior
 from ..io.registry import MOTION_WRITERS, write_motion
 from ..view.serve import HOST
-from .options import BodySpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
+from .motions import load_motion_of
+from .options import BodySpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
 from .outputs import check_new
 from .say import say, table, warn
 from .sources import load_body
@@ -41,21 +41,17 @@ class Ik:
     With --constraints and -o there is no window: the pose that meets the constraints is written."""
 
     body: BodySpec
-    """`human` (with options: `human:female,height=1.7`), a body .npz, a skinned .glb or USD, or a mesh with .skl and .vj."""
     pose: OptionalFile = None
-    """Motion (.npz, .bvh) of the body whose pose to begin with; rest where not given."""
+    """A motion of the body with the pose to begin with, from any file with a motion; rest where not given."""
     frame: OptionalCount = None
     """Which frame of it, counted from 0; the first where not given."""
     constraints: OptionalFile = None
     """Constraints (.json) to begin with, as the window saves them."""
     out: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
     """Write the pose that meets the constraints, .npz or .bvh, and open no window."""
-    skl: OptionalFile = None
-    """Skeleton of a mesh; beside it where not given."""
-    vj: OptionalFile = None
-    """Joint of each vertex of a mesh; beside it where not given."""
-    cst: OptionalFile = None
-    """Joint limits to keep, of a mesh's skeleton."""
+    skl: Skl = None
+    vj: Vj = None
+    cst: Cst = None
     limits: OptionalFile = None
     """Joint limits to keep: those that `jaxcap limits learn` wrote, or a .cst or .asf file."""
     prior: OptionalFile = None
@@ -116,7 +112,7 @@ class Ik:
         prior = None if self.prior is None else MahalanobisPrior(load_prior(self.prior, body.skeleton))
         pose = None
         if self.pose is not None:
-            pose = self.one_pose(read_motion_of(body, self.pose).poses, self.pose)
+            pose = self.one_pose(load_motion_of(body, self.pose).poses, self.pose)
         settings = IkSettings(self.solver, True, prior is not None, self.hold_root)
         session = ik.begin_session(body, pose, limits, prior, settings)
         if self.constraints is None:

@@ -11,10 +11,10 @@ from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..fit.registered import fit_meshes
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..io.clip import split_clip
 from ..io.lock import run_lock
 from ..io.meshes import read_named_meshes
 from ..io.npz import save_body, save_motion
-from ..io.registry import read_skeleton
 from ..learn.check import check_meshes
 from ..learn.check_parts import check_learned
 from ..learn.loop import COARSE, Learned, LearnState, learn_body
@@ -23,11 +23,13 @@ from ..report.learned import report_learning
 from ..report.scores import Scores
 from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
 from .heartbeat import doing
-from .options import Flag, OptionalCount, OptionalFile, Unit, arg
+from .motions import load_skeleton
+from .options import SKELETON_WORDS, Flag, OptionalCount, OptionalFile, Unit, arg
 from .outputs import check_npz, make_folder
 from .rounds import Rounds
 from .say import say, warn
 from .scoring import mesh_hashes, score_motion, tell_scores
+from .sources import names_human
 
 OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior_hint="")]
 
@@ -53,8 +55,12 @@ class Learn:
     """Left and right limbs need not be equally long."""
     pairs: OptionalText = None
     """Left and right joints to be alike, by number, or by name with --skeleton: 3:5,4:6."""
-    skeleton: OptionalFile = None
-    """A skeleton that stands in the first mesh (.skl, .bvh, .asf, .npz), in place of one that is found."""
+    skeleton: Annotated[
+        OptionalFile,
+        arg(
+            help=f"A skeleton that fits into the first mesh, in place of one that is found: {SKELETON_WORDS}."
+        ),
+    ] = None
     keep_joints: Flag = False
     """The joints of --skeleton stay where it has them; without it they go where motion tells that they are."""
     free_bones: Flag = False
@@ -99,7 +105,7 @@ class Learn:
             )
         for told in check_meshes(sequence, names):
             warn(told)
-        skeleton = None if self.skeleton is None else read_skeleton(self.skeleton, self.unit)
+        skeleton = None if self.skeleton is None else load_skeleton(self.skeleton, self.unit)
         header = {**self.settings(), **mesh_hashes(sequence[train])}
         resumed = self.start(kept, header)
         if self.report is not None:
@@ -155,7 +161,7 @@ class Learn:
             "unit",
             "hold_out",
         )
-        skeleton = None if self.skeleton is None else hashlib.sha256(self.skeleton.read_bytes()).hexdigest()
+        skeleton = None if self.skeleton is None else skeleton_digest(self.skeleton)
         skin = "lbs" if self.free_bones else self.skin
         return {**{name: getattr(self, name) for name in names}, "skin": skin, "skeleton": skeleton}
 
@@ -249,6 +255,13 @@ class Learn:
             doing("drawing the report")
             report_learning(self.report, learned.body, shown, learned.history, learned.curve, self.settings())
             say(f"report.json and pictures are in {self.report}")
+
+
+def skeleton_digest(spec: Path) -> str:
+    """Return what tells that a skeleton is the same: a hash of its file, or the options of `human`."""
+    if names_human(str(spec)):
+        return str(spec)
+    return hashlib.sha256(split_clip(spec)[0].read_bytes()).hexdigest()
 
 
 def split(count: int, hold_out: int | None) -> tuple[np.ndarray, np.ndarray]:

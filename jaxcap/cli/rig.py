@@ -10,9 +10,9 @@ import tyro
 from ..errors import InputError
 from ..io.mesh import check_mesh, check_size, read_mesh
 from ..io.npz import save_body
-from ..io.registry import read_skeleton
 from ..rig.rig import rig_mesh
-from .options import Flag, OptionalFile, Unit, Up, arg
+from .motions import load_skeleton
+from .options import SKELETON_WORDS, Flag, OptionalFile, Unit, Up, arg
 from .outputs import check_npz
 from .say import say
 from .sources import up_rotation, upright_skeleton
@@ -28,8 +28,9 @@ class Rig:
     """A closed surface: .off, .obj, .ply, .stl or .glb."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
     """The body to write."""
-    skeleton: OptionalFile = None
-    """A skeleton (.skl, .bvh, .asf, .npz) that stands in the mesh already."""
+    skeleton: Annotated[
+        OptionalFile, arg(help=f"A skeleton that fits into the mesh already: {SKELETON_WORDS}.")
+    ] = None
     method: Literal["automatic", "envelopes", "heat"] = "automatic"
     """How vertices follow bones: the human's own weights, one bone each (rigid), or spread like heat."""
     unit: Unit = "m"
@@ -47,7 +48,7 @@ class Rig:
         check_size(float(np.ptp(vertices, axis=0).max()), self.mesh, self.unit)
         skeleton = None
         if self.skeleton is not None:
-            skeleton = upright_skeleton(read_skeleton(self.skeleton, self.unit), self.up)
+            skeleton = upright_skeleton(load_skeleton(self.skeleton, self.unit), self.up)
         try:
             body = rig_mesh(vertices, mesh.faces, skeleton, self.method)
         except ValueError as error:

@@ -8,14 +8,12 @@ from typing import Annotated, Literal
 
 import equinox as eqx
 import numpy as np
-import tyro
 from jaxtyping import Float
 
 from ..body.body import Body, deform_all, pose_body
 from ..body.pose import Motion, take_poses
 from ..errors import InputError
 from ..geometry.camera import Camera, check_sees, ring_of_cameras
-from ..io.body_motion import read_motion_of
 from ..io.cameras import read_cameras, write_cameras
 from ..io.lock import run_lock
 from ..io.npz import save_motion
@@ -23,7 +21,8 @@ from ..io.ply import write_ply
 from ..scanner.fuse import Scan as Fused
 from ..scanner.scan import dropped_views, scan_frame
 from ..scanner.settings import Scanner, check_scanner
-from .options import BodySpec, Flag, OptionalCount, OptionalFile, arg
+from .motions import load_motion_of
+from .options import BodySpec, Flag, MotionSpec, OptionalCount, OptionalFile, arg
 from .results import make_writable
 from .say import progress, say, warn
 from .scan_folder import begin_folder, frame_path, gather_clouds
@@ -42,9 +41,7 @@ class Scan:
     killed goes on with --resume."""
 
     body: BodySpec
-    """`human` (with options: `human:female,height=1.7`) or a body .npz."""
-    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
-    """The body's motion, .npz or .bvh."""
+    motion: MotionSpec
     out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
     """Folder for the scans."""
     views: int = 8
@@ -96,7 +93,7 @@ class Scan:
         scanner = self.scanner()
         self.check()
         body, _ = load_body(self.body)
-        motion = thin_motion(read_motion_of(body, self.motion), self.rate)
+        motion = thin_motion(load_motion_of(body, self.motion), self.rate)
         shown = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).round().astype(int))
         places = np.asarray(deform_all(body, take_poses(motion.poses, shown)), float)
         cameras = self.place(places)

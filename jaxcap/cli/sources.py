@@ -17,13 +17,20 @@ from ..errors import InputError
 from ..fit.check import check_cloud
 from ..fit.correspond import Scan, make_mesh_scan, make_scan
 from ..geometry import rotation
+from ..io.clip import split_clip
 from ..io.clouds import Scan as ReadScan
 from ..io.clouds import Scans
 from ..io.cst import read_cst
-from ..io.registry import is_skinned, read_body
+from ..io.mesh import SUFFIXES
+from ..io.registry import SKINNED_READERS, is_skinned, read_body
 from ..observe import Cloud, make_cloud
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
+#: what a body is, in help and errors
+BODY_WORDS = (
+    "`human` (with options, as in `human:female,height=1.7`), a body .npz, a skinned .glb, .gltf or USD, or a mesh with "
+    ".skl and .vj in its folder"
+)
 
 
 def names_human(spec: str) -> bool:
@@ -44,25 +51,26 @@ def load_body(
     """A body, y up, and its joint limits where `cst` is given.
 
     `spec` is `human` with options behind a colon (`human:female,height=1.7,medium`), a body
-    `.npz`, a skinned `.glb` or USD, or a mesh, whose `.skl` and `.vj` lie beside it where they are not given. `unit` and
-    `up` are those of mesh and skeleton files; an `.npz` is in metres, y up.
+    `.npz`, a skinned `.glb`, `.gltf` or USD, or a mesh, whose `.skl` and `.vj` lie in its folder where they are not given.
+    `unit` and `up` are those of mesh and skeleton files; the others say theirs.
 
     **Raises:** `InputError`.
     """
-    path, made = Path(spec), names_human(spec)
-    # these say their unit and what is up
-    whole = made or path.suffix.lower() == ".npz" or (skl is None and is_skinned(path))
+    path, made = split_clip(spec)[0], names_human(spec)
+    if not made and not path.exists():
+        raise InputError(f"{path}: there is no such file; give {BODY_WORDS}.")
+    mesh = not made and path.suffix.lower() in SUFFIXES and not (skl is None and is_skinned(path))
     if made:
         body = _human(spec, vertices)
-    elif whole:
-        body = read_body(path)
+    elif mesh and path.is_file():
+        if skl is None and path.suffix.lower() in SKINNED_READERS and not path.with_suffix(".skl").is_file():
+            return read_body(path), None
+        skl = _in_folder(path, skl, ".skl")
+        body = read_body(path, skl, _in_folder(path, vj, ".vj"), unit)
     else:
-        if not path.is_file():
-            raise InputError(f"{path}: there is no such file; give 'human', a body .npz or .glb, or a mesh.")
-        skl = _beside(path, skl, ".skl")
-        body = read_body(path, skl, _beside(path, vj, ".vj"), unit)
+        body = read_body(spec)
     limits = None if cst is None else read_cst(cst, body.skeleton).ranges
-    if not whole and up != "y":
+    if mesh and up != "y":
         body, limits = _upright(body, limits, up)
     if vertices is not None:
         try:
@@ -166,12 +174,12 @@ def _human(spec: str, vertices: int | None) -> Body:
         raise InputError(f"{spec}: {error}") from None
 
 
-def _beside(mesh: Path, given: Path | None, suffix: str) -> Path:
+def _in_folder(mesh: Path, given: Path | None, suffix: str) -> Path:
     path = mesh.with_suffix(suffix) if given is None else given
     if not path.is_file():
         raise InputError(
-            f"{mesh}: a mesh is a body only with its skeleton (.skl) and parts (.vj), and {path} is not there; "
-            f"name it by --{suffix[1:]}, or rig the mesh."
+            f"{mesh}: a mesh is a body only with its skeleton (.skl) and the joint of each vertex (.vj), and {path} is not "
+            f"there; put it there, or rig the mesh with `jaxcap rig {mesh} -o body.npz`."
         )
     return path
 

@@ -21,7 +21,7 @@ from ..io.limits import read_limits
 from ..io.lock import run_lock
 from .frame_rows import pack, record_width, results_of, results_width, unpack, whose_poses
 from .heartbeat import doing
-from .options import BodySpec, CloudsSpec, Flag, OptionalCount, OptionalFile, Unit, Up, arg
+from .options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
 from .results import check_folder, fingerprint, make_writable, write_results
 from .say import progress, say, warn
 from .sources import Clouds, load_body, load_cloud
@@ -39,17 +39,12 @@ class Track:
     A run that was killed goes on with --resume, and ends with the same result."""
 
     body: BodySpec
-    """`human` (with options: `human:female,height=1.7`), a body .npz, a skinned .glb or USD, or a mesh with .skl and .vj."""
     clouds: CloudsSpec
-    """Files, a frame each (`scans/*.off`), a printf pattern (`scan_%03d.off`), a folder, or an .npz."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Folder for the results."""
-    skl: OptionalFile = None
-    """Skeleton of a mesh; beside it where not given."""
-    vj: OptionalFile = None
-    """Joint of each vertex of a mesh; beside it where not given."""
-    cst: OptionalFile = None
-    """Joint limits to keep, of a mesh's skeleton."""
+    skl: Skl = None
+    vj: Vj = None
+    cst: Cst = None
     limits: OptionalFile = None
     """Joint limits to keep: those that `jaxcap limits learn` wrote, or a .cst or .asf file."""
     limit_weight: float = 100.0

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from ..errors import InputError
 from .heartbeat import doing
+from .help import verb_help
 from .stopping import leaving_at_once
 
 #: what tyro draws its boxes with, where a terminal has more than ASCII and where it has not
@@ -86,6 +87,9 @@ def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
         import tyro
 
         made = getattr(importlib.import_module(f"{__package__}.{module}"), name)
+    if {"-h", "--help"} & set(words):
+        sys.stdout.write(verb_help(made, prog))
+        raise SystemExit(0)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

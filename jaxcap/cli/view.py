@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..view.app import serve_contents
 from ..view.load import load
 from ..view.serve import HOST
-from .options import Flag, OptionalUnit, Up, arg
+from .options import BODY_WORDS, Flag, OptionalUnit, Up, arg
 from .say import warn
 from .sources import load_body, names_human, up_rotation
 from .window import Port, keep_window
@@ -27,8 +27,7 @@ class View:
 
     files: tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES")]]
     """Files, folders of runs or scans, patterns of clouds, `human`; motions stand beside each other."""
-    body: Names = ()
-    """Bodies to put on the motions: `human` (with options), a body .npz, a skinned .glb or USD, or a mesh with .skl and .vj."""
+    body: Annotated[Names, arg(help=f"Bodies to put on the motions: {BODY_WORDS}.")] = ()
     clouds: Names = ()
     """Clouds to compare with: a printf pattern, a quoted glob, a folder or an .npz."""
     follow: Flag = False

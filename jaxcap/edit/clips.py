@@ -88,7 +88,7 @@ def make_loop(
     _check(skeleton, motion, motion)
     if not 0 <= first < last < len(motion):
         raise ValueError(
-            f"A loop from frame {first} to {last} is not in a motion of {len(motion)} frames, 0 to {len(motion) - 1}."
+            f"A loop from frame {first} to {last} is not in a motion of {len(motion)} frames; give two from 0 to {len(motion) - 1}."
         )
     if not 2 <= frames <= last - first:
         raise ValueError(

@@ -44,7 +44,9 @@ def _twins(skeleton: Skeleton) -> np.ndarray:
     for left, right in twin_joints(skeleton.names):
         twins[left], twins[right] = right, left
     if np.array_equal(twins, np.arange(len(twins))):
-        raise ValueError(f"No joint has a twin on the other side, by the names {', '.join(skeleton.names)}.")
+        raise ValueError(
+            f"No joint has a twin on the other side, by the names {', '.join(skeleton.names)}; name them as in LeftArm and RightArm."
+        )
     parents, kinds = np.array(skeleton.parents), np.array(skeleton.kinds)
     above = np.where(parents < 0, -1, twins[np.maximum(parents, 0)])
     wrong = (parents[twins] != above) | (kinds[twins] != kinds)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.camera import LEAST_PIXELS, Camera
+from .kinds import check_kind
 from .table import write_json
 from .text import read_text
 
@@ -41,6 +42,7 @@ def read_cameras(path: str | Path) -> list[Camera]:
     **Raises:** `InputError` where there is no such file, it is not JSON, has no cameras, or where one, by
     its number, lacks a key or has numbers that are not finite, no rotation, or no picture.
     """
+    check_kind(path, "cameras", (".json",))
     try:
         content = json.loads(read_text(path))
     except json.JSONDecodeError as error:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..errors import InputError
+from .kinds import wrong_arrays
 from .mesh import check_faces, check_points, read_mesh, vertex_normals
 from .npz import load_arrays
 from .paths import cut, find_files, order_files
@@ -103,10 +104,8 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
     arrays = load_arrays(path)
     faces, offsets = arrays.get("faces"), arrays.get("offsets")
     points, normals = arrays.get("points", arrays.get("vertices")), arrays.get("normals")
-    if points is None or points.dtype.kind not in "fiu":
-        raise InputError(
-            f"{path}: there is no array 'points' or 'vertices' in it, but {', '.join(arrays) or 'nothing'}."
-        )
+    if points is None or points.dtype.kind not in "fiu" or "skin" in arrays:
+        raise wrong_arrays(path, arrays, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
     if offsets is None and points.ndim == 2:
         offsets = np.array([0, len(points)])
     if points.ndim != (3 if offsets is None else 2) or points.shape[-1] != 3:

@@ -24,6 +24,7 @@ from ..body.body import Body
 from ..edit.ik.constraints import Constraint, check_constraints, describe
 from ..errors import InputError
 from .atomic import write_text
+from .kinds import check_kind
 from .text import read_text
 
 KIND, VERSION = "jaxcap constraints", 1
@@ -47,6 +48,7 @@ def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
     **Raises:** `InputError` where the file is not one, is damaged, is of a body with another number of vertices, names
     a vertex or a joint that this one does not have, or says something else that is wrong: which row, and what.
     """
+    check_kind(path, "constraints", (".json",))
     text = read_text(path)
     try:
         content = json.loads(text)

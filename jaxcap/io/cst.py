@@ -21,6 +21,7 @@ from ..body.limits import Cone, JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from .atomic import write_text
+from .kinds import check_kind
 from .text import Words
 
 _NUMBERS = {"translate": 3, "revolute": 2, "universal": 4, "ball": 8, "free": 8}
@@ -40,6 +41,7 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
     **Raises:** `InputError` with file and line: an unknown joint, one that stands twice, a
     smallest angle above the largest, a cone that is none, numbers that are missing.
     """
+    check_kind(path, "cst", (".cst",))
     words, turn = Words(path), _radians(angle_unit)
     count = words.header("KBCST")
     seen: set[str] = set()
@@ -49,7 +51,7 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
         where = words.where
         if name not in skeleton.names:
             raise InputError(
-                f"{where}: '{name}' is not a joint of the skeleton, which has {', '.join(skeleton.names)}."
+                f"{where}: '{name}' is not a joint of the skeleton, which has {', '.join(skeleton.names)}; give limits of these."
             )
         if name in seen:
             raise InputError(f"{where}: the joint '{name}' stands twice.")

@@ -1,15 +1,14 @@
-"""What lies in a binary glTF 2.0 file (`.glb`): its arrays of numbers, and how its nodes stand and move."""
+"""What lies in a glTF 2.0 file (`.glb`, `.gltf`): its arrays of numbers, and how its nodes stand and move."""
 
-import json
-import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..errors import InputError
+from .clip import clip_names, clip_number
+from .gltf_document import no_skin, read_document
 
 #: what glTF calls the types of numbers, and how many of them an element has
 _NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -20,47 +19,23 @@ _REST = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lights_")
 
 
-def has_skin(path: str | Path) -> bool:
-    """Whether this is a `.glb` with joints that move a surface."""
-    try:
-        with Path(path).open("rb") as stream:
-            magic, _, _, length, _ = struct.unpack("<4s4I", stream.read(20))
-            # of another kind of file nothing is read
-            head = json.loads(stream.read(length)) if magic == b"glTF" else {}
-        return bool(head.get("skins")) and any("skin" in node for node in head.get("nodes", ()))
-    except (OSError, ValueError, struct.error, AttributeError, TypeError):
-        return False
-
-
 class GltfFile:
-    """A whole file that has a skin.
+    """A whole file that has a skin; `clip` names one of its animations, the first where it is None.
 
     **Raises:** `InputError` where it is not one, or is packed in a way that is not read.
     """
 
-    def __init__(self, path: str | Path):
-        import pygltflib
-
+    def __init__(self, path: str | Path, clip: str | None = None):
         self.path = Path(path)
-        if not self.path.is_file():
-            raise InputError(f"{path}: there is no such file; check the path.")
-        try:
-            with self.path.open("rb") as stream:
-                head = stream.read(12)
-            if head[:4] != b"glTF" or int.from_bytes(head[8:], "little") != self.path.stat().st_size:
-                raise InputError(f"{path}: this is not a whole .glb file.")
-            document: Any = pygltflib.GLTF2().load_binary(str(path))
-            self.blob = document.binary_blob()
-        except InputError:
-            raise
-        except Exception as error:  # whatever a damaged file makes of a reader
-            raise InputError(f"{path}: this is not a whole .glb file ({type(error).__name__}).") from None
-        if document is None or not document.skins or self.blob is None:
-            raise InputError(f"{path}: there is no skin in this file; read it as a mesh.")
+        document, self.buffers = read_document(self.path)
+        if not document.skins:
+            raise no_skin(path)
         for name in document.extensionsRequired or []:
             if not name.startswith(_HARMLESS):
                 raise InputError(f"{path}: this file is packed by {name}; export it without compression.")
         self.document = document
+        #: which animation
+        self.clip = clip_number(clip_names([one.name for one in document.animations or []]), clip, path)
         #: the node above each that has one
         self.above = {
             child: number for number, node in enumerate(document.nodes) for child in node.children or []
@@ -76,8 +51,11 @@ class GltfFile:
             number, width = np.dtype(_NUMBERS[accessor.componentType]), _WIDTHS[accessor.type]
             stride = view.byteStride or width * number.itemsize
             start = (view.byteOffset or 0) + (accessor.byteOffset or 0)
+            numbers = self.buffers[view.buffer]
+            if numbers is None:
+                raise InputError(f"{self.path}: buffer {view.buffer} is not in this file; export it as .glb.")
             rows = np.ndarray(
-                (accessor.count, width), number, self.blob, start, (stride, number.itemsize)
+                (accessor.count, width), number, numbers, start, (stride, number.itemsize)
             ).astype(float)
         except (IndexError, KeyError, TypeError, ValueError) as error:
             if isinstance(error, InputError):
@@ -107,8 +85,8 @@ class GltfFile:
         return values
 
     def animation(self, rate: float | None) -> tuple[np.ndarray, list[dict[str, np.ndarray]]]:
-        """Times of the first animation, and what `still` says at these, `(F, ...)`."""
-        animation = self.document.animations[0]
+        """Times of the chosen animation, and what `still` says at these, `(F, ...)`."""
+        animation = self.document.animations[self.clip]
         keys = [self.array(sampler.input)[:, 0] for sampler in animation.samplers]
         clock = max(keys, key=len)
         if rate is not None:

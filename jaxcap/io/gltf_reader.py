@@ -1,4 +1,4 @@
-"""Bodies, skeletons and motions from binary glTF 2.0 (`.glb`), whichever program wrote them."""
+"""Bodies, skeletons and motions from glTF 2.0 (`.glb`, `.gltf`), whichever program wrote them."""
 
 from pathlib import Path
 
@@ -14,31 +14,35 @@ from .gltf_surface import read_surface
 _HINGES = ("revolute", "universal")
 
 
-def read_gltf(path: str | Path, rate: float | None = None) -> tuple[Skeleton, Motion | None]:
-    """The joints of a file's first skin, and its first animation as their motion.
+def read_gltf(
+    path: str | Path, rate: float | None = None, clip: str | None = None
+) -> tuple[Skeleton, Motion | None]:
+    """The joints of a file's first skin, and an animation as their motion: the one called `clip`, or the first.
 
     Rest is where the inverse bind matrices have the joints, in metres and as upright as what stands above the roots
     makes it; the joints' frames there are their orientations. Kinds and axes are those that `write_gltf` notes, else
     roots are free and other joints turn freely. Times are sampled at `rate`, the one of the keys where it is not given.
     Scale may change above the roots alone and be the same along all axes.
 
-    **Raises:** `InputError` where the file is not a whole one, has no skin, or has what a
+    **Raises:** `InputError` where the file is not a whole one, has no skin or no such clip, or has what a
     `Skeleton` and its `Pose` cannot hold: sheared, sparse, compressed or spline-keyed transforms.
     """
-    file = GltfFile(path)
+    file = GltfFile(path, clip)
     bound = _bind(file)
     return bound.skeleton, _motion(file, bound, rate)
 
 
-def read_gltf_body(path: str | Path, rate: float | None = None) -> tuple[Body, Motion | None]:
-    """The body of a file's first skin, which blends linearly, and its first animation; the skeleton as in `read_gltf`.
+def read_gltf_body(
+    path: str | Path, rate: float | None = None, clip: str | None = None
+) -> tuple[Body, Motion | None]:
+    """The body of a file's first skin, which blends linearly, and an animation; skeleton and `clip` as in `read_gltf`.
 
     All meshes that this skin moves are the surface, or those of other skins of the same joints; morph targets and meshes that
     hang on a joint without a skin are left out. Vertices that were split along the seams of textures are one again.
 
     **Raises:** `InputError` as `read_gltf`, and where the surface is no triangles, or a vertex follows no joint.
     """
-    file = GltfFile(path)
+    file = GltfFile(path, clip)
     bound = _bind(file)
     return body_of(bound, read_surface(file, _nodes(file, bound))), _motion(file, bound, rate)
 

@@ -13,6 +13,7 @@ from ..body.skeleton import Skeleton
 from ..errors import InputError
 from .asf import read_asf
 from .cst import read_cst
+from .kinds import wrong_kind
 from .npz import get_array, load_kind, save_arrays
 
 #: the format's name in the file
@@ -68,7 +69,7 @@ def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
         if lacking:
             raise InputError(
                 f"{path}: these limits are of another skeleton: there is no joint '{lacking[0]}' among "
-                f"{', '.join(skeleton.names)}."
+                f"{', '.join(skeleton.names)}; learn limits from motions of this one."
             )
         return limits
     if suffix == ".cst":
@@ -78,10 +79,10 @@ def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
         if asf.skeleton.names != skeleton.names:
             raise InputError(
                 f"{path}: these limits are of another skeleton: its joints are {', '.join(asf.skeleton.names)}, not "
-                f"{', '.join(skeleton.names)}."
+                f"{', '.join(skeleton.names)}; give the .asf of this one."
             )
         return AllLimits((asf.ranges, asf.boxes))
-    raise InputError(f"{path}: limits are not read from '{suffix}' files; use .npz, .cst or .asf.")
+    raise wrong_kind(path, "a file of joint limits", (".npz", ".cst", ".asf"))
 
 
 def _chart_arrays(start: str, chart: Chart) -> dict[str, np.ndarray]:

@@ -155,7 +155,7 @@ def _markers(path: Path, line: int, names: list[str]) -> tuple[list[str], list[l
             axes[axis] = i
     if not found:
         raise InputError(
-            f"{path}:{line}: there are no markers in it: no columns are called such as 'LKNE.x', 'LKNE.y', 'LKNE.z'."
+            f"{path}:{line}: there are no markers in it: no columns are called such as 'LKNE.x', 'LKNE.y', 'LKNE.z'; name them so."
         )
     for label, axes in found.items():
         if lacking := [axis for axis in "xyz" if axis not in axes]:

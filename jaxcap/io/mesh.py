@@ -13,12 +13,15 @@ from jaxtyping import Float, Int
 from ..errors import InputError
 from .atomic import replacing, write_text
 from .inside import InsideResolver
+from .kinds import wrong_kind
 from .obj import read_obj, write_obj
 from .off import read_off
 from .text import UNITS, unit_scale
 
 #: suffixes that `read_mesh` knows
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
+#: suffixes that `write_mesh` knows
+WRITTEN = (".off", ".obj", ".ply", ".stl", ".glb")
 _UNIT_NAMES = {
     "m": "metres",
     "cm": "centimetres",
@@ -49,9 +52,7 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
     path = Path(path)
     metres, suffix = unit_scale(unit), path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(
-            f"{path}: files that end in '{path.suffix}' are not read as meshes; use {', '.join(SUFFIXES)}."
-        )
+        raise wrong_kind(path, "a mesh or a cloud", SUFFIXES)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the path.")
     reader = {".off": read_off, ".obj": read_obj}.get(suffix, _read_trimesh)
@@ -93,7 +94,7 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
             beside.write_bytes(data if isinstance(data, bytes) else str(data).encode())
     else:
         raise InputError(
-            f"{path}: files that end in '{path.suffix}' are not written; use .off, .obj, .ply, .stl or .glb."
+            f"{path}: meshes are not written as '{path.suffix}' files; use {', '.join(WRITTEN)}."
         )
 
 
@@ -159,7 +160,11 @@ def check_size(extent: float, where: str | Path, unit: str | float = "m") -> Non
     length = float(extent) / unit_scale(unit)
     likely = [name for name in ("m", "mm", "cm", "in", "dm", "ft") if 0.3 <= length * UNITS[name] <= 3.0]
     likely.sort(key=lambda name: abs(np.log(length * UNITS[name] / 1.7)))
-    hint = f"looks like {_UNIT_NAMES[likely[0]]}: pass unit='{likely[0]}'" if likely else "check its unit"
+    hint = (
+        f"looks like {_UNIT_NAMES[likely[0]]}: pass unit='{likely[0]}' or --unit {likely[0]}"
+        if likely
+        else "is none: check its unit"
+    )
     raise InputError(f"{where}: it is {extent:.4g} m long, and a body is from 0.3 to 3 m; this {hint}.")
 
 
@@ -196,7 +201,9 @@ def _read_trimesh(path: Path):
         raise
     except Exception as error:  # whatever a damaged file makes of a reader
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:120].rstrip(". ")
-        raise InputError(f"{path}: this is not a whole {path.suffix} file ({reason}).") from None
+        raise InputError(
+            f"{path}: this is not a whole {path.suffix} file ({reason}); write it again."
+        ) from None
     if not hasattr(loaded, "vertices"):
         raise InputError(f"{path}: this file holds no mesh and no points.")
     if path.suffix.lower() == ".stl":

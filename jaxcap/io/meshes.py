@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from ..errors import InputError
 from ..observe import MeshSequence
+from .kinds import wrong_arrays
 from .mesh import check_points, read_mesh
 from .npz import load_arrays, save_arrays
 from .paths import find_files
@@ -108,9 +109,9 @@ def _read(path: Path) -> _File:
 
 def _arrays(path: Path) -> _File:
     arrays = load_arrays(path)
-    vertices, there = arrays.get("vertices"), ", ".join(arrays) or "nothing"
-    if vertices is None or vertices.dtype.kind not in "fiu":
-        raise InputError(f"{path}: there is no array 'vertices' of numbers in it, but {there}.")
+    vertices = arrays.get("vertices")
+    if vertices is None or vertices.dtype.kind not in "fiu" or "skin" in arrays:
+        raise wrong_arrays(path, arrays, "without an array 'vertices' (F, V, 3) of numbers")
     if vertices.ndim == 2:
         vertices = vertices[None]
     if vertices.ndim != 3 or vertices.shape[-1] != 3 or not vertices.size:
@@ -119,8 +120,10 @@ def _arrays(path: Path) -> _File:
     if faces is None and {"face_counts", "face_indices"} <= set(arrays):
         faces = triangulate(arrays["face_counts"], arrays["face_indices"], path)
     if faces is None or faces.dtype.kind not in "iu":
-        raise InputError(
-            f"{path}: there is no array 'faces', nor 'face_counts' and 'face_indices', of whole numbers in it, but {there}."
+        raise wrong_arrays(
+            path,
+            arrays,
+            "without an array 'faces' (T, 3), or 'face_counts' and 'face_indices', of whole numbers",
         )
     if faces.ndim == 2 and faces.shape[1] > 3:
         faces = triangulate(np.full(len(faces), faces.shape[1]), faces.reshape(-1), path)

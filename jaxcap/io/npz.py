@@ -15,6 +15,7 @@ from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ..errors import InputError
 from .atomic import replacing
+from .kinds import WORDS, check_npz, wrong_arrays
 
 VERSION = 1
 
@@ -227,9 +228,11 @@ def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: T
         with open(path, "rb") as raw:
             start = raw.read(6)
             if start == b"\x93NUMPY":
-                raise InputError(f"{path}: this is a single array, not an .npz file of named arrays.")
+                raise InputError(
+                    f"{path}: this is a single array, not an .npz file of named arrays; write it by numpy.savez."
+                )
             if not start.startswith(b"PK"):
-                raise InputError(f"{path}: this is not an .npz file.")
+                raise InputError(f"{path}: this is not an .npz file; give one, whole.")
             raw.seek(0)
             with np.load(raw, allow_pickle=False) as file:
                 return {name: file[name] for name in file.files if wanted(name)}
@@ -250,12 +253,11 @@ def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: T
 def load_kind(path: str | Path, *kinds: str) -> dict[str, np.ndarray]:
     """The arrays of a file of one of some formats. Raises `InputError` where it is another, or of
     another version."""
+    check_npz(path, WORDS[kinds[0].removeprefix("jaxcap ")])
     arrays = load_arrays(path)
-    found = f"a '{arrays['format']}'" if "format" in arrays else "an unmarked file"
-    if found not in {f"a '{kind}'" for kind in kinds}:
-        raise InputError(
-            f"{path}: this is {found}, not a '{kinds[0]}'; it holds {', '.join(list(arrays)[:8])}."
-        )
+    form = str(arrays["format"]) if "format" in arrays else ""
+    if form not in kinds:
+        raise wrong_arrays(path, arrays, f"not a '{kinds[0]}'")
     version = int(arrays["version"]) if "version" in arrays else 0
     if version != VERSION:
         raise InputError(f"{path}: this file has version {version}; this program reads version {VERSION}.")

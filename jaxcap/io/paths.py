@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from .kinds import wrong_kind
 from .mesh import SUFFIXES
 
 #: the number in a printf pattern
@@ -43,8 +44,11 @@ def find_files(
             raise InputError(f"{text}: no file fits this pattern; check the path.")
     else:
         if not Path(text).is_file():
-            raise InputError(f"{text}: there is no such file or folder; check the path.")
-        return cut([Path(text)], first, last, text)
+            raise wrong_kind(text, "a mesh or a cloud", (*SUFFIXES, *also))
+        found = [Path(text)]
+    for path in found:
+        if path.suffix.lower() not in (*SUFFIXES, *also):
+            raise wrong_kind(path, "a mesh or a cloud", (*SUFFIXES, *also))
     return cut(_whole(found) if whole else found, first, last, text)
 
 
@@ -91,9 +95,7 @@ def _check_one_of_many(path: Path, count: int) -> None:
             f"{path}: an .npz is a sequence by itself; give it alone, without the other sources."
         )
     if suffix not in SUFFIXES:
-        raise InputError(
-            f"{path}: this is no cloud or mesh ({', '.join(SUFFIXES)}); leave it out, as in '*.ply'."
-        )
+        raise wrong_kind(path, "a mesh or a cloud", SUFFIXES)
 
 
 def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
@@ -130,7 +132,7 @@ def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
     suffixes = sorted({path.suffix.lower() for path in paths})
     if not paths:
         raise InputError(
-            f"{folder}: there are no clouds or meshes in this folder; it takes {', '.join(suffixes_read)} files."
+            f"{folder}: there are no clouds or meshes in this folder; give one with {', '.join(suffixes_read)} files."
         )
     if len(suffixes) > 1:
         raise InputError(

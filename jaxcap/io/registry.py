@@ -20,9 +20,12 @@ from .amc import read_amc
 from .asf import read_asf
 from .bvh import read_bvh, write_bvh
 from .c3d import read_c3d, write_c3d
+from .clip import split_clip, suffix_of
 from .gltf import write_gltf
-from .gltf_file import has_skin
+from .gltf_document import SUFFIXES as GLTF_READ
+from .gltf_document import clips_of, has_skin, no_skin, read_document
 from .gltf_reader import read_gltf, read_gltf_body
+from .kinds import wrong_kind
 from .marker_file import SIZE, MarkerFile, check_extent, pick_subject
 from .marker_table import read_marker_table, write_marker_table
 from .mesh import SUFFIXES, check_mesh, check_size, read_mesh
@@ -41,13 +44,16 @@ SKELETON_READERS: dict[str, Callable[[Path, Any], Skeleton]] = {
     ".bvh": lambda path, unit: read_bvh(path, unit)[0],
     ".asf": lambda path, unit: read_asf(path).skeleton,
     ".npz": lambda path, unit: read_amass(path)[0] if is_amass(path) else load_skeleton(path),
+    ".amc": lambda path, unit: read_asf(_asf_of(path)).skeleton,
+    **dict.fromkeys(GLTF_READ, lambda path, unit: _read_gltf(path)[0]),
+    **dict.fromkeys(USD_READ, lambda path, unit: read_usd_body(path)[0].skeleton),
 }
 SKELETON_WRITERS: dict[str, Callable[[Path, Skeleton, Any], None]] = {".skl": write_skl}
 MOTION_READERS: dict[str, Callable[[Path, Any], tuple[Skeleton, Motion]]] = {
     ".bvh": read_bvh,
     ".amc": lambda path, unit: _read_acclaim(path),
     ".npz": lambda path, unit: read_amass(path) if is_amass(path) else _read_own(path),
-    ".glb": lambda path, unit: _read_animation(path),
+    **dict.fromkeys((*GLTF_READ, *USD_READ), lambda path, unit: _read_animation(path)),
 }
 MOTION_WRITERS: dict[str, Callable[[Path, Skeleton, Motion, Any], None]] = {
     ".bvh": write_bvh,
@@ -60,10 +66,12 @@ BODY_WRITERS: dict[str, Callable[[Path, Body, Motion | None], None]] = {
     ".glb": write_gltf,
     **dict.fromkeys(USD_SUFFIXES, write_usd),
 }
-SKINNED_READERS: dict[str, Callable[[str | Path], tuple[Body, Motion | None]]] = {
-    ".glb": read_gltf_body,
+SKINNED_READERS: dict[str, Callable[[Path], tuple[Body, Motion | None]]] = {
+    **dict.fromkeys(GLTF_READ, lambda path: read_gltf_body(split_clip(path)[0], clip=split_clip(path)[1])),
     **dict.fromkeys(USD_READ, read_usd_body),
 }
+#: of all files that can be a body; meshes with a skeleton
+BODY_SUFFIXES = (".npz", *dict.fromkeys((*SKINNED_READERS, *SUFFIXES)))
 #: these say their unit themselves where `unit` is None
 MARKER_READERS: dict[str, Callable[[Path, Any], MarkerFile]] = {
     ".c3d": read_c3d,
@@ -80,13 +88,13 @@ DEFAULT_UNITS = {".bvh": "cm"}
 
 
 def read_skeleton(path: str | Path, unit: str | float | None = None) -> Skeleton:
-    """A skeleton from `.skl`, `.bvh`, `.asf`, or from a body or motion `.npz`.
+    """A skeleton from `.skl`, `.bvh`, `.asf`, `.amc` with its `.asf`, a body or motion `.npz`, or a skinned `.glb`, `.gltf` or USD.
 
     `unit` is that of the file's lengths where the format does not say it: metres if not
     given, centimetres in BVH. Raises `InputError` where the suffix is unknown or the file is
     wrong.
     """
-    return _of(SKELETON_READERS, path, "skeletons", "read")(Path(path), _unit(path, unit))
+    return _of(SKELETON_READERS, path, "a skeleton")(Path(path), _unit(path, unit))
 
 
 def write_skeleton(path: str | Path, skeleton: Skeleton, unit: str | float | None = None) -> None:
@@ -95,9 +103,12 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, unit: str | float | Non
 
 
 def read_motion(path: str | Path, unit: str | float | None = None) -> tuple[Skeleton, Motion]:
-    """A motion with its skeleton from `.bvh`, `.npz` (ours, or in AMASS's manner with a skeleton), `.glb`, or `.amc` with
-    the `.asf` beside it; `unit` and errors as in `read_skeleton`."""
-    return _of(MOTION_READERS, path, "motions", "read")(Path(path), _unit(path, unit))
+    """A motion with its skeleton from `.bvh`, `.npz` (ours, or in AMASS's manner with a skeleton), `.glb`, `.gltf`, USD, or
+    `.amc` with the `.asf` in its folder; `unit` and errors as in `read_skeleton`.
+
+    `character.glb:Walk` is the clip `Walk` of a file with several; without a name it is the first.
+    """
+    return _of(MOTION_READERS, path, "a motion")(Path(path), _unit(path, unit))
 
 
 def write_motion(
@@ -117,17 +128,34 @@ def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> No
 
 
 def read_skinned(path: str | Path) -> tuple[Body, Motion | None]:
-    """A body that blends linearly, with its motion where there is one, from a skinned `.glb` or USD.
+    """A body that blends linearly, with its motion where there is one, from a skinned `.glb`, `.gltf` or USD; clips as in
+    `read_motion`.
 
     **Raises:** `InputError` as `read_gltf_body` and `read_usd_body` do.
     """
-    return _of(SKINNED_READERS, path, "skinned bodies", "read")(path)
+    return _of(SKINNED_READERS, path, "a skinned body")(Path(path))
 
 
 def is_skinned(path: str | Path) -> bool:
-    """Whether `read_skinned` has something to read: a `.glb` may be a mesh alone."""
-    suffix = Path(path).suffix.lower()
-    return suffix in SKINNED_READERS and (suffix != ".glb" or has_skin(path))
+    """Whether `read_skinned` has something to read: a `.glb` or `.gltf` may be a mesh alone."""
+    file, suffix = split_clip(path)[0], suffix_of(path)
+    return suffix in SKINNED_READERS and (suffix not in GLTF_READ or has_skin(file))
+
+
+def clips_in(path: str | Path) -> tuple[str, ...]:
+    """Return the names of the clips that a file holds, of which `path:NAME` chooses one; none of other formats."""
+    return clips_of(split_clip(path)[0]) if suffix_of(path) in GLTF_READ else ()
+
+
+def clip_sentence(path: str | Path) -> str | None:
+    """Say which clip of a file is taken where it has several and `path` names none; None where there is no choice."""
+    clips = clips_in(path)
+    if len(clips) < 2 or split_clip(path)[1] is not None:
+        return None
+    return (
+        f"{path}: there are {len(clips)} clips in this file, {', '.join(clips)}; '{clips[0]}' is taken; name another one "
+        f"behind a colon, as in {path}:{clips[1]}"
+    )
 
 
 def read_body(
@@ -136,26 +164,29 @@ def read_body(
     parts: str | Path | None = None,
     unit: str | float = "m",
 ) -> Body:
-    """A body from one `.npz`, skinned `.glb` or USD, or from a mesh with a skeleton (`.skl`) and parts (`.vj`), whose
-    vertices then move rigidly with their bones (Kineben, section 4.2).
+    """A body from one `.npz`, skinned `.glb`, `.gltf` or USD, or from a mesh with a skeleton (`.skl`) and parts (`.vj`),
+    whose vertices then move rigidly with their bones (Kineben, section 4.2).
 
     `unit` is that of mesh and skeleton. A mesh that cannot be a body's surface, or has no
     body's size, is an `InputError`, as is any file that is wrong or missing.
     """
-    path = Path(path)
-    if path.suffix.lower() == ".npz":
-        return load_body(path)
+    file, suffix = split_clip(path)[0], suffix_of(path)
+    if suffix == ".npz":
+        return load_body(file)
     if skeleton is None and is_skinned(path):
         return read_skinned(path)[0]
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(
-            f"{path}: bodies are not read from '{path.suffix}' files; use .npz, {', '.join(USD_READ)} or {', '.join(SUFFIXES)}."
-        )
+    if suffix not in SUFFIXES:
+        raise wrong_kind(path, "a body", BODY_SUFFIXES)
+    if skeleton is None and file.is_file() and suffix in GLTF_READ:
+        # whatever else is wrong with it comes first
+        read_document(file)
+        raise no_skin(file)
     if skeleton is None or parts is None:
         raise InputError(
-            f"{path}: a mesh is a body only with a skeleton and parts; give a .skl and a .vj file, or rig it."
+            f"{path}: a mesh is a body only with a skeleton (.skl) and the joint of each vertex (.vj); give these, or rig it "
+            f"with `jaxcap rig {path} -o body.npz`."
         )
-    mesh = read_mesh(path, unit)
+    mesh = read_mesh(file, unit)
     check_mesh(mesh, path)
     check_size(float((mesh.vertices.max(0) - mesh.vertices.min(0)).max()), path, unit)
     tree = read_skeleton(skeleton, unit)
@@ -191,7 +222,7 @@ def read_markers(
 def read_marker_file(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """All subjects of a file of markers, whatever their size, and what else the file says of them; `unit`
     and other errors as in `read_markers`."""
-    return _of(MARKER_READERS, path, "markers", "read")(Path(path), unit)
+    return _of(MARKER_READERS, path, "a file of markers")(Path(path), unit)
 
 
 def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | None = None) -> None:
@@ -206,9 +237,12 @@ def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | No
     write(Path(path), frames, ("m" if suffix == ".csv" else "mm") if unit is None else unit)
 
 
-def _of(table: dict[str, Any], path: str | Path, what: str, done: str) -> Any:
-    suffix = Path(path).suffix.lower()
+def _of(table: dict[str, Any], path: str | Path, what: str, done: str = "") -> Any:
+    """The entry of a suffix; `what` is read, as in "a motion", or `done` with it, as in "motions are not written"."""
+    suffix = suffix_of(path)
     if suffix not in table:
+        if not done:
+            raise wrong_kind(path, what, tuple(table))
         raise InputError(f"{path}: {what} are not {done} as '{suffix}' files; use {', '.join(table)}.")
     return table[suffix]
 
@@ -217,8 +251,17 @@ def _unit(path: str | Path, unit: str | float | None) -> str | float:
     return DEFAULT_UNITS.get(Path(path).suffix.lower(), "m") if unit is None else unit
 
 
+def _read_gltf(path: Path) -> tuple[Skeleton, Motion | None]:
+    file, clip = split_clip(path)
+    return read_gltf(file, clip=clip)
+
+
 def _read_animation(path: Path) -> tuple[Skeleton, Motion]:
-    skeleton, motion = read_gltf(path)
+    if suffix_of(path) in GLTF_READ:
+        skeleton, motion = _read_gltf(path)
+    else:
+        body, motion = read_skinned(path)
+        skeleton = body.skeleton
     if motion is None:
         raise InputError(f"{path}: there is no animation in this file; export it with one.")
     return skeleton, motion
@@ -232,13 +275,17 @@ def _read_own(path: Path) -> tuple[Skeleton, Motion]:
 
 
 def _read_acclaim(path: Path) -> tuple[Skeleton, Motion]:
-    """A motion with the skeleton in the same folder whose name it begins with: `02_05.amc`
-    goes with `02.asf`."""
+    asf = read_asf(_asf_of(path))
+    return asf.skeleton, read_amc(path, asf)
+
+
+def _asf_of(path: Path) -> Path:
+    """The skeleton in the same folder whose name a motion's begins with: `02_05.amc` goes with `02.asf`."""
     folder = path.parent
     fits = [asf for asf in folder.glob("*.asf") if path.stem.startswith(asf.stem)] if folder.is_dir() else []
     if not fits:
         raise InputError(
-            f"{path}: there is no .asf file beside it whose name it begins with, such as {path.stem}.asf."
+            f"{path}: there is no .asf file in its folder whose name it begins with; put its skeleton there, such as "
+            f"{path.stem}.asf."
         )
-    asf = read_asf(max(fits, key=lambda found: len(found.stem)))
-    return asf.skeleton, read_amc(path, asf)
+    return max(fits, key=lambda found: len(found.stem))

@@ -114,5 +114,7 @@ class Words:
         """The keyword that a file begins with, and the number behind it."""
         word = self.take(keyword)
         if word.upper() != keyword:
-            raise InputError(f"{self.where}: '{word[:40]}' stands where {keyword} belongs.")
+            raise InputError(
+                f"{self.where}: '{word[:40]}' stands where {keyword} belongs, with which such a file begins; give another file."
+            )
         return parse_int(self.take("a number"), self.where, f"the number behind {keyword}")

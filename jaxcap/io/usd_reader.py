@@ -13,6 +13,7 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..errors import InputError
 from .bound import Joints, bind, body_of, motion_of, placing
+from .gltf_document import no_skin
 from .inside import is_inside, outside
 from .meshes import triangulate
 from .surface import Surface, as_shares, joined
@@ -89,7 +90,7 @@ class _Skinned:
                 if len(found.GetSkinningTargets())
             ]
         if not bindings:
-            raise InputError(f"{path}: there is no skeleton in this file that moves a surface.")
+            raise no_skin(path)
         self.skeleton, self.targets = bindings[0].GetSkeleton(), bindings[0].GetSkinningTargets()
         self.query = cache.GetSkelQuery(self.skeleton)
         if not self.query or not len(self.query.GetJointOrder()):

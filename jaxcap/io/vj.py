@@ -9,6 +9,7 @@ from jaxtyping import Int
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from .atomic import write_text
+from .kinds import check_kind
 from .text import read_text
 
 
@@ -18,6 +19,7 @@ def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.n
     **Raises:** `InputError` with file and line: an unknown joint, an empty line, more or
     fewer lines than vertices.
     """
+    check_kind(path, "vj", (".vj",))
     lines = [line.strip() for line in read_text(path).splitlines()]
     while lines and not lines[-1]:
         lines.pop()

@@ -15,8 +15,10 @@ from ..errors import InputError
 from ..io.body_motion import read_motion_of
 from ..io.cameras import read_cameras
 from ..io.checkpoint import KIND as CHECKPOINT
+from ..io.clip import split_clip, suffix_of
 from ..io.clouds import read_clouds
 from ..io.constraints import KIND as CONSTRAINTS
+from ..io.kinds import wrong_kind
 from ..io.limits import KIND as LIMITS
 from ..io.mesh import SUFFIXES, read_mesh
 from ..io.meshes import read_meshes
@@ -27,6 +29,7 @@ from ..io.registry import (
     MOTION_READERS,
     SKELETON_READERS,
     SKINNED_READERS,
+    clip_sentence,
     is_skinned,
     read_marker_file,
     read_motion,
@@ -110,10 +113,10 @@ class _Loader:
         return self.found
 
     def take(self, name: str) -> None:
-        path, suffix = Path(name), Path(name).suffix.lower()
+        path, suffix = Path(name), suffix_of(name)
         if path.is_dir() or (self.follow and not suffix and not path.exists()):
             self.folder(path)
-        elif not path.is_file():
+        elif not split_clip(path)[0].is_file():
             self.clouds(name)
         elif suffix in (".npz", ".partial"):
             self.arrays(path)
@@ -123,20 +126,25 @@ class _Loader:
             self.found.told.append(f"{path}: {OTHERS[suffix]}.")
         elif suffix in MARKER_READERS:
             self.found.markers.append(Markers(path.name, read_marker_file(path, self.unit).frames))
-        elif suffix in MOTION_READERS and suffix not in SUFFIXES:
-            self.motions.append(path)
         elif is_skinned(path):
             self.skinned(path)
-        elif suffix in SKELETON_READERS:
+        elif suffix in MOTION_READERS and suffix not in SUFFIXES:
+            self.motions.append(path)
+        elif suffix in SKELETON_READERS and suffix not in SUFFIXES:
             self.skeletons.append((path.name, read_skeleton(path, self.unit)))
         elif suffix in SUFFIXES:
             mesh = read_mesh(path, self.unit or "m")
             self.found.meshes.append(Meshes(path.name, self.upright(mesh.vertices)[None], mesh.faces))
         else:
-            known = sorted(
-                {*SUFFIXES, *SKINNED_READERS, *MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, ".json"}
-            )
-            raise InputError(f"{path}: '{suffix}' files are not known; give one of {', '.join(known)}.")
+            known = {
+                *SUFFIXES,
+                *SKINNED_READERS,
+                *MOTION_READERS,
+                *SKELETON_READERS,
+                *MARKER_READERS,
+                ".json",
+            }
+            raise wrong_kind(path, "something to look at", sorted(known))
 
     def folder(self, folder: Path) -> None:
         begun = (folder / JOURNAL).is_file()
@@ -197,6 +205,9 @@ class _Loader:
     def skinned(self, path: Path) -> None:
         """A file that has a body with or without a motion."""
         body, motion = read_skinned(path)
+        several = clip_sentence(path)
+        if several is not None:
+            self.found.told.append(several)
         if motion is None:
             self.bodies.append((path.name, body))
         else:

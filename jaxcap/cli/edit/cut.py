@@ -17,7 +17,6 @@ class Cut:
     """Some frames of a motion, the first and the last of them included."""
 
     motion: MotionFile
-    """.bvh, .amc (with its .asf beside it) or .npz."""
     out: OutMotion
     """The frames, .bvh or .npz."""
     frames: Frames = None

@@ -3,20 +3,19 @@
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.body_motion import read_motion_of
-from ...io.registry import SKELETON_READERS, read_motion, read_skeleton, write_motion
+from ...io.clip import suffix_of
+from ...io.registry import SKELETON_READERS, read_skeleton, write_motion
 from ..convert_way import OWN_UNIT
-from ..options import arg
+from ..motions import load_motion, load_motion_of
+from ..options import MotionSpec, arg
 from ..say import say
 from .skeletons import extent
 
-MotionFile = tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
+MotionFile = MotionSpec
 OutMotion = Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
 Frames = Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="")]
 
@@ -27,16 +26,18 @@ REACH = (0.2, 5.0)
 def read_edited(path: Path, unit: str | None, body: Body | None = None) -> tuple[Skeleton, Motion]:
     """A motion with frames, of a person's size, and of a body where one is given, which then tells the skeleton that the
     file may not have. Raises `InputError`."""
-    if unit and path.suffix.lower() in OWN_UNIT:
-        raise InputError(f"{path}: '{path.suffix}' files say their unit themselves; leave --unit {unit} out.")
+    if unit and suffix_of(path) in OWN_UNIT:
+        raise InputError(
+            f"{path}: '{suffix_of(path)}' files say their unit themselves; leave --unit {unit} out."
+        )
     if body is None:
-        skeleton, motion = read_motion(path, unit)
+        skeleton, motion = load_motion(path, unit)
         check_reach(path, skeleton)
     else:
         # lengths are looked at before they are held against the body's
-        if path.suffix.lower() in SKELETON_READERS and path.suffix.lower() != ".npz":
+        if suffix_of(path) in SKELETON_READERS and suffix_of(path) not in OWN_UNIT:
             check_reach(path, read_skeleton(path, unit))
-        skeleton, motion = body.skeleton, read_motion_of(body, path, unit)
+        skeleton, motion = body.skeleton, load_motion_of(body, path, unit)
     if len(motion) == 0:
         raise InputError(f"{path}: there are no frames in this motion.")
     return skeleton, motion
@@ -56,7 +57,7 @@ def frames_of(motion: Motion, frames: tuple[int, int] | None, path: Path) -> tup
     first, last = (0, len(motion) - 1) if frames is None else frames
     if not 0 <= first <= last < len(motion):
         raise InputError(
-            f"{path}: frames {first} to {last} are not in this motion, which has {len(motion)}: 0 to {len(motion) - 1}."
+            f"{path}: frames {first} to {last} are not in this motion, which has {len(motion)}; give two from 0 to {len(motion) - 1}."
         )
     return first, last
 

@@ -11,7 +11,7 @@ from ...edit.gaze import look_at_target
 from ...edit.gaze_line import GazeLine, gaze_shares, human_line, line_of_joint, line_of_vertices
 from ...errors import InputError
 from ...io.limits import read_limits
-from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..options import Flag, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion
 from ..say import say, warn
 from ..sources import load_body
@@ -29,7 +29,6 @@ class Gaze:
     Frames outside of --frames stay as they are."""
 
     motion: MotionFile
-    """.bvh, .amc (with its .asf beside it) or .npz."""
     out: OutMotion
     """The motion, .bvh or .npz."""
     target: Place = None
@@ -44,10 +43,10 @@ class Gaze:
     """Most that it turns, all joints together."""
     joints: Annotated[str | None, arg(metavar="CHEST,NECK,HEAD", help_behavior_hint="")] = None
     """The joints that turn; guessed from their names where not given."""
-    body: Annotated[str | None, arg(metavar="BODY", help_behavior_hint="")] = None
-    """The body that the motion is of, whose face tells the line of the gaze; of `human`s it is known."""
+    body: OptionalBody = None
     line: Annotated[tuple[int, int] | None, arg(metavar="BACK FRONT", help_behavior_hint="")] = None
-    """Vertices of --body at the back of the head and between the eyes."""
+    """Vertices of --body at the back of the head and between the eyes, where the face of --body is not known; that of
+    `human` is."""
     limits: OptionalFile = None
     """Joint limits that the gaze keeps: of `jaxcap limits learn`, .cst or .asf."""
     unit: OptionalUnit = None

@@ -17,7 +17,7 @@ from ...io.colours import read_colours
 from ...io.mesh import Mesh, read_mesh, vertex_normals
 from ...io.obj import write_obj
 from ...io.ply import write_ply
-from ..options import BodySpec, Flag, OptionalFile, Unit, arg
+from ..options import BODY_WORDS, MOTION_WORDS, BodySpec, Flag, MotionSpec, OptionalFile, Unit, arg
 from ..results import make_writable
 from ..say import progress, say, warn
 from ..sources import load_body
@@ -36,10 +36,10 @@ class Glue:
 
     scan: tyro.conf.Positional[Annotated[Path, arg(metavar="SCAN")]]
     """A mesh or cloud (.ply, .obj, .off, .glb) of the person."""
-    body: BodySpec
-    """`human` (with options) or a body .npz, fitted to the scan."""
-    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
-    """What the scan is to do: a motion of the body, .npz or .bvh."""
+    body: Annotated[BodySpec, arg(help=f"The body that is fitted to the scan: {BODY_WORDS}.")]
+    motion: Annotated[
+        MotionSpec, arg(help=f"The motion of the body that the scan is to make: {MOTION_WORDS}.")
+    ]
     out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
     """Folder for glued_0000.ply, glued_0001.ply, ..."""
     fitted: OptionalFile = None
@@ -53,14 +53,14 @@ class Glue:
     kind: Annotated[Literal["ply", "obj"], arg(name="as")] = "ply"
     """Format of the meshes."""
     unit: Unit = "m"
-    """Unit of the scan: m, dm, cm, mm, in or ft."""
+    """Unit of the scan, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
     overwrite: Flag = False
     """Replace the meshes of the folder."""
 
     def run(self) -> None:
         if not 0 < self.reach < np.inf:
             raise InputError(f"--reach is {self.reach:g}; it must be above 0 metres.")
-        body, _ = load_body(self.body)
+        body, _ = load_body(self.body, unit=self.unit)
         scan = read_mesh(self.scan, self.unit)
         colours = read_colours(self.scan, len(scan.vertices))
         _, motion = read_edited(self.motion, None, body)

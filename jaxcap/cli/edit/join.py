@@ -1,17 +1,15 @@
 """`jaxcap edit join`: one motion goes over into another."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from ...edit.between import resample
 from ...edit.clips import cut, join
 from ...edit.transitions import find_transitions
 from ...errors import InputError
-from ..options import Flag, OptionalUnit, arg
+from ..options import Flag, MotionSpec, OptionalUnit, arg
 from ..outputs import check_motion
 from ..say import say, warn
 from .files import OutMotion, read_edited, save
@@ -27,10 +25,8 @@ class Join:
 
     The second is turned about the vertical and shifted along the floor; both stand on one floor."""
 
-    first: tyro.conf.Positional[Annotated[Path, arg(metavar="FIRST")]]
-    """.bvh, .amc (with its .asf beside it) or .npz."""
-    second: tyro.conf.Positional[Annotated[Path, arg(metavar="SECOND")]]
-    """Another motion of the same skeleton."""
+    first: Annotated[MotionSpec, arg(metavar="FIRST")]
+    second: Annotated[MotionSpec, arg(metavar="SECOND", help="Another motion of the same skeleton.")]
     out: OutMotion
     """The motion, .bvh or .npz."""
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.3

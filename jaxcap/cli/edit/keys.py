@@ -26,7 +26,6 @@ class Keys:
     """Few keys that give a motion back within a tolerance, rotations interpolated along the shortest arc."""
 
     motion: MotionFile
-    """.bvh, .amc (with its .asf beside it) or .npz."""
     out: OptionalOut = None
     """The motion that the keys give, .bvh or .npz."""
     keys: OptionalFile = None

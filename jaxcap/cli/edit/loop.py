@@ -23,7 +23,6 @@ class Loop:
     Its last frame is its first again, in pose and in velocity; leave it out where a program plays in a circle."""
 
     motion: MotionFile
-    """.bvh, .amc (with its .asf beside it) or .npz."""
     out: OutMotion
     """The loop, .bvh or .npz."""
     frames: Frames = None

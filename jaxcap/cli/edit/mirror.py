@@ -14,7 +14,6 @@ class Mirror:
     """A motion in a mirror: what the left does the right does."""
 
     motion: MotionFile
-    """.bvh, .amc (with its .asf beside it) or .npz."""
     out: OutMotion
     """The motion, .bvh or .npz."""
     unit: OptionalUnit = None

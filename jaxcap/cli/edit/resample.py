@@ -18,7 +18,6 @@ class Resample:
     """A motion at another rate; new frames are between old ones."""
 
     motion: MotionFile
-    """.bvh, .amc (with its .asf beside it) or .npz."""
     out: OutMotion
     """The motion, .bvh or .npz."""
     rate: Annotated[float, arg(metavar="RATE")]

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-import tyro
 from jaxtyping import Float
 
 from ...body.body import Body
@@ -21,15 +20,13 @@ from ...edit.retargeting.retarget_shape import retarget_shape
 from ...edit.retargeting.soles import floor_under, ground, lowest, sole_heights
 from ...errors import InputError
 from ...io.joint_names import write_joint_names
-from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..options import BODY_WORDS, BodySpec, Flag, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion
 from ..say import progress, say, warn
 from ..sources import load_body
 from .files import MotionFile, OutMotion, read_edited, save
 from .pairs import names_of, point_pair, table_of
 from .skeletons import OTHER_UNIT, extent, load_target, skeleton_of
-
-OptionalBody = Annotated[str | None, arg(metavar="BODY", help_behavior_hint="")]
 
 #: a floor that is further from the lowest joint is likely to be in another unit, metres
 FAR = 5.0
@@ -53,13 +50,13 @@ class Retarget:
     Bodies of one mesh, whose vertices correspond, are aligned by their surfaces; all others by the names of joints."""
 
     motion: MotionFile
-    """.bvh, .amc (with its .asf beside it) or .npz."""
-    target: tyro.conf.Positional[Annotated[str, arg(metavar="TARGET")]]
-    """`human` (with options, as in `human:female,height=1.6`), a body .npz, or a skeleton (.bvh, .asf, .skl, .npz)."""
+    target: Annotated[
+        BodySpec,
+        arg(metavar="TARGET", help=f"{BODY_WORDS}; or a skeleton alone: .skl, .bvh, .asf, a motion .npz."),
+    ]
     out: OutMotion
     """The target's motion, .bvh or .npz."""
     source: OptionalBody = None
-    """The body that the motion is of."""
     by: Literal["auto", "surface", "names"] = "auto"
     """By what source and target are aligned; auto takes the surface where --source has the target's mesh."""
     names: OptionalFile = None

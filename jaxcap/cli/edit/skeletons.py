@@ -7,8 +7,10 @@ import numpy as np
 from ...body.body import Body
 from ...body.skeleton import Skeleton, same_joints
 from ...errors import InputError
-from ...io.npz import load_arrays
-from ...io.registry import SKELETON_READERS, read_skeleton
+from ...io.clip import suffix_of
+from ...io.kinds import identify
+from ...io.registry import BODY_SUFFIXES, SKELETON_READERS
+from ..motions import load_skeleton
 from ..sources import load_body
 
 #: skeletons whose joints are no further apart at rest are the same, metres
@@ -23,14 +25,10 @@ def extent(skeleton: Skeleton) -> float:
 
 
 def load_target(spec: str) -> Body | Skeleton:
-    """A body, or a skeleton from any file that has one. Raises `InputError`."""
-    path = Path(spec)
-    if path.suffix.lower() == ".npz" and path.is_file() and "vertices" not in load_arrays(path):
-        return read_skeleton(path)
-    if path.suffix.lower() in SKELETON_READERS and path.suffix.lower() != ".npz":
-        if not path.is_file():
-            raise InputError(f"{path}: there is no such file; check the path.")
-        return read_skeleton(path)
+    """A body, or a skeleton from any file that has one and no body. Raises `InputError`."""
+    alone = suffix_of(spec) in SKELETON_READERS and suffix_of(spec) not in BODY_SUFFIXES
+    if alone or identify(spec) in ("motion", "amass", "subject"):
+        return load_skeleton(spec)
     return load_body(spec)[0]
 
 

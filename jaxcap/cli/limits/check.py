@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from ...body.limit_surface import SurfaceLimits
 from ...io.table import write_json
 from ...limits.check import comfort_frames
-from ..options import Flag, OptionalUnit, arg
+from ..options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_new
 from ..say import say, table
 from .held import Held, LimitsFile, read_held, runs_of
@@ -20,12 +19,12 @@ from .held import Held, LimitsFile, read_held, runs_of
 class Check:
     """Say which joints of a motion are beyond limits, in which frames, by how much, and how comfortable they are."""
 
-    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
-    """.bvh, .amc (with its .asf beside it) or .npz."""
+    motion: MotionSpec
     limits: LimitsFile
     """Limits that `jaxcap limits learn` wrote, or a .cst or .asf file."""
     out: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
     """The same, and every frame, as .json."""
+    body: OptionalBody = None
     unit: OptionalUnit = None
     """Unit of the motion's lengths, in place of what it says."""
     overwrite: Flag = False
@@ -33,7 +32,7 @@ class Check:
 
     def run(self) -> None:
         check_new(self.out, self.overwrite)
-        held = read_held(self.motion, self.limits, self.unit)
+        held = read_held(self.motion, self.limits, self.unit, self.body)
         comforts = comfort_of(held)
         say(summary(self.motion.name, held))
         limited = sorted(set(np.asarray(held.limits.owners(held.skeleton)).tolist()))

@@ -1,17 +1,15 @@
 """`jaxcap limits compare`: how alike the ranges of two performers are."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from ...errors import InputError
-from ...io.registry import read_motion
 from ...limits.compare import compare_samples
 from ...limits.samples import gather_samples, parse_joints
-from ..options import arg
+from ..motions import load_motion
+from ..options import MotionSpec, arg
 from ..say import table
 
 
@@ -19,10 +17,8 @@ from ..say import table
 class Compare:
     """Distances between the rotations of two performers' joints, from each to the closest of the other."""
 
-    reference: tyro.conf.Positional[Annotated[Path, arg(metavar="REFERENCE")]]
-    """A motion: .bvh, .amc (with its .asf beside it) or .npz."""
-    other: tyro.conf.Positional[Annotated[Path, arg(metavar="OTHER")]]
-    """Another performer's."""
+    reference: Annotated[MotionSpec, arg(metavar="REFERENCE")]
+    other: Annotated[MotionSpec, arg(metavar="OTHER", help="The motion of another performer.")]
     joints: Annotated[str, arg(metavar="NAMES")]
     """Joints, after commas."""
 
@@ -31,7 +27,7 @@ class Compare:
         try:
             for joint, _ in parse_joints(self.joints):
                 one, two = (
-                    gather_samples([read_motion(path)], joint, None, [str(path)])
+                    gather_samples([load_motion(path)], joint, None, [str(path)])
                     for path in (self.reference, self.other)
                 )
                 found = compare_samples(one, two)

@@ -10,10 +10,11 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.limits import read_limits
-from ...io.registry import read_motion
 from ...limits.check import allowed_frames, residual_frames
 from ...markers.gaps import runs
+from ..motions import load_motion, load_motion_of
 from ..options import arg
+from ..sources import load_body
 
 LimitsFile = Annotated[Path, arg(aliases=("-l",), metavar="FILE")]
 
@@ -29,11 +30,18 @@ class Held(NamedTuple):
     degrees: np.ndarray
 
 
-def read_held(motion: Path, limits: Path, unit: str | None) -> Held:
-    """Raises `InputError` where a file is wrong, or the limits are of another skeleton."""
+def read_held(motion: Path, limits: Path, unit: str | None, body: str | None = None) -> Held:
+    """Read a motion, that of `body` where one is given, and judge it by limits.
+
+    **Raises:** `InputError` where a file is wrong, or the limits are of another skeleton.
+    """
     if not limits.is_file():
         raise InputError(f"{limits}: there is no such file; learn limits with `jaxcap limits learn`.")
-    skeleton, moving = read_motion(motion, unit)
+    if body is None:
+        skeleton, moving = load_motion(motion, unit)
+    else:
+        of = load_body(body, unit=unit or "m")[0]
+        skeleton, moving = of.skeleton, load_motion_of(of, motion, unit)
     return judge(skeleton, moving, read_limits(limits, skeleton))
 
 

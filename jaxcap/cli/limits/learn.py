@@ -5,27 +5,22 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from ...body.limit_surface import LimitSurface, SurfaceLimits
 from ...errors import InputError
 from ...io.limits import save_limits
-from ...io.registry import MARKER_READERS, read_markers, read_motion
+from ...io.registry import MARKER_READERS, read_markers
 from ...limits.charts import chart_places
 from ...limits.learn import COVERAGE, learn_limits
 from ...limits.marker_frames import arm_samples
 from ...limits.samples import JointSamples, gather_samples, parse_joints, spans
-from ..options import Flag, OptionalUnit, arg
+from ..motions import load_motion
+from ..options import MOTION_WORDS, Flag, MotionsSpec, OptionalUnit, arg
 from ..outputs import check_npz, make_folder
 from ..say import say, table, warn
 
 #: a joint that turns through less than so many degrees tells little of its limits
 HARDLY = 5.0
-
-
-MotionsSpec = tyro.conf.Positional[
-    Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
-]
 
 
 @dataclass
@@ -34,8 +29,10 @@ class Learn:
 
     Left and right are learned apart. Give motions that show the whole range: what was never seen is forbidden."""
 
-    motions: MotionsSpec
-    """.bvh, .amc (with its .asf beside it) or .npz motions of one kind of skeleton; or .c3d, .trc or .csv markers."""
+    motions: Annotated[
+        MotionsSpec,
+        arg(help=f"Motions of one skeleton: {MOTION_WORDS}; or one recording of markers: .c3d, .trc, .csv."),
+    ]
     joints: Annotated[str, arg(metavar="NAMES")]
     """Joints, after commas; behind a colon one whose limits depend on the joint before: LeftArm:LeftForeArm,Head."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
@@ -103,7 +100,7 @@ class Learn:
             return self.marker_samples(pairs)
         if self.markers is not None or self.trunk is not None:
             raise InputError("--markers and --trunk are for files of markers; these are motions.")
-        motions = [read_motion(path, self.unit) for path in self.motions]
+        motions = [load_motion(path, self.unit) for path in self.motions]
         try:
             return {joint: gather_samples(motions, joint, parent, self.motions) for joint, parent in pairs}
         except ValueError as error:

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from ...errors import InputError
 from ...io.registry import write_motion
 from ...limits.project import project_motion
-from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..options import Flag, MotionSpec, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion, check_new
 from ..say import say, warn
 from .check import summary
@@ -23,8 +22,7 @@ class Project:
 
     Joints and frames that are allowed stay as they are."""
 
-    motion: tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION")]]
-    """.bvh, .amc (with its .asf beside it) or .npz."""
+    motion: MotionSpec
     limits: LimitsFile
     """Limits that `jaxcap limits learn` wrote, or a .cst or .asf file."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
@@ -33,6 +31,7 @@ class Project:
     """Over which turns back are drawn together; 0 treats every frame by itself."""
     picture: OptionalFile = None
     """A PNG file with frames before and after."""
+    body: OptionalBody = None
     unit: OptionalUnit = None
     """Unit of the motion's lengths, in place of what it says."""
     overwrite: Flag = False
@@ -45,7 +44,7 @@ class Project:
         if self.picture is not None and self.picture.suffix.lower() != ".png":
             raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
         check_new(self.picture, self.overwrite)
-        held = read_held(self.motion, self.limits, self.unit)
+        held = read_held(self.motion, self.limits, self.unit, self.body)
         say(summary(self.motion.name, held))
         fixed = project_motion(held.limits, held.skeleton, held.motion, self.smoothness)
         write_motion(self.out, held.skeleton, fixed)

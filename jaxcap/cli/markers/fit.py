@@ -11,7 +11,6 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.lock import run_lock
 from ...io.marker_corrections import read_corrections, write_corrections
-from ...io.registry import read_skeleton
 from ...io.subject import save_subject
 from ...markers.calibrate import Calibration, calibrate
 from ...markers.centres import Method
@@ -20,7 +19,8 @@ from ...markers.solve import MarkerSolution, solve_markers
 from ...markers.unite import unite_takes
 from ...report.markers import held_residuals, report_markers, total_residuals
 from ..heartbeat import doing
-from ..options import Flag, OptionalFile, OptionalUnit, Up, arg
+from ..motions import load_skeleton
+from ..options import SKELETON_WORDS, Flag, OptionalFile, OptionalUnit, Up, arg
 from ..outputs import check_npz, make_folder
 from ..say import say
 from .found import strays, tell_bones, tell_joints, tell_segments
@@ -60,8 +60,13 @@ class Fit:
     segments: OptionalFile = None
     """Corrections: lines of marker, segment and weight; the segment - makes a marker loose. The report has
     segments.txt to begin with."""
-    template: OptionalFile = None
-    """A skeleton (.skl, .bvh, .asf, .npz) that says which segments are joined; --segments names them as its joints."""
+    template: Annotated[
+        OptionalFile,
+        arg(
+            help="A skeleton that says which segments are joined; --segments names them as its joints: "
+            f"{SKELETON_WORDS}."
+        ),
+    ] = None
     symmetry: SamePairs = ()
     """Segments whose bones are equally long, such as lthigh:rthigh."""
     local: Flag = False
@@ -103,7 +108,7 @@ class Fit:
             method=self.method,
             template=None
             if self.template is None
-            else self.named(read_skeleton(self.template), corrections or {}),
+            else self.named(load_skeleton(self.template), corrections or {}),
             symmetry=pairs,
             corrections=corrections,
         )

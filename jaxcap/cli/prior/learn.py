@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
 
 from ...adapt.pose_prior import LearnedPair, learn_pairs, learn_ranges, pair_prior_of
 from ...adapt.shape_prior import ShapePrior
@@ -18,16 +17,13 @@ from ...edit.retargeting.retarget import retarget
 from ...errors import InputError
 from ...io.npz import load_limits
 from ...io.prior import save_prior
-from ...io.registry import read_motion
-from ..options import Flag, OptionalUnit, arg
+from ..motions import load_motion
+from ..options import BODY_WORDS, MOTION_WORDS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_npz
 from ..say import progress, say, table, warn
 from ..sources import load_body
 from .shape import learn_shape
 
-MotionsSpec = tyro.conf.Positional[
-    Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
-]
 OptionalMeshes = Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]
 
 #: sine of an angle by which bones may differ at rest: 3 degrees
@@ -42,13 +38,19 @@ class Learn:
     The number of Gaussians is the one that best foretells motion that was left out. From meshes of the body also the
     shape around every vertex."""
 
-    motions: MotionsSpec
-    """.bvh, .amc (with its .asf beside it) or .npz motions; of one skeleton, unless --body says whose they are to be."""
+    motions: Annotated[
+        MotionsSpec,
+        arg(help=f"Motions of one skeleton, unless --body says whose they are to be: {MOTION_WORDS}."),
+    ]
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """The prior, .npz."""
-    body: Annotated[str | None, arg(metavar="BODY", help_behavior_hint="")] = None
-    """The body that the prior is for, `human` (with options: `human:female`) or a body .npz; it is written with the prior in
-    it. Motions of other skeletons are carried over to its own."""
+    body: Annotated[
+        OptionalBody,
+        arg(
+            help=f"The body that the prior is for: {BODY_WORDS}. It is written with the prior in it, and motions of other "
+            "skeletons are carried over to its own."
+        ),
+    ] = None
     meshes: OptionalMeshes = ()
     """Registered meshes of the body, to learn the shape around its vertices from as well: mesh files, a folder,
     a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
@@ -70,7 +72,7 @@ class Learn:
 
     def run(self) -> None:
         self.check()
-        body = None if self.body is None else load_body(self.body)[0]
+        body = None if self.body is None else load_body(self.body, unit=self.unit or "m")[0]
         skeleton, motions = self.read(body)
         frames = sum(len(motion) for motion in motions)
         say(f"{len(motions)} motions, {frames} poses learned from")
@@ -117,7 +119,7 @@ class Learn:
     def read(self, body: Body | None) -> tuple[Skeleton, list[Motion]]:
         """The skeleton that the prior is of, and the thinned motions. Raises `InputError` where they are
         of different skeletons, and cannot be carried over to the body's."""
-        pairs = [read_motion(path, self.unit) for path in self.motions]
+        pairs = [load_motion(path, self.unit) for path in self.motions]
         skeleton = pairs[0][0] if body is None else body.skeleton
         motions, carried = [], 0
         for path, (other, motion) in zip(self.motions, pairs, strict=True):

@@ -1,0 +1,1 @@
+"""What `jaxcap info` says of each kind of content."""

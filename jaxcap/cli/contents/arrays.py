@@ -1,0 +1,133 @@
+"""What an `.npz` holds, in lines of text."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...io.amass import read_amass
+from ...io.checkpoint import KIND as CHECKPOINT
+from ...io.kinds import kind_of_arrays
+from ...io.limits import load_limits
+from ...io.meshes import read_meshes
+from ...io.npz import get_array, load_arrays, load_body, load_kind, load_motion, skeleton_of
+from ...io.prior import carries_prior, load_prior
+from ...io.subject import load_subject
+from ..say import say
+from .bodies import metres, tell_body, tell_motion, tell_moving, tell_skeleton
+from .folders import tell_clouds
+
+
+def tell_arrays(path: Path, unit: str) -> str:
+    """Say what is in an `.npz`, by its kind, and return that."""
+    arrays = load_arrays(path)
+    kind = kind_of_arrays(arrays, str(arrays["format"]) if "format" in arrays else "")
+    tell = {
+        "body": _body,
+        "motion": _motion,
+        "amass": _amass,
+        "subject": _subject,
+        "limits": _limits,
+        "prior": _prior,
+        "checkpoint": _checkpoint,
+    }
+    if kind in tell:
+        return tell[kind](path)
+    if kind == "meshes":
+        return tell_meshes(path, unit)
+    if kind == "clouds":
+        return tell_clouds(str(path), unit)
+    if kind == "keys":
+        keys = load_kind(path, "jaxcap keys")
+        say(
+            f"keys: {len(get_array(keys, 'frames', path, (None,)))} of {get_array(keys, 'count', path, ())} frames"
+        )
+        tell_skeleton(skeleton_of(keys, path))
+    elif kind == "joints":
+        shape = arrays["joints"].shape
+        say(f"joint centres: an array of the shape {' x '.join(map(str, shape))}")
+    else:
+        _others(arrays)
+    return kind
+
+
+def tell_meshes(path: Path | str, unit: str) -> str:
+    """Say how many registered meshes there are, and how large."""
+    sequence = read_meshes(path, unit)
+    say(
+        f"registered meshes: {len(sequence)} of {sequence.vertices.shape[1]} vertices and "
+        f"{len(sequence.faces)} triangles, the first {metres(np.ptp(np.asarray(sequence[0]), axis=0))}"
+    )
+    return "meshes"
+
+
+def _body(path: Path) -> str:
+    tell_body(load_body(path))
+    if carries_prior(path):
+        say(f"a prior of poses is in this file: {len(load_prior(path).pairs)} pairs of joints")
+    return "body"
+
+
+def _motion(path: Path) -> str:
+    if "names" in load_kind(path, "jaxcap motion"):
+        return tell_moving(path, None)
+    motion = load_motion(path)
+    tell_motion(motion)
+    say(f"this file does not say the skeleton; the motion is of {motion.poses.rotations.shape[1]} joints")
+    return "motion of a body"
+
+
+def _amass(path: Path) -> str:
+    try:
+        skeleton, motion = read_amass(path)
+    except InputError as error:
+        if "skeleton.names" in load_arrays(path):
+            raise
+        say(
+            f"motion in the manner of AMASS: {get_array(load_arrays(path), 'poses', path, (None, None)).shape[0]} frames"
+        )
+        say(f"this file does not say the skeleton: {error}")
+        return "motion of a body"
+    tell_motion(motion)
+    tell_skeleton(skeleton)
+    return "motion"
+
+
+def _subject(path: Path) -> str:
+    subject = load_subject(path)
+    placed = int((np.asarray(subject.weights) > 0).sum())
+    say(f"subject: {subject.num_markers} markers, {placed} of them on its bones")
+    tell_skeleton(subject.skeleton)
+    return "subject"
+
+
+def _limits(path: Path) -> str:
+    for surface in load_limits(path).surfaces:
+        keyframes, primitives = surface.centres.shape[:2]
+        coupled = "" if surface.parent is None else f", {keyframes} keyframes of {surface.parent}"
+        say(
+            f"limits of {surface.joint}: {surface.chart.dimension} angles, {primitives} primitives in voxels from "
+            f"{np.degrees(4 * float(surface.unit)):.2g} degrees{coupled}"
+        )
+    return "limits"
+
+
+def _prior(path: Path) -> str:
+    prior = load_prior(path)
+    for (parent, child), weights in zip(prior.pairs, np.asarray(prior.weights), strict=True):
+        say(f"prior of {parent} and {child}: {int((weights > 0).sum())} components")
+    return "prior"
+
+
+def _checkpoint(path: Path) -> str:
+    arrays = load_kind(path, CHECKPOINT)
+    steps = get_array(arrays, "history.steps", path, (None,))
+    vertices = get_array(arrays, "body.vertices", path, (None, 3))
+    say(f"checkpoint: {len(steps)} steps are done, on a body of {len(vertices)} vertices")
+    return "checkpoint"
+
+
+def _others(arrays: Mapping[str, np.ndarray]) -> None:
+    for name, values in arrays.items():
+        say(f"{name}: {values.dtype} {values.shape}")

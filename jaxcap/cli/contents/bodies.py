@@ -1,0 +1,81 @@
+"""Bodies, skeletons and motions in lines of text."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ...body.body import Body
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...io.mesh import check_mesh, read_mesh
+from ...io.registry import read_skinned
+from ..motions import load_motion, tell_clip
+from ..say import say
+
+
+def tell_body(body: Body) -> None:
+    """Say how large a body is, how it is skinned, and its joints."""
+    size = np.ptp(np.asarray(body.vertices), axis=0)
+    say(
+        f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {metres(size)}, {type(body.skin).__name__}"
+    )
+    tell_skeleton(body.skeleton)
+
+
+def tell_skeleton(skeleton: Skeleton) -> None:
+    """Say which joints a skeleton has, each below its parent."""
+    kinds = [f"{skeleton.kinds.count(kind)} {kind}" for kind in dict.fromkeys(skeleton.kinds)]
+    say(f"skeleton: {skeleton.num_joints} joints ({', '.join(kinds)}), {skeleton.num_dofs} parameters")
+    for name, parent, kind, depth in zip(
+        skeleton.names, skeleton.parents, skeleton.kinds, skeleton.depths, strict=True
+    ):
+        above = "" if parent < 0 else f" on {skeleton.names[parent]}"
+        say(f"{'  ' * (int(depth) + 1)}{name} ({kind}{above})")
+
+
+def tell_motion(motion: Motion) -> None:
+    """Say how long a motion is."""
+    count = motion.num_frames
+    say(f"motion: {count} frames at {motion.rate:g} a second, {count / motion.rate:.2f} s")
+
+
+def tell_skinned(path: Path) -> str:
+    """Say what a skinned `.glb`, `.gltf` or USD holds."""
+    body, motion = read_skinned(path)
+    tell_clip(path)
+    if motion is not None:
+        tell_motion(motion)
+    tell_body(body)
+    return "skinned" if motion is None else "animated"
+
+
+def tell_moving(path: Path, unit: str | None) -> str:
+    """Say what a motion with its skeleton holds."""
+    skeleton, motion = load_motion(path, unit)
+    tell_motion(motion)
+    tell_skeleton(skeleton)
+    return "motion"
+
+
+def tell_mesh(path: Path, unit: str) -> str:
+    """Say how large a mesh or a cloud is, and whether it can be the surface of a body."""
+    mesh = read_mesh(path, unit)
+    what = "mesh" if len(mesh.faces) else "cloud"
+    normals = ", with normals" if mesh.normals is not None else ""
+    say(
+        f"{what}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {metres(np.ptp(mesh.vertices, axis=0))}{normals}"
+    )
+    if not len(mesh.faces):
+        return "cloud"
+    try:
+        check_mesh(mesh, path)
+    except InputError as error:
+        say(f"not a surface for a body: {error}")
+        return "cloud"
+    return "mesh"
+
+
+def metres(size: np.ndarray) -> str:
+    """Write the sides of a box."""
+    return " x ".join(f"{length:.3g}" for length in size) + " m"

@@ -1,0 +1,126 @@
+"""Markers, JSON, tables and Kineben's files in lines of text."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...io.asf import read_asf
+from ...io.cameras import read_cameras
+from ...io.cst import read_cst
+from ...io.journal import read_header, read_records
+from ...io.kinds import kind_of_json
+from ...io.registry import read_marker_file, read_skeleton
+from ...io.text import Words, numbered_lines, read_text
+from ..say import say
+from .bodies import tell_skeleton
+
+
+def tell_markers(path: Path, unit: str | None) -> str:
+    """Say how many markers a file has, for how long."""
+    file = read_marker_file(path, unit)
+    frames = file.frames
+    count, shown = len(frames), 100 * float(np.asarray(frames.seen).mean())
+    say(
+        f"markers: {len(frames.labels)}, {count} frames at {frames.rate:g} a second, {count / frames.rate:.2f} s, unit "
+        f"{file.unit}, {shown:.3g} % seen"
+    )
+    return "markers"
+
+
+def tell_json(path: Path) -> str:
+    """Say what a JSON file holds, and return its kind."""
+    try:
+        content = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}); mend it there.") from None
+    except (ValueError, RecursionError):
+        raise InputError(
+            f"{path}: this JSON is nested too deeply, or has numbers of too many digits; give a file that this program wrote."
+        ) from None
+    kind = kind_of_json(content)
+    if kind == "cameras":
+        cameras = read_cameras(path)
+        sizes = ", ".join(dict.fromkeys(f"{camera.width} x {camera.height}" for camera in cameras))
+        say(f"cameras: {len(cameras)} of {sizes} pixels")
+    elif kind == "constraints":
+        rows = content["constraints"]
+        count = len(rows) if isinstance(rows, list) else 0
+        of = f" of a body of {content['vertices']} vertices" if "vertices" in content else ""
+        say(f"constraints: {count}{of}")
+    elif kind == "statistics":
+        tell_statistics(path)
+    elif kind == "keys":
+        say(f"keys: of {len(content['joints'])} joints, {content.get('frames', 0)} frames")
+    elif kind == "json":
+        raise InputError(
+            f"{path}: there is nothing in this JSON that a verb reads; cameras are in a list 'cameras', constraints in a "
+            "list 'constraints'."
+        )
+    else:
+        say(f"{'settings of a scan' if kind == 'scan' else 'report'}: {', '.join(map(str, content))[:300]}")
+    return kind
+
+
+def tell_statistics(path: Path) -> None:
+    """Say how a tracking run went, from its statistics, `.json` or `.csv`. Raises `InputError`."""
+    text = read_text(path)
+    try:
+        if path.suffix.lower() == ".json":
+            states = [row["state"] for row in json.loads(text)["frames"]]
+        else:
+            head, *rows = (line.split(",") for line in text.splitlines() if line.strip())
+            states = [row[head.index("state")] for row in rows]
+    except (ValueError, KeyError, TypeError, IndexError):
+        raise InputError(f"{path}: these are not the statistics of a run; remove the file.") from None
+    say(f"statistics: {len(states)} frames, {states.count('lost')} lost")
+
+
+def tell_journal(path: Path) -> str:
+    """Say how far a run that was stopped has come."""
+    header, records = read_header(path), read_records(path)
+    joints = header.get("joints")
+    of = f" of {len(joints)} joints" if isinstance(joints, list) else ""
+    say(f"journal: {len(records)} frames{of} are done")
+    return "journal"
+
+
+def tell_kineben(path: Path, unit: str | None) -> str:
+    """Say what one of Kineben's files holds; limits are read with the skeleton in their folder."""
+    kind = path.suffix.lower()[1:]
+    if kind == "skl":
+        tell_skeleton(read_skeleton(path, unit))
+    elif kind == "vj":
+        names = [line.strip() for line in read_text(path).splitlines() if line.strip()]
+        say(f"parts: {len(names)} vertices on {len(set(names))} joints")
+    else:
+        count, skeleton = Words(path).header("KBCST"), path.with_suffix(".skl")
+        if skeleton.is_file():
+            read_cst(path, read_skeleton(skeleton, unit))
+        say(f"limits: of {count} joints{', of ' + str(skeleton) if skeleton.is_file() else ''}")
+    return kind
+
+
+def tell_asf(path: Path) -> str:
+    """Say what an `.asf` holds."""
+    asf = read_asf(path)
+    tell_skeleton(asf.skeleton)
+    say(f"limits: of {len(asf.boxes.joints)} joints")
+    return "asf"
+
+
+def tell_text(path: Path) -> str:
+    """Say which list a text file is. Raises `InputError` where it is none."""
+    rows = [line.split() for _, line in numbered_lines(read_text(path))]
+    widths = {len(row) for row in rows}
+    if rows and widths <= {1, 2} and all(row[-1].isdecimal() for row in rows):
+        say(f"vertices: {len(rows)} with their names")
+        return "vertices"
+    if rows and widths <= {2, 3}:
+        say(f"pairs of words: {len(rows)}, the first is {' '.join(rows[0])[:80]}")
+        return "pairs"
+    raise InputError(
+        f"{path}: this text is no list of names and vertices, of markers and segments, or of pairs of joints; write one to "
+        "a line."
+    )

@@ -1,0 +1,165 @@
+"""The help of one verb: its options in groups that are the same for all verbs, the basic ones first."""
+
+import contextlib
+import io
+import os
+import re
+import shutil
+import textwrap
+
+#: groups in their order, with the options in each; what is named nowhere is a setting of the verb itself
+BASICS, INPUT, OUTPUT, KINEBEN = "Basics", "Input", "Output", "Kineben files"
+GROUPS: dict[str, tuple[str, ...]] = {
+    BASICS: ("out", "resume", "overwrite", "help"),
+    INPUT: (
+        "unit",
+        "up",
+        "rate",
+        "first",
+        "last",
+        "vertices",
+        "body",
+        "motion",
+        "source",
+        "start",
+        "fitted",
+        "frame",
+        "pose",
+        "skeleton",
+        "template",
+        "clouds",
+        "cameras",
+        "limits",
+        "prior",
+        "constraints",
+        "truth",
+        "meshes",
+        "markers",
+        "trunk",
+        "subject",
+        "performer",
+        "pieces",
+        "segments",
+        "names",
+        "points",
+    ),
+    OUTPUT: (
+        "as",
+        "npz",
+        "keys",
+        "filled",
+        "report",
+        "report-every",
+        "picture",
+        "rows",
+        "target-unit",
+    ),
+    KINEBEN: ("skl", "vj", "cst"),
+}
+#: what a verb's own settings are called; options of some verbs are in another group than elsewhere
+TITLES = {
+    "track": "Tracking",
+    "adapt": "Adaptation",
+    "learn": "Learning",
+    "scan": "Cameras and errors",
+    "markers fit": "Calibration",
+    "markers solve": "Solving",
+    "limits learn": "Learning",
+    "prior learn": "Learning",
+    "ik": "Inverse kinematics",
+    "view": "Window",
+}
+MOVED = {
+    "learn": {"motion": OUTPUT, "pairs": "Learning"},
+    "adapt": {"motion": OUTPUT},
+    "markers fit": {"joints": OUTPUT},
+    "markers solve": {"joints": OUTPUT},
+    "scan": {"points": "", "vertices": "", "rate": INPUT},
+    "evaluate": {"points": INPUT},
+    "edit cut": {"frames": BASICS},
+}
+#: columns before what an option means, and of a line at most
+COLUMN, WIDEST = 26, 110
+_NAMES = re.compile(r"--(?:no-(?!browser))?([a-z0-9][a-z0-9-]*)")
+
+
+def verb_help(verb: type, prog: str) -> str:
+    """Return the help of a verb, whose fields are its options, with these in their groups."""
+    import tyro
+
+    said, columns = io.StringIO(), os.environ.get("COLUMNS")
+    try:
+        # tyro breaks lines within words
+        os.environ["COLUMNS"] = "10000"
+        with contextlib.suppress(SystemExit), contextlib.redirect_stdout(said):
+            tyro.cli(verb, prog=prog, args=["--help"], config=(tyro.conf.FlagCreatePairsOff,))
+    finally:
+        os.environ.pop("COLUMNS")
+        if columns is not None:
+            os.environ["COLUMNS"] = columns
+    return grouped(said.getvalue(), prog.removeprefix("jaxcap "))
+
+
+def grouped(text: str, verb: str) -> str:
+    """Put the options in a help text of tyro's, drawn without boxes, into the groups of a verb.
+
+    There an entry is set in by two columns, the lines below it by more, and titles by one."""
+    width = min(shutil.get_terminal_size().columns, WIDEST)
+    rows = [line.rstrip() for line in text.splitlines()]
+    start = next((number for number, row in enumerate(rows) if row.startswith(" ")), len(rows))
+    entries: list[str] = []
+    for row in rows[start:]:
+        if row.startswith("   ") and entries:
+            entries[-1] += ("  " if "  " not in entries[-1] else " ") + row.strip()
+        elif row.startswith("  "):
+            entries.append(row.strip())
+    found: dict[str, list[str]] = {BASICS: [], INPUT: [], _title(verb): [], OUTPUT: [], KINEBEN: []}
+    for entry in entries:
+        found[_group(entry, verb)].append(entry)
+    found[BASICS].sort(key=_place)
+    paragraphs = [textwrap.fill(part, width) for part in "\n".join(rows[:start]).split("\n\n")]
+    blocks = [
+        "\n".join([f"{title}:", *(_laid_out(entry, width) for entry in group)])
+        for title, group in found.items()
+        if group
+    ]
+    return "\n\n".join([*filter(None, paragraphs), *blocks]) + "\n"
+
+
+def _laid_out(entry: str, width: int) -> str:
+    """Names to the left, what they mean to the right or below."""
+    names, _, meaning = entry.partition("  ")
+    blank = " " * COLUMN
+    text = textwrap.fill(
+        " ".join(meaning.replace("(default: )", "").split()),
+        width,
+        initial_indent=blank,
+        subsequent_indent=blank,
+        break_on_hyphens=False,
+    )
+    names = f"  {names}"
+    return f"{names}\n{text}" if len(names) > COLUMN - 2 else names + text[len(names) :]
+
+
+def _title(verb: str) -> str:
+    return TITLES.get(verb, "Settings")
+
+
+def _group(entry: str, verb: str) -> str:
+    """The group of an entry, by the last of its names."""
+    name = _name(entry)
+    moved = MOVED.get(verb, {}).get(name)
+    if name == "" or moved is not None:
+        return BASICS if moved is None else moved or _title(verb)
+    return next((title for title, options in GROUPS.items() if name in options), _title(verb))
+
+
+def _place(entry: str) -> int:
+    """Where an entry of the basics stands: what has no dashes comes first."""
+    name = _name(entry)
+    return GROUPS[BASICS].index(name) if name in GROUPS[BASICS] else -1
+
+
+def _name(entry: str) -> str:
+    """An option without dashes; nothing for one that has its place on the line."""
+    return _NAMES.findall(entry.split("  ")[0])[-1] if entry.startswith("-") else ""

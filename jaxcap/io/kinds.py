@@ -1,0 +1,214 @@
+"""Which kind of content a file or folder holds, and sentences for files that are of another kind than was asked for."""
+
+import json
+import shlex
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .clip import split_clip
+from .foreign import FOREIGN, PICTURES
+from .gltf_document import SUFFIXES as GLTF
+from .gltf_document import has_skin
+from .text import read_text
+
+#: what each kind is called in a sentence
+WORDS = {
+    "body": "a body",
+    "motion": "a motion",
+    "amass": "a motion in the manner of AMASS",
+    "subject": "a subject with its markers",
+    "limits": "a file of joint limits",
+    "prior": "a prior of poses",
+    "checkpoint": "a checkpoint of a run that was stopped",
+    "keys": "a file of keys",
+    "meshes": "a file of registered meshes",
+    "clouds": "a file of clouds",
+    "joints": "a file of joint centres",
+    "arrays": "an unmarked file of other arrays",
+    "damaged": "no whole .npz file",
+    "skinned": "a skinned body",
+    "usd": "a USD file",
+    "mesh": "a mesh or a cloud",
+    "bvh": "a motion with its skeleton (BVH)",
+    "asf": "a skeleton with joint limits (ASF)",
+    "amc": "a motion (AMC)",
+    "skl": "a skeleton of Kineben (.skl)",
+    "cst": "a file of Kineben's joint limits (.cst)",
+    "vj": "a file that says which joint moves each vertex (.vj)",
+    "markers": "a file of markers",
+    "statistics": "the statistics of a tracking run",
+    "cameras": "a file of cameras",
+    "constraints": "a file of constraints for `jaxcap ik`",
+    "scan": "the settings of a scan",
+    "report": "a report",
+    "json": "a JSON file of another kind",
+    "text": "a text file",
+    "journal": "the journal of a tracking run",
+    "run": "the folder of a tracking run",
+    "scans": "a folder of scans",
+    "folder": "a folder",
+    "picture": "a picture or a page",
+}
+#: by the format's name in an `.npz`
+_FORMATS = ("body", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
+#: of all files that are an `.npz`
+_NPZ = (*_FORMATS, "amass", "joints", "clouds", "arrays", "damaged")
+_SUFFIXES = {
+    ".bvh": "bvh",
+    ".asf": "asf",
+    ".amc": "amc",
+    ".skl": "skl",
+    ".cst": "cst",
+    ".vj": "vj",
+    ".c3d": "markers",
+    ".trc": "markers",
+    ".csv": "markers",
+    ".txt": "text",
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "usd"),
+    **dict.fromkeys((".off", ".obj", ".ply", ".stl"), "mesh"),
+    **dict.fromkeys(PICTURES, "picture"),
+}
+
+
+def identify(path: str | Path) -> str | None:
+    """Return the kind of a file or folder, one of `WORDS`, by its suffix, its first bytes, and the names in it.
+
+    None where it is of no kind that is known, or is not there. Nothing is checked further than that.
+    """
+    path = split_clip(path)[0]
+    suffix = path.suffix.lower()
+    if path.is_dir():
+        return _folder(path)
+    if not path.is_file():
+        return None
+    if path.name == "journal":
+        return "journal"
+    if path.name == "statistics.csv":
+        return "statistics"
+    if suffix in GLTF:
+        return "skinned" if has_skin(path) else "mesh"
+    if suffix in (".npz", ".partial"):
+        return _npz(path)
+    return _json(path) if suffix == ".json" else _SUFFIXES.get(suffix)
+
+
+def kind_of_arrays(names: Iterable[str], form: str = "") -> str:
+    """Return the kind of an `.npz` by the names of its arrays and the name of its format."""
+    there = set(names)
+    if form.removeprefix("jaxcap ") in _FORMATS:
+        return form.removeprefix("jaxcap ")
+    if "poses" in there and {"trans", "mocap_framerate", "mocap_frame_rate"} & there:
+        return "amass"
+    if "joints" in there and "points" not in there:
+        return "joints"
+    if "vertices" in there and {"faces", "face_counts"} & there:
+        return "meshes"
+    return "clouds" if {"points", "vertices"} & there else "arrays"
+
+
+def wrong_kind(path: str | Path, wanted: str, suffixes: Sequence[str]) -> InputError:
+    """Say that a file is not `wanted`, as in "a motion", which is read from files with these suffixes: what it is in
+    place of that, where this can be told, and what to do."""
+    path = split_clip(path)[0]
+    suffix, known = path.suffix.lower(), ", ".join(suffixes)
+    if path.is_dir():
+        return InputError(f"{path}: this is a folder, where {wanted} is expected; {_inside(path, suffixes)}.")
+    if not path.exists():
+        if path.name.split(":")[0] == "human":
+            return InputError(
+                f"{path}: this is the embedded body, where {wanted} is expected: {known}; `jaxcap convert {path} body.npz` makes a "
+                "file of it."
+            )
+        return InputError(f"{path}: there is no such file; check the path.")
+    if suffix in FOREIGN:
+        what, instead = FOREIGN[suffix]
+        return InputError(f"{path}: this is {what}, which is not read; {instead}.")
+    kind = identify(path)
+    if kind is None:
+        named = f"files that end in '{path.suffix}' are not known" if suffix else "its name has no suffix"
+        return InputError(f"{path}: {named}; {wanted} is expected: {known}.")
+    return InputError(
+        f"{path}: this is {WORDS[kind]}, where {wanted} is expected: {known}; {what_for(path)}."
+    )
+
+
+def check_kind(path: str | Path, kind: str, suffixes: Sequence[str]) -> None:
+    """Check that a file is not clearly of another kind than one of `WORDS`, for formats that are read whatever their name
+    is. Raises `InputError`."""
+    path = Path(path)
+    if path.is_dir() or path.suffix.lower() in FOREIGN or identify(path) not in (kind, "text", None):
+        raise wrong_kind(path, WORDS[kind], suffixes)
+
+
+def check_npz(path: str | Path, wanted: str) -> None:
+    """Check that a file is not clearly something else than an `.npz`. Raises `InputError`."""
+    path = Path(path)
+    kind = identify(path)
+    if path.is_dir() or path.suffix.lower() in FOREIGN or (kind is not None and kind not in _NPZ):
+        raise wrong_kind(path, wanted, (".npz",))
+
+
+def wrong_arrays(path: str | Path, arrays: Mapping[str, Any], lacking: str) -> InputError:
+    """Say what an `.npz` is and holds, what it is not or has not, as in "not a body", and what to do."""
+    kind = kind_of_arrays(arrays, str(arrays["format"]) if "format" in arrays else "")
+    there = ", ".join(list(arrays)[:8]) + (", ..." if len(arrays) > 8 else "")
+    return InputError(
+        f"{path}: this is {WORDS[kind]}, {lacking}; it holds {there or 'nothing'}; {what_for(path)}."
+    )
+
+
+def what_for(path: str | Path) -> str:
+    """Say where to find what a file is for."""
+    return f"`jaxcap info {shlex.quote(str(path))}` says what it is for"
+
+
+def _inside(folder: Path, suffixes: Sequence[str]) -> str:
+    """What to give in place of a folder."""
+    fits = sorted({p.suffix.lower() for p in folder.iterdir() if p.suffix.lower() in suffixes})
+    if fits:
+        return f"name the files in it, as in {shlex.quote(str(folder))}/*{fits[0]}"
+    return f"give a file, {', '.join(suffixes)}; there is none in this folder"
+
+
+def _npz(path: Path) -> str:
+    try:
+        with open(path, "rb") as raw:
+            if raw.read(2) != b"PK":
+                return "damaged"
+            raw.seek(0)
+            with np.load(raw, allow_pickle=False) as file:
+                form = str(file["format"]) if "format" in file.files else ""
+                return kind_of_arrays(file.files, form)
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
+        return "damaged"
+
+
+def kind_of_json(content: Any) -> str:
+    """Return the kind of what a JSON file holds."""
+    if not isinstance(content, Mapping):
+        return "json"
+    kinds = {"cameras": "cameras", "constraints": "constraints", "body arrays": "scan", "joints": "keys"}
+    found = next((kind for name, kind in kinds.items() if name in content), None)
+    if found == "keys" and "rate" not in content:
+        found = None
+    if found is None and {"rate", "frames"} <= content.keys():
+        return "statistics"
+    return found or ("report" if content else "json")
+
+
+def _json(path: Path) -> str:
+    try:
+        return kind_of_json(json.loads(read_text(path)))
+    except (ValueError, RecursionError):
+        return "json"
+
+
+def _folder(folder: Path) -> str:
+    if any((folder / name).is_file() for name in ("motion.npz", "statistics.json", "journal")):
+        return "run"
+    return "scans" if (folder / "cameras.json").is_file() else "folder"
