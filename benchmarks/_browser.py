@@ -79,9 +79,9 @@ def wait_for_eye(page, camera: Any, middle: ArrayLike) -> None:
         page.wait_for_timeout(50)
 
 
-def pixel(camera: Any, place: ArrayLike, size: tuple[int, int]) -> Float[np.ndarray, "2"]:
-    """Where a place in the scene is on a page of so many pixels, by the camera that a browser tells (`client.camera`)."""
-    eye, (width, height) = np.array(camera.position), size
+def pixel(camera: Any, place: ArrayLike) -> Float[np.ndarray, "2"]:
+    """Where a place in the scene is on a page, pixels, by the camera that a browser tells (`client.camera`)."""
+    eye, width, height = np.array(camera.position), camera.image_width, camera.image_height
     ahead = np.array(camera.look_at) - eye
     ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, camera.up_direction)

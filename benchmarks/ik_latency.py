@@ -91,7 +91,7 @@ def browser_milliseconds(body: Body, moves: int, rest: float) -> list[float]:
             time.sleep(0.1)
         window = windows[0]
         wait_for_eye(page, window.client.camera, window.middle)
-        at = pixel(window.client.camera, ik.constraint_at(window.session, hand).target, SIZE)
+        at = pixel(window.client.camera, ik.constraint_at(window.session, hand).target)
         page.mouse.move(*at)
         page.mouse.down()
         page.mouse.move(at[0] + 6, at[1] - 6)

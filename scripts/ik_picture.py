@@ -39,7 +39,7 @@ def main() -> None:
         hold(page, window)
         pictures.append(picture(page))
         hand = window.session.state.constraints[-1]
-        page.mouse.move(*pixel(window.client.camera, hand.target, SIZE))
+        page.mouse.move(*pixel(window.client.camera, hand.target))
         page.mouse.down()
         for target, title in (((-0.68, 0.62, 0.3), "c"), ((-0.3, 0.8, 0.3), "d")):
             drag_to(page, window, target, title)
@@ -58,7 +58,7 @@ def hold(page, window: IkWindow) -> None:
         near = np.flatnonzero(np.linalg.norm(places - centres[body.skeleton.index(name)], axis=1) < 0.07)
         points.append(places[near[np.argmax(places[near, 2])]])
     for number, point in enumerate(points, 1):
-        page.mouse.click(*pixel(window.client.camera, point, SIZE))
+        page.mouse.click(*pixel(window.client.camera, point))
         settle(lambda number=number: len(window.session.state.constraints) == number)
         if number <= len(HELD):
             page.locator("input[type=checkbox]:visible").first.click()
@@ -67,8 +67,8 @@ def hold(page, window: IkWindow) -> None:
 
 def drag_to(page, window: IkWindow, target, title: str) -> None:
     """Move the mouse until the ball is where a target is on the screen."""
-    ball = lambda: pixel(window.client.camera, window.session.state.constraints[-1].target, SIZE)  # noqa: E731
-    start, end = ball(), pixel(window.client.camera, target, SIZE)
+    ball = lambda: pixel(window.client.camera, window.session.state.constraints[-1].target)  # noqa: E731
+    start, end = ball(), pixel(window.client.camera, target)
     for share in np.linspace(0, 1, 13)[1:]:
         page.mouse.move(*(start + share * (end - start)))
         time.sleep(0.15)

@@ -11,8 +11,8 @@ import pytest
 from benchmarks._browser import GEOMETRY, find_chromium, launched, open_page
 from benchmarks._browser import wait_for_node as wait_for_node
 
-#: small, as every pixel is drawn by the processor
-SIZE = (640, 480)
+#: small, as every pixel is drawn by the processor; the controls take a third of it
+SIZE = (960, 480)
 
 
 @pytest.fixture(scope="module")

@@ -60,10 +60,9 @@ def open_window(chromium, served):
     return page, window
 
 
-def pixel(page, window, place) -> np.ndarray:
+def pixel(window, place) -> np.ndarray:
     """Where a place is on the screen."""
-    size = page.viewport_size
-    return on_page(window.client.camera, place, (size["width"], size["height"]))
+    return on_page(window.client.camera, place)
 
 
 def hand_of(body) -> int:
@@ -101,16 +100,22 @@ def test_every_solver_has_a_label():
 def test_a_point_is_clicked_dragged_and_arrives(chromium, served, body):
     page, window = open_window(chromium, served)
     other, bystander = open_window(chromium, served)
-    start = pixel(page, window, body.vertices[hand_of(body)])
+    page.mouse.click(600, 30)
+    page.get_by_text("There is nothing where you clicked").wait_for()
+    assert window.session.state.constraints == () and not bystander.note
+    start = pixel(window, body.vertices[hand_of(body)])
     page.mouse.click(*start)
     (held,) = wait(lambda: window.session.state.constraints)
+    # a hand hits a ball that is 24 pixels wide
+    beside = np.add(held.target, [window.handles.radius, 0.0, 0.0])
+    assert np.linalg.norm(pixel(window, beside) - pixel(window, held.target)) > 10
     # the corner nearest to where the mouse was
-    assert np.linalg.norm(pixel(page, window, held.target) - start) < 8
+    assert np.linalg.norm(pixel(window, held.target) - start) < 8
     # nothing has moved yet
     np.testing.assert_allclose(vertices(page, SURFACE), body.vertices, atol=1e-6)
 
     wait(lambda: "/handles/1/ball" in page.evaluate("Object.keys(window.__viserMutable.nodeRefFromName)"))
-    start = pixel(page, window, held.target)
+    start = pixel(window, held.target)
     end = start + [-50.0, -45.0]
     drag(page, start, end)
     wait(lambda: window.session.grabbed is not None)
@@ -118,7 +123,7 @@ def test_a_point_is_clicked_dragged_and_arrives(chromium, served, body):
     wait(lambda: window.session.grabbed is None and len(window.session.past) == 2)
     session = window.session
     target = ik.constraint_at(session, held.point).target
-    assert np.linalg.norm(pixel(page, window, target) - end) < 3
+    assert np.linalg.norm(pixel(window, target) - end) < 3
     assert np.linalg.norm(np.subtract(target, held.target)) > 0.1
     # the session, the page and the picture say that the vertex is there
     assert np.linalg.norm(np.subtract(ik.place_of(session, held.point), target)) < 0.01
@@ -182,11 +187,11 @@ def test_files_go_to_the_browser_and_come_from_it(chromium, served, body, tmp_pa
 def test_a_browser_that_closes_in_a_drag_leaves_no_trace(chromium, served, body, capfd):
     page, window = open_window(chromium, served)
     windows = served[1]
-    start = pixel(page, window, body.vertices[hand_of(body)])
+    start = pixel(window, body.vertices[hand_of(body)])
     page.mouse.click(*start)
     (held,) = wait(lambda: window.session.state.constraints)
     wait(lambda: "/handles/1/ball" in page.evaluate("Object.keys(window.__viserMutable.nodeRefFromName)"))
-    start = pixel(page, window, held.target)
+    start = pixel(window, held.target)
     capfd.readouterr()
     drag(page, start, start + [-200.0, -100.0])
     page.close()
@@ -224,7 +229,7 @@ def test_a_body_without_faces_is_dragged_by_its_points(chromium, body):
     wait(lambda: not window.note, PATIENCE)
     wait_for_node(page, "/body/points")
     wait_for_eye(page, window.client.camera, window.middle)
-    page.mouse.click(*pixel(page, window, bare.vertices[hand_of(bare)]))
+    page.mouse.click(*pixel(window, bare.vertices[hand_of(bare)]))
     (held,) = wait(lambda: window.session.state.constraints)
     assert np.linalg.norm(np.subtract(held.target, bare.vertices[hand_of(bare)])) < 0.05
     page.close()

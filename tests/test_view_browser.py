@@ -39,8 +39,8 @@ def posed(motion) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def window(motion, posed):
-    """The address of a body in motion, with scans that are 10 mm off."""
+def server(motion, posed):
+    """A body in motion, with scans that are 10 mm off."""
     body = chain_body()
     rng = np.random.default_rng(6)
     shift = [0.01 * rng.normal(size=posed.shape[1:]) for _ in posed]
@@ -48,8 +48,14 @@ def window(motion, posed):
     server = open_server(0)
     take = make_take("a take", body.skeleton, body, motion)
     serve_contents(server, Contents(takes=[take], clouds=[SeenClouds(scans)]))
-    yield address(server)
+    yield server
     close_server(server)
+
+
+@pytest.fixture(scope="module")
+def window(server) -> str:
+    """The address of that."""
+    return address(server)
 
 
 def test_a_scrub_brings_the_frame_and_changes_the_picture(chromium, window, posed):  # noqa: F811
@@ -92,6 +98,35 @@ def test_it_plays_and_stops(chromium, window, posed, monkeypatch):  # noqa: F811
     page.wait_for_function(
         "frame => +document.querySelector('[role=slider]').getAttribute('aria-valuenow') === frame", arg=frame
     )
+    page.close()
+
+
+def test_single_frames_views_and_clicks(chromium, server, window, posed):  # noqa: F811
+    page = chromium(window)
+    wait_for_vertex(page, SURFACE, 0, posed[0, 0])
+    page.get_by_role("button", name="Next").click()
+    wait_for_vertex(page, SURFACE, 0, posed[1, 0])
+    page.keyboard.press("n")
+    wait_for_vertex(page, SURFACE, 0, posed[2, 0])
+    page.get_by_role("button", name="Back").click()
+    wait_for_vertex(page, SURFACE, 0, posed[1, 0])
+    np.testing.assert_allclose(vertices(page, SURFACE), posed[1], atol=1e-5)
+    # the eye is where its name says
+    camera = server.get_clients()[max(server.get_clients())].camera
+
+    def wait_to_look_along(axis: int) -> None:
+        end = time.monotonic() + 60
+        while (back := camera.position - camera.look_at)[axis] < 0.999 * np.linalg.norm(back):
+            assert time.monotonic() < end
+            page.wait_for_timeout(50)
+
+    for name, axis in (("Front", 2), ("Side", 0), ("Top", 1)):
+        page.get_by_role("button", name=name, exact=True).click()
+        wait_to_look_along(axis)
+    page.keyboard.press("1")
+    wait_to_look_along(2)
+    page.mouse.click(600, 30)
+    page.get_by_text("There is nothing where you clicked.").wait_for()
     page.close()
 
 

@@ -1,4 +1,5 @@
-"""Shaded surfaces in pictures: triangles from far to near, coloured by vertex."""
+"""Shaded surfaces in pictures: triangles from far to near, coloured by vertex, on their shadows; and the points that
+they do not hide."""
 
 from typing import Any
 
@@ -9,6 +10,12 @@ PAPER, INK, CLAY = "#ffffff", "#1f2933", np.array([0.80, 0.79, 0.76])
 #: from the upper left, and a weaker one from the right; towards the light, in the frame of the eye
 LIGHTS = ((np.array([-0.45, 0.65, 0.61]), 0.58), (np.array([0.80, 0.05, 0.45]), 0.20))
 AMBIENT = 0.36
+#: how much of the upper left light is mirrored, and how narrowly
+GLOSS, NARROW = 0.10, 18
+#: of a mesh with fewer triangles each is drawn as four, so that light runs smoothly over it
+COARSE = 9_000
+#: of a shadow, and where the light of shadows goes to, metres for a metre down
+SHADE, FALL = "#e2e6ec", np.array([0.22, -1.0, -0.32])
 
 
 def view_axes(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3 3"]:
@@ -43,7 +50,10 @@ def draw_surface(
     """Draw the triangles that face the eye into matplotlib axes, smoothly lit; returns the vertices as seen."""
     from matplotlib.collections import PolyCollection
 
-    seen = np.asarray(vertices, float) @ view.T
+    seen = whole = np.asarray(vertices, float) @ view.T
+    faces, colours = np.asarray(faces), np.broadcast_to(colours, seen.shape)
+    if len(faces) < COARSE:
+        seen, faces, colours = _finer(seen, faces, colours)
     corners = seen[faces]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(seen)
@@ -53,7 +63,9 @@ def draw_surface(
     light = np.full(len(seen), AMBIENT)
     for direction, strength in LIGHTS:
         light += strength * np.clip(normals @ (direction / np.linalg.norm(direction)), 0.0, 1.0)
-    shaded = np.clip(np.broadcast_to(colours, seen.shape) * light[:, None], 0.0, 1.0)
+    between = LIGHTS[0][0] / np.linalg.norm(LIGHTS[0][0]) + np.array([0.0, 0.0, 1.0])
+    gloss = GLOSS * np.clip(normals @ (between / np.linalg.norm(between)), 0.0, 1.0) ** NARROW
+    shaded = np.clip(colours * light[:, None] + gloss[:, None], 0.0, 1.0)
     front = np.flatnonzero(flat[:, 2] > 0)
     front = front[np.argsort(corners[front, :, 2].mean(1))]
     paint = shaded[faces[front]].mean(1)
@@ -68,7 +80,50 @@ def draw_surface(
             zorder=2,
         )
     )
+    return whole
+
+
+def draw_shadow(
+    plot: Any,
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "T 3"],
+    view: Float[np.ndarray, "3 3"],
+    floor: float | None = None,
+) -> Float[np.ndarray, "V 3"]:
+    """Draw the shadow of a surface on the floor at the height `floor`, metres along y, below its lowest vertex where None;
+    returns its vertices as seen. A `view` from above (`raised`) shows it."""
+    from matplotlib.collections import PolyCollection
+
+    vertices = np.asarray(vertices, float)
+    height = vertices[:, 1] - (vertices[:, 1].min() if floor is None else floor)
+    seen = (vertices + np.maximum(height, 0.0)[:, None] * FALL) @ view.T
+    plot.add_collection(
+        PolyCollection(
+            list(seen[np.asarray(faces)][..., :2]), facecolors=SHADE, edgecolors=SHADE, linewidths=0.6,
+            rasterized=True, zorder=1,
+        )
+    )  # fmt: skip
     return seen
+
+
+def raised(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
+    """The same view from an eye that looks down by so many degrees."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ view
+
+
+def in_front(
+    vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "N 3"], cell: float = 0.03
+) -> Int[np.ndarray, "M"]:
+    """Return the indices of the points that a surface does not hide, far ones first; both as an eye sees them, with the
+    surface's nearest vertex of each `cell`, metres."""
+    corner = np.minimum(vertices.min(0), points.min(0))[:2]
+    cells, asked = (np.floor((some[:, :2] - corner) / cell).astype(int) for some in (vertices, points))
+    shape = np.maximum(cells.max(0), asked.max(0)) + 1
+    nearest = np.full(shape, -np.inf)
+    np.maximum.at(nearest, tuple(cells.T), vertices[:, 2])
+    open_ones = np.flatnonzero(points[:, 2] > nearest[tuple(asked.T)] - cell)
+    return open_ones[np.argsort(points[open_ones, 2])]
 
 
 def frame(plot: Any, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], title: str = "") -> None:
@@ -80,6 +135,21 @@ def frame(plot: Any, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], 
     plot.set_axis_off()
     if title:
         plot.set_title(title, fontsize=9.5, color=INK)
+
+
+def _finer(seen: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Each triangle as four, with corners in the middle of its edges."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+    once, which = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
+    middles = len(seen) + which.reshape(-1, 3)
+    a, b, c = faces.T
+    ab, bc, ca = middles.T
+    quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return (
+        np.concatenate([seen, seen[once].mean(1)]),
+        np.concatenate([np.stack(corners, 1) for corners in quarters]),
+        np.concatenate([colours, colours[once].mean(1)]),
+    )
 
 
 def distinct_colours(count: int) -> Float[np.ndarray, "K 3"]:

@@ -4,22 +4,27 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from .column import Choice
 from .contents import Contents
 from .controls import Controls
+from .eye import BEGIN, FIELD, place_eye
 from .live import OFTEN, RunFollower
 from .serve import each_client
 from .stage import Stage
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, ViserServer
+    from viser import ClientHandle, SceneClickEvent, ViserServer
 else:
-    ClientHandle = ViserServer = Any
+    ClientHandle = SceneClickEvent = ViserServer = Any
 
 #: frames a second that a browser is sent at most
 FASTEST = 60.0
 #: seconds in which a closed browser is noticed
 PATIENCE = 0.25
+#: about a click
+NOTHING = "There is nothing where you clicked."
 
 
 def serve_contents(
@@ -50,10 +55,27 @@ class Window:
             take.motion.frame(0)
         with client.atomic():
             self.stage = Stage(client.scene, contents)
-            self.controls = Controls(client.gui, contents, spacing, self._wake.set)
+            self.controls = Controls(client.gui, contents, spacing, self._wake.set, self.see)
             self.stage.place(spacing)
-            eye, target = self.stage.view()
-            client.camera.position, client.camera.look_at = tuple(eye), tuple(target)
+            client.camera.fov = float(FIELD)
+            self.see(BEGIN)
+        client.scene.on_click()(self._clicked)
+
+    def see(self, name: str) -> None:
+        """Turn the eye to all that is shown, from a direction of `eye.DIRECTIONS`."""
+        camera = self.client.camera
+        size = float(camera.image_width), float(camera.image_height)
+        eye, target = place_eye(self.stage.box(now=name != BEGIN), name, *size, camera.fov)
+        with self.client.atomic():
+            # in this order, as what is looked at moves with the eye
+            camera.position = eye
+            camera.look_at = target
+
+    def _clicked(self, event: SceneClickEvent) -> None:
+        origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
+        with self.client.atomic():
+            found = self.stage.pick(origin, direction, self.controls.choice)
+            self.controls.say(found or NOTHING)
 
     def run(self, gone: threading.Event) -> None:
         """Show what the timeline and the choices ask for, until the browser closes."""

@@ -21,9 +21,10 @@ from .heat import (
     posterior_colours,
     scan_heat,
 )
+from .pick import pick_point
 from .points import LabelledPoints, PointFigure
-from .posing import PosedFrame
-from .skeleton_figure import SkeletonFigure
+from .posing import PosedFrame, PosedMotion
+from .skeleton_figure import BONE, SkeletonFigure, sample_bones
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -33,6 +34,8 @@ else:
 PLAIN, DISTANCE, POSTERIOR = "plain", "distance to the scan", "parts of the posterior"
 #: of takes beside each other
 TAKES: tuple[Colour, ...] = (CLAY, (121, 178, 160), (201, 151, 166), (158, 154, 205), (200, 183, 120))
+#: the same of bones without a surface
+BONES: tuple[Colour, ...] = (BONE, (52, 120, 190), (62, 150, 92), (190, 74, 96), (126, 88, 178))
 #: frames whose distances are kept; each is some 80 kB
 HEATS = 1_000
 
@@ -79,11 +82,14 @@ class Column:
         if take is not None:
             if take.motion.body is not None:
                 self.body = BodyFigure(scene, f"{name}/body", take.motion.body, colour)
-            self.skeleton = SkeletonFigure(scene, f"{name}/skeleton", take.motion.skeleton)
+            bones = BONE if self.body is not None else BONES[number % len(BONES)]
+            self.skeleton = SkeletonFigure(scene, f"{name}/skeleton", take.motion.skeleton, bones)
             self.skeleton.visible = False
             if take.subject is not None:
                 self.attached = LabelledPoints(scene, f"{name}/markers", take.subject.labels)
         self.scan = None if clouds is None else PointFigure(scene, f"{name}/scan")
+        #: what was drawn last
+        self.drawn: Look | None = None
         self._heats: OrderedDict[int, ScanHeat] = OrderedDict()
         self._parts: PartColours | None = None
         self._cloud_of = {} if clouds is None else _by_name(take, clouds)
@@ -110,6 +116,7 @@ class Column:
 
     def draw(self, look: Look, choice: Choice) -> None:
         """Send what was computed."""
+        self.drawn = look
         if look.posed is not None:
             if self.body is not None:
                 self.body.visible = choice.surface
@@ -122,16 +129,57 @@ class Column:
             else:
                 self.scan.hide()
 
-    def extent(self) -> Float[np.ndarray, "2 3"]:
-        """The box around the first frame, metres."""
+    def extent(self, now: bool = False) -> Float[np.ndarray, "2 3"]:
+        """The box around the first frame, or the one that is shown `now`, without its place beside others, metres."""
         points = np.zeros((0, 3))
         if self.take is not None:
-            posed = self.take.motion.frame(0)
+            shown = self.drawn.posed if now and self.drawn is not None else None
+            posed = shown or self.take.motion.frame(0)
             points = np.concatenate([posed.vertices, posed.joints])
         if self.clouds is not None and len(points) == 0:
             cloud, _ = self._cloud(0)
             points = points if cloud is None else cloud.points
         return np.stack([points.min(0), points.max(0)]) if len(points) else np.array([[-1.0] * 3, [1.0] * 3])
+
+    def pick(
+        self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"], choice: Choice
+    ) -> tuple[str, Float[np.ndarray, "3"]] | None:
+        """What a ray meets of what is drawn, in words, and where; both in the column's own world."""
+        look = self.drawn
+        if look is None:
+            return None
+        if look.posed is not None and self.take is not None:
+            picked = self._pick_take(self.take.motion, look.posed, origin, direction, choice)
+            if picked is not None:
+                return f"{self.take.name}: {picked[0]}", picked[1]
+        if choice.scan and look.points is not None and len(look.points):
+            nothing = np.zeros((0, 3), int)
+            point = pick_point(origin, direction, look.points, nothing)
+            if isinstance(point, int):
+                return "a point of the scan", look.points[point]
+        return None
+
+    def _pick_take(
+        self,
+        motion: PosedMotion,
+        posed: PosedFrame,
+        origin: np.ndarray,
+        direction: np.ndarray,
+        choice: Choice,
+    ) -> tuple[str, Float[np.ndarray, "3"]] | None:
+        joints, names = None, ()
+        if self.skeleton is not None and self.skeleton.visible:
+            joints, names = sample_bones(motion.skeleton, posed.joints)
+        body = motion.body if choice.surface else None
+        vertices = posed.vertices if body is not None else posed.vertices[:0]
+        faces = np.zeros((0, 3), int) if body is None else np.asarray(body.faces)
+        point = pick_point(origin, direction, vertices, faces, joints, names)
+        if isinstance(point, str):
+            return f"bone {point}", posed.joints[motion.skeleton.index(point)]
+        if point is None or body is None:
+            return None
+        part = motion.skeleton.names[int(body.skin.parts()[point])]
+        return f"vertex {point}, part {part}", posed.vertices[point]
 
     def _cloud(self, frame: int) -> tuple[SeenCloud | None, str]:
         """The scan that belongs to a frame of the take, where there is one, or why there is none."""

@@ -7,24 +7,36 @@ from typing import TYPE_CHECKING, Any
 
 from .column import DISTANCE, PLAIN, POSTERIOR, Choice
 from .contents import Contents
+from .eye import FRONT, SIDE, TOP
 from .heat import heat_legend
 from .text import as_markdown
 from .timeline import SPEEDS, Timeline
 
 if TYPE_CHECKING:
     from viser import GuiApi
+    from viser._messages import HotkeyKey
 else:
-    GuiApi = Any
+    GuiApi = HotkeyKey = Any
 
 #: times a second that the slider follows a motion; drawing it costs the browser more than a frame does
 FOLLOWING = 8.0
 PLAY, PAUSE = "Play", "Pause"
+BACK, NEXT = "Back", "Next"
+HELP = "Click a body or a bone: what it is stands here."
 
 
 class Controls:
-    """The controls of one browser. `changed` is called after each choice; `timeline` and `choice` tell which."""
+    """The controls of one browser. `changed` is called after each choice, which `timeline` and `choice` have; `see`
+    takes the name of a direction to look from."""
 
-    def __init__(self, gui: GuiApi, contents: Contents, spacing: float | None, changed: Callable[[], None]):
+    def __init__(
+        self,
+        gui: GuiApi,
+        contents: Contents,
+        spacing: float | None,
+        changed: Callable[[], None],
+        see: Callable[[str], None],
+    ):
         self.timeline = Timeline(contents.frames, contents.rate)
         self.choice = Choice()
         #: metres between takes: None as their widths ask, 0 over each other
@@ -37,14 +49,19 @@ class Controls:
                 "Frame", min=0, max=max(self.timeline.frames - 1, 1), step=1, initial_value=0,
                 disabled=self.timeline.frames < 2 and not self.newest,
             )  # fmt: skip
-            self._play = gui.add_button(PLAY, disabled=self._frame.disabled)
+            self._play = gui.add_button(PLAY, disabled=self._frame.disabled, hint="key P")
+            steps = gui.add_button_group(
+                "Step", (BACK, NEXT), disabled=self._frame.disabled, hint="one frame: keys B and N"
+            )
             self._speed = gui.add_dropdown(
                 "Speed", tuple(f"{speed:g} x" for speed in SPEEDS), initial_value="1 x"
             )
             self._time = gui.add_text("Time", "", disabled=True)
             follow = gui.add_checkbox("Newest frame", self.newest, visible=self.newest)
+        views = gui.add_button_group("Look from", (FRONT, SIDE, TOP), hint="keys 1, 2 and 3")
         with gui.add_folder("Show"):
             self._switches(gui, contents)
+        self._clicked = gui.add_markdown(HELP)
         self._told = "\n\n".join(map(as_markdown, contents.told))
         self._note = gui.add_markdown(self._told, visible=bool(contents.told))
         # values that are set here call these, too; a browser's has a client
@@ -52,6 +69,24 @@ class Controls:
         self._play.on_click(lambda event: self._turn())
         self._speed.on_update(lambda event: self._run_at(float(event.target.value.split()[0])))
         follow.on_update(lambda event: self._follow(event.target.value))
+        self._steps = steps
+        steps.on_click(lambda event: self._step(1 if event.target.value == NEXT else -1))
+        views.on_click(lambda event: see(event.target.value))
+        # the arrow keys are the slider's and the camera's
+        keys: tuple[tuple[str, HotkeyKey, Callable[[], None]], ...] = (
+            ("Play or pause", "P", self._turn),
+            ("One frame back", "B", lambda: self._step(-1)),
+            ("One frame on", "N", lambda: self._step(1)),
+            ("Look from the front", "1", lambda: see(FRONT)),
+            ("Look from the side", "2", lambda: see(SIDE)),
+            ("Look from the top", "3", lambda: see(TOP)),
+        )
+        for label, key, act in keys:
+            gui.add_command(label, hotkey=key).on_trigger(lambda event, act=act: act())
+
+    def say(self, text: str) -> None:
+        """Tell what was clicked."""
+        self._clicked.content = as_markdown(text)
 
     def draw(self, frame: int, note: str) -> None:
         """Tell the frame that is shown, and what is wrong with it."""
@@ -70,7 +105,7 @@ class Controls:
         now = time.monotonic()
         self.timeline.grow(frames, now)
         self._frame.max, self._frame.disabled = max(frames - 1, 1), frames < 2
-        self._play.disabled = frames < 2
+        self._play.disabled = self._steps.disabled = frames < 2
         if self.newest:
             self.timeline.seek(frames - 1, now)
 
@@ -134,6 +169,12 @@ class Controls:
         else:
             self.timeline.play(now)
         self._play.label = PAUSE if self.timeline.playing else PLAY
+        self._changed()
+
+    def _step(self, frames: int) -> None:
+        self.newest = False
+        self.timeline.step(frames, time.monotonic())
+        self._play.label = PLAY
         self._changed()
 
     def _run_at(self, speed: float) -> None:

@@ -22,7 +22,7 @@ from ..io.kinds import wrong_kind
 from ..io.limits import KIND as LIMITS
 from ..io.mesh import SUFFIXES, read_mesh
 from ..io.meshes import read_meshes
-from ..io.npz import body_of, load_arrays, load_body, motion_of
+from ..io.npz import body_of, load_arrays, load_body, load_motion, motion_of
 from ..io.prior import KIND as PRIOR
 from ..io.registry import (
     MARKER_READERS,
@@ -91,26 +91,33 @@ class _Loader:
         self.subjects: list[tuple[str, Subject]] = []
         self.skeletons: list[tuple[str, Skeleton]] = []
         self.runs: list[Path] = []
+        #: of bodies, subjects and skeletons that have a motion
+        self.used: set[int] = set()
 
     def load(self, files: Sequence[str], clouds: Sequence[str]) -> Contents:
         for name in files:
             self.take(name)
         for source in clouds:
             self.clouds(source)
-        used: set[str] = set()
         for path in self.motions:
-            self.found.takes.append(self.moving(path, used))
+            self.found.takes.append(self.moving(path))
         for folder in self.runs:
-            self.found.takes.append(self.running(folder, used))
-        rest = [make_take(name, body.skeleton, body) for name, body in self.bodies if name not in used]
+            self.found.takes.append(self.running(folder))
+        rest = [make_take(name, body.skeleton, body) for name, body in self.free(self.bodies)]
         rest += [
-            make_take(name, subject.skeleton, subject=subject)
-            for name, subject in self.subjects
-            if name not in used
+            make_take(name, subject.skeleton, subject=subject) for name, subject in self.free(self.subjects)
         ]
-        rest += [make_take(name, skeleton) for name, skeleton in self.skeletons]
+        rest += [make_take(name, skeleton) for name, skeleton in self.free(self.skeletons)]
         self.found.takes.extend(rest)
         return self.found
+
+    def free(self, named: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
+        """Those of a list that have no motion yet."""
+        return [(name, one) for name, one in named if id(one) not in self.used]
+
+    def freest(self, named: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
+        """All of a list, those without a motion first: several alike get a motion each, in order."""
+        return sorted(named, key=lambda pair: id(pair[1]) in self.used)
 
     def take(self, name: str) -> None:
         path, suffix = Path(name), suffix_of(name)
@@ -229,39 +236,59 @@ class _Loader:
                 f"{path}: there are no cameras in it; where it is of a run, give the run's folder."
             )
 
-    def moving(self, path: Path, used: set[str]) -> Take:
-        """The take of a motion, with the body or the subject that it is of."""
+    def moving(self, path: Path) -> Take:
+        """The take of a motion: of a body or a subject where it is of one, else of its own bones."""
         more = _statistics(path)
         # that of a run is known by its folder
         name = path.resolve().parent.name if more else path.name
         why: list[str] = []
-        for body_name, body in self.bodies:
+        for body_name, body in self.freest(self.bodies):
             try:
-                motion = read_motion_of(body, path)
+                motion = read_motion_of(body, path, self.unit)
             except InputError as error:
                 why.append(str(error))
                 continue
             _check_frames(motion, path)
-            used.add(body_name)
-            return make_take(name, body.skeleton, body, motion, **more)
+            self.used.add(id(body))
+            title = name if len(self.bodies) == 1 else f"{name} on {body_name}"
+            return make_take(title, body.skeleton, body, motion, **more)
         given = ", ".join(body_name for body_name, _ in self.bodies)
-        if path.suffix.lower() == ".npz" and not {"names", "poses"} & set(load_arrays(path)):
-            # a motion alone
-            hint = (
-                f", and it is not of {given}: {_short(why[0], path)}" if why else "; give its body by --body."
-            )
-            raise InputError(f"{path}: this motion does not say its skeleton{hint}")
-        skeleton, motion = read_motion(path, self.unit)
+        bare = path.suffix.lower() == ".npz" and not {"names", "poses"} & set(load_arrays(path))
+        skeleton, motion = self.skeleton_of(path, why) if bare else read_motion(path, self.unit)
         _check_frames(motion, path)
-        for subject_name, subject in self.subjects:
-            if subject.skeleton.names == skeleton.names:
-                used.add(subject_name)
-                return make_take(name, subject.skeleton, motion=motion, subject=subject, **more)
         if why:
-            raise InputError(f"{path}: this motion is not of {given}: {_short(why[0], path)}")
+            self.found.told.append(
+                f"{path}: this motion is not of {given}, so its own bones are shown: {_short(why[0], path)}"
+            )
+        for kind in (self.subjects, self.skeletons):
+            for _, one in self.freest(kind):
+                there = one.skeleton if isinstance(one, Subject) else one
+                if there.names == skeleton.names:
+                    self.used.add(id(one))
+                    subject = one if isinstance(one, Subject) else None
+                    return make_take(
+                        name, there if subject else skeleton, motion=motion, subject=subject, **more
+                    )
         return make_take(name, skeleton, motion=motion, **more)
 
-    def running(self, folder: Path, used: set[str]) -> Take:
+    def skeleton_of(self, path: Path, why: list[str]) -> tuple[Skeleton, Motion]:
+        """A motion that does not say its skeleton, with one that was given. Raises `InputError` where none fits."""
+        given = [name for name, _ in self.bodies]
+        for name, one in self.freest([*self.subjects, *self.skeletons]):
+            skeleton = one.skeleton if isinstance(one, Subject) else one
+            try:
+                return skeleton, load_motion(path, skeleton)
+            except InputError as error:
+                given.append(name)
+                why.append(str(error))
+        hint = (
+            f", and it is not of {', '.join(given)}: {_short(why[0], path)}"
+            if why
+            else "; give its body by --body."
+        )
+        raise InputError(f"{path}: this motion does not say its skeleton{hint}")
+
+    def running(self, folder: Path) -> Take:
         """The take of a run that is not over."""
         if not self.bodies:
             raise InputError(
@@ -269,13 +296,13 @@ class _Loader:
                 "by --body, as it was given to the run."
             )
         why = []
-        for name, body in self.bodies:
+        for _, body in self.freest(self.bodies):
             try:
                 taken = follow_run(folder, body, self.rate or 30.0)
             except InputError as error:
                 why.append(error)
             else:
-                used.add(name)
+                self.used.add(id(body))
                 return taken
         raise why[0]
 

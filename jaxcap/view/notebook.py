@@ -17,6 +17,7 @@ from .app import serve_contents
 from .clouds import SeenClouds
 from .column import DISTANCE, Choice
 from .contents import Contents, Markers, make_take
+from .eye import FIELD, place_eye
 from .serve import address, close_server, open_server
 from .stage import Stage
 
@@ -65,7 +66,8 @@ class Player:
         server = open_server(0)
         try:
             stage = Stage(server.scene, self.contents)
-            eye, target = stage.view()
+            eye, target = place_eye(stage.box())
+            server.initial_camera.fov = float(FIELD)
             server.initial_camera.position, server.initial_camera.look_at = tuple(eye), tuple(target)
             stage.draw(0, stage.look(0, choice), choice)
             recording = server.get_scene_serializer()

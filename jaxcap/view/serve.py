@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
 from .door import Door, guarding
+from .scenery import add_background, add_light
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
@@ -32,7 +33,7 @@ _doors: "weakref.WeakKeyDictionary[ViserServer, Door]" = weakref.WeakKeyDictiona
 
 
 def open_server(port: int | None = None, host: str = HOST, title: str | None = None) -> ViserServer:
-    """Open a server with y up, light and nothing to see. It prints nothing.
+    """Open a server with y up, light, a background and nothing to see. It prints nothing.
 
     It answers at `address(server)` alone, which holds a random token; a request from another page, for another
     host or without the token is refused (`Door`).
@@ -72,10 +73,13 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
     # viser's tunnel would show the window to the world
     server.request_share_url = lambda verbose=True: None
     server.gui.configure_theme(show_share_button=False)
+    # beside the picture, not over it
+    server.gui.main_panel.dock_right()
     # before viser's own, which tells of its end
     atexit.register(_ending(server))
     server.scene.set_up_direction("+y")
-    _light(server)
+    add_light(server.scene)
+    add_background(server.scene)
     return server
 
 
@@ -126,16 +130,6 @@ def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Ev
 def tell(client: ClientHandle, title: str, text: str) -> None:
     """A sentence in a corner of one browser, until it is closed there."""
     client.add_notification(title, text, color="orange", auto_close_seconds=None)
-
-
-def _light(server: ViserServer) -> None:
-    """The sky, the ground and a sun without shadows. viser's own picture of surroundings and its shadows look no
-    better on a grey body, and take a browser that draws in software three times as long."""
-    scene = server.scene
-    scene.configure_default_lights(False)
-    scene.configure_environment_map(None)
-    scene.add_light_hemisphere("/lights/sky", ground_color=(120, 116, 112), intensity=2.2)
-    scene.add_light_directional("/lights/sun", intensity=1.6, position=(1.0, 2.0, 2.0))
 
 
 def _visit(

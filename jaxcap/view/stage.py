@@ -12,6 +12,7 @@ from .column import Choice, Column, Look
 from .contents import Contents
 from .figure import BodyFigure
 from .points import LabelledPoints
+from .scenery import add_floor
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -21,19 +22,23 @@ else:
 #: metres of air between two takes
 AIR = 0.3
 #: of a mesh beside a body, and of what is not the matter
-MESH, FAINT = (205, 190, 160), (150, 150, 160)
+MESH, FAINT = (205, 190, 160), (110, 112, 124)
+#: of what was clicked
+PIN = (214, 40, 57)
 
 
 class Stage:
     """The figures of `contents` in a scene of a server or of one client."""
 
     def __init__(self, scene: SceneApi, contents: Contents):
-        self.contents = contents
+        self.contents, self._shown = contents, 0
         clouds = contents.clouds
         takes = contents.takes or [None] * max(1, len(clouds))
         # one source of scans is for every take; several go with the takes in turn
+        solid = [take is not None and take.motion.body is not None for take in takes]
         self.columns = [
-            Column(scene, f"/{number}", number, take, _of(clouds, number))
+            # bodies and bare bones have colours of their own, each in its order
+            Column(scene, f"/{number}", solid[:number].count(solid[number]), take, _of(clouds, number))
             for number, take in enumerate(takes)
         ]
         self._labels = [
@@ -50,26 +55,63 @@ class Stage:
         ]
         for number, camera in enumerate(contents.cameras):
             _add_camera(scene, f"/cameras/{number}", camera)
-        low, high = self.extent = _extent(self.columns, contents)
-        self._widths = [np.ptp(column.extent(), axis=0)[0] for column in self.columns]
-        self._high = float(high[1])
-        size = float(max(high[0] - low[0], high[2] - low[2], 1.0)) * 6
-        scene.add_grid(
-            "/ground", width=size, height=size, plane="xz", position=(0.0, float(low[1]), 0.0),
-            cell_size=1.0, section_size=5.0, cell_color=(225, 225, 228), section_color=(205, 205, 210),
-        )  # fmt: skip
+        self._places = [np.zeros(3) for _ in self.columns]
+        size = float(np.linalg.norm(np.ptp(self.box(), axis=0)))
+        # half a metre for people
+        self._floor = add_floor(scene, 6 * max(size, 1.0), 0.5 * 10.0 ** np.floor(np.log10(max(size, 0.01))))
+        self._pin = scene.add_icosphere(
+            "/picked", 0.006 * size, PIN, subdivisions=1, cast_shadow=False, visible=False
+        )
         self.place(spacing=None)
 
     def place(self, spacing: float | None) -> None:
-        """Takes beside each other, `spacing` metres apart, as far as their widths ask where None, and over each
-        other at zero."""
-        apart = max(self._widths, default=0.0) + AIR if spacing is None else spacing
-        for number, column in enumerate(self.columns):
-            column.group.position = (number * apart, 0.0, 0.0)
-        for column, label in zip(self.columns, self._labels, strict=False):
-            middle = column.extent().mean(0)
-            label.position = (float(middle[0]), self._high + 0.1, float(middle[2]))
-            label.visible = apart > 0 and len(self._labels) > 1
+        """Put takes beside each other, `spacing` metres from one to the next, as far as their widths ask where None;
+        or over each other, where each one was recorded, at zero.
+
+        The first stays where it was recorded, as markers, meshes and cameras are in its world. The others stand in
+        line with it on its floor."""
+        boxes = [column.extent() for column in self.columns]
+        widths = [float(np.ptp(box[:, 0])) for box in boxes]
+        wide = max(widths) + AIR if spacing is None else spacing
+        foot = [np.array([box[:, 0].mean(), box[0, 1], box[:, 2].mean()]) for box in boxes]
+        self._places = [
+            np.zeros(3) if wide == 0 else foot[0] - own + np.array([number * wide, 0.0, 0.0])
+            for number, own in enumerate(foot)
+        ]
+        box = self.box()
+        self._floor.position = (float(box[:, 0].mean()), float(box[0, 1]), float(box[:, 2].mean()))
+        for column, place in zip(self.columns, self._places, strict=True):
+            column.group.position = place
+        for label, own, place in zip(self._labels, boxes, self._places, strict=False):
+            # all at one height, each over its own
+            label.position = (own[:, 0].mean(), box[1, 1] - place[1] + 0.06, own[:, 2].mean())
+            label.visible = wide > 0 and len(self._labels) > 1
+
+    def box(self, now: bool = False) -> Float[np.ndarray, "2 3"]:
+        """The box around all but cameras as they are placed, in the first frame or as they are shown `now`, metres."""
+        there = [
+            column.extent(now) + place
+            for column, place in zip(self.columns, self._places, strict=True)
+            if column.take is not None or column.clouds is not None
+        ]
+        there += _boxes(self.contents)
+        return np.stack([np.min([box[0] for box in there], 0), np.max([box[1] for box in there], 0)])
+
+    def pick(
+        self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"], choice: Choice
+    ) -> str | None:
+        """Mark what a ray meets first and say what it is, or None where it meets nothing that is shown."""
+        found = []
+        for column, place in zip(self.columns, self._places, strict=True):
+            picked = column.pick(origin - place, direction, choice)
+            if picked is not None:
+                found.append((np.linalg.norm(picked[1] + place - origin), picked[0], picked[1] + place))
+        self._pin.visible = bool(found)
+        if not found:
+            return None
+        _, name, there = min(found, key=lambda one: one[0])
+        self._pin.position = there
+        return name
 
     def look(self, frame: int, choice: Choice) -> list[Look]:
         """What takes time to compute for one frame of the timeline; nothing is sent."""
@@ -77,6 +119,8 @@ class Stage:
 
     def draw(self, frame: int, looks: list[Look], choice: Choice) -> None:
         """Show one frame of the timeline."""
+        if frame != self._shown:
+            self._pin.visible, self._shown = False, frame
         time = frame / self.contents.rate
         for column, look in zip(self.columns, looks, strict=True):
             column.draw(look, choice)
@@ -93,13 +137,6 @@ class Stage:
             else:
                 figure.hide()
 
-    def view(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Where an eye sees everything from, and what it looks at, metres."""
-        low, high = self.extent.copy()
-        high[0] += (len(self.columns) - 1) * (max(self._widths) + AIR)
-        middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-        return middle + size * np.array([0.25, 0.25, 1.1]), middle
-
 
 def _of(clouds: list, number: int):
     if not clouds:
@@ -107,19 +144,14 @@ def _of(clouds: list, number: int):
     return clouds[0] if len(clouds) == 1 else clouds[number] if number < len(clouds) else None
 
 
-def _extent(columns: list[Column], contents: Contents) -> Float[np.ndarray, "2 3"]:
-    """The box around the first frame of all but cameras, metres."""
-    boxes = [column.extent() for column in columns if column.take is not None or column.clouds is not None]
-    boxes += [np.stack([meshes.vertices[0].min(0), meshes.vertices[0].max(0)]) for meshes in contents.meshes]
+def _boxes(contents: Contents) -> list[Float[np.ndarray, "2 3"]]:
+    """The boxes around the first frame of meshes and markers, or around cameras that are alone, metres."""
+    points = [meshes.vertices[0] for meshes in contents.meshes]
     for markers in contents.markers:
-        first = np.asarray(markers.frames.places)[np.asarray(markers.frames.seen)][:200]
-        boxes.append(np.stack([first.min(0), first.max(0)]))
-    if not boxes:
-        eyes = np.array([np.asarray(camera.eye) for camera in contents.cameras])
-        boxes = [np.stack([eyes.min(0), eyes.max(0)])]
-    return np.stack([np.min([box[0] for box in boxes], 0), np.max([box[1] for box in boxes], 0)]).astype(
-        float
-    )
+        points.append(np.asarray(markers.frames.places)[np.asarray(markers.frames.seen)][:200])
+    if not points and not contents.takes and not contents.clouds:
+        points = [np.array([np.asarray(camera.eye) for camera in contents.cameras])]
+    return [np.stack([some.min(0), some.max(0)]).astype(float) for some in points if len(some)]
 
 
 def _add_camera(scene: SceneApi, name: str, camera: Camera) -> None:

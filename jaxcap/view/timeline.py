@@ -44,6 +44,12 @@ class Timeline:
         """Go to a frame, the nearest there is, and go on from there where it plays."""
         self._touch(min(max(frame, 0), self.frames - 1), now)
 
+    def step(self, frames: int, now: float) -> None:
+        """Stop so many frames further on, or back where negative, at the first or last at most."""
+        at = self.frame(now)
+        self.playing = False
+        self.seek(at + frames, now)
+
     def run_at(self, speed: float, now: float) -> None:
         """Play `speed` times as fast."""
         self._touch(self._at(now), now)

@@ -7,12 +7,14 @@ from ...edit.ik import session as ik
 from ...edit.ik.constraints import Constraint, describe
 from ...edit.ik.session import IkSession, IkSettings
 from ...edit.ik.solve import Solver
+from ..eye import FRONT, SIDE, TOP
 from ..text import as_markdown
 
 if TYPE_CHECKING:
     from viser import ClientHandle
+    from viser._messages import HotkeyKey
 else:
-    ClientHandle = Any
+    ClientHandle = HotkeyKey = Any
 
 #: what the solvers are called on a knob
 SOLVERS: dict[str, Solver] = {
@@ -27,7 +29,7 @@ NOTHING = "no constraint is chosen"
 class IkControls:
     """**Arguments:** `client`; the `session` that its knobs begin with; `ask` takes a verb; `hold` a point
     to be held; `redraw` is called where only the picture changes; `save` takes a suffix, `load` a file's name and
-    content."""
+    content; `see` the name of a direction to look from."""
 
     def __init__(
         self,
@@ -38,6 +40,7 @@ class IkControls:
         redraw: Callable[[], None],
         save: Callable[[str], None],
         load: Callable[[str, bytes], None],
+        see: Callable[[str], None],
     ):
         gui = client.gui
         self.skeleton = self.arrows = False
@@ -46,6 +49,11 @@ class IkControls:
         gui.add_markdown(HELP)
         self._note = gui.add_markdown("", visible=False)
         self._state = gui.add_markdown("")
+        views = gui.add_button_group("Look from", (FRONT, SIDE, TOP), hint="keys 1, 2 and 3")
+        views.on_click(lambda event: see(event.target.value))
+        keys: tuple[tuple[str, HotkeyKey], ...] = ((FRONT, "1"), (SIDE, "2"), (TOP, "3"))
+        for name, key in keys:
+            gui.add_command(f"Look from: {name}", hotkey=key).on_trigger(lambda event, name=name: see(name))
         with gui.add_folder("Constraint"):
             self._name = gui.add_markdown(NOTHING)
             self._weight = gui.add_number(

@@ -22,6 +22,8 @@ MET: Colour = (72, 168, 92)
 APART: Colour = (212, 64, 56)
 PINNED: Colour = (58, 110, 200)
 LINE: Colour = (60, 60, 60)
+#: of the dot at a point, in the radius of its ball
+DOT = 0.35
 #: a point within so many metres of its target has met it
 CLOSE = 0.005
 
@@ -39,6 +41,14 @@ class Handles:
         self._balls: dict[int | str, _Handle] = {}
         self._arrows: _Arrows | None = None
         self._made = 0
+
+    def resize(self, radius: float) -> None:
+        """Give all balls another radius, metres."""
+        # the size of a ball goes over the wire
+        if abs(radius - self.radius) > 0.1 * self.radius:
+            self.radius = radius
+            for ball in self._balls.values():
+                ball.resize(radius)
 
     def show(
         self,
@@ -90,7 +100,7 @@ class _Handle:
         self._line = scene.add_line_segments(
             f"{name}/line", np.zeros((1, 2, 3), np.float32), LINE, thickness=2.0, thickness_units="screen"
         )
-        self._dot = scene.add_icosphere(f"{name}/dot", 0.4 * radius, LINE, subdivisions=1, cast_shadow=False)
+        self._dot = scene.add_icosphere(f"{name}/dot", DOT * radius, LINE, subdivisions=1, cast_shadow=False)
         self._ball = scene.add_icosphere(f"{name}/ball", radius, APART, subdivisions=2, cast_shadow=False)
         # in the plane that faces the eye, under the mouse; async, as only these keep their order
         self._ball.on_drag("left")(self._dragged)
@@ -103,6 +113,9 @@ class _Handle:
         self._ball.opacity = None if selected else 0.6
         self._dot.position = place
         self._line.points = np.array([[place, self._target]], np.float32)
+
+    def resize(self, radius: float) -> None:
+        self._ball.radius, self._dot.radius = radius, DOT * radius
 
     def put(self, target: Place) -> None:
         self._target = np.array(target)

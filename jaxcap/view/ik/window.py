@@ -20,14 +20,16 @@ from ...edit.ik import session as ik
 from ...edit.ik.constraints import Place, Turn
 from ...edit.ik.places import bone_turns, places_of
 from ...edit.ik.session import IkSession
+from ..eye import BEGIN, FIELD, place_eye
 from ..figure import BodyFigure
+from ..pick import nearest_handle, pick_point
+from ..scenery import add_floor
 from ..serve import each_client
 from ..skeleton_figure import SkeletonFigure
 from .controls import IkControls
 from .files import constraints_file, pose_file, with_file
 from .handles import Handles, Phase
 from .inbox import Inbox
-from .pick import nearest_handle, pick_point
 
 if TYPE_CHECKING:
     from viser import ClientHandle, SceneClickEvent, ViserServer
@@ -36,8 +38,12 @@ else:
 
 #: seconds in which a browser that has closed is noticed
 PATIENCE = 0.25
-#: of a handle's ball, in the body's size
-BALL = 0.011
+#: radius of a handle's ball on the screen, pixels: 24 across are hit without aiming
+BALL = 12.0
+#: and in the body's size, at least and at most
+BALLS = (0.004, 0.04)
+#: about a click
+NOTHING = "There is nothing where you clicked: click the body to hold a point, or drag a ball."
 
 
 class Shown(NamedTuple):
@@ -77,25 +83,29 @@ class IkWindow:
             self._surface = BodyFigure(client.scene, "/body", body)
             self._skeleton = SkeletonFigure(client.scene, "/skeleton", body.skeleton)
             self._skeleton.visible = False
-            places = np.concatenate([np.asarray(body.vertices), np.asarray(body.skeleton.centres)])
-            low, high = places.min(0), places.max(0)
+            self._home = np.concatenate([np.asarray(body.vertices), np.asarray(body.skeleton.centres)])
+            low, high = self._home.min(0), self._home.max(0)
             self.size, self.middle = float((high - low).max()), (low + high) / 2
-            self.handles = Handles(client.scene, BALL * self.size, self._dragged)
+            self.handles = Handles(client.scene, BALLS[0] * self.size, self._dragged)
             self.controls = IkControls(
-                client, session, self._inbox.put, self._hold, self._redraw, self._save, self._load
+                client,
+                session,
+                self._inbox.put,
+                self._hold,
+                self._redraw,
+                self._save,
+                self._load,
+                self.camera,
             )
-            client.scene.add_grid(
-                "/ground", width=4 * self.size, height=4 * self.size, plane="xz",
-                position=(0.0, float(low[1]), 0.0), cell_size=0.1 * self.size, section_size=0.5 * self.size,
-            )  # fmt: skip
-            # in this order, as what is looked at moves with the eye
-            client.camera.position = self.middle + self.size * np.array([0.3, 0.2, 1.15])
-            client.camera.look_at = self.middle
+            floor = add_floor(client.scene, 6 * self.size, 0.1 * self.size)
+            floor.position = (float(self.middle[0]), float(low[1]), float(self.middle[2]))
+            self.camera(BEGIN)
         self.shown = self._show()
         client.scene.on_click()(self._clicked)
 
     def run(self, gone: threading.Event) -> None:
         """Do what is asked for and show it, until the browser closes."""
+        self._resize()
         # the first solve compiles, better before a hand waits for it; it changes nothing
         preparing = self.note
         self._tried(ik.solved)
@@ -108,8 +118,31 @@ class IkWindow:
             for verb in verbs or ([ik.solved] if self._unfinished() else []):
                 self.session = self._tried(verb)
                 verbs = verbs or [verb]
-            if verbs and not gone.is_set():
-                self.shown = self._show()
+            if not gone.is_set():
+                self._resize()
+                if verbs:
+                    self.shown = self._show()
+
+    def camera(self, name: str) -> None:
+        """Turn the eye to the body, from a direction of `eye.DIRECTIONS`."""
+        camera = self.client.camera
+        camera.fov = float(FIELD)
+        places = self.shown.vertices if name != BEGIN else self._home
+        box = np.stack([places.min(0), places.max(0)]).astype(float)
+        size = float(camera.image_width), float(camera.image_height)
+        eye, target = place_eye(box, name, *size, camera.fov)
+        with self.client.atomic():
+            # in this order, as what is looked at moves with the eye
+            camera.position = eye
+            camera.look_at = target
+
+    def _resize(self) -> None:
+        """Keep the balls as large on the screen, however far the eye is."""
+        camera = self.client.camera
+        away = float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
+        pixel = 2 * away * np.tan(camera.fov / 2) / max(camera.image_height, 1)
+        least, most = (share * self.size for share in BALLS)
+        self.handles.resize(min(max(BALL * float(pixel), least), most))
 
     def _tried(self, verb: ik.Verb) -> IkSession:
         try:
@@ -165,6 +198,8 @@ class IkWindow:
         )
         if point is not None:
             self._hold(point)
+        else:
+            self._inbox.put(_missed)
 
     def _hold(self, point: int | str) -> None:
         def held(session: IkSession) -> IkSession:
@@ -205,6 +240,10 @@ class IkWindow:
 
     def _load(self, name: str, content: bytes) -> None:
         self._inbox.put(lambda session: with_file(session, name, content))
+
+
+def _missed(session: IkSession) -> IkSession:
+    raise ValueError(NOTHING)
 
 
 @eqx.filter_jit
