@@ -2,13 +2,15 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import overload
+from typing import NamedTuple, overload
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .arguments import check_fields, check_length, check_metres, check_rate, checked, describe
 from .errors import InputError
 from .geometry.normals import estimate_normals
 from .geometry.order import spatial_order
@@ -26,6 +28,20 @@ class Cloud(eqx.Module):
     normals: Float[Array, "*frames N 3"]
     weights: Float[Array, "*frames N"]
 
+    def __check_init__(self):
+        check_fields(self)
+
+
+class Scan(NamedTuple):
+    """One frame as a file has it, metres; wherever clouds are taken, it is taken as `make_cloud(points, normals)`."""
+
+    name: str
+    points: Float[np.ndarray, "N 3"]
+    #: the file's own or those of its faces; None where there are none, and they are estimated
+    normals: Float[np.ndarray, "N 3"] | None
+    #: the triangles of a mesh; none of a cloud
+    faces: Int[np.ndarray, "T 3"]
+
 
 class MeshSequence(eqx.Module):
     """One surface as it moves: meshes with the same vertices in the same order, metres.
@@ -39,6 +55,10 @@ class MeshSequence(eqx.Module):
     faces: Int[Array, "T 3"] = eqx.field(converter=jnp.asarray)
     #: meshes a second
     rate: float = eqx.field(static=True, default=30.0)
+
+    def __check_init__(self):
+        check_fields(self)
+        check_rate("MeshSequence", self.rate)
 
     def __len__(self) -> int:
         return self.vertices.shape[0]
@@ -69,6 +89,10 @@ class MarkerFrames(eqx.Module):
     #: frames a second
     rate: float = eqx.field(static=True, default=100.0)
 
+    def __check_init__(self):
+        check_length(self, "labels", len(self.labels), check_fields(self), "M")
+        check_rate("MarkerFrames", self.rate)
+
     def __len__(self) -> int:
         return self.places.shape[0]
 
@@ -77,6 +101,7 @@ class MarkerFrames(eqx.Module):
         return MarkerFrames(self.places[frames], self.seen[frames], self.labels, self.rate / step)
 
 
+@checked
 def make_markers(places, labels, rate: float, *, name: str = "the markers") -> MarkerFrames:
     """Checked `MarkerFrames`; a marker with NaN in any coordinate is not seen in that frame.
 
@@ -114,6 +139,7 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
     return MarkerFrames(np.where(seen[..., None], places, 0), seen, labels, float(rate))
 
 
+@checked
 def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -> Cloud:
     """A checked `Cloud`, padded so that clouds of about the same size compile once, and put into
     an order in which neighbours in space are neighbours in memory, which searches are faster for.
@@ -134,6 +160,7 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
         raise InputError(
             f"{name} has {bad.size} points that are not finite, the first of them point {bad[0]}; remove them."
         )
+    check_metres("make_cloud", "points" if name == "the cloud" else name, points)
     normals = estimate_normals(points) if normals is None else np.asarray(normals, float)
     weights = np.ones(len(points)) if weights is None else np.asarray(weights, float)
     if normals.shape != points.shape or weights.shape != points.shape[:1]:
@@ -143,7 +170,13 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
         )
     if not ((weights >= 0) & np.isfinite(weights)).all():
         raise InputError(f"{name} has a weight below zero or not finite; weights are at least zero.")
-    normals = unit_normals(normals)
+    return ordered_cloud(points, unit_normals(normals), weights)
+
+
+def ordered_cloud(
+    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N"]
+) -> Cloud:
+    """Arrays as a cloud, in the order and with the padding of `make_cloud`, unchecked and of any unit."""
     order = spatial_order(points, weights)
     points, normals, weights = points[order], normals[order], weights[order]
     extra = padded_size(len(points)) - len(points)
@@ -172,8 +205,53 @@ def padded_size(count: int, rungs: Sequence[int] = (64, 80, 96, 112), growth: in
     return next(scale * rung for rung in rungs if count <= scale * rung)
 
 
-def stack_clouds(clouds: list[Cloud]) -> Cloud:
+class CloudFrames(Sequence):
+    """Any sequence of frames as one of clouds, each made when it is asked for: clouds and scans, as `read_clouds` gives them,
+    or one cloud that is stacked over frames.
+
+    **Raises:** `InputError` where it is none of these.
+    """
+
+    def __init__(self, frames: "Cloud | Sequence[Cloud | Scan]"):
+        if isinstance(frames, Cloud) and frames.points.ndim != 3:
+            raise InputError(
+                "A single cloud was given; a sequence is a list of clouds, or one stacked (F, N, 3)."
+            )
+        if isinstance(frames, Scan) or not (hasattr(frames, "__getitem__") or isinstance(frames, Cloud)):
+            raise InputError(f"A sequence of clouds was expected, and `clouds` {describe(frames)}.")
+        self._frames = frames
+
+    def __len__(self) -> int:
+        return len(self._frames.points if isinstance(self._frames, Cloud) else self._frames)
+
+    def __getitem__(self, index):
+        if isinstance(index, slice):
+            return [self[frame] for frame in range(len(self))[index]]
+        if isinstance(self._frames, Cloud):
+            return jax.tree.map(lambda leaf: leaf[index], self._frames)
+        return as_cloud(self._frames[index], index)
+
+
+def as_cloud(frame: "Cloud | Scan", number: int = 0) -> Cloud:
+    """A frame as a cloud; one that is a cloud as it is.
+
+    **Raises:** `InputError` where it is neither a cloud nor a scan.
+    """
+    if isinstance(frame, Scan):
+        return make_cloud(frame.points, frame.normals, name=frame.name)
+    if not isinstance(frame, Cloud):
+        raise InputError(
+            f"Cloud {number} {describe(frame)}; expected is a Cloud, such as make_cloud makes of arrays, or a Scan of read_clouds."
+        )
+    return frame
+
+
+@checked
+def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
     """Clouds of one or of several sizes as one with a leading axis of frames."""
+    clouds = list(CloudFrames(clouds))
+    if not clouds:
+        raise InputError("stack_clouds: `clouds` is empty; expected is one cloud at least.")
     size = max(cloud.points.shape[0] for cloud in clouds)
 
     def padded(leaf):

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
@@ -42,6 +43,7 @@ FIRST_WEIGHT = 1e-6
 Steps = Generator[AdaptState, None, AdaptState]
 
 
+@checked
 def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> Iterator[AdaptState]:
     """Adapt a template to an actor, and yield what is reached after every stage; and where `every` is given, within the
     stages that go through the frames, which are tracking, single poses and smoothing, also after every so many of them.

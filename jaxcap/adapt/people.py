@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.human import human
 from ..body.reduce import Attachment, attach, follow
@@ -33,6 +34,7 @@ class People(eqx.Module):
     standing: Float[Array, "K"]
 
 
+@checked
 def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> People:
     """The main ways in which bodies differ at rest, joints and vertices together, by principal components.
 
@@ -61,6 +63,7 @@ def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> 
     return People(template, modes, jnp.asarray(standing, dtype))
 
 
+@checked
 def people_like(template: Body, whole: Body | None = None) -> People | None:
     """How people differ, where the template has the human's triangles and joints, by humans of many shapes; or where the
     `whole` body has them that the template was reduced from, whose surface its vertices then hang on; or where it has

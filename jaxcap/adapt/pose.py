@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
 from ..body.pose_boxes import PoseBoxes, box_chart, chart_equations, move_within, no_boxes
@@ -40,6 +41,7 @@ class PoseFit(NamedTuple):
     pairs: Pairs
 
 
+@checked
 def fit_pose(
     body: Body,
     scan: Scan,

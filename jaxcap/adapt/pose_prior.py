@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
 from ..body.pose import Motion, Pose, own_vectors
 from ..body.pose_boxes import PoseBoxes, make_pose_boxes, turning_joints
@@ -29,6 +30,7 @@ class LearnedPair(NamedTuple):
     chosen: Chosen
 
 
+@checked
 def learn_pair_prior(
     skeleton: Skeleton, poses: Poses, *, most: int = 10, floor: float = FLOOR, seed: int = 0
 ) -> PairPrior:
@@ -79,6 +81,7 @@ def pair_prior_of(skeleton: Skeleton, learned: Sequence[LearnedPair]) -> PairPri
     return make_pair_prior(tuple(one.pair for one in learned), frames, weights, means, factors)
 
 
+@checked
 def learn_ranges(skeleton: Skeleton, poses: Poses, margin: float = 0.0) -> PoseBoxes:
     """The least and the largest of every number of every joint's turn (Adaptation, section 4.1.1), as
     hard limits; `margin` radians are added at both ends. Roots are free.

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
 
+from ..arguments import checked
 from ..body.anatomy import rest_deviations
 from ..body.body import Body
 from ..body.pose import Pose
@@ -11,16 +12,19 @@ from ..body.pose_boxes import PoseBoxes
 from ..body.symmetry import mirrored_joints
 from ..energy.prior import RestPrior
 from ..energy.term import AbstractEnergy
+from ..errors import InputError
 from ..fit.correspond import Scan
 from ..geometry.camera import Camera
+from ..observe import Cloud, CloudFrames
 from .people import people_like
 from .shape_prior import ShapePrior
 from .task import Settings, Task
 
 
+@checked
 def make_task(
     template: Body,
-    clouds: Sequence,
+    clouds: Cloud | Sequence,
     rate: float = 30.0,
     *,
     start: Pose | None = None,
@@ -36,15 +40,16 @@ def make_task(
     """What `adapt_body` is to do. Poses are held near rest as far as anatomy says, bones of the left are as long as those
     of the right, and where the template is a human, of any triangles, it becomes the person that people's shapes tell of.
 
-    **Arguments:** `clouds`, a `Cloud` for each frame, metres, asked for when they are needed; `rate`, frames a second; `start`, a pose near
+    **Arguments:** `clouds`, a `Cloud` for each frame, metres, asked for when they are needed, or as `read_clouds` gives them; `rate`, frames a second; `start`, a pose near
     that of the first frame, which is searched for where it is not given; `likely`, which poses are likely beside what
     anatomy says, such as `MahalanobisPrior(learn_pair_prior(...))`; `whole`, the body that the template was reduced from; the
     others as in `Task`.
 
     **Raises:** `ValueError` where no frame has a cloud.
     """
+    clouds = CloudFrames(clouds)
     if len(clouds) <= len(set(missing)):
-        raise ValueError(
+        raise InputError(
             f"{len(clouds)} frames, {len(set(missing))} of them missing, leave no cloud to adapt to."
         )
     skeleton = template.skeleton

@@ -7,6 +7,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
+from ..arguments import checked
 from ..body.body import Body, deform_all
 from ..body.pose import Pose
 from ..body.sample import sample_poses
@@ -26,6 +27,7 @@ class ShapePrior(NamedTuple):
     vectors: Float[np.ndarray, "M V 3"]
 
 
+@checked
 def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]) -> ShapePrior:
     """The Laplacian vectors of meshes registered to a body, `L(v) = v - mean of its neighbours` (eq. 4.2).
 

@@ -21,6 +21,7 @@ from jax.scipy.linalg import solve_triangular
 from jax.scipy.sparse.linalg import cg
 from jaxtyping import Array, Float, Int
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Pose, retract
 from ..energy.term import AbstractEnergy
@@ -36,6 +37,7 @@ from .summed import Rest, ShapeArrays, Sparse, Weights, add_frame, add_mesh
 STEPS = 2000
 
 
+@checked
 def adapt_together(
     body: Body,
     poses: Pose,

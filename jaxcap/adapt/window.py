@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Pose, retract
 from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, move_within, no_boxes
@@ -27,6 +28,7 @@ from .pose import SHARES, UPHILL, best_share, brought_in
 FRAMES, STRIDE = 11, 5
 
 
+@checked
 def smooth_poses(
     body: Body,
     poses: list[Pose],

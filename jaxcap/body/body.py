@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..arguments import check_fields, check_length, checked, lengths_of
 from ..geometry.mesh import vertex_normals
 from .kinematics import Transforms, forward_kinematics, joint_positions
 from .pose import Pose
@@ -21,6 +22,13 @@ class Body(eqx.Module):
     vertices: Float[Array, "V 3"]
     faces: Int[Array, "F 3"]
 
+    def __check_init__(self):
+        lengths = {**check_fields(self), "J": (self.skeleton.num_joints, "skeleton")}
+        of_skin = lengths_of(self.skin)
+        for dim in ("V", "J"):
+            if dim in of_skin:
+                check_length(self, "skin", of_skin[dim][0], lengths, dim)
+
 
 class Posed(eqx.Module):
     """A body in a pose: computed once for an evaluation and handed to every energy."""
@@ -34,6 +42,7 @@ class Posed(eqx.Module):
     normals: Float[Array, "V 3"]
 
 
+@checked
 def pose_body(body: Body, pose: Pose) -> Posed:
     """Put a body into a pose. What the caller does not use is not computed under `jit`."""
     transforms = forward_kinematics(body.skeleton, pose)

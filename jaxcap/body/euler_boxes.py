@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arguments import checked
 from ..geometry import rotation
 from .limits import AbstractLimits
 from .pose import Pose
@@ -84,6 +85,7 @@ def euler_angles(
     return jnp.where(beyond[1] < beyond[0], triples[1], triples[0])
 
 
+@checked
 def make_euler_boxes(skeleton: Skeleton, boxes: Mapping[str, EulerBox]) -> EulerBoxes:
     """`EulerBoxes` by joint name; a left-handed frame has its last axis and range turned over.
 

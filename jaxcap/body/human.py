@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..assets import asset_path
 from ..geometry import rotation
 from .body import Body
@@ -59,6 +60,7 @@ def _load() -> _Human:
         )
 
 
+@checked
 def human(
     *,
     sex: Literal["female", "male"] | float | int = "male",

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..geometry import rotation
 from .pose import Pose, universal_angles
 from .skeleton import Skeleton
@@ -21,6 +22,7 @@ class Transforms(eqx.Module):
     translations: Float[Array, "J 3"]
 
 
+@checked
 def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
     """The world transform of every bone, `T_j = T_parent . Translate(t_j) . Rot(q_j about c_j)`
     (Kineben, eq. 1; Adaptation, section 3.1), and last the pose's scale.

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..arguments import check_fields, checked
 from .chart import Chart
 from .limits import AbstractLimits
 from .nearest_inside import nearest_inside
@@ -42,6 +43,9 @@ class LimitSurface(eqx.Module):
     counts: Float[Array, "V N"]
     #: densities at the training samples, sorted, for the comfort of a pose
     densities: Float[Array, "Q"]
+
+    def __check_init__(self):
+        check_fields(self)
 
     def shares(self, parent: Float[Array, "3"]) -> Float[Array, "V"]:
         """How much of each keyframe is in the limits at a place of the parent; sums to one."""
@@ -97,6 +101,7 @@ class SurfaceLimits(AbstractLimits):
         return Pose(pose.translations, rotations, pose.scale)
 
 
+@checked
 def comfort(limits: SurfaceLimits, skeleton: Skeleton, pose: Pose) -> Float[Array, "S"]:
     """For each surface the share of training samples that were in a rarer place than this pose: one
     where the joint is most of the time, zero where it has never been. A density of joint and parent

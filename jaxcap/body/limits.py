@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..arguments import check_fields, checked
 from ..geometry import rotation
 from .pose import Pose, revolute_angles, universal_angles
 from .skeleton import KINDS, Skeleton
@@ -31,6 +32,9 @@ class AbstractLimits(eqx.Module):
     and projections take any of them.
     """
 
+    def __check_init__(self):
+        check_fields(self)
+
     @abc.abstractmethod
     def residual(self, skeleton: Skeleton, pose: Pose) -> Float[Array, "C"]:
         """How far a pose is beyond each limit: zero where it is allowed, and else about
@@ -46,6 +50,7 @@ class AbstractLimits(eqx.Module):
         allowed; joints that are allowed stay where they are."""
 
 
+@checked
 def allowed(limits: AbstractLimits, skeleton: Skeleton, pose: Pose) -> Bool[Array, "J"]:
     """Whether each joint is within its limits; joints without limits are."""
     beyond = jnp.abs(limits.residual(skeleton, pose))
@@ -175,6 +180,7 @@ def _universal(skeleton: Skeleton) -> Bool[Array, "J"]:
     return jnp.array([kind == "universal" for kind in skeleton.kinds])
 
 
+@checked
 def make_joint_ranges(
     skeleton: Skeleton,
     ranges: Mapping[str, Sequence] | None = None,

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arguments import check_fields, checked
 from ..geometry import rotation
 from .pose import Pose, own_vectors
 from .pose_boxes import turning_joints
@@ -45,6 +46,9 @@ class PairPrior(eqx.Module):
     log_peaks: Float[Array, "P"]
     #: `B` with `-B B^T` the second derivative of the log-density at the mode
     bends: Float[Array, "P 6 6"]
+
+    def __check_init__(self):
+        check_fields(self)
 
     @property
     def precisions(self) -> Float[Array, "P K 6 6"]:
@@ -84,6 +88,7 @@ def log_density(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P"]:
     return jax.nn.logsumexp(log_components(prior, x), axis=-1)
 
 
+@checked
 def likelihood(prior: PairPrior, skeleton: Skeleton, pose: Pose) -> Float[Array, "P"]:
     """How likely each pair is as it is turned, as a share of the likeliest turn there is: one at the
     mixture's peak, towards zero far from all that was learned."""
@@ -122,6 +127,7 @@ def misfit(prior: PairPrior, skeleton: Skeleton) -> str | None:
     return None
 
 
+@checked
 def make_pair_prior(
     pairs: Sequence[tuple[str, str]],
     frames: Float[np.ndarray, "P 2 4"],

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arguments import check_fields, check_rate, checked
 from ..geometry import rotation
 from ..geometry.stacking import concatenate, stack
 from .skeleton import Skeleton, dof_layout
@@ -27,12 +28,19 @@ class Pose(eqx.Module):
     rotations: Float[Array, "*frames J 4"]
     scale: Float[Array, "*frames"]
 
+    def __check_init__(self):
+        check_fields(self)
+
 
 class Motion(eqx.Module):
     """Poses stacked over frames, with their rate in frames a second."""
 
     poses: Pose
     rate: float = eqx.field(static=True, default=30.0)
+
+    def __check_init__(self):
+        check_fields(self)
+        check_rate("Motion", self.rate)
 
     @property
     def num_frames(self) -> int:
@@ -52,6 +60,7 @@ class Motion(eqx.Module):
         return Motion(take_poses(self.poses, frames), self.rate / abs(frames.step or 1))
 
 
+@checked
 def rest_pose(skeleton: Skeleton) -> Pose:
     """The pose in which nothing has moved."""
     dtype = skeleton.centres.dtype
@@ -61,6 +70,7 @@ def rest_pose(skeleton: Skeleton) -> Pose:
     )
 
 
+@checked
 def stack_poses(poses: Sequence[Pose], rate: float = 30.0) -> Motion:
     """Stack single poses to a `Motion`, differentiably. Raises `ValueError` where there are none."""
     if not poses:
@@ -91,6 +101,7 @@ def shift_roots(skeleton: Skeleton, poses: Pose, shifts: Float[np.ndarray | Arra
     return Pose(translations, poses.rotations, poses.scale)
 
 
+@checked
 def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:
     """Move a pose along a tangent vector `d`, metres and radians, laid out by `dof_layout`.
 
@@ -110,6 +121,7 @@ def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:
     return Pose(translations, rotations, pose.scale)
 
 
+@checked
 def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
     """The tangent `d` with `retract(a, d) = b`, where the joints' kinds allow `b`."""
     layout = dof_layout(skeleton)
@@ -128,6 +140,7 @@ def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
     return d.at[layout.rotations].set(relative)[:-1]
 
 
+@checked
 def project(skeleton: Skeleton, pose: Pose) -> Pose:
     """The pose nearest to `pose` among those that the joints' kinds allow: a fixed joint
     does not turn, a revolute one turns about its axis only, and so on."""

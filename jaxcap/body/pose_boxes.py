@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..arguments import checked
 from ..geometry import rotation
 from .limits import AbstractLimits
 from .pose import Pose, own_vectors, retract
@@ -150,6 +151,7 @@ def move_within(
     return boxes.nearest(skeleton, Pose(moved.translations, rotations, moved.scale))
 
 
+@checked
 def make_pose_boxes(
     joints: Sequence[str], lower: Float[np.ndarray, "J 3"], upper: Float[np.ndarray, "J 3"]
 ) -> PoseBoxes:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..arguments import checked
 from ..geometry.mesh import triangle_sides
 from .body import Body
 
@@ -28,6 +29,7 @@ class Attachment(NamedTuple):
     heights: Float[np.ndarray, "N"]
 
 
+@checked
 def reduce_body(body: Body, vertices: int) -> Body:
     """The same body with about so many `vertices`, for speed; the skeleton stays as it is.
 

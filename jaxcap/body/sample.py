@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
+from ..arguments import checked
 from ..geometry import rotation
 from .anatomy import rest_deviations
 from .kinematics import joint_paths
@@ -16,6 +17,7 @@ from .skeleton import Skeleton
 _UNKNOWN, _MOST = 0.5, 2.0
 
 
+@checked
 def sample_poses(skeleton: Skeleton, count: int = 64, seed: int = 0) -> Pose:
     """`count` poses stacked, the rest pose first, the same for one seed.
 

@@ -8,6 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import check_fields, check_length, checked
+from ..errors import InputError
+
 #: How many numbers move a joint of each kind, as (translations, rotations).
 KINDS: dict[str, tuple[int, int]] = {
     "fixed": (0, 0),
@@ -43,6 +46,17 @@ class Skeleton(eqx.Module):
     orientations: Float[Array, "J 4"]
     #: unit axes of revolute (the first) and universal (both) joints; others ignore them
     axes: Float[Array, "J 2 3"]
+
+    def __check_init__(self):
+        lengths = check_fields(self)
+        for name in ("names", "parents", "kinds"):
+            check_length(self, name, len(getattr(self, name)), lengths, "J")
+        for number, (parent, kind) in enumerate(zip(self.parents, self.kinds, strict=True)):
+            if not -1 <= parent < self.num_joints or parent == number or kind not in KINDS:
+                raise InputError(
+                    f"Skeleton: joint {number}, '{self.names[number]}', has the parent {parent} and the kind '{kind}'; expected "
+                    f"is another joint, or -1 for a root, and one of {', '.join(KINDS)}."
+                )
 
     @property
     def num_joints(self) -> int:
@@ -112,6 +126,7 @@ def dof_layout(skeleton: Skeleton) -> DofLayout:
     return DofLayout(translations, rotations, np.array(joints, int), tuple(names))
 
 
+@checked
 def make_skeleton(
     names: Sequence[str],
     parents: Sequence[int],

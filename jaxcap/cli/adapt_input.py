@@ -20,7 +20,8 @@ from ..errors import InputError
 from ..fit.check import check_extent
 from ..geometry.camera import Camera
 from ..io.cameras import read_cameras
-from ..io.clouds import Scan, Scans
+from ..io.clouds import Scans
+from ..observe import Scan
 from .motions import load_motion
 from .say import progress, warn
 from .sources import Up, up_rotation

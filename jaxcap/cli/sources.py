@@ -14,16 +14,16 @@ from ..body.limits import JointRanges
 from ..body.reduce import reduce_body
 from ..body.skeleton import Skeleton
 from ..errors import InputError
-from ..fit.check import check_cloud
+from ..fit.check import check_extent
 from ..fit.correspond import Scan, make_mesh_scan, make_scan
 from ..geometry import rotation
 from ..io.clip import split_clip
-from ..io.clouds import Scan as ReadScan
 from ..io.clouds import Scans
 from ..io.cst import read_cst
 from ..io.mesh import SUFFIXES
 from ..io.registry import SKINNED_READERS, is_skinned, read_body
 from ..observe import Cloud, make_cloud
+from ..observe import Scan as ReadScan
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: what a body is, in help and errors
@@ -88,9 +88,10 @@ def load_cloud(scans: Scans, frame: int, body: Body, up: Up = "y") -> Cloud:
 def _cloud_of(scan: ReadScan, body: Body, up: Up) -> Cloud:
     turn = up_rotation(up)
     normals = None if scan.normals is None else scan.normals @ turn.T
-    cloud = make_cloud(scan.points @ turn.T, normals, name=scan.name)
-    check_cloud(body, cloud, scan.name)
-    return cloud
+    points = scan.points @ turn.T
+    # before it is a cloud: by the size of the body more can be said of the unit
+    check_extent(body, points, scan.name)
+    return make_cloud(points, normals, name=scan.name)
 
 
 class Clouds(Sequence[Cloud]):

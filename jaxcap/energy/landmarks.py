@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..arguments import checked
 from ..body.body import Posed
 from .term import AbstractEnergy, root
 from .vertices import AbstractVertexEnergy, along_axes
@@ -49,6 +50,7 @@ class JointLandmarks(AbstractEnergy):
         return (root(self.weights)[:, None] * (posed.joints - self.targets)).reshape(-1)
 
 
+@checked
 def joint_landmarks(targets: Float[Array, "J 3"], weights=None) -> JointLandmarks:
     """Joint centres that are to reach `targets (J, 3)`; all `weights (J,)` one where not given."""
     return JointLandmarks(targets, jnp.ones(len(targets), targets.dtype) if weights is None else weights)

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.body import Body, Posed
 from ..geometry.laplacian import Conformance, laplacian, make_conformance
 from .term import AbstractEnergy
@@ -21,6 +22,7 @@ class LaplacianShape(AbstractEnergy):
         return apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
 
 
+@checked
 def make_laplacian_shape(body: Body, mesh: Float[np.ndarray, "V 3"]) -> LaplacianShape:
     """The shape of a mesh that is registered to a body, in the mesh's own pose; metres.
 

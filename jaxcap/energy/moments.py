@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..arguments import checked
 from ..body.body import Posed
 from .term import AbstractEnergy
 
@@ -28,6 +29,7 @@ class RigidMoments(AbstractEnergy):
         return moved.reshape(-1)
 
 
+@checked
 def rigid_moments(
     bones: Int[Array, "C"],
     rest: Float[Array, "C 3"],

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.body import Posed
 from ..body.pose import Pose, difference, own_vectors
 from ..body.skeleton import Skeleton, dof_layout
@@ -54,6 +55,7 @@ class ReferencePrior(AbstractEnergy):
         )
 
 
+@checked
 def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:
     """A deviation for every number of a tangent: one for what slides, one for what turns."""
     deviations = jnp.full(skeleton.num_dofs + 1, radians, skeleton.centres.dtype)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arguments import check_fields, checked
 from ..body.body import Body, Posed
 from .term import AbstractEnergy, root
 
@@ -35,6 +36,9 @@ class SoftObject(eqx.Module):
     #: per metre: primitives nearer to each other than about its inverse blend
     stiffness: Float[Array, ""]
 
+    def __check_init__(self):
+        check_fields(self)
+
 
 class SoftPoints(AbstractEnergy):
     """`sum_i w_i rho(D(x_i))^2` over observed points, with their distances `D` from a soft
@@ -57,6 +61,7 @@ class SoftPoints(AbstractEnergy):
         return root(self.weights) * distances / jnp.sqrt(1.0 + (distances / self.robust) ** 2)
 
 
+@checked
 def soft_distance(soft: SoftObject, posed: Posed, points: Float[Array, "N 3"]) -> Float[Array, "N"]:
     """Signed distance of points from the posed skin, metres, negative inside.
 
@@ -128,6 +133,7 @@ FEWEST = 4
 ROUNDS = 20
 
 
+@checked
 def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None) -> SoftObject:
     """A soft object in the place of a body's surface; not for use under `jit`.
 

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..arguments import check_fields, checked
 from ..body.body import Posed
 
 
@@ -15,6 +16,9 @@ class AbstractEnergy(eqx.Module):
     A new energy is a class with its data as fields and one method. It sums with others
     (`a + b`) and is weighted by a number (`3.0 * a`, which triples `E`).
     """
+
+    def __check_init__(self):
+        check_fields(self)
 
     @abc.abstractmethod
     def residual(self, posed: Posed) -> Float[Array, "R"]:
@@ -79,6 +83,7 @@ def bare(energy: AbstractEnergy) -> AbstractEnergy:
     return bare(energy.energy) if isinstance(energy, Weighted) else energy
 
 
+@checked
 def energies(energy: AbstractEnergy, posed: Posed) -> dict[str, Float[Array, ""]]:
     """The value `|r|^2` of every summand by its name; equal names are added up."""
     values: dict[str, Float[Array, ""]] = {}

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from ..arguments import checked
 from ..geometry.closest import nearest_on_surface
 from ..observe import Cloud, padded_size, unit_normals
 
@@ -25,6 +26,7 @@ class Scan(NamedTuple):
     faces: Int[np.ndarray, "F 3"]
 
 
+@checked
 def make_scan(cloud: Cloud) -> Scan:
     """The points of a cloud that are there, and their tree.
 
@@ -37,6 +39,7 @@ def make_scan(cloud: Cloud) -> Scan:
     return Scan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
 
 
+@checked
 def make_mesh_scan(
     vertices: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Scan:

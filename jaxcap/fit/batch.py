@@ -1,21 +1,28 @@
 """Many clouds at once, as pure functions of arrays."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..body.pose import Pose
-from ..observe import Cloud
+from ..arguments import checked
+from ..body.pose import Motion, Pose
+from ..errors import InputError
+from ..observe import Cloud, Scan, stack_clouds
 from .em import FrameStatistics
 from .track import Tracker, TrackState, start_state, track_frame
 
 
+@checked
 def scan_track(
-    tracker: Tracker, state: TrackState, clouds: Cloud
+    tracker: Tracker, state: TrackState, clouds: Cloud | Sequence[Cloud | Scan]
 ) -> tuple[TrackState, tuple[Pose, FrameStatistics]]:
     """Track clouds stacked over frames `(F, N, ...)` in one `lax.scan`: pure, for use under
     `jit` and for batches. Nothing is searched for; judge the statistics."""
+
+    clouds = clouds if isinstance(clouds, Cloud) else stack_clouds(clouds)
 
     def step(state, cloud):
         state, statistics = track_frame(tracker, state, cloud)
@@ -24,19 +31,27 @@ def scan_track(
     return jax.lax.scan(step, state, clouds)
 
 
+@checked
 def fit_batch(
-    tracker: Tracker, starts: Pose, clouds: Cloud, *, sigma: float = 0.1, batch_size: int | None = None
+    tracker: Tracker,
+    starts: Pose | Motion,
+    clouds: Cloud | Sequence[Cloud | Scan],
+    *,
+    sigma: float | Float[Array, ""] = 0.1,
+    batch_size: int | None = None,
 ) -> tuple[Pose, FrameStatistics]:
-    """Fit many independent clouds `(B, N, ...)` or sequences `(B, F, N, ...)` at once.
+    """Fit many independent clouds `(B, N, ...)`, also a list of them, or sequences `(B, F, N, ...)` at once.
 
-    **Arguments:** `starts` poses stacked over B; `sigma` metres to start with;
+    **Arguments:** `starts` poses stacked over B, or as a motion; `sigma` metres to start with;
     `batch_size` how many go side by side in a vectorised loop, one after the other where not
     given, which is the fastest on a CPU.
 
     Returns poses and statistics, stacked as the clouds are.
     """
+    starts = starts.poses if isinstance(starts, Motion) else starts
+    clouds = clouds if isinstance(clouds, Cloud) else stack_clouds(clouds)
     if starts.rotations.ndim != 3 or starts.rotations.shape[0] != clouds.points.shape[0]:
-        raise ValueError(
+        raise InputError(
             f"{clouds.points.shape[0]} clouds or sequences were given, and poses of shape "
             f"{starts.rotations.shape}; give one start for each, stacked (B, J, 4), such as stack_poses(...).poses."
         )

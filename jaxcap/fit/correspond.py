@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..arguments import checked
 from ..geometry.camera import Camera, in_picture
 from .assign import AbstractAssignment, Assigned, NearestVertex, Surface
 from .assign import NearestOnSurface as NearestOnSurface
@@ -61,11 +62,13 @@ class Matching(NamedTuple):
     aperture: tuple[Camera, ...] = ()
 
 
+@checked
 def places_on(pairs: Pairs, vertices: Float[Array, "V 3"]) -> Float[Array, "C 3"]:
     """The places of the pairs of one frame on a surface, metres."""
     return jnp.einsum("ck,cka->ca", pairs.shares, vertices[pairs.vertices])
 
 
+@checked
 def find_pairs(
     vertices: Float[np.ndarray, "V 3"],
     normals: Float[np.ndarray, "V 3"],

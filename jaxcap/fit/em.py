@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..arguments import check_fields, checked
 from ..body.body import Body, Posed, pose_body
 from ..body.pose import Pose, retract
 from ..energy.moments import rigid_moments
@@ -36,7 +37,11 @@ class Mixture(eqx.Module):
     #: whether the parts' prior shares are estimated too, or uniform
     estimate_priors: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self):
+        check_fields(self)
 
+
+@checked
 def make_mixture(
     normal_threshold: float = 0.5,
     outlier: float = 0.1,

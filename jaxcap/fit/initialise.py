@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from ..arguments import checked
 from ..body.body import pose_body
 from ..body.pose import Pose, rest_pose, retract
 from ..body.reduce import reduce_body
@@ -150,6 +151,7 @@ def coarse_tracker(tracker: Tracker) -> Tracker:
     return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, over_joints))
 
 
+@checked
 def initialise(
     tracker: Tracker,
     cloud: Cloud,

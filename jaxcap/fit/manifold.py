@@ -2,6 +2,8 @@
 
 import optimistix as optx
 
+from ..arguments import check_fields
+
 #: longest history of energies that a solver keeps
 HISTORY = 256
 
@@ -13,3 +15,6 @@ class AbstractManifoldSolver(optx.AbstractLeastSquaresSolver):
     `stats["history"]`, `(HISTORY,)`, NaN beyond the last. optimistix's own solvers add a step
     to the unknown, which leaves the manifold.
     """
+
+    def __check_init__(self):
+        check_fields(self)

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arguments import checked
+
 #: Vertices in a block; parts are of very different sizes, so padding each to the largest
 #: would make six times the work.
 BLOCK = 32
@@ -34,6 +36,7 @@ class Parts(eqx.Module):
         return sum(self.blocks_of_part)
 
 
+@checked
 def make_parts(
     bones: Int[Array | np.ndarray, "V"],
     num_parts: int,

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arguments import checked
 from ..observe import Cloud
 from .nearest import nearest_vertices
 from .parts import Parts
@@ -35,6 +36,7 @@ class Posterior(eqx.Module):
     log_density: Float[Array, "N"]
 
 
+@checked
 def posterior(
     parts: Parts,
     vertices: Float[Array, "V 3"],

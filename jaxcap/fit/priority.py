@@ -14,8 +14,10 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 from threadpoolctl import threadpool_limits
 
+from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, project
+from ..energy.check import check_numbers, explained
 from ..energy.term import AbstractEnergy, Sum, energies, terms_of
 from .hierarchy import Damping, Rows, constrained, descend
 from .levenberg_marquardt import where
@@ -41,6 +43,7 @@ class OrderedSolution(eqx.Module):
     result: optx.RESULTS
 
 
+@checked
 def solve_in_order(
     groups: Sequence[AbstractEnergy],
     body: Body,
@@ -69,12 +72,15 @@ def solve_in_order(
     """
     if not groups:
         raise ValueError("There is nothing to solve for; give one energy or more, highest priority first.")
+    for group in groups:
+        check_numbers(group, body)
     numbers = (jnp.asarray(number, body.vertices.dtype) for number in (damping, rtol, atol))
     # threads of BLAS and those of XLA wait for each other, and matrices of a pose are small
-    with threadpool_limits(1, "blas"):
+    with threadpool_limits(1, "blas"), explained(Sum(tuple(groups)), body, start):
         return jax.block_until_ready(_solve_in_order(tuple(groups), body, start, max_steps, *numbers))
 
 
+@checked
 def priority_step(
     groups: Sequence[AbstractEnergy], body: Body, pose: Pose, damping: float | Float[Array, ""] = 1e-6
 ) -> Pose:

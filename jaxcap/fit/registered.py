@@ -7,6 +7,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
+from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose, project
 from ..energy.landmarks import VertexLandmarks
@@ -34,6 +35,7 @@ class MeshFit(eqx.Module):
     converged: Bool[Array, "F"]
 
 
+@checked
 def fit_meshes(
     body: Body,
     sequence: MeshSequence,

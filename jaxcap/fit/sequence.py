@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator
 import jax
 import numpy as np
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
-from ..errors import InputError
-from ..observe import Cloud
+from ..observe import Cloud, CloudFrames, Scan, as_cloud
 from .check import check_cloud
 from .initialise import coarse_tracker, initialise
 from .recover import TrackedFrame, doubtful, first_frame, judge, next_frame, recover
@@ -19,9 +19,10 @@ from .track import Tracker, make_tracker
 _LOG = logging.getLogger(__name__)
 
 
+@checked
 def track_frames(
     tracker: Tracker,
-    clouds: Iterable[Cloud] | Cloud,
+    clouds: Iterable[Cloud | Scan] | Cloud,
     start: Pose | TrackedFrame | None = None,
     *,
     search: bool = False,
@@ -61,9 +62,10 @@ def track_frames(
         yield frame
 
 
+@checked
 def track(
     body: Body,
-    clouds: Iterable[Cloud] | Cloud,
+    clouds: Iterable[Cloud | Scan] | Cloud,
     start: Pose | None = None,
     *,
     rate: float = 30.0,
@@ -96,19 +98,13 @@ def track(
     return stack_poses(poses, rate)
 
 
-def _each(clouds: Iterable[Cloud] | Cloud) -> Iterator[Cloud]:
-    """The frames, also of one cloud that is stacked over them."""
-    if isinstance(clouds, Cloud):
-        if clouds.points.ndim != 3:
-            raise InputError(
-                "A single cloud was given; a sequence is a list of clouds, or one stacked (F, N, 3)."
-            )
-        return map(Cloud, clouds.points, clouds.normals, clouds.weights)
-    return iter(clouds)
+def _each(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
+    """The frames, also of scans as files have them, and of one cloud that is stacked over them."""
+    if isinstance(clouds, (Cloud, Scan)):
+        return iter(CloudFrames(clouds))  # pyright: ignore[reportArgumentType] - a scan is refused there
+    return (as_cloud(cloud, number) for number, cloud in enumerate(clouds))
 
 
 def _checked(body: Body, number: int, cloud: Cloud) -> Cloud:
-    if not isinstance(cloud, Cloud):
-        raise InputError(f"Cloud {number} is a {type(cloud).__name__}; make clouds of arrays by make_cloud.")
     check_cloud(body, cloud, f"cloud {number}")
     return cloud

@@ -6,9 +6,12 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
+from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, project, retract
+from ..energy.check import check_numbers, explained
 from ..energy.term import AbstractEnergy, energies
+from ..errors import InputError
 from .levenberg_marquardt import LevenbergMarquardt
 from .manifold import AbstractManifoldSolver
 from .problem import PoseProblem
@@ -27,6 +30,7 @@ class Solution(eqx.Module):
     result: optx.RESULTS
 
 
+@checked
 def solve(
     energy: AbstractEnergy,
     body: Body,
@@ -43,16 +47,21 @@ def solve(
     every array of the energy and of the body; not to the start, on which a minimum does
     not depend. What no term holds stays where it is, in the derivative too. Nothing is raised where the solver fails: see `Solution.result`.
 
-    **Raises:** `TypeError` for a solver that does not move on manifolds.
+    **Raises:** `InputError` for a solver that does not move on manifolds, and for an energy whose arrays do not go together or
+    name vertices or joints that the body has not.
     """
+    check_numbers(energy, body)
     problem = PoseProblem(energy, body)
     solver = LevenbergMarquardt() if solver is None else solver
     if not isinstance(solver, AbstractManifoldSolver):
-        raise TypeError(
+        raise InputError(
             f"{type(solver).__name__} adds steps to the unknown, which poses do not bear; "
             "give LevenbergMarquardt() or GaussNewton()."
         )
-    pose, (history, num_steps, result) = _minimum(problem, project(body.skeleton, start), solver, max_steps)
+    with explained(energy, body, start):
+        pose, (history, num_steps, result) = _minimum(
+            problem, project(body.skeleton, start), solver, max_steps
+        )
     return Solution(pose, energies(energy, pose_body(body, pose)), history, num_steps, result)
 
 

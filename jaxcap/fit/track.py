@@ -5,9 +5,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..arguments import check_fields, checked
 from ..body.anatomy import rest_deviations
 from ..body.body import Body
 from ..body.pose import Pose, difference, retract
+from ..energy.check import check_numbers
 from ..energy.prior import PosePrior, RestPrior, tangent_deviations
 from ..energy.term import AbstractEnergy, Sum
 from ..observe import Cloud
@@ -43,6 +45,9 @@ class Tracker(eqx.Module):
     #: steps of expectation maximisation on a frame
     iterations: int = eqx.field(static=True)
 
+    def __check_init__(self):
+        check_fields(self)
+
 
 class TrackState(eqx.Module):
     """What one frame hands to the next."""
@@ -52,6 +57,7 @@ class TrackState(eqx.Module):
     change: Float[Array, "D"]
 
 
+@checked
 def make_tracker(
     body: Body,
     mixture: Mixture | None = None,
@@ -70,6 +76,8 @@ def make_tracker(
     a frame strays from its prediction; `rest_deviation` in radians, how far joints stray from
     rest whose anatomy is not known (`body.anatomy`); `terms` are further energies, in units of a log-likelihood.
     """
+    for term in terms:
+        check_numbers(term, body)
     bones = body.skin.parts()
     return Tracker(
         body=body,
@@ -85,6 +93,7 @@ def make_tracker(
     )
 
 
+@checked
 def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 0.05) -> TrackState:
     """The state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
     estimate = Estimate(
@@ -93,6 +102,7 @@ def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 
     return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
 
 
+@checked
 def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
     """One frame: predict, a few steps of expectation maximisation, and how well it went.
 

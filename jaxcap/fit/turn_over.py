@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Pose
 from ..geometry import rotation
@@ -31,6 +32,7 @@ class Turn(NamedTuple):
     turn: Float[np.ndarray, "4"]
 
 
+@checked
 def turn_over(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Pose]) -> list[Pose]:
     """Poses of some frames of one sequence, with every end of a limb turned over where the clouds of all of them
     together are likelier then; the same poses where none is.

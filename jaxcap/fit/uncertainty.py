@@ -5,9 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, dof_layout
+from ..energy.check import check_numbers, explained
 from ..energy.term import AbstractEnergy
 from .problem import PoseProblem
 
@@ -25,6 +27,7 @@ class Uncertainty(eqx.Module):
     unobservable: Bool[Array, "D"]
 
 
+@checked
 def uncertainty(
     energy: AbstractEnergy, body: Body, pose: Pose, variance=None, tolerance: float | None = None
 ) -> Uncertainty:
@@ -35,8 +38,10 @@ def uncertainty(
     curvature is below `tolerance` times the largest; where not given that is what rounding leaves
     of a curvature of zero, D times the machine's precision.
     """
+    check_numbers(energy, body)
     problem = PoseProblem(energy, body)
-    residual, jacobian = problem.linearise(pose)
+    with explained(energy, body, pose):
+        residual, jacobian = problem.linearise(pose)
     scales = problem.scales()
     scaled = jacobian * scales
     if variance is None:
@@ -50,6 +55,7 @@ def uncertainty(
     return Uncertainty(variance * (spread * inverse) @ spread.T, curvatures, directions, unobservable)
 
 
+@checked
 def describe_unobservable(skeleton: Skeleton, result: Uncertainty) -> list[str]:
     """A line for each unobservable direction: the numbers of the pose that make most of it."""
     names = dof_layout(skeleton).names

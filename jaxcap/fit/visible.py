@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..arguments import checked
 from ..geometry.camera import Camera, in_picture, project
 from ..geometry.mesh import vertex_normals
 
@@ -16,6 +17,7 @@ NEAR = 0.01
 STEEP = 0.03
 
 
+@checked
 def visible_vertices(
     cameras: Camera | Sequence[Camera],
     vertices: Float[Array, "V 3"],

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import check_fields, checked
 from ..errors import InputError
 
 #: fewer pixels along a side make no picture
@@ -30,6 +31,9 @@ class Camera(eqx.Module):
     #: pixels in a row, and rows
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        check_fields(self)
 
     @property
     def eye(self) -> Float[Array, "3"]:
@@ -66,6 +70,7 @@ def in_picture(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array,
     return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
 
 
+@checked
 def look_at(eye, target, width: int, height: int, field_of_view: float | int) -> Camera:
     """A camera at `eye (3,)` that looks at `target (3,)`, metres, upright where y is up.
 
@@ -97,6 +102,7 @@ def look_at(eye, target, width: int, height: int, field_of_view: float | int) ->
     return Camera(rotation, -rotation @ eye, np.array([focal, focal]), middle, width, height)  # pyright: ignore[reportArgumentType]
 
 
+@checked
 def ring_of_cameras(
     count: int,
     arc: float | int,

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, rest_distance, same_joints
 from ..errors import InputError
@@ -49,6 +50,7 @@ TREES = {
 }
 
 
+@checked
 def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
     """Write a motion in AMASS's keys, z up: `trans`, `poses`, `betas` (zeros), `gender` (neutral), `mocap_framerate` and
     `mocap_frame_rate`; and the skeleton under keys that begin with `skeleton.`, without which nothing could be drawn.
@@ -108,6 +110,7 @@ def is_amass(path: str | Path) -> bool:
         return False
 
 
+@checked
 def read_amass(
     path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] = "z"
 ) -> tuple[Skeleton, Motion]:

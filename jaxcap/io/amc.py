@@ -6,12 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..errors import InputError
 from .asf import Asf
 from .text import numbered_lines, parse_floats, read_text
 
 
+@checked
 def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
     """Read a motion of the skeleton `asf`, as poses of `asf.skeleton`.
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..arguments import checked
 from ..body.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
 from ..body.limits import JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton, make_skeleton
@@ -44,6 +45,7 @@ class Asf(NamedTuple):
     degrees: bool
 
 
+@checked
 def read_asf(path: str | Path) -> Asf:
     """Read an Acclaim skeleton. Lengths are inches divided by the file's `length` unit.
 

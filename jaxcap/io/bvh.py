@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..errors import InputError
@@ -39,6 +40,7 @@ class _Joint(NamedTuple):
     channels: list[tuple[str, str]]
 
 
+@checked
 def read_bvh(path: str | Path, unit: str | float = "cm") -> tuple[Skeleton, Motion]:
     """Read a BVH file: its skeleton in metres, and its motion.
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..errors import InputError
@@ -28,6 +29,7 @@ _WIDTH = 10
 _AT_ONCE = 1000
 
 
+@checked
 def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | float = "cm") -> None:
     """Write a motion, in a file that appears only when it is whole.
 

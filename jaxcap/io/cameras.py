@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import LEAST_PIXELS, Camera
 from .kinds import check_kind
@@ -20,6 +21,7 @@ _SIZES = ("width", "height")
 ROUNDED = 1e-4
 
 
+@checked
 def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     """Write calibrations for `read_cameras`; metres and pixels.
 
@@ -33,6 +35,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     write_json(path, {"format": KIND, "version": 1, "cameras": rows})
 
 
+@checked
 def read_cameras(path: str | Path) -> list[Camera]:
     """The cameras of a calibration: `{"cameras": [{"rotation", "translation", "focal", "principal_point",
     "width", "height"}, ...]}`, from the world to the camera, metres and pixels; see `Camera`.

@@ -2,28 +2,18 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import overload
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from ..arguments import checked
 from ..errors import InputError
+from ..observe import Scan as Scan
 from .kinds import wrong_arrays
 from .mesh import check_faces, check_points, read_mesh, vertex_normals
 from .npz import load_arrays
 from .paths import cut, find_files, order_files
 from .text import unit_scale
-
-
-class Scan(NamedTuple):
-    """One frame, metres. Normals are the file's own or those of its faces, else None."""
-
-    name: str
-    points: Float[np.ndarray, "N 3"]
-    normals: Float[np.ndarray, "N 3"] | None
-    #: the triangles of a mesh; none of a cloud
-    faces: Int[np.ndarray, "T 3"]
-
 
 #: of what is a cloud
 NO_FACES = np.zeros((0, 3), int)
@@ -60,6 +50,7 @@ class Scans(Sequence):
         return (self._scan(frame) for frame in range(len(self)))
 
 
+@checked
 def read_clouds(
     source: str | Path | Sequence[str | Path],
     first: int | None = None,

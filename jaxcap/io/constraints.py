@@ -20,6 +20,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..arguments import checked
 from ..body.body import Body
 from ..edit.ik.constraints import Constraint, check_constraints, describe
 from ..errors import InputError
@@ -31,6 +32,7 @@ KIND, VERSION = "jaxcap constraints", 1
 _FIELDS = ("vertex", "joint", "target", "weight", "pinned", "orientation")
 
 
+@checked
 def write_constraints(path: str | Path, constraints: Sequence[Constraint], body: Body) -> None:
     """Write constraints of a body, every number to the last bit.
 
@@ -42,6 +44,7 @@ def write_constraints(path: str | Path, constraints: Sequence[Constraint], body:
     write_text(path, f'{{\n{head} "constraints": [\n{rows}\n ]\n}}\n')
 
 
+@checked
 def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
     """Constraints that `write_constraints` or a person wrote.
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 _STILL = 1e-7
 
 
+@checked
 def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> None:
     """Write a body, with a motion as its animation where there is one, in metres, y up.
 

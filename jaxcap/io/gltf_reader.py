@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import KINDS, Skeleton
@@ -14,6 +15,7 @@ from .gltf_surface import read_surface
 _HINGES = ("revolute", "universal")
 
 
+@checked
 def read_gltf(
     path: str | Path, rate: float | None = None, clip: str | None = None
 ) -> tuple[Skeleton, Motion | None]:

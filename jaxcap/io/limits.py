@@ -6,6 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
+from ..arguments import checked
 from ..body.chart import DIMENSIONS, Chart
 from ..body.limit_surface import LimitSurface, SurfaceLimits, fits
 from ..body.limits import AbstractLimits, AllLimits
@@ -32,6 +33,7 @@ _ARRAYS: dict[str, tuple[int | None, ...]] = {
 }
 
 
+@checked
 def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
     """Write learned limits. Raises `InputError` where the file cannot be written."""
     arrays: dict[str, np.ndarray] = {"joints": np.array([s.joint for s in limits.surfaces], dtype=str)}
@@ -45,6 +47,7 @@ def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
     save_arrays(path, KIND, arrays)
 
 
+@checked
 def load_limits(path: str | Path) -> SurfaceLimits:
     """Read limits that `save_limits` wrote.
 
@@ -55,6 +58,7 @@ def load_limits(path: str | Path) -> SurfaceLimits:
     return SurfaceLimits(tuple(_surface(arrays, f"{i}.", joint, path) for i, joint in enumerate(joints)))
 
 
+@checked
 def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
     """Limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
 

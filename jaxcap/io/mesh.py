@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..arguments import checked
 from ..errors import InputError
 from .atomic import replacing, write_text
 from .inside import InsideResolver
@@ -41,6 +42,7 @@ class Mesh(NamedTuple):
     normals: Float[np.ndarray, "V 3"] | None = None
 
 
+@checked
 def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
     """Read a mesh or a cloud; polygons are cut into triangles as fans.
 
@@ -66,6 +68,7 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
     return Mesh(vertices * metres, faces.astype(np.int64), normals)
 
 
+@checked
 def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
     """Write a mesh in the format of the path's suffix, vertices in their order.
 

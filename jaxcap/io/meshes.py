@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..arguments import checked
 from ..errors import InputError
 from ..observe import MeshSequence
 from .kinds import wrong_arrays
@@ -32,6 +33,7 @@ class _File(NamedTuple):
     rate: float | None
 
 
+@checked
 def read_meshes(
     paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
 ) -> MeshSequence:
@@ -68,6 +70,7 @@ def read_named_meshes(
     return NamedMeshes(sequence, names)
 
 
+@checked
 def save_meshes(path: str | Path, sequence: MeshSequence) -> None:
     """Write a sequence as an `.npz` that `read_meshes` reads. Raises `InputError` where it cannot be written."""
     arrays = {"vertices": sequence.vertices, "faces": sequence.faces, "rate": np.array(sequence.rate, float)}

@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton
@@ -30,6 +31,7 @@ SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
 }
 
 
+@checked
 def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | None = None) -> None:
     """Write a body, with joint limits as any arrays by name; load them with `load_limits`.
 
@@ -65,6 +67,7 @@ def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
     }
 
 
+@checked
 def load_body(path: str | Path) -> Body:
     """Read a body that `save_body` wrote.
 
@@ -111,6 +114,7 @@ def load_limits(path: str | Path) -> dict[str, np.ndarray]:
     return limits_in(load_kind(path, "jaxcap body"))
 
 
+@checked
 def save_motion(path: str | Path, motion: Motion, skeleton: Skeleton | None = None) -> None:
     """Write a motion; with its skeleton, the file says whose it is.
 
@@ -127,6 +131,7 @@ def motion_arrays(motion: Motion) -> dict[str, Any]:
     return {**arrays, "rate": np.array(motion.rate, float)}
 
 
+@checked
 def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     """Read a motion that `save_motion` wrote.
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ..adapt.shape_prior import ShapePrior, neighbours_in, uniform_laplacian
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pair_prior import PairPrior, make_pair_prior, misfit
 from ..body.pose import Pose
@@ -33,6 +34,7 @@ class Priors(NamedTuple):
     shape: ShapePrior | None
 
 
+@checked
 def save_prior(
     path: str | Path,
     prior: PairPrior,
@@ -57,6 +59,7 @@ def save_prior(
     save_body(path, body, {**(limits or {}), **arrays})
 
 
+@checked
 def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
     """All that a file knows of the poses and the shape of `body`, read once; without `shape`, of its poses alone.
 
@@ -74,6 +77,7 @@ def carries_prior(path: str | Path) -> bool:
     return name in load_arrays(path, lambda there: there == name)
 
 
+@checked
 def load_prior(path: str | Path, skeleton: Skeleton | None = None) -> PairPrior:
     """Read a prior from a file of its own or from that of a body.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
@@ -127,6 +128,7 @@ def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> No
     _of(BODY_WRITERS, path, "skinned bodies", "written")(Path(path), body, motion)
 
 
+@checked
 def read_skinned(path: str | Path) -> tuple[Body, Motion | None]:
     """A body that blends linearly, with its motion where there is one, from a skinned `.glb`, `.gltf` or USD; clips as in
     `read_motion`.
@@ -194,6 +196,7 @@ def read_body(
     return Body(tree, RigidSkin(jnp.asarray(bones)), jnp.asarray(mesh.vertices), jnp.asarray(mesh.faces))
 
 
+@checked
 def read_markers(
     path: str | Path,
     unit: str | float | None = None,
@@ -225,6 +228,7 @@ def read_marker_file(path: str | Path, unit: str | float | None = None) -> Marke
     return _of(MARKER_READERS, path, "a file of markers")(Path(path), unit)
 
 
+@checked
 def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | None = None) -> None:
     """Write markers, or joint centres, as `.c3d`, `.trc` or `.csv`; `unit` is millimetres in the first two
     and metres in the third where not given.

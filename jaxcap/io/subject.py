@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arguments import checked
 from ..errors import InputError
 from ..markers.subject import Subject, make_subject
 from .npz import get_array, load_kind, save_arrays, skeleton_arrays, skeleton_of
@@ -13,6 +14,7 @@ from .npz import get_array, load_kind, save_arrays, skeleton_arrays, skeleton_of
 KIND = "jaxcap subject"
 
 
+@checked
 def save_subject(path: str | Path, subject: Subject) -> None:
     """Write a subject; the file appears whole or not at all.
 
@@ -34,6 +36,7 @@ def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
     }
 
 
+@checked
 def load_subject(path: str | Path) -> Subject:
     """Read a subject that `save_subject` wrote.
 

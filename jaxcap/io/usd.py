@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".usda", ".usdc", ".usdz")
 
 
+@checked
 def write_usd(path: str | Path, body: Body, motion: Motion | None = None) -> None:
     """Write a body, with a motion as its animation where there is one, in metres, y up, a time code a frame.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..arguments import checked
 from ..body.body import Body, take_vertices
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
@@ -64,6 +65,7 @@ class Learned(NamedTuple):
     curve: Float[np.ndarray, "N"]
 
 
+@checked
 def learn_body(
     meshes: MeshSequence,
     *,

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..arguments import checked
 from ..body.euler_boxes import EulerBox, EulerBoxes, euler_angles, make_euler_boxes
 from ..body.limits import JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton
@@ -13,6 +14,7 @@ from ..geometry import rotation
 from .samples import JointSamples
 
 
+@checked
 def learn_boxes(skeleton: Skeleton, samples: Iterable[JointSamples]) -> tuple[JointRanges, EulerBoxes]:
     """The least and the largest of every angle: ranges of joints with one angle or two, and boxes of
     Euler angles about each other joint's own axes, the twist first.

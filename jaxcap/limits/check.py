@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import checked
 from ..body.limit_surface import SurfaceLimits, comfort
 from ..body.limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
@@ -16,24 +17,28 @@ from ..body.skeleton import Skeleton
 BATCH = 256
 
 
+@checked
 @eqx.filter_jit
 def allowed_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Bool[Array, "F J"]:
     """Whether each joint is within its limits in each frame; joints without limits are."""
     return over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
 
 
+@checked
 @eqx.filter_jit
 def residual_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F C"]:
     """How far each frame is beyond each limit, about radians; `limits.owners` tells whose they are."""
     return over_frames(lambda pose: limits.residual(skeleton, pose), motion)
 
 
+@checked
 @eqx.filter_jit
 def comfort_frames(limits: SurfaceLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F S"]:
     """The comfort of each frame by each learned surface: see `comfort`."""
     return over_frames(lambda pose: comfort(limits, skeleton, pose), motion)
 
 
+@checked
 @eqx.filter_jit
 def nearest_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Motion:
     """Every frame by itself turned back to the nearest pose that is allowed."""

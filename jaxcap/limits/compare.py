@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from ..arguments import checked
 from .charts import chart_places, find_chart
 from .samples import JointSamples
 
@@ -19,6 +20,7 @@ class Likeness(NamedTuple):
     samples: int
 
 
+@checked
 def compare_samples(reference: JointSamples, other: JointSamples, every: int = 1) -> Likeness:
     """Mean and standard deviation of the distances between closest points of two clouds of rotations,
     in the chart of the reference; every so many samples.

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
+from ..arguments import checked
 from ..body.chart import Chart
 from ..body.limit_surface import LimitSurface, SurfaceLimits, density
 from ..body.primitives import LEVEL, STIFFNESS
@@ -26,6 +27,7 @@ REACH = 1 / 3
 SAMPLED, KEPT = 4000, 256
 
 
+@checked
 def learn_limits(
     samples: Mapping[str, JointSamples],
     *,

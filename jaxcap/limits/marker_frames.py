@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from ..arguments import checked
 from ..errors import InputError
 from ..observe import MarkerFrames
 from .samples import BLOCK, JointSamples
@@ -14,6 +15,7 @@ from .samples import BLOCK, JointSamples
 FLAT = 0.05
 
 
+@checked
 def arm_samples(
     frames: MarkerFrames,
     markers: Sequence[str],

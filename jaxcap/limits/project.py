@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import checked
 from ..body.limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
@@ -15,6 +16,7 @@ from .check import nearest_frames, over_frames
 ROUNDS = 4
 
 
+@checked
 @eqx.filter_jit
 def project_motion(
     limits: AbstractLimits, skeleton: Skeleton, motion: Motion, smoothness: float = 0.02, rounds: int = ROUNDS

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
@@ -58,6 +59,7 @@ def parse_joints(text: str) -> tuple[tuple[str, str | None], ...]:
     return tuple((name, found[name]) for name in ordered)
 
 
+@checked
 def gather_samples(
     motions: Sequence[tuple[Skeleton, Motion]],
     joint: str,

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
+from ..arguments import checked
 from ..body.pose import Motion, take_poses
 from ..body.symmetry import bones_of
 from ..observe import MarkerFrames
@@ -59,6 +60,7 @@ class Calibration(NamedTuple):
     converged: bool
 
 
+@checked
 def calibrate(
     frames: MarkerFrames,
     subject: Subject,

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import checked
 from ..body.kinematics import forward_kinematics, joint_positions
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
@@ -15,6 +16,7 @@ from .residuals import rest_places
 from .subject import Subject
 
 
+@checked
 def joint_frames(
     skeleton: Skeleton, motion: Motion, lost: Bool[np.ndarray, "F"] | None = None
 ) -> MarkerFrames:
@@ -27,6 +29,7 @@ def joint_frames(
     return MarkerFrames(np.where(seen[..., None], places, 0), seen, skeleton.names, motion.rate)
 
 
+@checked
 def fill_gaps(
     subject: Subject,
     motion: Motion,

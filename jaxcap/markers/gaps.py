@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
+from ..arguments import checked
 from ..geometry.procrustes import rigid_fit
 from ..observe import MarkerFrames
 
@@ -110,6 +111,7 @@ def find_pieces(
     return tuple(sorted(chain for chain in chains.values() if len(chain) > 1))
 
 
+@checked
 def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None = None) -> MarkerFrames:
     """Markers with each chain of pieces as one, in the place of its first; without `chains` those of
     `find_pieces`. It is called as the first of its pieces that has a name not beginning with a star.

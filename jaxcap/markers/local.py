@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..observe import MarkerFrames
@@ -50,6 +51,7 @@ class LocalFit(NamedTuple):
     told: tuple[str, ...]
 
 
+@checked
 def fit_local(
     frames: MarkerFrames,
     segments: Segments | None = None,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..arguments import checked
 from .cover import maximal_sets
 from .deviation import TAIL, median_distances, pair_deviations
 from .segment import Segments, make_segments
@@ -34,6 +35,7 @@ class Partition(NamedTuple):
     cover: tuple[tuple[int, ...], ...]
 
 
+@checked
 def find_partition(
     places: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..arguments import checked
+
 
 class Segments(NamedTuple):
     """A partition of M markers into K segments; a marker of no segment is loose."""
@@ -34,6 +36,7 @@ class Segments(NamedTuple):
         return self.of_marker < 0
 
 
+@checked
 def make_segments(members, num_markers: int, weights=None, names=None) -> Segments:
     """Checked `Segments`; `weights (M,)` one and `names` `segment0`, `segment1`, ... where not given.
 

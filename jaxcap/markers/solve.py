@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..geometry.stacking import concatenate
 from ..observe import MarkerFrames
@@ -45,6 +46,7 @@ class MarkerSolution(NamedTuple):
     told: tuple[str, ...]
 
 
+@checked
 def solve_markers(subject: Subject, frames: MarkerFrames, search: Search = Search()) -> MarkerSolution:
     """The pose of every frame, each started at the one before it.
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..arguments import checked
 from ..body.pose import Pose, rest_pose
 from .frame import Search, solve_frame
 from .guess import guess_poses
@@ -35,6 +36,7 @@ class StreamState(NamedTuple):
     lost: Int[Array, ""]
 
 
+@checked
 def make_streamer(subject: Subject, search: Search = LIVE) -> tuple[Streamer, StreamState]:
     """A streamer, already compiled, and the state before the first frame."""
     streamer = Streamer(subject, search)
@@ -47,6 +49,7 @@ def make_streamer(subject: Subject, search: Search = LIVE) -> tuple[Streamer, St
     return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), jnp.asarray(0))
 
 
+@checked
 def stream_frame(
     streamer: Streamer,
     state: StreamState,

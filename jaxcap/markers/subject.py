@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arguments import check_fields, check_length, checked
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
@@ -35,12 +36,18 @@ class Subject(eqx.Module):
     labels: tuple[str, ...] = eqx.field(static=True)
     models: tuple[str, ...] = eqx.field(static=True)
 
+    def __check_init__(self):
+        lengths = check_fields(self)
+        for name in ("labels", "models"):
+            check_length(self, name, len(getattr(self, name)), lengths, "M")
+
     @property
     def num_markers(self) -> int:
         """M, the number of markers."""
         return len(self.labels)
 
 
+@checked
 def make_subject(
     skeleton: Skeleton,
     bones: Sequence[int] | np.ndarray,
@@ -90,6 +97,7 @@ def make_subject(
     return Subject(skeleton, jnp.asarray(bones, jnp.int32), offsets, weights, deviations, labels, models)
 
 
+@checked
 def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
     """Where a pose puts the markers, metres; those on circles and spheres as if they were rigid."""
     transforms = forward_kinematics(subject.skeleton, pose)

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..arguments import checked
 from ..observe import MarkerFrames
 
 
+@checked
 def unite_takes(takes: Sequence[MarkerFrames]) -> MarkerFrames:
     """The frames of several takes one after the other. Equal labels are the same marker, and one that a
     take does not have is not seen in it; labels stand in the order in which they first appear. The rate is

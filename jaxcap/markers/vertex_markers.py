@@ -5,11 +5,13 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from ..arguments import checked
 from ..body.body import Body, deform_all, take_vertices
 from ..body.pose import Motion
 from ..observe import MarkerFrames, make_markers
 
 
+@checked
 def vertex_frames(body: Body, motion: Motion, vertices: Sequence[int], labels: Sequence[str]) -> MarkerFrames:
     """The places of some vertices in every frame, as the skin carries them, under labels of their own.
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Integer
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.skeleton import Skeleton
 from ..body.skin import AbstractSkin, LinearSkin, RigidSkin
@@ -17,6 +18,7 @@ from .place import place_human
 METHODS = ("automatic", "envelopes", "heat")
 
 
+@checked
 def rig_mesh(
     vertices: Float[np.ndarray, "V 3"],
     faces: Integer[np.ndarray, "F 3"],

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
 from .depth import make_surface, render_depth
@@ -13,6 +14,7 @@ from .noise import spoil
 from .settings import Scanner, check_scanner
 
 
+@checked
 def scan_frame(
     scanner: Scanner,
     cameras: Sequence[Camera],

@@ -14,7 +14,7 @@ from ..fit.posterior import posterior
 from ..geometry.closest import nearest_on_surface
 from ..geometry.mesh import vertex_normals
 from ..geometry.normals import estimate_normals
-from ..observe import Cloud, make_cloud
+from ..observe import Cloud, ordered_cloud, unit_normals
 from ..report.pictures import HEAT
 from ..report.render import distinct_colours
 from .clouds import SeenCloud, some_rows
@@ -128,7 +128,8 @@ def posterior_colours(
         normals = np.zeros_like(points)
     else:
         normals = estimate_normals(points) if cloud.normals is None else cloud.normals[rows]
-    judged = make_cloud(points, normals)
+    # what is shown may be of any unit
+    judged = ordered_cloud(points, unit_normals(normals), np.ones(len(points)))
     found = _posterior(colours, np.asarray(vertices), judged, np.asarray(sigma))
     parts, weights, outlier = (
         np.asarray(values)[: len(points)] for values in (found.parts, found.weights, found.outlier)

@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 from jaxtyping import Array, Float, Int
 
+from ...arguments import check_fields
 from ..kinematics import Transforms
 from ..pose import Pose
 from ..rates import Rates
@@ -20,6 +21,9 @@ class AbstractSkin(eqx.Module):
     (`jacobian`); and it gives the skin of some of the vertices (`take`) and of other points on
     the same surface (`carry`).
     """
+
+    def __check_init__(self):
+        check_fields(self)
 
     @abc.abstractmethod
     def deform(

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ...arguments import checked
 from ...geometry import dualquat
 from ..rates import bones_below, field_rows
 from ..skeleton import Skeleton
@@ -95,6 +96,7 @@ class SwingTwistSkin(AbstractSkin):
         return rows + self.swing[:, joints][:, None] * (levers @ rates.swing.reshape(-1, 12).T)
 
 
+@checked
 def swing_twist_from(skin: AbstractSkin, skeleton: Skeleton) -> SwingTwistSkin:
     """A swing-twist skin from any other: the way to it from a body with LBS weights.
 

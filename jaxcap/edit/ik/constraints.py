@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from ...arguments import check_fields, checked
 from ...body.body import Body, take_vertices
 from ...body.skeleton import Skeleton
 from ...body.skin import RigidSkin
@@ -58,7 +59,11 @@ class Constraints(eqx.Module):
     weights: Float[Array, "C"]
     pinned: Bool[Array, "C"]
 
+    def __check_init__(self):
+        check_fields(self)
 
+
+@checked
 def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constraints:
     """Arrays of constraints, vertices first, padded to 16, 64, 256, ... points.
 

@@ -9,6 +9,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
+from ...arguments import check_fields, checked
 from ...body.anatomy import rest_deviations
 from ...body.body import Body, pose_body
 from ...body.limits import AbstractLimits
@@ -66,6 +67,9 @@ class IkOptions(eqx.Module):
     #: most steps of one solve
     max_steps: int = eqx.field(static=True, default=32)
 
+    def __check_init__(self):
+        check_fields(self)
+
 
 class IkSolution(eqx.Module):
     """The outcome of `solve_ik`."""
@@ -78,6 +82,7 @@ class IkSolution(eqx.Module):
     result: optx.RESULTS
 
 
+@checked
 def solve_ik(
     body: Body,
     start: Pose,

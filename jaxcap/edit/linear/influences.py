@@ -4,11 +4,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ...arguments import checked
 from ...body.body import Body
 from ...body.influences import strongest_weights
 from ...body.skin import LinearSkin
 
 
+@checked
 def limit_influences(body: Body, count: int = 4) -> Body:
     """The body with the `count` strongest bones of each vertex, their weights sharing what the
     others leave. How far that moves the surface, `pose_body` of both tells.

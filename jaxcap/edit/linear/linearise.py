@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...arguments import checked
 from ...body.body import Body
 from ...body.influences import strongest_bones
 from ...body.pose import Motion, Pose, take_poses
@@ -58,6 +59,7 @@ class Linearised(eqx.Module):
     mean_error: float = eqx.field(static=True)
 
 
+@checked
 def linearise(
     body: Body, poses: Pose, tolerance: float = 1e-3, *, influences: int = 4, most: int = 256
 ) -> Linearised:
@@ -97,6 +99,7 @@ def linearise(
         chosen = np.union1d(chosen, worst)
 
 
+@checked
 def linear_pose(linearised: Linearised, pose: Pose) -> Pose:
     """A pose of the source as a pose of the linearised body."""
     if linearised.bones is None:
@@ -109,6 +112,7 @@ def _all_poses(linearised: Linearised, poses: Pose) -> Pose:
     return jax.lax.map(lambda pose: linear_pose(linearised, pose), poses)
 
 
+@checked
 def linear_motion(linearised: Linearised, motion: Motion) -> Motion:
     """A motion of the source as a motion of the linearised body.
 

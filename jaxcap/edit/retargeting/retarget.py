@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...arguments import checked
 from ...body.kinematics import forward_kinematics, joint_positions
 from ...body.pose import Motion, Pose, rest_pose, universal_angles
 from ...body.skeleton import Skeleton
@@ -20,6 +21,7 @@ from .plan import UP, RetargetPlan, plan_retarget
 LOWEST = 0.02
 
 
+@checked
 def retarget(
     motion: Motion,
     source: Skeleton,

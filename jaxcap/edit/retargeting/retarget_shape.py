@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ...arguments import checked
 from ...body.body import Body, deform_all
 from ...body.pose import Motion, concatenate_poses, shift_roots, take_poses
 from ...fit.registered import fit_meshes
@@ -42,6 +43,7 @@ class ShapeRetarget(NamedTuple):
     floor: float
 
 
+@checked
 def retarget_shape(
     motion: Motion,
     source: Body,

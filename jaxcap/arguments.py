@@ -1,0 +1,348 @@
+"""Check what is given to public classes and functions against their annotations, and answer in a sentence.
+
+Only shapes, kinds of numbers and types are looked at, never values, so that nothing is copied from a device, and traced
+arrays pass as any others. JAX rebuilds modules inside `vmap`, `tree_map` and `scan` without their constructors: what it
+puts into them there is not checked.
+"""
+
+import collections.abc
+import dataclasses
+import functools
+import inspect
+import numbers
+import os
+import types
+import typing
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union
+
+import numpy as np
+
+from .errors import InputError
+
+Function = TypeVar("Function", bound=Callable)
+#: metres that a body or what is around it is wide at most, and what other units are in metres
+LARGEST = 50.0
+_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
+#: a length by its name in annotations, and the field or argument that it is of
+Lengths = dict[str, tuple[int, str]]
+
+
+def check_fields(module: Any) -> Lengths:
+    """Check the fields of a dataclass against their annotations; for `__check_init__` of an `equinox.Module`.
+
+    Returns the lengths that the annotations have names for, each with a field that has it.
+
+    **Raises:** `InputError` with the class, the field, what was given and what is expected.
+    """
+    lengths: Lengths = {}
+    for name, annotation in _fields(type(module)):
+        _check(type(module).__name__, name, annotation, getattr(module, name), lengths)
+    return lengths
+
+
+def lengths_of(module: Any) -> Lengths:
+    """The lengths of a checked module's arrays that its annotations have names for."""
+    lengths: Lengths = {}
+    for name, annotation in _fields(type(module)):
+        _mismatch(annotation, getattr(module, name), lengths, name)
+    return lengths
+
+
+def check_length(module: Any, name: str, there: int, lengths: Lengths, dim: str) -> None:
+    """That something of a field counts as many as the dimension `dim` of others.
+
+    **Raises:** `InputError` with the class, the field, what was given and what is expected.
+    """
+    size, owner = lengths.get(dim, (there, name))
+    if there != size:
+        raise InputError(
+            f"{type(module).__name__}: `{name}` is of {there}; expected is {size}, {dim} of `{owner}`."
+        )
+
+
+def check_rate(where: str, rate: Any) -> None:
+    """That a rate is a number of frames a second. Raises `InputError`."""
+    if isinstance(rate, numbers.Real) and not 0 < rate < float("inf"):
+        raise InputError(f"{where}: `rate` is {rate}; expected is a number of frames a second above 0.")
+
+
+def check_metres(where: str, name: str, points: np.ndarray) -> None:
+    """That points of one body or scene are in metres: not over 50 m wide, but for one point in twenty at each end.
+
+    **Raises:** `InputError` with the unit that it may be.
+    """
+    if len(points) == 0:
+        return
+    extent = float(np.ptp(np.quantile(points, [0.05, 0.95], axis=0), axis=0).max())
+    if extent > LARGEST:
+        likely = [unit for unit, size in _UNITS.items() if 0.3 <= extent * size <= 3.0]
+        unit = (
+            f"it looks like {likely[0]}: multiply by {_UNITS[likely[0]]:g}, or read the file in its unit"
+            if likely
+            else "check the unit"
+        )
+        raise InputError(
+            f"{where}: `{name}` is {extent:.4g} wide; expected are metres, at most {LARGEST:g}; {unit}."
+        )
+
+
+@functools.cache
+def _fields(kind: Any) -> tuple[tuple[str, Any], ...]:
+    return tuple(
+        (field.name, field.type) for field in dataclasses.fields(kind) if not isinstance(field.type, str)
+    )
+
+
+def checked(function: Function) -> Function:
+    """Decorate a public function so that its arguments are checked against their annotations when it is called.
+
+    Arrays have to have the shapes and kinds of numbers of the annotation, with equal lengths where these have one name; and
+    poses have to be of as many joints as the body or skeleton that they are given with.
+
+    **Raises:** `InputError` with the function, the argument, what was given and what is expected.
+    """
+    signature, name = inspect.signature(function), getattr(function, "__name__", str(function))
+
+    @functools.cache
+    def hints() -> dict[str, Any]:
+        try:
+            found = typing.get_type_hints(inspect.unwrap(function))
+        except NameError:
+            # a name that is there for type checkers only
+            found = {key: value.annotation for key, value in signature.parameters.items()}
+        return {key: value for key, value in found.items() if not isinstance(value, str) and key != "return"}
+
+    @functools.wraps(function)
+    def wrapper(*arguments, **named):
+        try:
+            given = signature.bind(*arguments, **named).arguments
+        except TypeError as error:
+            raise InputError(f"{name}: {error}; it takes {signature_words(signature)}.") from None
+        lengths: Lengths = {}
+        for key, value in given.items():
+            kind = signature.parameters[key].kind
+            if key in hints() and kind not in (kind.VAR_POSITIONAL, kind.VAR_KEYWORD):
+                _check(name, key, hints()[key], value, lengths)
+        _check_joints(name, given)
+        return function(*arguments, **named)
+
+    return typing.cast(Function, wrapper)
+
+
+def signature_words(signature: inspect.Signature) -> str:
+    """The names of a function's arguments, those that may be left out in brackets."""
+    words = [
+        key if value.default is value.empty else f"[{key}]" for key, value in signature.parameters.items()
+    ]
+    return ", ".join(words) or "no arguments"
+
+
+def describe(value: Any) -> str:
+    """What was given, in words: an array by its shape and numbers, another thing by its class."""
+    if value is None or isinstance(value, (bool, int, float)):
+        return f"is {value}"
+    if isinstance(value, (str, Path)):
+        return f"is {str(value)[:40]!r}"
+    if _is_array(value):
+        return f"has {_kind(value)} numbers of shape {_shape(value)}"
+    name = value.__name__ if isinstance(value, type) else type(value).__name__
+    article = "an" if name[:1].lower() in "aeiou" else "a"
+    return f"is the class {name} itself" if isinstance(value, type) else f"is {article} {name}"
+
+
+def _check(where: str, name: str, annotation: Any, value: Any, lengths: Lengths) -> None:
+    expected = _mismatch(annotation, value, lengths, name)
+    if expected is not None:
+        raise InputError(f"{where}: `{name}` {describe(value)}; expected is {expected}.")
+
+
+def _mismatch(annotation: Any, value: Any, lengths: Lengths, name: str) -> str | None:
+    """None where a value is what an annotation says, else what is expected, in words."""
+    is_array, origin, parts = _parsed(annotation)
+    if is_array:
+        return _array_mismatch(annotation, value, lengths, name)
+    if origin in (Union, types.UnionType):
+        return _union_mismatch(parts, value, lengths, name)
+    if origin is Literal:
+        return None if value in parts else f"one of {', '.join(map(repr, parts))}"
+    if annotation in (None, type(None)):
+        return None if value is None else "None"
+    if origin is not None:
+        return _generic_mismatch(origin, parts, value, lengths, name)
+    if not isinstance(annotation, type):
+        return None
+    return None if _is_instance(value, annotation) else _named(annotation)
+
+
+@functools.cache
+def _parsed(annotation: Any) -> tuple[bool, Any, tuple]:
+    """Whether an annotation is of an array, and the parts of a generic one."""
+    is_array = hasattr(annotation, "dim_str") and hasattr(annotation, "dtypes")
+    return is_array, typing.get_origin(annotation), typing.get_args(annotation)
+
+
+def _union_mismatch(parts: tuple, value: Any, lengths: Lengths, name: str) -> str | None:
+    expected = []
+    for part in parts:
+        own = dict(lengths)
+        wanted = _mismatch(part, value, own, name)
+        if wanted is None:
+            lengths.update(own)
+            return None
+        expected.append(wanted)
+    return " or ".join(dict.fromkeys(expected))
+
+
+def _generic_mismatch(origin: Any, parts: tuple, value: Any, lengths: Lengths, name: str) -> str | None:
+    if origin is collections.abc.Callable:
+        return None if callable(value) else "a function"
+    if origin in (dict, collections.abc.Mapping):
+        return None if isinstance(value, collections.abc.Mapping) else "a mapping"
+    if origin not in (list, tuple, collections.abc.Sequence, collections.abc.Iterable):
+        return None
+    of = _named(parts[0]) if parts and isinstance(parts[0], type) else "its elements"
+    if isinstance(value, (str, bytes)) or not (hasattr(value, "__iter__") or hasattr(value, "__getitem__")):
+        return f"a sequence of {of.removeprefix('a ').removeprefix('an ')}"
+    fixed = origin is tuple and parts and parts[-1] is not Ellipsis
+    if not isinstance(value, (list, tuple)) or not parts:
+        return None
+    if fixed and len(value) != len(parts):
+        return f"{len(parts)} of them"
+    for number, element in enumerate(value):
+        wanted = _mismatch(parts[number] if fixed else parts[0], element, {}, name)
+        if wanted is not None:
+            return f"{wanted} at place {number}, where it {describe(element)}"
+    return None
+
+
+def _is_instance(value: Any, kind: type) -> bool:
+    scalar = _is_array(value) and _shape(value) == ()
+    if kind is float:
+        return isinstance(value, numbers.Real) or (scalar and _kind(value) in ("floating-point", "integer"))
+    if kind is int:
+        return isinstance(value, numbers.Integral) or (scalar and _kind(value) == "integer")
+    if kind is bool:
+        return isinstance(value, (bool, np.bool_)) or (scalar and _kind(value) == "boolean")
+    if kind is Path:
+        return isinstance(value, (str, os.PathLike))
+    try:
+        return isinstance(value, kind)
+    except TypeError:
+        # a protocol that is not for run time
+        return True
+
+
+def _array_mismatch(annotation: Any, value: Any, lengths: Lengths, name: str) -> str | None:
+    given, dims = _array_like(value), _dims(annotation)
+    if (
+        given is not None
+        and _numbers_fit(annotation, given)
+        and _lengths_fit(dims, _shape(given), lengths, name)
+    ):
+        return None
+    kind = getattr(annotation.dtype, "__name__", "").lower()
+    what = {"float": "floating-point ", "int": "integer ", "integer": "integer ", "bool": "boolean "}.get(
+        kind, ""
+    )
+    if not dims:
+        return f"one {what}number"
+    shape = ", ".join("..." if dim[0] in "*." else dim.lstrip("#_") or "any" for dim in dims)
+    known = {dim: lengths[dim] for dim in dims if dim in lengths}
+    where = " and ".join(f"{dim} is {size} as in `{owner}`" for dim, (size, owner) in known.items())
+    return f"an array of {what}numbers of shape ({shape}{',' * (len(dims) == 1)})" + (
+        f", where {where}" if where else ""
+    )
+
+
+@functools.cache
+def _dims(annotation: Any) -> tuple[str, ...]:
+    return tuple(annotation.dim_str.split())
+
+
+def _array_like(value: Any) -> Any:
+    """An array, or a number as one; None for anything else."""
+    if isinstance(value, (bool, int, float, np.generic)):
+        return np.asarray(value)
+    return value if _is_array(value) else None
+
+
+def _numbers_fit(annotation: Any, value: Any) -> bool:
+    # a plain number of Python becomes what is needed: an integer is a floating-point number then
+    plain = isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind in "iu"
+    return _dtype_fits(annotation, value.dtype) or (plain and _dtype_fits(annotation, np.dtype(np.float32)))
+
+
+@functools.cache
+def _dtype_fits(annotation: Any, dtype: Any) -> bool:
+    names = annotation.dtypes
+    return not isinstance(names, (list, tuple)) or str(dtype) in names
+
+
+def _lengths_fit(dims: tuple[str, ...], shape: tuple, lengths: Lengths, name: str) -> bool:
+    """Whether a shape has the lengths of an annotation, those with one name being equal; new names are added."""
+    variadic = [number for number, dim in enumerate(dims) if dim[0] in "*."]
+    if variadic:
+        before, after = variadic[0], len(dims) - variadic[0] - 1
+        if len(shape) < before + after:
+            return False
+        shape = (*shape[:before], *shape[len(shape) - after :])
+        dims = (*dims[:before], *dims[before + 1 :])
+    if len(dims) != len(shape):
+        return False
+    found: Lengths = {}
+    for dim, size in zip(dims, shape, strict=True):
+        if dim.isdigit():
+            if size != int(dim):
+                return False
+        elif dim.isidentifier() and not dim.startswith("_"):
+            if {**lengths, **found}.get(dim, (size, ""))[0] != size:
+                return False
+            found.setdefault(dim, (size, name))
+    for dim, entry in found.items():
+        lengths.setdefault(dim, entry)
+    return True
+
+
+def _check_joints(where: str, given: dict[str, Any]) -> None:
+    """That poses and motions have as many joints as the one body or skeleton that they are given with."""
+    owners = {key: count for key, value in given.items() if (count := _owned_joints(value)) is not None}
+    if len(owners) != 1:
+        return
+    ((owner, count),) = owners.items()
+    for key, value in given.items():
+        rotations = getattr(getattr(value, "poses", value), "rotations", None)
+        if key != owner and hasattr(rotations, "shape") and hasattr(getattr(value, "poses", value), "scale"):
+            there = rotations.shape[-2] if len(rotations.shape) > 1 else None
+            if there != count:
+                raise InputError(
+                    f"{where}: `{key}` has {there} joints; expected is {count} as in `{owner}`, such as "
+                    "rest_pose(skeleton) has, or retarget it."
+                )
+
+
+def _owned_joints(value: Any) -> int | None:
+    skeleton = getattr(getattr(value, "body", value), "skeleton", value)
+    joints = getattr(skeleton, "num_joints", None)
+    return joints if isinstance(joints, int) else None
+
+
+def _named(kind: type) -> str:
+    plain = {int: "a whole number", float: "a number", bool: "True or False", str: "a text", Path: "a path"}
+    article = "an" if kind.__name__[:1].lower() in "aeiou" else "a"
+    return plain.get(kind, f"{article} {kind.__name__}")
+
+
+def _is_array(value: Any) -> bool:
+    return hasattr(value, "dtype") and isinstance(getattr(value, "shape", None), tuple)
+
+
+def _shape(value: Any) -> tuple:
+    return tuple(value.shape)
+
+
+def _kind(value: Any) -> str:
+    kinds = {"f": "floating-point", "i": "integer", "u": "unsigned integer", "b": "boolean", "c": "complex"}
+    name = str(value.dtype)
+    return "floating-point" if "float" in name else kinds.get(getattr(value.dtype, "kind", ""), name)
