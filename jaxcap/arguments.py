@@ -26,7 +26,7 @@ Function = TypeVar("Function", bound=Callable)
 LARGEST = 50.0
 _UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 #: a length by its name in annotations, and the field or argument that it is of
-Lengths = dict[str, tuple[int, str]]
+Lengths = dict[str, tuple[Any, str]]
 
 
 def check_fields(module: Any) -> Lengths:
@@ -64,7 +64,7 @@ def check_length(module: Any, name: str, there: int, lengths: Lengths, dim: str)
 
 def check_rate(where: str, rate: Any) -> None:
     """That a rate is a number of frames a second. Raises `InputError`."""
-    if isinstance(rate, numbers.Real) and not 0 < rate < float("inf"):
+    if isinstance(rate, (int, float)) and not 0 < rate < float("inf"):
         raise InputError(f"{where}: `rate` is {rate}; expected is a number of frames a second above 0.")
 
 
@@ -150,6 +150,24 @@ def describe(value: Any) -> str:
     name = value.__name__ if isinstance(value, type) else type(value).__name__
     article = "an" if name[:1].lower() in "aeiou" else "a"
     return f"is the class {name} itself" if isinstance(value, type) else f"is {article} {name}"
+
+
+def array(value: Any) -> Any:
+    """Convert a field to an array of JAX where that can be; leave anything else to `check_fields`, which has words for it."""
+    import jax.numpy as jnp
+
+    try:
+        return jnp.asarray(value)
+    except (TypeError, ValueError):
+        return value
+
+
+def numbers_of(where: str, name: str, value: Any) -> np.ndarray:
+    """Floating-point numbers of anything that has some. Raises `InputError` for anything else."""
+    try:
+        return np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: `{name}` {describe(value)}; expected is an array of numbers.") from None
 
 
 def _check(where: str, name: str, annotation: Any, value: Any, lengths: Lengths) -> None:
@@ -287,6 +305,10 @@ def _lengths_fit(dims: tuple[str, ...], shape: tuple, lengths: Lengths, name: st
         before, after = variadic[0], len(dims) - variadic[0] - 1
         if len(shape) < before + after:
             return False
+        # `*frames` are as many dimensions, and as long, wherever they stand
+        whole = shape[before : len(shape) - after]
+        if lengths.setdefault(dims[before], (whole, name))[0] != whole and dims[before] != "...":
+            return False
         shape = (*shape[:before], *shape[len(shape) - after :])
         dims = (*dims[:before], *dims[before + 1 :])
     if len(dims) != len(shape):
@@ -312,7 +334,7 @@ def _check_joints(where: str, given: dict[str, Any]) -> None:
         return
     ((owner, count),) = owners.items()
     for key, value in given.items():
-        rotations = getattr(getattr(value, "poses", value), "rotations", None)
+        rotations: Any = getattr(getattr(value, "poses", value), "rotations", None)
         if key != owner and hasattr(rotations, "shape") and hasattr(getattr(value, "poses", value), "scale"):
             there = rotations.shape[-2] if len(rotations.shape) > 1 else None
             if there != count:

@@ -10,7 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .arguments import check_fields, check_length, check_metres, check_rate, checked, describe
+from .arguments import (
+    array,
+    check_fields,
+    check_length,
+    check_metres,
+    check_rate,
+    checked,
+    describe,
+    numbers_of,
+)
 from .errors import InputError
 from .geometry.normals import estimate_normals
 from .geometry.order import spatial_order
@@ -50,9 +59,9 @@ class MeshSequence(eqx.Module):
     mesh, `(V, 3)`; a slice or an array of numbers picks a shorter sequence.
     """
 
-    vertices: Float[Array, "F V 3"] = eqx.field(converter=jnp.asarray)
+    vertices: Float[Array, "F V 3"] = eqx.field(converter=array)
     #: counter-clockwise as seen from outside
-    faces: Int[Array, "T 3"] = eqx.field(converter=jnp.asarray)
+    faces: Int[Array, "T 3"] = eqx.field(converter=array)
     #: meshes a second
     rate: float = eqx.field(static=True, default=30.0)
 
@@ -83,14 +92,15 @@ class MarkerFrames(eqx.Module):
     some of the frames. `make_markers` checks and takes NaN for what is not seen.
     """
 
-    places: Float[Array, "F M 3"] = eqx.field(converter=jnp.asarray)
-    seen: Bool[Array, "F M"] = eqx.field(converter=jnp.asarray)
+    places: Float[Array, "F M 3"] = eqx.field(converter=array)
+    seen: Bool[Array, "F M"] = eqx.field(converter=array)
     labels: tuple[str, ...] = eqx.field(static=True)
     #: frames a second
     rate: float = eqx.field(static=True, default=100.0)
 
     def __check_init__(self):
-        check_length(self, "labels", len(self.labels), check_fields(self), "M")
+        lengths = check_fields(self)
+        check_length(self, "labels", len(self.labels), lengths, "M")
         check_rate("MarkerFrames", self.rate)
 
     def __len__(self) -> int:
@@ -111,8 +121,9 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
     **Raises:** `InputError` with one sentence for another shape, no frames, no markers, labels too many,
     too few, empty or twice the same, a place that is infinite, and a rate that is not above zero.
     """
-    places, labels = np.asarray(places), tuple(str(label) for label in labels)
-    places = places if places.dtype in (np.float32, np.float64) else places.astype(float)
+    labels = tuple(str(label) for label in labels)
+    single = getattr(places, "dtype", None) == np.float32
+    places = np.asarray(places) if single else numbers_of("make_markers", "places", places)
     if places.ndim != 3 or places.shape[2] != 3:
         raise InputError(f"{name} have an array of shape {places.shape}; markers come as (F, M, 3).")
     if places.shape[1] == 0:
@@ -150,7 +161,7 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     **Raises:** `InputError` with one sentence for an empty cloud, a coordinate that is not
     finite, a negative weight, or arrays of different lengths.
     """
-    points = np.asarray(points, float)
+    points = numbers_of("make_cloud", "points", points)
     if points.ndim != 2 or points.shape[1:] != (3,):
         raise InputError(f"{name} has an array of shape {points.shape}; points come as (N, 3).")
     if len(points) == 0:
@@ -161,8 +172,8 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
             f"{name} has {bad.size} points that are not finite, the first of them point {bad[0]}; remove them."
         )
     check_metres("make_cloud", "points" if name == "the cloud" else name, points)
-    normals = estimate_normals(points) if normals is None else np.asarray(normals, float)
-    weights = np.ones(len(points)) if weights is None else np.asarray(weights, float)
+    normals = estimate_normals(points) if normals is None else numbers_of("make_cloud", "normals", normals)
+    weights = np.ones(len(points)) if weights is None else numbers_of("make_cloud", "weights", weights)
     if normals.shape != points.shape or weights.shape != points.shape[:1]:
         raise InputError(
             f"{name} has {len(points)} points, but normals of shape {normals.shape} and weights of "
@@ -205,7 +216,7 @@ def padded_size(count: int, rungs: Sequence[int] = (64, 80, 96, 112), growth: in
     return next(scale * rung for rung in rungs if count <= scale * rung)
 
 
-class CloudFrames(Sequence):
+class CloudFrames(Sequence[Cloud]):
     """Any sequence of frames as one of clouds, each made when it is asked for: clouds and scans, as `read_clouds` gives them,
     or one cloud that is stacked over frames.
 
@@ -224,6 +235,10 @@ class CloudFrames(Sequence):
     def __len__(self) -> int:
         return len(self._frames.points if isinstance(self._frames, Cloud) else self._frames)
 
+    @overload
+    def __getitem__(self, index: int) -> Cloud: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Cloud]: ...
     def __getitem__(self, index):
         if isinstance(index, slice):
             return [self[frame] for frame in range(len(self))[index]]
@@ -249,18 +264,18 @@ def as_cloud(frame: "Cloud | Scan", number: int = 0) -> Cloud:
 @checked
 def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
     """Clouds of one or of several sizes as one with a leading axis of frames."""
-    clouds = list(CloudFrames(clouds))
-    if not clouds:
+    frames: list[Cloud] = CloudFrames(clouds)[:]
+    if not frames:
         raise InputError("stack_clouds: `clouds` is empty; expected is one cloud at least.")
-    size = max(cloud.points.shape[0] for cloud in clouds)
+    size = max(cloud.points.shape[0] for cloud in frames)
 
     def padded(leaf):
         return jnp.pad(leaf, ((0, size - leaf.shape[0]),) + ((0, 0),) * (leaf.ndim - 1), mode="edge")
 
     return Cloud(
-        stack([padded(cloud.points) for cloud in clouds]),
-        stack([padded(cloud.normals) for cloud in clouds]),
-        stack([jnp.pad(cloud.weights, (0, size - cloud.weights.shape[0])) for cloud in clouds]),
+        stack([padded(cloud.points) for cloud in frames]),
+        stack([padded(cloud.normals) for cloud in frames]),
+        stack([jnp.pad(cloud.weights, (0, size - cloud.weights.shape[0])) for cloud in frames]),
     )
 
 

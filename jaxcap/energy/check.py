@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from ..arguments import describe
 from ..body.body import Body, pose_body
@@ -38,7 +39,7 @@ def check_numbers(energy: AbstractEnergy, body: Body) -> None:
     for term in map(bare, flat_terms(energy)):
         for field, what in _NUMBERS.items():
             numbers = getattr(term, field, None)
-            if isinstance(numbers, jax.core.Tracer) or not isinstance(numbers, (jax.Array, np.ndarray)):
+            if isinstance(numbers, Tracer) or not isinstance(numbers, (jax.Array, np.ndarray)):
                 continue
             if not np.issubdtype(numbers.dtype, np.integer) or not numbers.size:
                 continue

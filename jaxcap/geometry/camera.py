@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..arguments import check_fields, checked
+from ..arguments import array, check_fields, checked
 from ..errors import InputError
 
 #: fewer pixels along a side make no picture
@@ -22,12 +22,12 @@ class Camera(eqx.Module):
     first one is at (0, 0). Arrays of NumPy are taken as they are and become arrays of JAX.
     """
 
-    rotation: Float[Array, "3 3"] = eqx.field(converter=jnp.asarray)
-    translation: Float[Array, "3"] = eqx.field(converter=jnp.asarray)
+    rotation: Float[Array, "3 3"] = eqx.field(converter=array)
+    translation: Float[Array, "3"] = eqx.field(converter=array)
     #: focal lengths across and down, pixels
-    focal: Float[Array, "2"] = eqx.field(converter=jnp.asarray)
+    focal: Float[Array, "2"] = eqx.field(converter=array)
     #: where the optical axis meets the picture, pixels
-    principal_point: Float[Array, "2"] = eqx.field(converter=jnp.asarray)
+    principal_point: Float[Array, "2"] = eqx.field(converter=array)
     #: pixels in a row, and rows
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
