@@ -11,7 +11,7 @@ from helpers import chain_body
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.fit.check import check_cloud
+from jaxcap.fit.check import check_cloud, check_extent
 from jaxcap.io.bvh import write_bvh
 from jaxcap.io.lock import run_lock
 from jaxcap.io.npz import save_body, save_motion
@@ -296,4 +296,4 @@ def test_units_that_a_scan_may_be_in_are_named(share, factor, likely):
     height = np.ptp(np.asarray(body.vertices), axis=0).max()
     seen = np.linspace([0.0, 0.0, 0.1], [0.1, share * height, 0.1], 200)
     with pytest.raises(InputError, match=re.escape(likely)):
-        check_cloud(body, make_cloud(factor * seen, seen))
+        check_extent(body, factor * seen, "the cloud")
