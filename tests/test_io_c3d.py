@@ -247,7 +247,7 @@ def test_paths_that_are_wrong(tmp_path):
     long = jc.MarkerFrames(jnp.ones((65536, 1, 3)), jnp.ones((65536, 1), bool), ("A",), 100.0)
     with pytest.raises(InputError, match="65536 frames are more than the 65535"):
         jc.write_markers(tmp_path / "long.c3d", long)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.c3d"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.c3d", "some.what"]
 
 
 @pytest.mark.shared

@@ -141,7 +141,7 @@ def check_kind(path: str | Path, kind: str, suffixes: Sequence[str]) -> None:
     """Check that a file is not clearly of another kind than one of `WORDS`, for formats that are read whatever their name
     is. Raises `InputError`."""
     path = Path(path)
-    if path.is_dir() or path.suffix.lower() in FOREIGN or identify(path) not in (kind, "text", None):
+    if path.is_dir() or path.suffix.lower() in FOREIGN or identify(path) not in (kind, "text", "json", None):
         raise wrong_kind(path, WORDS[kind], suffixes)
 
 
@@ -192,6 +192,8 @@ def kind_of_json(content: Any) -> str:
     """Return the kind of what a JSON file holds."""
     if not isinstance(content, Mapping):
         return "json"
+    if content.get("format") == "jaxcap constraints":
+        return "constraints"
     kinds = {"cameras": "cameras", "constraints": "constraints", "body arrays": "scan", "joints": "keys"}
     found = next((kind for name, kind in kinds.items() if name in content), None)
     if found == "keys" and "rate" not in content:
