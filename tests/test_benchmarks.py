@@ -125,6 +125,25 @@ def test_adapt_crane(checkout, shared, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_adapt_unordered(checkout, shared, tmp_path):
+    options = (
+        "--scenes",
+        "woman",
+        "--frames",
+        "8",
+        "--resolution",
+        "low",
+        "--short",
+        "--pictures",
+        str(tmp_path),
+    )
+    line = run(checkout, "adapt_unordered", *options)
+    assert meets(line, "woman_found", "woman_unflagged")
+    assert (tmp_path / "woman.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_adapt_speed(checkout, shared):
     line = run(checkout, "adapt_speed", "--frames", "6")
     assert meets(line, "pose_s", "adaptation_s")

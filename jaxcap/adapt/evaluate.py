@@ -71,13 +71,14 @@ class Stages(NamedTuple):
 
     measured: tuple[int, ...]
     variants: tuple[Variant, ...] = ()
+    #: None where scans do not follow each other in time
     angles: Angles | None = None
 
 
 def variant_names(settings: Settings) -> list[str]:
     """Those that `compare_stages` tells of."""
     names = ["not adapted", "first frame", "many frames"]
-    return names if settings.temporal == 0.0 else [*names, "smooth"]
+    return [*names, "smooth"] if settings.smooth else names
 
 
 def compare_stages(task: Task, state: AdaptState, *, step: int = 1) -> Iterator[Stages]:
@@ -107,10 +108,11 @@ def compare_stages(task: Task, state: AdaptState, *, step: int = 1) -> Iterator[
     poses = _each_by_itself(task, first, stages.measured)
     yield (stages := _measured(stages, task, first, poses))
 
-    smooth = task.settings.temporal != 0.0
+    smooth = task.settings.smooth
     frames = tuple(sorted({*range(min(task.frames, CURVED)), *stages.measured}))
     alone = _each_by_itself(task, state, frames) if smooth else _taken(state.motion, frames)
-    stages = stages._replace(angles=_angles(alone, state.motion if smooth else None))
+    if not task.settings.unordered:
+        stages = stages._replace(angles=_angles(alone, state.motion if smooth else None))
     poses = _taken(alone, [frames.index(frame) for frame in stages.measured])
     yield (stages := _measured(stages, task, state, poses))
     if smooth:

@@ -13,9 +13,11 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
 from ..fit.correspond import Pairs, Scan
+from ..fit.likeliest import likelier_pose
 from ..fit.sequence import track_frames
 from ..fit.track import make_tracker
 from ..fit.turn_over import turn_over
+from .flagged import flag_frames
 from .meet import pairs_at, pose_at, some_of, told
 from .rounds import adapt_round
 from .rounds import shape_weight as shape_weight
@@ -27,6 +29,7 @@ from .task import Stage as Stage
 from .task import Task as Task
 from .task import plan as plan
 from .terms import balanced, motion_energy
+from .unordered import find_poses
 from .window import FRAMES, smooth_windows
 
 _LOG = logging.getLogger(__name__)
@@ -38,6 +41,9 @@ SIZED = 3
 BALANCE = 0.1
 #: weight of the pose prior while the first poses are found, where it is to be balanced with the data
 FIRST_WEIGHT = 1e-6
+
+#: mean log-likelihood by which a pose from before hands were turned over has to be better: they have few of the points
+TURNED = 0.05
 
 #: what is reached within a stage, and at its end
 Steps = Generator[AdaptState, None, AdaptState]
@@ -70,12 +76,15 @@ def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> I
                 state = adapt_round(task, state, scans, stage)
             else:
                 state = yield from _STAGES[stage.name](task, state, stage, every)
+        if number + 1 == len(stages):
+            state = flag_frames(task, state, final=True)
         yield (state := state._replace(done=number + 1))
 
 
 def _size(task: Task) -> AdaptState:
     """The first poses, and how large the actor is."""
-    frames = task.scanned[:SIZED]
+    # where scans do not follow each other the first one does not lead to others yet
+    frames = task.scanned[: 1 if task.settings.unordered else SIZED]
     scans = [task.scan(n) for n in frames]
     found = [_sized(task, scans, frames, task.template, 1.0)]
     if task.start is None:
@@ -128,6 +137,8 @@ def _between(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Array, 
 
 def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Hands that lie the wrong way up, which shows once proportions are the actor's; then all frames are tracked again."""
+    if task.settings.unordered:
+        return (yield from _turn_each(task, state, stage, every))
     if state.within:
         return (yield from _track(task, state, stage, every))
     first, tracker = task.scanned[:SIZED], make_tracker(state.body)
@@ -140,14 +151,42 @@ def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     return (yield from _track(task, state, stage, every, turned[0]))
 
 
+def _turn_each(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
+    """The same where a hand may lie the wrong way up in one scan and not in another."""
+    tracker, there = make_tracker(state.body), task.scanned
+    while state.within < len(there):
+        some = there[state.within :][: every or None]
+        poses = {n: state.motion[n] for n in there}
+        for n in some:
+            cloud = task.cloud(n)
+            (turned,) = turn_over(tracker, [cloud], [poses[n]])
+            poses[n] = likelier_pose(tracker, poses[n], turned, cloud)
+        state = state._replace(motion=_every_frame(task, poses), within=state.within + len(some))
+        if state.within < len(there):
+            yield state
+    return told(task, state._replace(within=0), str(stage), some_of(there))
+
+
 def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose | None = None) -> Steps:
-    """All frames, or the first ones, by the tracker, which is fast, and searches for frames that are lost."""
+    """All frames, or the first ones, by the tracker, which is fast, and searches for frames that are lost. A frame keeps
+    its pose where the tracker finds none that explains it better."""
+    if task.settings.unordered:
+        return (yield from _find(task, state, stage, every))
     there, passed = task.frames_of(stage), state.within
     if not passed:
-        state = state._replace(lost=tuple(task.missing), chosen=())
+        state = state._replace(lost=tuple(task.missing), reasons=(), chosen=())
     before = state.tracked or (state.motion[there[0]] if start is None else start)
     clouds = (task.cloud(n) for n in there[passed:])
-    frames = track_frames(make_tracker(state.body), clouds, before, sigma=0.03, first=passed)
+
+    def known(number: int) -> list[Pose]:
+        # those of the frame itself and of the one after it, as they were before this stage
+        return [own[n] for n in there[number : number + 2]]
+
+    own = state.motion
+    worth = TURNED if stage.name == "turn" else 0.0
+    frames = track_frames(
+        make_tracker(state.body), clouds, before, sigma=0.03, first=passed, known=known, worth=worth
+    )
     poses, lost = {n: state.motion[n] for n in there[:passed]}, set(state.lost)
     for done, (n, frame) in enumerate(zip(there[passed:], frames, strict=True), passed + 1):
         poses[n] = frame.pose
@@ -158,7 +197,21 @@ def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose 
             yield state._replace(motion=motion, lost=tuple(sorted(lost)), within=done, tracked=frame)
     motion = _every_frame(task, poses)
     state = state._replace(motion=motion, lost=tuple(sorted(lost)), within=0, tracked=None)
+    # with all frames known what is normal shows; of the first ones the tracker's own judgement counts
+    state = flag_frames(task, state) if stage.frames is None else state
     return told(task, state, str(stage), some_of(task.scanned) if stage.frames is None else there[-1:])
+
+
+def _find(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
+    """All frames, from those that are most like them."""
+    there = task.scanned
+    poses = {n: state.motion[n] for n in there}
+    for found, number in find_poses(task, state.body, poses, known=state.done > 1, done=state.within):
+        poses |= found.poses
+        if every and number % every == 0 and number < len(there):
+            yield state._replace(motion=_every_frame(task, poses), within=number)
+    state = state._replace(motion=_every_frame(task, poses), chosen=(), within=0)
+    return told(task, flag_frames(task, state), str(stage), some_of(there))
 
 
 def _poses(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:

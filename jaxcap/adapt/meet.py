@@ -50,7 +50,7 @@ def told(
     terms = Terms(
         data=float(np.mean(squares)),
         pose=pose_energy(task.prior, body, stack(poses)),
-        temporal=motion_energy(body.skeleton, state.motion),
+        temporal=0.0 if task.settings.unordered else motion_energy(body.skeleton, state.motion),
         shape=shape_energy(shape_prior_of(task, state), body),
         symmetry=symmetry_energy(body.skeleton, task.mirrored),
     )

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from ..arguments import checked
 from ..body.anatomy import rest_deviations
-from ..body.body import Body
+from ..body.body import Body, body_height
 from ..body.pose import Pose
 from ..body.pose_boxes import PoseBoxes
 from ..body.symmetry import mirrored_joints
@@ -18,6 +18,7 @@ from ..geometry.camera import Camera
 from ..observe import Cloud, CloudFrames
 from .people import people_like
 from .shape_prior import ShapePrior
+from .similarity import is_unordered
 from .task import Settings, Task
 
 
@@ -43,9 +44,11 @@ def make_task(
     **Arguments:** `clouds`, a `Cloud` for each frame, metres, asked for when they are needed, or as `read_clouds` gives them; `rate`, frames a second; `start`, a pose near
     that of the first frame, which is searched for where it is not given; `likely`, which poses are likely beside what
     anatomy says, such as `MahalanobisPrior(learn_pair_prior(...))`; `whole`, the body that the template was reduced from; the
-    others as in `Task`.
+    others as in `Task`. Whether the scans follow each other in time is found from some of them, unless
+    `settings.unordered` says so.
 
-    **Raises:** `ValueError` where no frame has a cloud.
+    **Raises:** `ValueError` where no frame has a cloud; `InputError` where `settings` ask for what unordered scans cannot
+    have.
     """
     clouds = CloudFrames(clouds)
     if len(clouds) <= len(set(missing)):
@@ -54,6 +57,18 @@ def make_task(
         )
     skeleton = template.skeleton
     prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), template.vertices.dtype))
+    missing = tuple(missing)
+    if settings.unordered is None:
+        scanned = sorted(set(range(len(clouds))) - set(missing))
+        settings = settings._replace(
+            unordered=is_unordered(clouds.__getitem__, scanned, float(body_height(template)))
+        )
+    if settings.unordered and (settings.every or settings.temporal):
+        raise InputError(
+            "The scans do not follow each other in time, which adapting while they are tracked and a weight of smooth "
+            "motion need; leave these out (every, temporal; --adapt-every, --smoothness), or give unordered=False or "
+            "--ordered if they do."
+        )
     return Task(
         template=template,
         cloud=clouds.__getitem__,
@@ -65,7 +80,7 @@ def make_task(
         settings=settings,
         people=people_like(template, whole),
         cameras=tuple(cameras),
-        missing=tuple(missing),
+        missing=missing,
         boxes=boxes,
         shape=shape,
         mesh=mesh,

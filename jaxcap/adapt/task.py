@@ -46,6 +46,14 @@ class Settings(NamedTuple):
     matching: Matching = Matching()
     #: vertices, joints and poses in one step of each round, and not one after the other
     together: bool = False
+    #: scans do not follow each other in time: no term couples them, and each is searched for from those that are most like
+    #: it; None is found by `make_task` from the scans
+    unordered: bool | None = None
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the motion is made smooth in time."""
+        return self.temporal != 0.0 and not self.unordered
 
 
 class AdaptState(NamedTuple):
@@ -58,8 +66,10 @@ class AdaptState(NamedTuple):
     size: float
     #: poses of all frames
     motion: Motion
-    #: frames that no pose explained when they were tracked last
+    #: frames that the body explains less well than is normal for them all, or that have no scan
     lost: tuple[int, ...] = ()
+    #: why, for each of them
+    reasons: tuple[str, ...] = ()
     #: frames that the body is being adapted to
     chosen: tuple[int, ...] = ()
     #: what each stage was, and the root mean square of a pair after it, millimetres
@@ -170,4 +180,4 @@ def plan(settings: Settings) -> list[Stage]:
         stages += [Stage("adapt", number + 1, step + 1) for step in range(rounds)]
     stages += [Stage("track")] if stages[-1].name in ("adapt", "turn") else []
     stages += [Stage("pose")]
-    return stages if settings.temporal == 0.0 else [*stages, Stage("smooth")]
+    return [*stages, Stage("smooth")] if settings.smooth else stages

@@ -22,7 +22,14 @@ from ..io.prior import Priors
 from ..io.registry import write_motion
 from ..report.adaptation import report_adaptation
 from .adapt_actor import finished_run, save_actor
-from .adapt_input import first_pose, load_cameras, look_through, warn_of_lost, warn_of_unusable
+from .adapt_input import (
+    explained_words,
+    first_pose,
+    load_cameras,
+    look_through,
+    warn_of_lost,
+    warn_of_unusable,
+)
 from .adapt_prior import carried, prior_file, read_priors
 from .adapt_state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
 from .options import (
@@ -38,7 +45,7 @@ from .options import (
     clouds_words,
 )
 from .rounds import Rounds
-from .say import say
+from .say import say, warn
 from .sources import Clouds, load_body
 
 PriorForm = Literal["nearest", "mean"]
@@ -47,6 +54,10 @@ PAIRS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": Sof
 Paired = Literal["vertices", "surface", "soft"]
 #: frames within a long stage after which its poses are kept, at least, and at most so many times: all poses are written
 KEPT, TIMES = 25, 40
+UNORDERED = (
+    "scans that follow each other are no more alike than any two, so they are taken without an order in time: nothing is "
+    "made smooth; give --ordered if they are of one motion"
+)
 OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")]
 
 
@@ -92,6 +103,11 @@ class Adapt:
     """Measure every N-th frame for the report, for speed."""
     frames: Annotated[int, arg(metavar="N")] = 40
     """Scans that the body is adapted to, spread over the motion."""
+    unordered: Flag = False
+    """The scans do not follow each other in time: nothing is made smooth, and each is searched for from those that are
+    most like it. Found from the scans where neither this nor --ordered is given."""
+    ordered: Flag = False
+    """The scans follow each other in time, however unlike they are."""
     adapt_every: Annotated[int, arg(metavar="N")] = 0
     """Adapt while tracking, after every N frames of the first 10 N, where the template would be lost; 0 tracks all first."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
@@ -146,6 +162,8 @@ class Adapt:
         priors = read_priors(known, body, own=self.prior is None, reduced=self.vertices is not None)
         task, beside = self.task(body, scans, priors, tuple(seen.unusable)), carried(self.body, priors)
         warn_of_unusable(seen.unusable)
+        if task.settings.unordered and not self.unordered:
+            warn(UNORDERED)
         if state is None or not finished:
             state = self.adapt(task, state, header, scans.names[0])
             self.write(state, header, scans, beside)
@@ -164,9 +182,10 @@ class Adapt:
             raise InputError(f"{error} {kept_words(self.kept, state.done)}.") from None
         say(
             f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
-            f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}"
+            f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}, "
+            f"{explained_words(state)}"
         )
-        warn_of_lost(state.lost, scans)
+        warn_of_lost(state, scans)
 
     def adapt(
         self, task: Task, state: AdaptState | None, header: dict[str, object], first: str
@@ -246,6 +265,8 @@ class Adapt:
         for name, (value, fine, what) in wrong.items():
             if not fine:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
+        if self.unordered and self.ordered:
+            raise InputError("--unordered and --ordered are opposites; give one of them, or none.")
         if self.aperture and self.cameras is None:
             raise InputError("--aperture is of cameras; name them by --cameras.")
         check_results(self.out, self.motion_path, self.report, self.kept, self.resume, self.overwrite)
@@ -280,6 +301,7 @@ class Adapt:
                 temporal=self.smoothness,
                 every=self.adapt_every,
                 together=self.together,
+                unordered=True if self.unordered else False if self.ordered else None,
                 matching=matching,
             ),
             cameras=() if self.aperture else cameras,
@@ -303,6 +325,8 @@ class Adapt:
             "along",
             "joint_deviation",
             "together",
+            "unordered",
+            "ordered",
             "smoothness",
             "pose_weight",
             "unit",

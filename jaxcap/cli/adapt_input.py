@@ -11,6 +11,7 @@ import numpy as np
 
 from ..adapt.check import check_cameras
 from ..adapt.meet import some_of
+from ..adapt.task import AdaptState
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
@@ -32,6 +33,8 @@ LEAST, GOOD = 3, 0.5
 LOOKED_AT = 5
 #: scans that are told of one by one
 TOLD = 5
+#: lost frames that are named with their reasons
+NAMED = 20
 
 
 class Looked(NamedTuple):
@@ -82,11 +85,22 @@ def warn_of_unusable(reasons: Mapping[int, str]) -> None:
         warn(f"{len(reasons) - TOLD} further frames go without a scan, too.")
 
 
-def warn_of_lost(lost: Sequence[int], scans: Scans) -> None:
-    """Name the frames that no pose explains, or that have no scan."""
-    if lost:
-        names = ", ".join(Path(scans.names[frame]).name for frame in lost)
-        warn(f"{len(lost)} of {len(scans)} frames were lost: {names}; their poses are not to be trusted")
+def explained_words(state: AdaptState) -> str:
+    """Say in how many frames the body explains the scan."""
+    frames, lost = len(state.motion), len(state.lost)
+    return "all scans explained" if not lost else f"{frames - lost} of {frames} scans explained"
+
+
+def warn_of_lost(state: AdaptState, scans: Scans) -> None:
+    """Name the frames that the body does not explain, each with the reasons."""
+    if not state.lost:
+        return
+    warn(f"{len(state.lost)} of {len(scans)} frames are lost, do not trust their poses:")
+    reasons = state.reasons or ("not explained by the body",) * len(state.lost)
+    for frame, reason in list(zip(state.lost, reasons, strict=True))[:NAMED]:
+        warn(f"  {Path(scans.names[frame]).name}: {reason}")
+    if len(state.lost) > NAMED:
+        warn(f"  and {len(state.lost) - NAMED} more: frames {', '.join(map(str, state.lost[NAMED:]))}")
 
 
 def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tuple[Camera, ...]:

@@ -163,8 +163,10 @@ def initialise(
     rounds: int = 2,
     coarse: Tracker | None = None,
     key: PRNGKeyArray | None = None,
+    starts: Pose | None = None,
 ) -> tuple[Pose, Float[Array, ""]]:
-    """The pose of a body in a cloud, with no start: orientation about `up` and place unknown.
+    """The pose of a body in a cloud, with no start: orientation about `up` and place unknown. Stacked `starts` replace
+    those at rest.
 
     Starts in all directions are annealed with a coarse body and few points; the best `keep`
     and `neighbours` random neighbours of each are annealed again, then in `rounds` the best
@@ -179,8 +181,9 @@ def initialise(
     rest = rest_pose(skeleton)
     vertical = jnp.asarray(up, rest.rotations.dtype)
     wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE, FINE))
-    starts = turned_starts(coarse, few, rest, turns, vertical)
-    starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
+    if starts is None:
+        starts = turned_starts(coarse, few, rest, turns, vertical)
+        starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
     poses, _ = anneal_all(coarse, few, starts, wide)
     _LOG.info("searching near the best poses")
     limbs = tangent_deviations(skeleton, 0.02, 0.4)

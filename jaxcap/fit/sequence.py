@@ -2,7 +2,7 @@
 
 import logging
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import jax
 import numpy as np
@@ -13,6 +13,7 @@ from ..body.pose import Motion, Pose, rest_pose, stack_poses
 from ..observe import Cloud, CloudFrames, Scan, as_cloud
 from .check import check_cloud
 from .initialise import coarse_tracker, initialise
+from .likeliest import likelier_pose, likeliest
 from .recover import TrackedFrame, doubtful, first_frame, judge, next_frame, recover
 from .track import Tracker, make_tracker
 
@@ -29,6 +30,8 @@ def track_frames(
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     first: int = 0,
+    known: Callable[[int], Sequence[Pose]] | None = None,
+    worth: float = 0.0,
 ) -> Iterator[TrackedFrame]:
     """Track a stream of clouds; yields a frame as soon as it is done.
 
@@ -36,7 +39,9 @@ def track_frames(
     `TrackedFrame` of a run that was stopped; with `search` the first pose is found by
     `initialise`; `sigma` metres is the deviation that the first frame starts with
     (Kineben's sigma0); `up` is the vertical of the scene; `first` is the number of the first
-    cloud, so that a run that goes on searches as it would have.
+    cloud, so that a run that goes on searches as it would have; `known(number)` gives other poses that a frame
+    may be in: the frame keeps the likeliest, and leaves the tracked pose only for one whose mean log-likelihood is
+    better by more than `worth`.
 
     A frame that its forerunner does not lead to is searched for by many perturbed starts
     side by side; where none explains the cloud it is marked `lost`, and tracking goes on.
@@ -55,10 +60,19 @@ def track_frames(
             before = frame.state.estimate.pose
             state, statistics = next_frame(tracker, frame.state, cloud)
             frame = judge(frame.usual, state, statistics)
+        if known is not None:
+            reached = frame.state, frame.statistics
+            state, statistics = likeliest(tracker, *reached, known(number), before, cloud, worth)
+            frame = frame if state is frame.state else judge(frame.usual, state, statistics)
         if doubtful(frame):
             _LOG.info("searching for a better pose of frame %d", number)
             coarse = coarse_tracker(tracker) if coarse is None else coarse
-            frame = recover(tracker, coarse, frame, before, cloud, jax.random.key(number), up)
+            found = recover(tracker, coarse, frame, before, cloud, jax.random.key(number), up)
+            worse = (
+                found.pose is not frame.pose
+                and likelier_pose(tracker, found.pose, frame.pose, cloud) is frame.pose
+            )
+            frame = frame if worse and known is not None else found
         yield frame
 
 

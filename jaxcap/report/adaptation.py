@@ -63,6 +63,7 @@ SHAKE = """Shake is how far a joint is turned from the mean of the frame before 
 square. Real movement has some, too."""
 PAIRS = """The distance that the adaptation makes small: of pairs along their normals, those far apart counting less. It
 is over other scans in some stages, so a small rise need not be a loss."""
+LOST = """Each frame is compared with what is normal for all frames."""
 #: lost frames that are named
 NAMED = 20
 #: what a result may depend on
@@ -102,6 +103,8 @@ def adaptation_page(task: Task, state: AdaptState, stages: Stages, how: Mapping[
         told = element("p", ALONE, SMOOTH if angles.after is not None else "")
         shakes = (shake_table(angles, skeleton), element("p", SHAKE, class_="soft"))
         parts.append(section("Joints over time", told, angle_charts(angles, skeleton), *shakes))
+    if state.lost:
+        parts.append(section("Frames not to trust", lost_table(state), element("p", LOST, class_="soft")))
     every = element("details", element("summary", "All stages"), history_table(state.history, state.terms))
     parts.append(section("How it went", element("p", PAIRS), history_chart(state.history), every))
     parts.append(section("How it was made", how_table(task, how)))
@@ -132,6 +135,13 @@ def headline(task: Task, state: AdaptState, stages: Stages) -> Markup:
     )
     told = [element("div", element("strong", strong), text, class_="card") for strong, text in cards]
     return element("div", *told, class_="cards")
+
+
+def lost_table(state: AdaptState) -> Markup:
+    """Lost frames with their reasons."""
+    reasons = state.reasons or ("",) * len(state.lost)
+    rows = [[str(frame), reason] for frame, reason in zip(state.lost, reasons, strict=True)]
+    return table("Lost frames, counted from 0", ("frame", "why"), rows, words=(1,))
 
 
 def variant_table(variants: tuple[Variant, ...]) -> Markup:

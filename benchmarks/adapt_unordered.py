@@ -1,0 +1,187 @@
+"""Scans that do not follow each other in time: `python -m benchmarks.adapt_unordered`.
+
+    python -m benchmarks.adapt_unordered --scenes woman crane --frames 12 --short --ordered-too
+
+`woman` and `man` are other people than the template, the embedded human, in frames picked at random from several takes of
+the CMU database, each turned to a random side and moved, with 2 mm of noise; `crane` is the capture of Vlasic et al. 2008,
+its frames shuffled and its correspondences dropped. Nothing says that there is no order: it has to be found. A frame's
+distance is the median from its points to the body; a frame of more than 10 mm has to be flagged. With `--ordered-too` the
+same scans are adapted to as if they followed each other, for comparison.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+import jaxcap as jc
+from benchmarks._crane import frame_cloud, load_crane
+from benchmarks._scenes import about_vertical, human_motion, shared_folder
+from benchmarks.report import finish, progress
+from jaxcap.adapt.loop import AdaptState, Settings, adapt_body, plan
+from jaxcap.adapt.prepare import make_task
+from jaxcap.demo.picture import View, draw
+from jaxcap.demo.scanner import sample_surface
+from jaxcap.metrics import scan_to_surface
+
+#: the actors and the takes that their poses are of
+PEOPLE = {
+    "woman": ({"sex": "female", "weight": 0.35, "height": 1.6}, ("02_05", "02_07", "01_01", "02_08")),
+    "man": ({"sex": "male", "weight": 0.9, "height": 1.93}, ("01_08", "02_10", "02_01")),
+}
+POINTS, NOISE, RATE = 4000, 0.002, 30.0
+#: frames of a take that poses are picked from, and metres by which a scan is moved
+LENGTH, MOVED = 300, 0.4
+#: a frame whose median distance is larger is wrong, metres
+WRONG = 0.010
+#: frames that are drawn
+DRAWN = 4
+
+_posed = eqx.filter_jit(jc.pose_body)
+
+
+class Scene(NamedTuple):
+    """Scans in no order, and joints in the world where they are known."""
+
+    clouds: list[jc.Cloud]
+    joints: list[np.ndarray]
+
+
+def people_scene(shared: Path, name: str, frames: int, seed: int = 0) -> Scene:
+    """An actor in poses of several takes by turns, in random order."""
+    traits, takes = PEOPLE[name]
+    body, rng = jc.human(joints="tracking", resolution="medium", **traits), np.random.default_rng([seed, 1])
+    motions = [human_motion(shared, take, body, LENGTH) for take in takes]
+    clouds, joints = [], []
+    for number in rng.permutation(frames):
+        motion = motions[number % len(motions)]
+        posed = _posed(body, motion[int(rng.integers(len(motion)))])
+        vertices, centres = np.asarray(posed.vertices, float), np.asarray(posed.joints, float)
+        turn, middle = about_vertical(rng.uniform(-np.pi, np.pi)), vertices.mean(0) * [1.0, 0.0, 1.0]
+        shift = rng.uniform(-MOVED, MOVED, 3) * [1.0, 0.0, 1.0]
+        vertices, centres = ((part - middle) @ turn.T + shift for part in (vertices, centres))
+        points, normals = sample_surface(vertices, np.asarray(body.faces), POINTS, rng)
+        clouds.append(jc.make_cloud(points + NOISE * rng.normal(size=points.shape), normals))
+        joints.append(centres)
+    return Scene(clouds, joints)
+
+
+def crane_scene(shared: Path, frames: int, seed: int = 0) -> Scene:
+    """Frames of the capture at equal steps, shuffled."""
+    crane = load_crane(shared)
+    chosen = np.linspace(0, len(crane.frames) - 1, frames).astype(int)
+    return Scene(
+        [frame_cloud(crane, frame, POINTS) for frame in np.random.default_rng(seed).permutation(chosen)], []
+    )
+
+
+def distances(state: AdaptState, clouds: list[jc.Cloud]) -> list[np.ndarray]:
+    """From the points of every cloud to the surface, metres."""
+    faces, found = np.asarray(state.body.faces), []
+    for frame, cloud in enumerate(clouds):
+        points = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
+        vertices = np.asarray(_posed(state.body, state.motion[frame]).vertices, float)
+        found.append(scan_to_surface(points, vertices, faces))
+    return found
+
+
+def adapt(scene: Scene, settings: Settings, resolution: str, label: str) -> tuple[AdaptState, bool]:
+    """The last state, and whether the scans were taken without an order."""
+    template = jc.human(joints="tracking", resolution=resolution)
+    task = make_task(template, scene.clouds, RATE, settings=settings)
+    begin, stages, state = time.perf_counter(), plan(task.settings), None
+    for state in adapt_body(task):
+        medians = ""
+        if stages[state.done - 1].name != "adapt":
+            medians = " ".join(f"{1000 * np.median(off):.1f}" for off in distances(state, scene.clouds))
+        progress(f"{label}, {stages[state.done - 1]}, {time.perf_counter() - begin:.0f} s: {medians}")
+    assert state is not None
+    for frame, reason in zip(state.lost, state.reasons, strict=True):
+        progress(f"{label}: frame {frame} is lost: {reason}")
+    return state, bool(task.settings.unordered)
+
+
+def row_of(state: AdaptState, scene: Scene) -> dict[str, float]:
+    """All figures of one scene."""
+    off = distances(state, scene.clouds)
+    medians = np.array([np.median(frame) for frame in off])
+    wrong = set(np.flatnonzero(medians > WRONG).tolist())
+    row = {
+        "median_mm": 1000 * float(np.median(np.concatenate(off))),
+        "worst_frame_mm": 1000 * float(medians.max()),
+        "wrong_frames": float(len(wrong)),
+        "unflagged": float(len(wrong - set(state.lost))),
+        "flagged": float(len(state.lost)),
+    }
+    if scene.joints:
+        here = [np.asarray(_posed(state.body, state.motion[n]).joints) for n in range(len(scene.clouds))]
+        by_frame = np.linalg.norm(np.array(here) - np.array(scene.joints), axis=2).mean(1)
+        row |= {
+            "joints_mm": 1000 * float(np.median(by_frame)),
+            "worst_joints_mm": 1000 * float(by_frame.max()),
+        }
+    return row
+
+
+def picture(path: Path, state: AdaptState, scene: Scene) -> None:
+    """Draw the frames that are furthest off."""
+    off, views = distances(state, scene.clouds), []
+    for frame in np.argsort([-np.median(one) for one in off])[:DRAWN].tolist():
+        vertices = np.asarray(_posed(state.body, state.motion[frame]).vertices)
+        title = f"frame {frame}: {1000 * np.median(off[frame]):.1f} mm"
+        points = np.asarray(scene.clouds[frame].points)[np.asarray(scene.clouds[frame].weights) > 0]
+        views.append(View(title, vertices, points, off[frame]))
+    draw(path, views, np.asarray(state.body.faces), "The frames that are furthest off")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.adapt_unordered", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("--scenes", nargs="*", choices=(*PEOPLE, "crane"), default=[*PEOPLE, "crane"])
+    parser.add_argument("--frames", type=int, default=24)
+    parser.add_argument("--resolution", default="medium", help="of the template: medium or low")
+    parser.add_argument("--short", action="store_true", help="few rounds, of 8 scans")
+    parser.add_argument("--ordered-too", action="store_true", help="also as if scans followed each other")
+    parser.add_argument("--pictures", type=Path, help="a folder for the frames that are furthest off")
+    options = parser.parse_args()
+    settings = Settings(frames=8, alone=3, rounds=(2, 2)) if options.short else Settings()
+    shared, begin = shared_folder(), time.perf_counter()
+    figures, limits = {}, {}
+    for name in options.scenes:
+        if name == "crane":
+            scene = crane_scene(shared, options.frames)
+        else:
+            scene = people_scene(shared, name, options.frames)
+        state, found = adapt(scene, settings, options.resolution, name)
+        figures |= {f"{name}_found": float(found)} | {
+            f"{name}_{k}": v for k, v in row_of(state, scene).items()
+        }
+        limits |= {
+            f"{name}_found": ("==", 1.0),
+            f"{name}_wrong_frames": ("<=", 0.0),
+            f"{name}_unflagged": ("<=", 0.0),
+        }
+        if options.pictures:
+            options.pictures.mkdir(parents=True, exist_ok=True)
+            picture(options.pictures / f"{name}.png", state, scene)
+        if options.ordered_too:
+            state, _ = adapt(
+                scene, settings._replace(unordered=False), options.resolution, f"{name} as ordered"
+            )
+            figures |= {f"{name}_ordered_{key}": value for key, value in row_of(state, scene).items()}
+            limits[f"{name}_ordered_unflagged"] = ("<=", 0.0)
+    sizes = {
+        "frames": options.frames,
+        "points": POINTS,
+        "template": options.resolution,
+        "short": options.short,
+    }
+    finish("adapt_unordered", figures, limits, sizes, {"run": time.perf_counter() - begin})
+
+
+if __name__ == "__main__":
+    main()
