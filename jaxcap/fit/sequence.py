@@ -68,11 +68,11 @@ def track_frames(
             _LOG.info("searching for a better pose of frame %d", number)
             coarse = coarse_tracker(tracker) if coarse is None else coarse
             found = recover(tracker, coarse, frame, before, cloud, jax.random.key(number), up)
-            worse = (
-                found.pose is not frame.pose
-                and likelier_pose(tracker, found.pose, frame.pose, cloud) is frame.pose
-            )
-            frame = frame if worse and known is not None else found
+            if known is not None and found.pose is not frame.pose:
+                # what a search ends with may be worse than what it began with
+                likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
+                found = found if likelier is found.pose else frame
+            frame = found
         yield frame
 
 
