@@ -24,6 +24,7 @@ from jaxcap.fit import sequence
 from jaxcap.fit.likeliest import log_likelihood
 from jaxcap.fit.sequence import track_frames
 from jaxcap.fit.track import make_tracker
+from jaxcap.geometry import rotation
 from jaxcap.io.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)
@@ -178,17 +179,22 @@ def test_nothing_in_a_plan_without_order_couples_frames(mixed):
         make_task(task.template, clouds, settings=UNORDERED._replace(temporal=1.0))
 
 
-def test_frames_that_are_off_are_flagged_with_reasons(mixed):
-    """One that is off by 12 mm, and one without a scan; the right ones are not."""
-    task, actor, poses = mixed
+def test_frames_that_are_off_are_flagged_with_reasons(scene):
+    """One with a limb elsewhere, one that is off by 12 mm, and one without a scan; the right ones are not."""
+    task, (_, actor, poses, _) = task_of(scene), scene
     state = AdaptState(1, actor, 1.0, stack_poses(poses, 10.0))
     assert flag_frames(task, state, final=True).lost == ()
-    wrong = list(poses)
+    skeleton, wrong = actor.skeleton, list(poses)
+    turn = rotation.exp(jnp.asarray([0.0, 0.0, 1.0]))
+    joint = skeleton.index("elbow")
+    turns = poses[2].rotations.at[joint].set(rotation.multiply(poses[2].rotations[joint], turn))
+    wrong[2] = jc.Pose(poses[2].translations, turns, poses[2].scale)
     wrong[5] = jc.Pose(poses[5].translations.at[0, 2].add(0.012), poses[5].rotations, poses[5].scale)
-    found = flag_frames(task._replace(missing=(7,)), state._replace(motion=stack_poses(wrong, 10.0)))
-    assert found.lost == (5, 7)
+    found = flag_frames(task._replace(missing=(4,)), state._replace(motion=stack_poses(wrong, 10.0)))
+    assert found.lost == (2, 4, 5)
     assert found.reasons[1] == NO_SCAN
-    assert "mm from scan to body, where 0." in found.reasons[0]
+    assert "unexplained points near the " in found.reasons[0]
+    assert "mm from scan to body, where 0." in found.reasons[2]
 
 
 def test_the_closing_lines_name_frames_with_their_reasons(mixed, capsys, tmp_path):

@@ -1,11 +1,20 @@
 """Flag frames that the body explains less well than is normal for their sequence, and say why."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
+from ..fit.judgement.evidence import Evidence, gather_evidence
+from ..fit.judgement.surface import judged_surface
+from ..fit.judgement.usual import sensors_of, usual_of
+from ..fit.judgement.verdict import Judgement, judge_evidence
+from ..geometry.camera import Camera
 from ..geometry.closest import nearest_on_surface
 from ..observe import Cloud, thin_cloud
 from .task import AdaptState, Task
@@ -24,19 +33,41 @@ _posed = eqx.filter_jit(pose_body)
 def flag_frames(task: Task, state: AdaptState, *, final: bool = False) -> AdaptState:
     """Judge the poses of all frames by one rule, and note which are `lost` and the `reasons`.
 
-    A frame is judged by its median distance from the body, against what is normal for all frames, whatever their order; a
-    `final` motion by an absolute distance, too.
+    A frame is judged by part (`fit.judgement`) and by its median distance from the body, both against what is normal for
+    all frames, whatever their order; a `final` motion by an absolute distance, too.
     """
     reasons = dict.fromkeys(task.missing, NO_SCAN)
     distances = {n: median_distance(state.body, state.motion[n], task.cloud(n)) for n in task.scanned}
     all_distances = np.array(list(distances.values()))
     limit, middle = distance_limit(all_distances), 1000 * float(np.median(all_distances))
     limit = min(limit, MOST) if final else limit
-    for frame, distance in distances.items():
+    for (frame, distance), judgement in zip(distances.items(), judge_parts(task, state), strict=True):
+        found = list(judgement.reasons) if judgement.verdict == "lost" else []
         if not distance <= limit:
-            reasons[frame] = f"{1000 * distance:.1f} mm from scan to body, where {middle:.1f} mm is usual"
+            found.append(f"{1000 * distance:.1f} mm from scan to body, where {middle:.1f} mm is usual")
+        if found:
+            reasons[frame] = ", ".join(found)
     frames = tuple(sorted(reasons))
     return state._replace(lost=frames, reasons=tuple(reasons[frame] for frame in frames))
+
+
+def judge_parts(task: Task, state: AdaptState) -> list[Judgement]:
+    """Compare each scanned frame by part with what is usual for all of them."""
+    surface = judged_surface(state.body)
+
+    def gather(sensors: Sequence[Camera] | Float[Array, "D"]) -> list[Evidence]:
+        return [gather_evidence(surface, state.motion[n], task.cloud(n), sensors) for n in task.scanned]
+
+    evidence = gather(task.cameras)
+    if not task.cameras:
+        # the sensors are those that all frames together show
+        evidence = gather(sensors_of(usual_of(_stack(evidence))))
+    usual = usual_of(_stack(evidence))
+    return [judge_evidence(surface, usual, one) for one in evidence]
+
+
+def _stack(evidence: list[Evidence]) -> Evidence:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *evidence)
 
 
 def distance_limit(distances: Float[np.ndarray, "F"]) -> float:

@@ -68,8 +68,6 @@ class AdaptState(NamedTuple):
     motion: Motion
     #: frames that the body explains less well than is normal for them all, or that have no scan
     lost: tuple[int, ...] = ()
-    #: why, for each of them
-    reasons: tuple[str, ...] = ()
     #: frames that the body is being adapted to
     chosen: tuple[int, ...] = ()
     #: what each stage was, and the root mean square of a pair after it, millimetres
@@ -86,6 +84,8 @@ class AdaptState(NamedTuple):
     within: int = 0
     #: the last of them, where it is one of tracking
     tracked: TrackedFrame | None = None
+    #: why each of the `lost` frames is lost
+    reasons: tuple[str, ...] = ()
 
 
 class Task(NamedTuple):

@@ -63,7 +63,8 @@ SHAKE = """Shake is how far a joint is turned from the mean of the frame before 
 square. Real movement has some, too."""
 PAIRS = """The distance that the adaptation makes small: of pairs along their normals, those far apart counting less. It
 is over other scans in some stages, so a small rise need not be a loss."""
-LOST = """Each frame is compared with what is normal for all frames."""
+LOST = """Each frame is compared with what is normal for all frames, part by part: points that no part explains,
+surface that ought to be seen and has no points, and the distance from the points to the body."""
 #: lost frames that are named
 NAMED = 20
 #: what a result may depend on
