@@ -100,7 +100,9 @@ def compare_stages(task: Task, state: AdaptState, *, step: int = 1) -> Iterator[
 
     # tracked once, as the first frame that is not lost is the one to adapt to
     size = jnp.asarray(state.size, task.template.vertices.dtype)
-    template = AdaptState(1, resized(task.template, size), state.size, state.motion, weight=state.weight)
+    # begun as an adaptation is, with one pose: those of the result would help the others
+    begun = _taken(state.motion, task.scanned[:1] * task.frames)
+    template = AdaptState(1, resized(task.template, size), state.size, begun, weight=state.weight)
     tracked = _until_poses(task, template, 0)
     poses = _each_by_itself(task, tracked, stages.measured)
     yield (stages := _measured(stages, task, tracked, poses))
