@@ -201,8 +201,11 @@ def ordered_cloud(
 
 def unit_normals(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
     """Of length one; zero where they have no length, or are not finite, as those that are not known."""
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(np.isfinite(lengths) & (lengths > 0), normals / np.where(lengths > 0, lengths, 1), 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.where(
+            np.isfinite(lengths) & (lengths > 0), normals / np.where(lengths > 0, lengths, 1), 0.0
+        )
 
 
 def padded_size(count: int, rungs: Sequence[int] = (64, 80, 96, 112), growth: int = 2) -> int:

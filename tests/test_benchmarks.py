@@ -220,3 +220,12 @@ def test_motions_are_taken_at_thirty_frames_a_second(shared):
     every = human_motion(shared, "02_01", body)
     np.testing.assert_allclose(every.poses.rotations[:5], motion.poses.rotations, atol=1e-9)
     assert jax.tree.leaves(every)[0].shape[0] == 86
+
+
+@pytest.mark.slow
+def test_fuzz(checkout):
+    line = run(checkout, "fuzz", "--variants", "4")
+    assert meets(line, "not_finite", "foreign_words", "traceback", "too_much_memory", "too_slow", "crash")
+    # too few to say much, and said so
+    assert line["missed"] == ["files"]
+    assert line["figures"]["data"] > 100

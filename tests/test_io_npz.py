@@ -94,7 +94,7 @@ def rewrite(path, drop=(), **changes):
         (lambda p: p.write_text("hello"), "not an .npz file"),
         (lambda p: p.write_bytes(p.read_bytes()[:300]), "not a whole .npz"),
         (lambda p: p.write_bytes(b""), "not an .npz file"),
-        (lambda p: np.savez(p, a=np.array([{}], dtype=object)), "pickled"),
+        (lambda p: rewrite(p, vertices=np.array([{}], dtype=object)), "pickled"),
         (lambda p: np.savez(p, a=np.ones(3)), "unmarked file"),
         (
             lambda p: (np.save(p.with_suffix(".npy"), np.ones(3)), p.with_suffix(".npy").replace(p)),

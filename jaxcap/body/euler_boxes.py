@@ -93,8 +93,9 @@ def make_euler_boxes(skeleton: Skeleton, boxes: Mapping[str, EulerBox]) -> Euler
     frame is not of unit axes at right angles.
     """
     joints, frames, lowers, uppers = [], [], [], []
+    place = {name: joint for joint, name in enumerate(skeleton.names)}
     for name, box in boxes.items():
-        if name not in skeleton.names:
+        if name not in place:
             raise ValueError(
                 f"There is a box for joint '{name}', but the skeleton has {', '.join(skeleton.names)}."
             )
@@ -106,7 +107,7 @@ def make_euler_boxes(skeleton: Skeleton, boxes: Mapping[str, EulerBox]) -> Euler
         if np.linalg.det(frame) < 0:
             frame[:, 2] *= -1
             lower[2], upper[2] = -upper[2], -lower[2]
-        joints.append(skeleton.index(name))
+        joints.append(place[name])
         frames.append(frame)
         lowers.append(lower)
         uppers.append(upper)

@@ -196,8 +196,9 @@ def make_joint_ranges(
     above its upper one, an angle is not in `[0, pi]`, or an axis has no length.
     """
     rows, balls = [], []
+    place = {name: joint for joint, name in enumerate(skeleton.names)}
     for name, limits in (ranges or {}).items():
-        joint = _joint(skeleton, name, ("revolute", "universal"), "range")
+        joint = _joint(skeleton, place, name, ("revolute", "universal"), "range")
         pairs = np.asarray(limits, float).reshape(-1, 2)
         count = KINDS[skeleton.kinds[joint]][1]
         if len(pairs) != count:
@@ -212,7 +213,7 @@ def make_joint_ranges(
             # a bound at infinity would leave a range without a middle
             rows.append((joint, number, max(lower, -2 * np.pi), min(upper, 2 * np.pi)))
     for name, cone in (cones or {}).items():
-        joint = _joint(skeleton, name, ("ball", "free"), "cone")
+        joint = _joint(skeleton, place, name, ("ball", "free"), "cone")
         axes = np.asarray([cone.heading, cone.bank], float)
         lengths = np.linalg.norm(axes, axis=1)
         angles = np.asarray([cone.heading_angle, cone.bank_angle], float)
@@ -239,12 +240,12 @@ def make_joint_ranges(
     )
 
 
-def _joint(skeleton: Skeleton, name: str, kinds: tuple[str, ...], what: str) -> int:
-    if name not in skeleton.names:
+def _joint(skeleton: Skeleton, place: Mapping[str, int], name: str, kinds: tuple[str, ...], what: str) -> int:
+    if name not in place:
         raise ValueError(
             f"There is a {what} for joint '{name}', but the skeleton has {', '.join(skeleton.names)}."
         )
-    joint = skeleton.names.index(name)
+    joint = place[name]
     if skeleton.kinds[joint] not in kinds:
         raise ValueError(
             f"There is a {what} for joint '{name}', which is {skeleton.kinds[joint]}; it fits {' and '.join(kinds)} joints."

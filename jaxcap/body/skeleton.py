@@ -1,5 +1,6 @@
 """The tree of joints: which joint hangs on which, where it is, and how it may move."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -159,9 +160,9 @@ def make_skeleton(
             f"A skeleton of {count} names was given {len(parents)} parents, {len(kinds)} kinds, "
             f"{len(centres)} centres; give one of each for every joint."
         )
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"The joint name '{name}' stands twice; give every joint its own name.")
+    twice = next((name for name, times in Counter(names).items() if times > 1), None)
+    if twice is not None:
+        raise ValueError(f"The joint name '{twice}' stands twice; give every joint its own name.")
     for name, parent, kind in zip(names, parents, kinds, strict=True):
         if not -1 <= parent < count:
             raise ValueError(
@@ -172,6 +173,15 @@ def make_skeleton(
     for name, centre in zip(names, centres, strict=True):
         if not np.isfinite(centre).all():
             raise ValueError(f"The centre of joint '{name}' is {centre.tolist()}; give three finite numbers.")
+    long = np.linalg.norm(orientations, axis=-1)
+    if not (np.isfinite(long) & (long > 0)).all():
+        wrong = int(np.argmin(np.isfinite(long) & (long > 0)))
+        raise ValueError(
+            f"The orientation of joint '{names[wrong]}' is {orientations[wrong].tolist()}; give a quaternion that "
+            "has a length."
+        )
+    if not np.isfinite(axes).all():
+        raise ValueError("The axes of a joint are not finite; give two directions of three finite numbers.")
     order = _parents_first(names, parents)
     place = {old: new for new, old in enumerate(order)}
     lengths = np.linalg.norm(axes, axis=-1, keepdims=True)
@@ -180,9 +190,7 @@ def make_skeleton(
         parents=tuple(-1 if parents[i] < 0 else place[parents[i]] for i in order),
         kinds=tuple(kinds[i] for i in order),
         centres=jnp.asarray(centres[order]),
-        orientations=jnp.asarray(
-            (orientations / np.linalg.norm(orientations, axis=-1, keepdims=True))[order]
-        ),
+        orientations=jnp.asarray((orientations / long[:, None])[order]),
         axes=jnp.asarray((axes / np.where(lengths > 0, lengths, 1.0))[order]),
     )
 
@@ -202,14 +210,16 @@ def _parents_first(names: list[str], parents: list[int]) -> list[int]:
     """The joints' own order where it will do, else depth first; a cycle is an error."""
     if all(parent < joint for joint, parent in enumerate(parents)):
         return list(range(len(names)))
-    order: list[int] = []
+    # dictionaries keep their order, and find their keys at once
+    order: dict[int, None] = {}
     for joint in range(len(names)):
-        chain = []
+        chain: dict[int, None] = {}
         while joint >= 0 and joint not in order:
             if joint in chain:
-                cycle = " -> ".join(names[i] for i in chain[chain.index(joint) :] + [joint])
+                joints = list(chain)
+                cycle = " -> ".join(names[i] for i in [*joints[joints.index(joint) :], joint][:12])
                 raise ValueError(f"The skeleton has a cycle: {cycle}. A joint cannot descend from itself.")
-            chain.append(joint)
+            chain[joint] = None
             joint = parents[joint]
-        order += reversed(chain)
-    return order
+        order.update(dict.fromkeys(reversed(chain)))
+    return list(order)

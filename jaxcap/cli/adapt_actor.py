@@ -11,7 +11,8 @@ from ..errors import InputError
 from ..io.body_motion import read_motion_of
 from ..io.checkpoint import Checkpoint
 from ..io.journal import check_same_run
-from ..io.npz import beside_body, body_arrays, body_of, load_kind, save_arrays
+from ..io.npz import beside_body, body_arrays, body_of, get_array, load_kind, save_arrays
+from ..io.text import parse_json
 from .adapt_state import NEEDS, checkpoint_of, hash_of, state_of
 
 #: what a run's arrays are called in front
@@ -53,12 +54,14 @@ def finished_run(path: Path, motion: Path, header: Mapping[str, object]) -> Adap
         raise InputError(
             f"{path}: it is not told in this body which run made it; adapt it anew, with --overwrite."
         )
-    check_same_run(path, json.loads(str(run["header"])), header)
+    check_same_run(path, parse_json(str(run["header"]), f"{path}: its header"), header)
     if hash_of(motion) != str(run["motion"]):
         raise InputError(
             f"{motion}: this is not the motion that was written with {path}; name that one by --motion, or adapt anew, "
             "with --overwrite."
         )
     body = body_of(arrays, path)
-    history = zip(run["steps"].tolist(), run["distances"].tolist(), strict=True)
-    return state_of(Checkpoint(body, read_motion_of(body, motion), tuple(history), run))
+    steps = get_array(run, "steps", path, (None,), "text").tolist()
+    distances = get_array(run, "distances", path, (len(steps),)).tolist()
+    history = tuple(zip(steps, distances, strict=True))
+    return state_of(Checkpoint(body, read_motion_of(body, motion), history, run), path)

@@ -11,10 +11,12 @@ from ..adapt.task import AdaptState
 from ..adapt.terms import Terms
 from ..body.body import Body
 from ..errors import InputError
+from ..fit.recover import TrackedFrame
 from ..fit.track import make_tracker
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..io.npz import get_array
 from ..io.registry import MOTION_WRITERS
-from .frame_rows import pack, unpack
+from .frame_rows import pack, record_width, unpack
 from .outputs import check_absent
 from .results import make_writable
 
@@ -70,27 +72,54 @@ def checkpoint_of(state: AdaptState) -> Checkpoint:
     return Checkpoint(state.body, state.motion, state.history, arrays)
 
 
-def state_of(kept: Checkpoint) -> AdaptState:
-    """The state of a checkpoint that `checkpoint_of` made, to the last bit."""
-    arrays = kept.arrays
-    lost, chosen, traits = (tuple(arrays[name].tolist()) for name in ("lost", "chosen", "traits"))
-    tracked = arrays.get("tracked", np.zeros(0))
+def state_of(kept: Checkpoint, path: Path) -> AdaptState:
+    """The state of a checkpoint that `checkpoint_of` made, to the last bit; `path`, its file, is for messages.
+
+    **Raises:** `InputError` where an array is another than it has to be.
+    """
+    arrays, frames = kept.arrays, len(kept.motion)
+
+    def number(name: str) -> float:
+        return get_array(arrays, name, path, ()).item() if name in arrays else 0.0
+
+    def whole(name: str) -> tuple[int, ...]:
+        values = get_array(arrays, name, path, (None,), "whole")
+        if values.size and not 0 <= values.min() <= values.max() < frames:
+            raise InputError(f"{path}: '{name}' are other frames than the {frames} there are; overwrite it.")
+        return tuple(values.tolist())
+
+    done, within = (get_array(arrays, name, path, (), "whole").item() for name in ("done", "within"))
+    reasons = []
+    if "reasons" in arrays:
+        reasons = get_array(arrays, "reasons", path, (None,), "text").tolist()
+    terms = get_array(arrays, "terms", path, (None, len(Terms._fields)))
     return AdaptState(
-        done=int(arrays["done"]),
+        done=done,
         body=kept.body,
-        size=float(arrays["size"]),
+        size=number("size"),
         motion=kept.motion,
-        lost=lost,
-        reasons=tuple(arrays["reasons"].tolist()) if "reasons" in arrays else (),
-        chosen=chosen,
+        lost=whole("lost"),
+        reasons=tuple(reasons),
+        chosen=whole("chosen"),
         history=kept.history,
-        traits=traits,
-        weight=float(arrays["weight"]),
-        temporal=float(arrays.get("temporal", 0.0)),
-        within=int(arrays["within"]),
-        tracked=unpack(make_tracker(kept.body), tracked, kept.motion[0])[0] if len(tracked) else None,
-        terms=tuple(Terms(*row) for row in arrays["terms"].tolist()),
+        traits=tuple(get_array(arrays, "traits", path, (None,)).tolist()),
+        weight=number("weight"),
+        temporal=number("temporal"),
+        within=within,
+        tracked=_tracked(kept, path),
+        terms=tuple(Terms(*row) for row in terms.tolist()),
     )
+
+
+def _tracked(kept: Checkpoint, path: Path) -> TrackedFrame | None:
+    """The frame that was tracked last, whose numbers may be infinite; None where there is none. Raises `InputError`."""
+    row = kept.arrays.get("tracked", np.zeros(0))
+    if not row.size:
+        return None
+    tracker = make_tracker(kept.body)
+    if row.shape != (record_width(tracker),) or row.dtype.kind != "f":
+        raise InputError(f"{path}: the frame that was tracked last is damaged; overwrite it to begin anew.")
+    return unpack(tracker, row, kept.motion[0])[0]
 
 
 def fingerprint_of(body: Body, scans: Sequence[str]) -> dict[str, object]:
@@ -123,7 +152,7 @@ def state_to_go_on_from(
     """
     if resume:
         # without one the run was stopped before its first stage was kept
-        return state_of(load_checkpoint(path, header, NEEDS)) if path.is_file() else None
+        return state_of(load_checkpoint(path, header, NEEDS), path) if path.is_file() else None
     if path.exists() and not overwrite:
         raise InputError(
             f"{path}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."

@@ -2,15 +2,12 @@
 
 import contextlib
 import sys
-import traceback
 from collections.abc import Iterator
-from pathlib import Path
 
-from ..errors import InputError
+from ..errors import is_sentence
 
 #: what a user can mend, and Ctrl-C as shells count it
 WRONG, STOPPED = 2, 130
-PACKAGE = Path(__file__).resolve().parents[1]
 
 
 @contextlib.contextmanager
@@ -23,19 +20,10 @@ def told() -> Iterator[None]:
         sys.stdout = None
         raise SystemExit(0) from None
     except (ValueError, OSError) as error:
-        if not _is_sentence(error):
+        if not isinstance(error, OSError) and not is_sentence(error):
             raise
         sys.stderr.write(f"jaxcap: {' '.join(str(error).split())}\n")
         raise SystemExit(WRONG) from None
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"\njaxcap: {' '.join(str(stop).split()) or 'stopped'}\n")
         raise SystemExit(STOPPED) from None
-
-
-def _is_sentence(error: Exception) -> bool:
-    """Whether an error is meant for users. A `ValueError` that jaxcap raised itself is; one that
-    another library raised is a fault of ours, and shows where."""
-    if isinstance(error, (InputError, OSError)):
-        return True
-    frames = traceback.extract_tb(error.__traceback__)
-    return bool(frames) and PACKAGE in Path(frames[-1].filename).parents

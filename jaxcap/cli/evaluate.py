@@ -12,8 +12,9 @@ from ..body.body import pose_body
 from ..body.kinematics import joint_paths
 from ..body.skeleton import Skeleton
 from ..errors import InputError
+from ..io.archive import load_arrays
 from ..io.clouds import read_clouds
-from ..io.npz import load_arrays
+from ..io.npz import get_array
 from ..io.table import write_json
 from ..metrics import Summary, distance_summary, joint_errors, scan_to_surface
 from .motions import load_motion, load_motion_of
@@ -97,14 +98,13 @@ class Evaluate:
 
 def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], Float[np.ndarray, "F K 3"]]:
     """The joints of a skeleton whose true places a file knows, and these. Raises `InputError`."""
-    arrays = load_arrays(path) if path.suffix.lower() == ".npz" else {}
+    wanted = ("joints", "names")
+    arrays = load_arrays(path, lambda name: name in wanted) if path.suffix.lower() == ".npz" else {}
     if "joints" in arrays:
-        joints = arrays["joints"]
-        names = [str(name) for name in arrays["names"]] if "names" in arrays else list(skeleton.names)
-        if joints.ndim != 3 or joints.shape[1:] != (len(names), 3):
-            raise InputError(
-                f"{path}: the array 'joints' has the shape {joints.shape}; it must be (F, {len(names)}, 3)."
-            )
+        names = list(skeleton.names)
+        if "names" in arrays:
+            names = get_array(arrays, "names", path, (None,), "text").tolist()
+        joints = get_array(arrays, "joints", path, (None, len(names), 3), rows="frame")
     else:
         own, motion = load_motion(path)
         names, joints = list(own.names), np.asarray(joint_paths(own, motion.poses))

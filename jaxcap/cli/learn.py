@@ -14,7 +14,7 @@ from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..io.clip import split_clip
 from ..io.lock import run_lock
 from ..io.meshes import read_named_meshes
-from ..io.npz import save_body, save_motion
+from ..io.npz import get_array, save_body, save_motion
 from ..learn.check import check_meshes
 from ..learn.check_parts import check_learned
 from ..learn.loop import COARSE, Learned, LearnState, learn_body
@@ -169,7 +169,7 @@ class Learn:
         """The state to go on from; None to begin. Raises `InputError` where another run's is in the way."""
         if self.resume:
             if kept.is_file():
-                return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round", "curve")))
+                return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round", "curve")), kept)
             # stopped before its first round was done, as far as anyone can know
             return None
         if kept.exists() and not self.overwrite:
@@ -306,15 +306,20 @@ def checkpoint_of(state: LearnState) -> Checkpoint:
     return Checkpoint(state.body, state.motion, tuple(state.history), arrays)
 
 
-def state_of(kept: Checkpoint) -> LearnState:
-    """The state of a checkpoint that `checkpoint_of` made, to the last bit."""
-    arrays = kept.arrays
+def state_of(kept: Checkpoint, path: Path) -> LearnState:
+    """The state of a checkpoint that `checkpoint_of` made, to the last bit; `path`, its file, is for messages.
+
+    **Raises:** `InputError` where an array is another than it has to be.
+    """
+    pairs = get_array(kept.arrays, "pairs", path, (None, 2), "whole")
+    if pairs.size and not 0 <= pairs.min() <= pairs.max() < kept.body.skeleton.num_joints:
+        raise InputError(f"{path}: the array 'pairs' names joints that are not there; overwrite it.")
     return LearnState(
         body=kept.body,
         motion=kept.motion,
-        pairs=arrays["pairs"].reshape(-1, 2),
-        damping=float(arrays["damping"]),
+        pairs=pairs,
+        damping=get_array(kept.arrays, "damping", path, ()).item(),
         history=kept.history,
-        round=int(arrays["round"]),
-        curve=arrays["curve"],
+        round=get_array(kept.arrays, "round", path, (), "whole").item(),
+        curve=get_array(kept.arrays, "curve", path, (None,)),
     )

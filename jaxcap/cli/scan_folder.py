@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..io.atomic import replacing
 from ..io.mesh import read_mesh
 from ..io.table import write_json
-from ..io.text import read_text
+from ..io.text import read_json
 
 #: what the scans were made with
 HEADER = "scan.json"
@@ -43,7 +43,7 @@ def begin_folder(
             f"{folder}: this folder holds scans; give --resume to go on with them or --overwrite to replace them."
         )
     if resume and there:
-        _check_same(folder / HEADER, header)
+        check_same_scans(folder / HEADER, header)
     for path in there if overwrite else ():
         path.unlink()
     write_json(folder / HEADER, header)
@@ -74,15 +74,13 @@ def gather_clouds(folder: Path, count: int) -> None:
         )
 
 
-def _check_same(path: Path, header: Mapping[str, object]) -> None:
+def check_same_scans(path: Path, header: Mapping[str, object]) -> None:
+    """Check that scans were made with what a header says. Raises `InputError` that names the first difference."""
     if not path.is_file():
         raise InputError(
             f"{path}: this file, which tells how the scans were made, is missing; give --overwrite to begin anew."
         )
-    try:
-        earlier = json.loads(read_text(path))
-    except json.JSONDecodeError:
-        earlier = None
+    earlier = read_json(path)
     if not isinstance(earlier, dict):
         raise InputError(f"{path}: this file is damaged; give --overwrite to begin anew.")
     # as JSON tells them, so that a tuple is a list

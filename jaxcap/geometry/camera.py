@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float
 from ..arguments import array, check_fields, checked
 from ..errors import InputError
 
-#: fewer pixels along a side make no picture
-LEAST_PIXELS = 8
+#: fewer pixels along a side make no picture, and more of them no depth camera's
+LEAST_PIXELS, MOST_PIXELS = 8, 25_000_000
 
 
 class Camera(eqx.Module):
@@ -70,6 +70,19 @@ def in_picture(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array,
     return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
 
 
+def check_picture(width: int, height: int, where: str = "") -> None:
+    """Check the size of pictures. Raises `InputError`, which begins with `where`, for too few pixels or too many."""
+    what = f"{where}: pictures" if where else "Pictures"
+    if min(width, height) < LEAST_PIXELS:
+        raise InputError(
+            f"{what} of {width} x {height} pixels are too small; give at least {LEAST_PIXELS} a side."
+        )
+    if width * height > MOST_PIXELS:
+        raise InputError(
+            f"{what} of {width} x {height} pixels are too large; give at most {MOST_PIXELS} pixels in all."
+        )
+
+
 @checked
 def look_at(eye, target, width: int, height: int, field_of_view: float | int) -> Camera:
     """A camera at `eye (3,)` that looks at `target (3,)`, metres, upright where y is up.
@@ -80,10 +93,7 @@ def look_at(eye, target, width: int, height: int, field_of_view: float | int) ->
     **Raises:** `InputError` for pictures of fewer than 8 pixels a side, an angle outside of 1 to 170
     degrees, and a target that is not apart from the eye.
     """
-    if min(width, height) < LEAST_PIXELS:
-        raise InputError(
-            f"Pictures of {width} x {height} pixels are too small; give at least {LEAST_PIXELS} a side."
-        )
+    check_picture(width, height)
     if not 1 <= field_of_view <= 170:
         raise InputError(f"The field of view is {field_of_view:g} degrees; give an angle from 1 to 170.")
     eye, target = np.asarray(eye, float), np.asarray(target, float)

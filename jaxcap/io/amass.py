@@ -6,7 +6,6 @@ alone. SMPL has the same map (Loper et al., 2015), so it holds numbers of other 
 which joints there are, where they stand, and what `betas` make of them. A body's rest is y up, the world z up.
 """
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
@@ -20,9 +19,12 @@ from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, rest_distance, same_joints
 from ..errors import InputError
+from .archive import array_names, load_arrays
 from .atomic import replacing
-from .npz import get_array, load_arrays, skeleton_arrays, skeleton_of
+from .door import reads
+from .npz import get_array, skeleton_arrays, skeleton_of
 from .skinned import check_motion
+from .text import check_rate
 
 #: from a world with y up to one with z up
 _LIFT = Rotation.from_euler("x", 90, degrees=True)
@@ -104,13 +106,13 @@ def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
 def is_amass(path: str | Path) -> bool:
     """Whether a file is an `.npz` with AMASS's keys; one that is not there, or damaged, is not."""
     try:
-        with zipfile.ZipFile(path) as file:
-            return {"poses.npy", "trans.npy"} <= set(file.namelist())
-    except (OSError, zipfile.BadZipFile):
+        return {"poses", "trans"} <= set(array_names(path))
+    except InputError:
         return False
 
 
 @checked
+@reads("a motion of AMASS")
 def read_amass(
     path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] = "z"
 ) -> tuple[Skeleton, Motion]:
@@ -123,20 +125,14 @@ def read_amass(
     joints are not the skeleton's.
     """
     arrays = load_arrays(path, lambda name: name in ("poses", "trans", *_RATES) or name.startswith(_OWN))
-    poses = get_array(arrays, "poses", path, (None, None))
-    trans = get_array(arrays, "trans", path, (len(poses), 3))
-    if poses.ndim != 2 or poses.shape[1] % 3 or not poses.shape[1]:
+    poses = get_array(arrays, "poses", path, (None, None), rows="frame")
+    trans = get_array(arrays, "trans", path, (len(poses), 3), rows="frame")
+    if poses.shape[1] % 3 or not poses.shape[1]:
         raise InputError(
             f"{path}: the array 'poses' has the shape {poses.shape}; it must be frames x 3 times joints."
         )
     if not len(poses):
         raise InputError(f"{path}: there are no frames in it; give a file with one at least.")
-    for name, values in (("poses", poses), ("trans", trans)):
-        wrong = ~np.isfinite(values).all(1)
-        if wrong.any():
-            raise InputError(
-                f"{path}: the array '{name}' has numbers that are not finite, first in frame {int(wrong.argmax())}."
-            )
     found = _skeleton(path, arrays, poses.shape[1] // 3, skeleton)
     return found, _motion(found, poses, trans, _rate(path, arrays), up)
 
@@ -205,7 +201,8 @@ def _rate(path: str | Path, arrays: Mapping[str, np.ndarray]) -> float:
     found = next((arrays[name] for name in _RATES if name in arrays), None)
     if found is None:
         raise InputError(f"{path}: neither '{_RATES[0]}' nor '{_RATES[1]}' is there; the rate is not known.")
-    rate = float(found.reshape(-1)[0]) if found.size == 1 and found.dtype.kind in "iuf" else np.nan
-    if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"{path}: the rate of frames is {found}; it has to be a number above zero.")
-    return rate
+    if found.size != 1 or found.dtype.kind not in "iuf":
+        raise InputError(
+            f"{path}: the rate of frames has the shape {found.shape} and holds {found.dtype}; it has to be a number above zero."
+        )
+    return check_rate(float(found.reshape(-1)[0]), str(path))

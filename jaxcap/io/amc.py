@@ -1,5 +1,7 @@
 """Motions of Acclaim skeletons (`.amc`), read; the transforms are explained in `asf`."""
 
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -10,10 +12,12 @@ from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..errors import InputError
 from .asf import Asf
-from .text import numbered_lines, parse_floats, read_text
+from .door import reads
+from .text import check_rate, float_table, numbered_lines, parse_floats, parse_int, read_text, shortened
 
 
 @checked
+@reads("an Acclaim motion")
 def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
     """Read a motion of the skeleton `asf`, as poses of `asf.skeleton`.
 
@@ -32,14 +36,16 @@ def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
     if not rows:
         raise InputError(f"{path}: there are no frames in this file.")
     counts = {name: len(dofs) for name, dofs in asf.dofs.items() if dofs}
-    values = _regular(rows, counts)
+    if not counts:
+        raise InputError(f"{path}: no bone of the .asf file moves; give the .asf file of this motion.")
+    values = _regular(rows, counts, path)
     if values is None:
         values = _irregular(rows, counts, path)
     degrees = "degrees" in header or (asf.degrees and "radians" not in header)
     return _motion(values, asf, np.pi / 180 if degrees else 1.0, rate)
 
 
-def _regular(rows: list[tuple[int, str]], counts: dict[str, int]) -> dict[str, np.ndarray] | None:
+def _regular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray] | None:
     """Values by bone, `(F, dofs)`, of a file whose frames all list the bones in one order;
     None for any other file."""
     lines = len(counts) + 1
@@ -52,23 +58,35 @@ def _regular(rows: list[tuple[int, str]], counts: dict[str, int]) -> dict[str, n
     width = sum(len(line) for line in first)
     if len(words) % width or len(words) // width != len(rows) // lines:
         return None
-    table = np.array(words).reshape(-1, width)
-    values, column = {}, 1
+    table = [words[start : start + width] for start in range(0, len(words), width)]
+    column, columns = 1, []
     for name, *rest in first[1:]:
-        if (table[:, column] != name).any():
+        if any(row[column] != name for row in table):
             return None
-        try:
-            values[name] = table[:, column + 1 : column + 1 + len(rest)].astype(float)
-            table[:, 0].astype(int)
-        except ValueError:
-            return None
+        columns.append(range(column + 1, column + 1 + len(rest)))
         column += 1 + len(rest)
-    return values if all(np.isfinite(value).all() for value in values.values()) else None
+    numbers = float_table([row[i] for row in table for part in (range(1), *columns) for i in part])
+    if numbers is None or not all(row[0].isdecimal() for row in table):
+        return None
+    numbers = numbers.reshape(len(table), -1)
+    _check_order(numbers[:, 0].tolist(), path)
+    edges = np.cumsum([1, *map(len, columns)])
+    return {name: numbers[:, a:b] for (name, *_), a, b in zip(first[1:], edges, edges[1:], strict=False)}
+
+
+def _check_order(frames: Sequence[float | int], path: str | Path) -> None:
+    """Check that the numbers of frames rise one by one. Raises `InputError`."""
+    for before, after in itertools.pairwise(frames):
+        if after != before + 1:
+            raise InputError(
+                f"{path}: frame {after:.0f} stands behind frame {before:.0f}; frames have to follow one by one."
+            )
 
 
 def _irregular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray]:
     """The same line by line: bones in any order, and every error with its line."""
     frames: list[dict[str, list[float]]] = []
+    order: list[int] = []
     where = f"{path}:{rows[0][0]}"
 
     def complete() -> None:
@@ -80,16 +98,19 @@ def _irregular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dic
 
     for number, line in rows:
         name, *words = line.split()
-        if not words and name.isdigit():
+        if not words and name.isdecimal():
             complete()
             frames.append({})
+            order.append(parse_int(name, f"{path}:{number}", "a frame"))
             where = f"{path}:{number}"
             continue
         where = f"{path}:{number}"
         if not frames:
-            raise InputError(f"{where}: '{name}' stands before the first frame's number.")
+            raise InputError(f"{where}: '{shortened(name)}' stands before the first frame's number.")
         if name not in counts:
-            raise InputError(f"{where}: the bone '{name}' is not one that the .asf file lets move.")
+            raise InputError(
+                f"{where}: the bone '{shortened(name)}' is not one that the .asf file lets move."
+            )
         if name in frames[-1]:
             raise InputError(f"{where}: the bone '{name}' stands twice in frame {len(frames)}.")
         if len(words) != counts[name]:
@@ -98,16 +119,18 @@ def _irregular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dic
             )
         frames[-1][name] = parse_floats(words, where, f"'{name}'")
     complete()
+    _check_order(order, path)
     return {name: np.array([frame[name] for frame in frames]) for name in counts}
 
 
 def _motion(values: dict[str, np.ndarray], asf: Asf, turn: float, rate: float) -> Motion:
     skeleton = asf.skeleton
+    place = {name: joint for joint, name in enumerate(skeleton.names)}
     frames = len(next(iter(values.values())))
     rotations = np.tile([1.0, 0, 0, 0], (frames, skeleton.num_joints, 1))
     translations = np.zeros((frames, skeleton.num_joints, 3))
     for name, numbers in values.items():
-        joint, dofs = skeleton.names.index(name), asf.dofs[name]
+        joint, dofs = place[name], asf.dofs[name]
         turns = [i for i, dof in enumerate(dofs) if dof[0] == "r"]
         if turns:
             order = "".join(dofs[i][1] for i in turns)
@@ -117,4 +140,7 @@ def _motion(values: dict[str, np.ndarray], asf: Asf, turn: float, rate: float) -
         for i, dof in enumerate(dofs):
             if dof[0] == "t":
                 translations[:, joint, "xyz".index(dof[1])] = numbers[:, i] * asf.metres
-    return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.ones(frames)), rate)
+    return Motion(
+        Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.ones(frames)),
+        check_rate(rate, "the rate"),
+    )

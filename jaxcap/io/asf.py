@@ -7,6 +7,7 @@ bone's start, which is its parent's end, so `C M C^-1` is at once the joint's ro
 the rest frame of the world.
 """
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +19,8 @@ from ..body.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
 from ..body.limits import JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton, make_skeleton
 from ..errors import InputError
-from .text import numbered_lines, parse_floats, read_text
+from .door import reads
+from .text import numbered_lines, parse_floats, read_text, shortened
 from .tree import END, twist_orientations
 
 _KINDS = ("fixed", "revolute", "universal", "ball")
@@ -46,6 +48,7 @@ class Asf(NamedTuple):
 
 
 @checked
+@reads("an Acclaim skeleton")
 def read_asf(path: str | Path) -> Asf:
     """Read an Acclaim skeleton. Lengths are inches divided by the file's `length` unit.
 
@@ -71,8 +74,10 @@ def read_asf(path: str | Path) -> Asf:
     }
     number, length = units.get("length", (0, "1"))
     unit = parse_floats([length], f"{path}:{number}", "the unit of length")[0]
-    if unit <= 0:
-        raise InputError(f"{path}:{number}: the unit of length is {unit:g}; it must be more than zero.")
+    if not 1e-6 <= unit <= 1e6:
+        raise InputError(
+            f"{path}:{number}: the unit of length is {unit:g}; it must be more than zero, from 1e-06 to 1e+06."
+        )
     metres = 0.0254 / unit
     degrees = units.get("angle", (0, "deg"))[1].lower().startswith("deg")
     turn = np.pi / 180 if degrees else 1.0
@@ -97,6 +102,7 @@ def read_asf(path: str | Path) -> Asf:
         if "limits" in bone:
             words = " ".join(bone["limits"][1]).replace("(", " ").replace(")", " ").split()
             pairs = np.array(_bounds(words, f"{path}:{bone['limits'][0]}", name)) * turn
+            pairs = np.clip(pairs, -2 * np.pi, 2 * np.pi)
             if len(pairs) != 2 * len(dofs[name]):
                 raise InputError(
                     f"{path}:{bone['limits'][0]}: '{name}' has {len(dofs[name])} dofs but {len(pairs) / 2:g} limits."
@@ -108,6 +114,7 @@ def read_asf(path: str | Path) -> Asf:
     )
     ends = {"root": position}
     rows = [("root", -1, "free", position)]
+    place, inner = {name: joint for joint, name in enumerate(order)}, set(parents.values())
     for name in order[1:]:
         bone, above = bones[name], parents[name]
         direction = np.array(_vector(bone, "direction", name, path))
@@ -117,10 +124,10 @@ def read_asf(path: str | Path) -> Asf:
         lengths[name] = _vector(bone, "length", name, path, 1)[0] * metres
         ends[name] = ends[above] + direction / size * lengths[name]
         rotations = len([dof for dof in dofs[name] if dof[0] == "r"])
-        rows.append((name, order.index(above), _KINDS[rotations], ends[above]))
+        rows.append((name, place[above], _KINDS[rotations], ends[above]))
     for name in order[1:]:
-        if name not in parents.values():
-            rows.append((name + END, order.index(name), "fixed", ends[name]))
+        if name not in inner:
+            rows.append((name + END, place[name], "fixed", ends[name]))
     names, above, kinds, centres = zip(*rows, strict=True)
     axes = np.tile(np.eye(3)[:2], (len(rows), 1, 1))
     for joint, name in enumerate(names):
@@ -158,8 +165,7 @@ def read_asf(path: str | Path) -> Asf:
 def _box(dofs: tuple[str, ...], frame: np.ndarray, limits: np.ndarray) -> EulerBox:
     """The first dof is applied first, as a box's first axis is."""
     axes = frame[:, ["xyz".index(dof[1]) for dof in dofs]]
-    bounds = np.clip(limits, -2 * np.pi, 2 * np.pi)
-    return EulerBox(bounds[:, 0], bounds[:, 1], axes)
+    return EulerBox(limits[:, 0], limits[:, 1], axes)
 
 
 def _fields(lines: list[tuple[int, str]], path) -> dict[str, tuple[int, list[str]]]:
@@ -189,7 +195,7 @@ def _bones(lines: list[tuple[int, str]], path) -> dict[str, dict]:
                 raise InputError(f"{path}:{fields['name'][0]}: the bone '{name}' stands twice.")
             bones[name], block = fields, None
         elif block is None:
-            raise InputError(f"{path}:{number}: '{line}' stands outside of 'begin' and 'end'.")
+            raise InputError(f"{path}:{number}: '{shortened(line)}' stands outside of 'begin' and 'end'.")
         else:
             block.append((number, line))
     if block is not None:
@@ -204,17 +210,18 @@ def _dofs(name: str, bone: dict, path) -> tuple[str, ...]:
     for word in words:
         if word not in allowed or words.count(word) > 1:
             raise InputError(
-                f"{path}:{number}: the dof '{word}' of '{name}' is not supported; use {', '.join(allowed)} once each."
+                f"{path}:{number}: the dof '{shortened(word)}' of '{name}' is not supported; use {', '.join(allowed)} once each."
             )
     return words
 
 
 def _bounds(words: list[str], where: str, name: str) -> list[float]:
-    """Limits, where `inf` and `-inf` are allowed."""
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        raise InputError(f"{where}: the limits of '{name}' are not numbers: {' '.join(words)}.") from None
+    """Limits, where `inf` and `-inf` stand for none: two turns either way, as far as no joint turns."""
+    none = {"inf": math.inf, "+inf": math.inf, "-inf": -math.inf}
+    what = f"the limits of '{shortened(name)}'"
+    return [
+        none[word.lower()] if word.lower() in none else parse_floats([word], where, what)[0] for word in words
+    ]
 
 
 def _vector(bone: dict, key: str, name: str, path, count: int = 3) -> list[float]:
@@ -246,7 +253,7 @@ def _hierarchy(lines: list[tuple[int, str]], bones: dict, path) -> dict[str, str
             raise InputError(
                 f"{path}:{bones[name]['first'][0]}: the bone '{name}' has no place in ':hierarchy'."
             )
-    reached = _root_first(parents)
+    reached = set(_root_first(parents))
     for name in parents:
         if name not in reached:
             raise InputError(
@@ -257,9 +264,12 @@ def _hierarchy(lines: list[tuple[int, str]], bones: dict, path) -> dict[str, str
 
 def _root_first(parents: dict[str, str]) -> list[str]:
     """All bones below the root, parents before children, chain by chain."""
+    below: dict[str, list[str]] = {}
+    for child, parent in parents.items():
+        below.setdefault(parent, []).append(child)
     order, stack = [], ["root"]
     while stack:
         bone = stack.pop()
         order.append(bone)
-        stack += reversed([child for child, parent in parents.items() if parent == bone])
+        stack += reversed(below.get(bone, []))
     return order

@@ -14,10 +14,13 @@ from ..body.skeleton import rest_distance
 from ..errors import InputError
 from ..metrics import joint_errors
 from .amass import SAME_BODY, is_amass, read_amass
-from .npz import load_arrays, load_motion, load_skeleton
+from .archive import array_names
+from .door import reads
+from .npz import load_motion, load_skeleton
 from .registry import read_motion
 
 
+@reads("a motion")
 def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
     """A motion of a body; one from BVH, whose lengths are in `unit`, is matched to its joints by name.
 
@@ -28,7 +31,7 @@ def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
     if path.suffix.lower() == ".npz":
         motion = load_motion(path, body.skeleton)
         # a motion may have been saved without its skeleton
-        if "centres" in load_arrays(path):
+        if "centres" in array_names(path):
             _check_near(path, rest_distance(body.skeleton, load_skeleton(path)))
         return motion
     skeleton, motion = read_motion(path, unit)

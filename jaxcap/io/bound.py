@@ -15,6 +15,7 @@ from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import LinearSkin
 from ..errors import InputError
 from .surface import Surface
+from .text import LARGEST, check_rate
 
 #: by how much a scale may be off and be no scale
 _EVEN = 1e-5
@@ -48,11 +49,13 @@ def bind(path: Path, joints: Joints, placed: Float[np.ndarray, "4 4"]) -> Bound:
 
     **Raises:** `InputError` where joints are sheared or mirrored, or are no tree.
     """
-    inverse = joints.inverse @ np.linalg.inv(placed)
-    rest = np.linalg.inv(inverse)
+    inverse = joints.inverse @ inverted(path, placed)
+    rest = inverted(path, inverse)
+    size = np.cbrt(np.linalg.det(rest[:, :3, :3]))
     # joints in centimetres below a scale of a hundredth are as large as any
-    rest[:, :3, :3] /= np.cbrt(np.linalg.det(rest[:, :3, :3]))[:, None, None]
+    rest[:, :3, :3] /= np.where(size == 0, 1.0, size)[:, None, None]
     check_rigid(path, rest[:, :3, :3])
+    _check_places(path, rest[:, :3, 3], "joints")
     frames = Rotation.from_matrix(rest[:, :3, :3]).as_quat(scalar_first=True)
     plain = ["free" if parent < 0 else "ball" for parent in joints.parents]
     kinds = [kind or other for kind, other in zip(joints.kinds, plain, strict=True)]
@@ -60,7 +63,8 @@ def bind(path: Path, joints: Joints, placed: Float[np.ndarray, "4 4"]) -> Bound:
         skeleton = make_skeleton(joints.names, joints.parents, kinds, rest[:, :3, 3], frames, joints.axes)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
-    order = tuple(list(joints.names).index(name) for name in skeleton.names)
+    place = {name: number for number, name in enumerate(joints.names)}
+    order = tuple(place[name] for name in skeleton.names)
     return Bound(skeleton, order, placed, inverse[list(order)])
 
 
@@ -79,9 +83,10 @@ def placing(
     return placed
 
 
-def body_of(bound: Bound, surface: Surface) -> Body:
+def body_of(path: Path, bound: Bound, surface: Surface) -> Body:
     """The body of a surface whose weights are of the skeleton's joints."""
     vertices = surface.vertices @ bound.placed[:3, :3].T + bound.placed[:3, 3]
+    _check_places(path, vertices, "vertices")
     dtype = bound.skeleton.centres.dtype
     skin = LinearSkin(jnp.asarray(surface.weights, dtype))
     return Body(bound.skeleton, skin, jnp.asarray(vertices, dtype), jnp.asarray(surface.faces))
@@ -95,19 +100,48 @@ def motion_of(path: Path, bound: Bound, frames: Float[np.ndarray, "F J 4 4"], ra
     # T_j, from rest to pose, is the joint's frame after the inverse of where it was bound
     bones, skeleton = frames @ bound.inverse, bound.skeleton
     scale = np.cbrt(np.linalg.det(bones[:, 0, :3, :3]))
+    if not (scale > 0).all():
+        raise InputError(
+            f"{path}: frame {int(np.argmin(scale > 0))} scales the joints to nothing, or mirrors them; export it again."
+        )
     bones[:, :, :3] /= scale[:, None, None, None]
     check_rigid(path, bones[:, :, :3, :3])
+    check_rate(rate, str(path))
     centres, count = np.array(skeleton.centres, float), len(bones)
     translations, rotations = np.zeros((count, len(centres), 3)), np.zeros((count, len(centres), 4))
     for joint, parent in enumerate(skeleton.parents):
-        local = bones[:, joint] if parent < 0 else np.linalg.inv(bones[:, parent]) @ bones[:, joint]
+        local = bones[:, joint] if parent < 0 else inverted(path, bones[:, parent]) @ bones[:, joint]
         turn = Rotation.from_matrix(local[:, :3, :3])
         rotations[:, joint] = turn.as_quat(canonical=True, scalar_first=True)
         translations[:, joint] = local[:, :3, 3] + turn.apply(centres[joint]) - centres[joint]
+    _check_places(path, translations, "joints")
     dtype = skeleton.centres.dtype
     return Motion(
         Pose(*(jnp.asarray(values, dtype) for values in (translations, rotations, scale))), float(rate)
     )
+
+
+def inverted(path: Path, matrices: Float[np.ndarray, "*any 4 4"]) -> Float[np.ndarray, "*any 4 4"]:
+    """The inverses of affine transforms. Raises `InputError` where one has none."""
+    flat = matrices[..., :3, :3]
+    sizes = np.linalg.norm(flat, axis=-2)
+    # how far from flat, whatever the size
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.abs(np.linalg.det(flat)) / np.prod(sizes, axis=-1)
+    affine = np.abs(matrices[..., 3, :] - [0.0, 0, 0, 1]).max(initial=0) < 1e-3
+    if not (room > 1e-6).all() or not affine:
+        raise InputError(
+            f"{path}: the transform of a joint cannot be inverted, as it makes everything flat; export the skin again."
+        )
+    return np.linalg.inv(matrices)
+
+
+def _check_places(path: Path, places: Float[np.ndarray, "*any 3"], what: str) -> None:
+    """That nothing stands where no length leads. Raises `InputError`."""
+    if not (np.abs(places) <= LARGEST).all():
+        raise InputError(
+            f"{path}: {what} stand further away than {LARGEST:g} m; check the scales of the file."
+        )
 
 
 def check_rigid(path: Path, turns: Float[np.ndarray, "*any 3 3"]) -> None:

@@ -22,12 +22,15 @@ from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..errors import InputError
 from .bvh_writer import BvhWriter, write_bvh
-from .text import parse_floats, parse_int, read_text, unit_scale
+from .door import reads
+from .text import RATES, float_table, parse_floats, parse_int, read_text, shortened, unit_scale
 from .tree import END, twist_orientations
 
 __all__ = ["BvhWriter", "read_bvh", "write_bvh"]
 
 _CHANNEL = re.compile(r"([xyz])(position|rotation)$", re.IGNORECASE)
+#: frames of a motion in which nothing moves
+MOST_STILL = 100_000
 _KINDS = ("fixed", "revolute", "universal", "ball")
 
 
@@ -41,6 +44,7 @@ class _Joint(NamedTuple):
 
 
 @checked
+@reads("a BVH file")
 def read_bvh(path: str | Path, unit: str | float = "cm") -> tuple[Skeleton, Motion]:
     """Read a BVH file: its skeleton in metres, and its motion.
 
@@ -81,6 +85,10 @@ class _Hierarchy:
             (n, m[0], line[m.end() :]) for n, line in lines for m in re.finditer(r"[{}]|[^\s{}]+", line)
         ]
         self.at = 0
+        #: of every joint the line of its name
+        self.lines: dict[str, int] = {}
+        #: of every joint how many names were tried for its ends
+        self.ends: dict[int, int] = {}
 
     def joints(self) -> list[_Joint]:
         found: list[_Joint] = []
@@ -107,17 +115,18 @@ class _Hierarchy:
                 self.end_site(found, stack[-1])
             else:
                 raise InputError(
-                    f"{self.path}:{number}: '{word}' stands where JOINT, End Site or '}}' belongs, "
-                    f"in joint '{found[stack[-1]].name}'."
+                    f"{self.path}:{number}: '{shortened(word)}' stands where JOINT, End Site or '}}' belongs, "
+                    f"in joint '{shortened(found[stack[-1]].name)}'."
                 )
 
     def open(self, found: list[_Joint], parent: int) -> int:
         name, line = self.name()
-        for joint in found:
-            if joint.name == name:
-                raise InputError(
-                    f"{self.path}:{line}: the joint '{name}' is already there in line {joint.line}; names must differ."
-                )
+        if name in self.lines:
+            raise InputError(
+                f"{self.path}:{line}: the joint '{shortened(name)}' is already there in line {self.lines[name]}; "
+                "names must differ."
+            )
+        self.lines[name] = line
         self.expect("{", "'{'")
         offset, channels = [], []
         while self.peek().lower() in ("offset", "channels"):
@@ -139,11 +148,12 @@ class _Hierarchy:
         offset = self.floats(3, f"the End Site of '{found[parent].name}'")
         self.expect("}", "'}'")
         if any(offset):
-            taken = [joint.name for joint in found]
-            name, count = found[parent].name + END, 1
-            while name in taken:
+            name = found[parent].name + END
+            count = self.ends.get(parent, 1)
+            while name in self.lines:
                 count += 1
                 name = f"{found[parent].name}{END}{count}"
+            self.ends[parent], self.lines[name] = count, number
             found.append(_Joint(name, parent, number, offset, []))
 
     def channels(self, name: str) -> list[tuple[str, str]]:
@@ -155,7 +165,7 @@ class _Hierarchy:
             match = _CHANNEL.match(word)
             if not match:
                 raise InputError(
-                    f"{self.path}:{number}: '{word}' is not a channel; joint '{name}' promises {count} of "
+                    f"{self.path}:{number}: '{shortened(word)}' is not a channel; joint '{name}' promises {count} of "
                     "Xposition, Yposition, Zposition, Xrotation, Yrotation, Zrotation."
                 )
             channel = (match[2].lower(), match[1].lower())
@@ -202,7 +212,7 @@ class _Hierarchy:
     def expect(self, word: str, wanted: str) -> None:
         number, found = self.take(wanted)
         if found.lower() != word.lower():
-            raise InputError(f"{self.path}:{number}: '{found}' stands where {wanted} belongs.")
+            raise InputError(f"{self.path}:{number}: '{shortened(found)}' stands where {wanted} belongs.")
 
 
 def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray, float]:
@@ -212,16 +222,20 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
             f"{path}: 'Frames:' and 'Frame Time:' are missing after MOTION; the file is cut short."
         )
     (first, frames), (second, time), *rows = lines
-    header = re.match(r"\s*frames\s*:?\s*(\S+)\s*$", frames, re.IGNORECASE)
-    if not header:
-        raise InputError(f"{path}:{first}: '{frames.strip()}' stands where 'Frames: <number>' belongs.")
-    count = parse_int(header[1], f"{path}:{first}", "the number of Frames")
-    header = re.match(r"\s*frame\s*time\s*:?\s*(\S+)\s*$", time, re.IGNORECASE)
-    if not header:
-        raise InputError(f"{path}:{second}: '{time.strip()}' stands where 'Frame Time: <seconds>' belongs.")
-    seconds = parse_floats([header[1]], f"{path}:{second}", "the Frame Time")[0]
+    word = _setting(frames, "frames", f"{path}:{first}", "Frames: <number>")
+    count = parse_int(word, f"{path}:{first}", "the number of Frames")
+    word = _setting(time, "frame time", f"{path}:{second}", "Frame Time: <seconds>")
+    seconds = parse_floats([word], f"{path}:{second}", "the Frame Time")[0]
     if not (seconds > 0 and count >= 0):
         raise InputError(f"{path}:{second}: {count} frames of {seconds:g} seconds each are not a motion.")
+    if not 1 / RATES[1] <= seconds <= 1 / RATES[0]:
+        raise InputError(
+            f"{path}:{second}: the Frame Time is {seconds:g} seconds; give one from {1 / RATES[1]:g} to {1 / RATES[0]:g}."
+        )
+    if width == 0 and count > MOST_STILL:
+        raise InputError(
+            f"{path}:{first}: there are {count} frames of joints without CHANNELS, which do not move; leave them out."
+        )
     words = [line.split() for _, line in rows]
     total = sum(len(line) for line in words)
     if total != count * width:
@@ -237,18 +251,27 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
             f"{path}:{rows[-1][0] if rows else second}: there are {total} numbers for {count} frames of {width} "
             f"channels, which is {total / max(width, 1):.4g} frames; {ending}."
         )
-    try:
-        values = np.array([word for line in words for word in line]).astype(float)
-        finite = np.isfinite(values).all()
-    except ValueError:
-        finite = False
-    if not finite:
-        for (number, _), line in zip(rows, words, strict=True):
+    values = float_table([word for line in words for word in line])
+    if values is None:
+        # line by line, which names the line
+        read = [
             parse_floats(line, f"{path}:{number}", "a frame")
+            for (number, _), line in zip(rows, words, strict=True)
+        ]
+        values = np.array([number for line in read for number in line])
     rate = 1.0 / seconds
     # files round the frame time: 0.0083333 means 120 a second
     rate = float(round(rate)) if abs(rate - round(rate)) < 2e-5 * rate else rate
     return values.reshape(count, width), rate
+
+
+def _setting(line: str, name: str, where: str, wanted: str) -> str:
+    """The one word behind a name and a colon, which may be missing. Raises `InputError`."""
+    words = line.replace(":", " ").lower().split()
+    known = name.split()
+    if words[:-1] != known:
+        raise InputError(f"{where}: '{shortened(line.strip())}' stands where '{wanted}' belongs.")
+    return words[-1]
 
 
 def _assemble(

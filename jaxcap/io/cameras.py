@@ -1,6 +1,5 @@
 """Calibrations of cameras as `.json`, one object a camera."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,10 +7,11 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import InputError
-from ..geometry.camera import LEAST_PIXELS, Camera
+from ..geometry.camera import LEAST_PIXELS, Camera, check_picture
+from .door import reads
 from .kinds import check_kind
 from .table import write_json
-from .text import read_text
+from .text import LARGEST, read_json, shortened
 
 KIND = "jaxcap cameras"
 #: numbers of each camera and the shapes they come in
@@ -36,6 +36,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
 
 
 @checked
+@reads("a calibration of cameras")
 def read_cameras(path: str | Path) -> list[Camera]:
     """The cameras of a calibration: `{"cameras": [{"rotation", "translation", "focal", "principal_point",
     "width", "height"}, ...]}`, from the world to the camera, metres and pixels; see `Camera`.
@@ -46,10 +47,7 @@ def read_cameras(path: str | Path) -> list[Camera]:
     its number, lacks a key or has numbers that are not finite, no rotation, or no picture.
     """
     check_kind(path, "cameras", (".json",))
-    try:
-        content = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}).") from None
+    content = read_json(path)
     rows = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: there is no list 'cameras' in it; give at least one camera there.")
@@ -67,8 +65,9 @@ def _camera(row: object, where: str) -> Camera:
     for name, size in sizes.items():
         if not isinstance(size, int) or isinstance(size, bool) or size < LEAST_PIXELS:
             raise InputError(
-                f"{where} has {size} for '{name}'; give a whole number of pixels, at least {LEAST_PIXELS}."
+                f"{where} has {shortened(repr(size))} for '{name}'; give a whole number of pixels, at least {LEAST_PIXELS}."
             )
+    check_picture(sizes["width"], sizes["height"], where)
     turn = arrays["rotation"]
     if np.abs(turn @ turn.T - np.eye(3)).max() > ROUNDED or np.linalg.det(turn) < 0:
         raise InputError(
@@ -83,13 +82,15 @@ def _camera(row: object, where: str) -> Camera:
 def _numbers(value: object, name: str, shape: tuple[int, ...], where: str) -> np.ndarray:
     try:
         numbers = np.asarray(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where} has something else than numbers for '{name}'; write numbers.") from None
     if name == "focal" and numbers.shape == ():
         numbers = np.tile(numbers, 2)
     if numbers.shape != shape:
         wanted = " x ".join(map(str, shape))
         raise InputError(f"{where} has '{name}' of shape {numbers.shape}; it must be {wanted}.")
-    if not np.isfinite(numbers).all():
-        raise InputError(f"{where} has a number for '{name}' that is not finite; write finite numbers.")
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise InputError(
+            f"{where} has a number for '{name}' that is not finite, or too large; write finite numbers."
+        )
     return numbers

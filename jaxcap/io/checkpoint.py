@@ -10,8 +10,10 @@ import numpy as np
 from ..body.body import Body
 from ..body.pose import Motion
 from ..errors import InputError
+from .door import reads
 from .journal import check_same_run
-from .npz import body_arrays, body_of, load_kind, motion_arrays, motion_of, save_arrays
+from .npz import body_arrays, body_of, get_array, load_kind, motion_arrays, motion_of, save_arrays
+from .text import parse_json
 
 KIND = "jaxcap checkpoint"
 
@@ -43,6 +45,7 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint, header: Mapping[st
     save_arrays(path, KIND, arrays)
 
 
+@reads("a checkpoint")
 def load_checkpoint(path: str | Path, header: Mapping[str, object], needs: Sequence[str] = ()) -> Checkpoint:
     """The checkpoint of a run that was begun with the same `header`.
 
@@ -51,19 +54,28 @@ def load_checkpoint(path: str | Path, header: Mapping[str, object], needs: Seque
     """
     path = Path(path)
     arrays = load_kind(path, KIND)
-    grouped: dict[str, dict[str, np.ndarray]] = {"body": {}, "motion": {}, "more": {}, "history": {}}
-    for name, values in arrays.items():
-        group, _, rest = name.partition(".")
-        grouped.setdefault(group, {})[rest] = values
-    steps, values = (grouped["history"].get(name, np.zeros(0)) for name in ("steps", "values"))
-    lacking = [name for name in needs if name not in grouped["more"]]
-    if "header" not in arrays or lacking or steps.shape != values.shape:
+    kept, past = _group(arrays, "more."), _group(arrays, "history.")
+    if "header" not in arrays or any(name not in kept for name in needs):
         raise InputError(f"{path}: this checkpoint is not whole; overwrite it to begin anew.")
-    try:
-        there = json.loads(str(arrays["header"]))
-    except ValueError:
-        raise InputError(f"{path}: this checkpoint is not whole; overwrite it to begin anew.") from None
+    there = parse_json(str(arrays["header"]), f"{path}: its header")
+    if not isinstance(there, dict):
+        raise InputError(f"{path}: this checkpoint is not whole; overwrite it to begin anew.")
     check_same_run(path, there, header)
-    history = tuple((str(step), float(value)) for step, value in zip(steps, values, strict=True))
-    body, motion = body_of(grouped["body"], path), motion_of(grouped["motion"], path)
-    return Checkpoint(body, motion, history, grouped["more"])
+    steps = get_array(past, "steps", path, (None,), "text").tolist()
+    values = get_array(past, "values", path, (len(steps),)).tolist()
+    body, motion = body_of(_group(arrays, "body."), path), motion_of(_group(arrays, "motion."), path)
+    return Checkpoint(body, motion, tuple(zip(steps, values, strict=True)), kept)
+
+
+@reads("a checkpoint")
+def load_progress(path: str | Path) -> tuple[Body, Motion]:
+    """The body and the poses of a run that is not over, whichever run it is.
+
+    **Raises:** `InputError` where the file is no checkpoint or is damaged.
+    """
+    arrays = load_kind(path, KIND, wanted=lambda name: name.startswith(("body.", "motion.")))
+    return body_of(_group(arrays, "body."), path), motion_of(_group(arrays, "motion."), path)
+
+
+def _group(arrays: Mapping[str, np.ndarray], start: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(start): values for name, values in arrays.items() if name.startswith(start)}

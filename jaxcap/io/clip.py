@@ -28,12 +28,17 @@ def suffix_of(path: str | Path) -> str:
 
 def clip_names(animations: Sequence[str | None]) -> tuple[str, ...]:
     """Name every animation of a file: as the file does, `clip0` and so on where it does not, and each name once."""
-    names: list[str] = []
+    names: dict[str, None] = {}
+    # of every name how often it was there already
+    times: dict[str, int] = {}
     for number, given in enumerate(animations):
         name = given or f"clip{number}"
-        while name in names:
-            name += "_"
-        names.append(name)
+        more = times.get(name, 0)
+        # a name that is there a hundred times is numbered
+        while (new := name + ("_" * more if more < 100 else f"_{more}")) in names:
+            more += 1
+        times[name] = more + 1
+        names[new] = None
     return tuple(names)
 
 

@@ -9,12 +9,14 @@ import numpy as np
 from ..arguments import checked
 from ..errors import InputError
 from ..observe import Scan as Scan
+from .archive import array_names, load_arrays
+from .door import reads
 from .kinds import wrong_arrays
 from .mesh import check_faces, check_points, read_mesh, vertex_normals
-from .npz import load_arrays
 from .paths import cut, find_files, order_files
-from .text import unit_scale
+from .text import LARGEST, unit_scale
 
+_ARRAYS = ("points", "vertices", "normals", "offsets", "faces")
 #: of what is a cloud
 NO_FACES = np.zeros((0, 3), int)
 #: points, normals and triangles of a frame
@@ -51,6 +53,7 @@ class Scans(Sequence):
 
 
 @checked
+@reads("clouds")
 def read_clouds(
     source: str | Path | Sequence[str | Path],
     first: int | None = None,
@@ -92,20 +95,29 @@ def read_clouds(
 
 
 def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> Scans:
-    arrays = load_arrays(path)
+    arrays = load_arrays(path, lambda name: name in _ARRAYS)
+    held = array_names(path)
     faces, offsets = arrays.get("faces"), arrays.get("offsets")
     points, normals = arrays.get("points", arrays.get("vertices")), arrays.get("normals")
-    if points is None or points.dtype.kind not in "fiu" or "skin" in arrays:
-        raise wrong_arrays(path, arrays, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
+    if points is None or points.dtype.kind not in "fiu" or "skin" in held:
+        raise wrong_arrays(path, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
     if offsets is None and points.ndim == 2:
         offsets = np.array([0, len(points)])
     if points.ndim != (3 if offsets is None else 2) or points.shape[-1] != 3:
         wanted = "(F, N, 3)" if offsets is None else "(T, 3) with offsets"
         raise InputError(f"{path}: the points have the shape {points.shape}; it must be {wanted}.")
-    if normals is not None and normals.shape != points.shape:
-        raise InputError(f"{path}: the normals have the shape {normals.shape}, the points {points.shape}.")
+    if normals is not None and (normals.shape != points.shape or normals.dtype.kind not in "fiu"):
+        raise InputError(
+            f"{path}: the normals have the shape {normals.shape} and hold {normals.dtype}; give numbers of the shape "
+            f"of the points, {points.shape}."
+        )
+    if offsets is not None and (offsets.ndim != 1 or offsets.dtype.kind not in "iu" or not len(offsets)):
+        raise InputError(
+            f"{path}: the offsets have the shape {offsets.shape} and hold {offsets.dtype}; they must be whole numbers, "
+            "(F + 1,)."
+        )
     if offsets is not None and not (
-        offsets[0] == 0 and offsets[-1] == len(points) and (np.diff(offsets) >= 0).all()
+        offsets[0] == 0 and offsets[-1] == len(points) and (offsets[1:] >= offsets[:-1]).all()
     ):
         raise InputError(f"{path}: the offsets must rise from 0 to the number of points, {len(points)}.")
     if faces is not None:
@@ -117,15 +129,24 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
         least = points.shape[1] if offsets is None else np.diff(offsets).min(initial=len(points))
         check_faces(faces, int(least), path)
     count = len(points) if offsets is None else len(offsets) - 1
+    if count > max(len(points), 1):
+        raise InputError(
+            f"{path}: there are {count} frames of {len(points)} points in all; leave empty frames out."
+        )
     frames = cut(list(range(count)), first, last, str(path))
 
     def load(index: int):
         frame = frames[index]
         rows = frame if offsets is None else slice(offsets[frame], offsets[frame + 1])
         here = np.asarray(points[rows], float) * metres
-        own = None if normals is None else np.asarray(normals[rows], float)
+        own = None if normals is None else _known(np.asarray(normals[rows], float))
         if faces is None:
             return here, own, NO_FACES
         return here, vertex_normals(here, faces) if own is None else own, faces
 
     return Scans([f"{path}[{frame}]" for frame in frames], load)
+
+
+def _known(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Normals, zero where they are no directions: those are not known."""
+    return np.where((np.abs(normals) <= LARGEST).all(1, keepdims=True), normals, 0.0)

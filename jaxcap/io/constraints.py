@@ -25,8 +25,9 @@ from ..body.body import Body
 from ..edit.ik.constraints import Constraint, check_constraints, describe
 from ..errors import InputError
 from .atomic import write_text
+from .door import reads
 from .kinds import check_kind
-from .text import read_text
+from .text import read_json, shortened
 
 KIND, VERSION = "jaxcap constraints", 1
 _FIELDS = ("vertex", "joint", "target", "weight", "pinned", "orientation")
@@ -45,6 +46,7 @@ def write_constraints(path: str | Path, constraints: Sequence[Constraint], body:
 
 
 @checked
+@reads("constraints")
 def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
     """Constraints that `write_constraints` or a person wrote.
 
@@ -52,21 +54,13 @@ def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
     a vertex or a joint that this one does not have, or says something else that is wrong: which row, and what.
     """
     check_kind(path, "constraints", (".json",))
-    text = read_text(path)
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}); mend it there.") from None
-    except (ValueError, RecursionError):
-        raise InputError(
-            f"{path}: this JSON is nested too deeply, or has numbers of too many digits, for a file of constraints."
-        ) from None
+    content = read_json(path)
     found = content.get("format") if isinstance(content, dict) else None
     if found != KIND:
         raise InputError(f'{path}: this is not a file of constraints; they begin with "format": "{KIND}".')
     if content.get("version") != VERSION:
         raise InputError(
-            f"{path}: this file has version {content.get('version')}; this program reads version {VERSION}."
+            f"{path}: this file has version {shortened(repr(content.get('version')))}; this program reads version {VERSION}."
         )
     rows = content.get("constraints")
     if not isinstance(rows, list):
@@ -77,6 +71,8 @@ def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
         _constraint(row, f"{path}: constraint {number}") for number, row in enumerate(rows, 1)
     )
     count = content.get("vertices", len(body.vertices))
+    if not isinstance(count, int):
+        raise InputError(f'{path}: "vertices" is {shortened(repr(count))}; give how many the body has.')
     if count != len(body.vertices) and any(not isinstance(one.point, str) for one in constraints):
         raise InputError(
             f"{path}: these constraints are of a body with {count} vertices, and this one has {len(body.vertices)}; "
@@ -98,22 +94,26 @@ def _constraint(row: Any, where: str) -> Constraint:
         raise InputError(f'{where}: this is not a constraint; write {{"joint": NAME, "target": [x, y, z]}}.')
     strange = [name for name in row if name not in _FIELDS]
     if strange:
-        raise InputError(f"{where}: '{strange[0]}' is not known; a constraint has {', '.join(_FIELDS)}.")
+        raise InputError(
+            f"{where}: '{shortened(strange[0])}' is not known; a constraint has {', '.join(_FIELDS)}."
+        )
     if ("vertex" in row) == ("joint" in row):
         raise InputError(f'{where}: give either a "vertex" or a "joint".')
     point: Any = row.get("joint", row.get("vertex"))
     if "joint" in row and not isinstance(point, str):
-        raise InputError(f"{where}: the joint is {point!r}; give its name.")
+        raise InputError(f"{where}: the joint is {shortened(repr(point))}; give its name.")
     if "vertex" in row and (not isinstance(point, int) or isinstance(point, bool)):
-        raise InputError(f"{where}: the vertex is {point!r}; give its index, counted from 0.")
+        raise InputError(f"{where}: the vertex is {shortened(repr(point))}; give its index, counted from 0.")
     target = _numbers(row, "target", 3, f"{where} ({describe(point)})")
     weight, pinned = row.get("weight", 1.0), row.get("pinned", False)
     if not _is_number(weight) or weight < 0:
         raise InputError(
-            f"{where} ({describe(point)}): the weight is {weight!r}; give a number of at least 0."
+            f"{where} ({describe(point)}): the weight is {shortened(repr(weight))}; give a number of at least 0."
         )
     if not isinstance(pinned, bool):
-        raise InputError(f'{where} ({describe(point)}): "pinned" is {pinned!r}; give true or false.')
+        raise InputError(
+            f'{where} ({describe(point)}): "pinned" is {shortened(repr(pinned))}; give true or false.'
+        )
     orientation = row.get("orientation")
     turn = None if orientation is None else _numbers(row, "orientation", 4, f"{where} ({describe(point)})")
     return Constraint(point, target, float(weight), pinned, turn)
@@ -122,7 +122,9 @@ def _constraint(row: Any, where: str) -> Constraint:
 def _numbers(row: Mapping[str, Any], name: str, count: int, where: str) -> Any:
     values = row.get(name)
     if not isinstance(values, list) or len(values) != count or not all(map(_is_number, values)):
-        raise InputError(f'{where}: the "{name}" is {values!r}; give {count} finite numbers in brackets.')
+        raise InputError(
+            f'{where}: the "{name}" is {shortened(repr(values))}; give {count} finite numbers in brackets.'
+        )
     return tuple(float(value) for value in values)
 
 

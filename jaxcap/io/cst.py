@@ -21,8 +21,9 @@ from ..body.limits import Cone, JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from .atomic import write_text
+from .door import reads
 from .kinds import check_kind
-from .text import Words
+from .text import Words, shortened
 
 _NUMBERS = {"translate": 3, "revolute": 2, "universal": 4, "ball": 8, "free": 8}
 
@@ -35,6 +36,7 @@ class Constraints(NamedTuple):
     translations: dict[str, tuple[float, float, float]] = {}  # noqa: RUF012
 
 
+@reads("limits of joints")
 def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "deg"] = "rad") -> Constraints:
     """Read the limits of a skeleton's joints.
 
@@ -44,6 +46,8 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
     check_kind(path, "cst", (".cst",))
     words, turn = Words(path), _radians(angle_unit)
     count = words.header("KBCST")
+    if count < 0:
+        raise InputError(f"{words.where}: the header promises {count} joints; give how many follow.")
     seen: set[str] = set()
     ranges, cones, translations = {}, {}, {}
     for _ in range(count):
@@ -51,7 +55,7 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
         where = words.where
         if name not in skeleton.names:
             raise InputError(
-                f"{where}: '{name}' is not a joint of the skeleton, which has {', '.join(skeleton.names)}; give limits of these."
+                f"{where}: '{shortened(name)}' is not a joint of the skeleton, which has {', '.join(skeleton.names)}; give limits of these."
             )
         if name in seen:
             raise InputError(f"{where}: the joint '{name}' stands twice.")
@@ -74,7 +78,7 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
     if words.left:
         extra = words.take("")
         raise InputError(
-            f"{words.where}: '{extra}' stands after the {count} joints that the header promises."
+            f"{words.where}: '{shortened(extra)}' stands after the {count} joints that the header promises."
         )
     return Constraints(make_joint_ranges(skeleton, ranges, cones), translations)
 

@@ -1,6 +1,5 @@
 """The JSON and the buffers of a glTF 2.0 file, binary (`.glb`) or text (`.gltf`) with files next to it."""
 
-import json
 import shlex
 import struct
 from pathlib import Path
@@ -8,10 +7,15 @@ from typing import Any
 
 from ..errors import InputError
 from .clip import clip_names
+from .gltf_parts import Part
+from .gltf_scene import chunks
 from .inside import read_inside
+from .text import parse_json, read_json
 
 #: both forms of the format
 SUFFIXES = (".glb", ".gltf")
+#: files and pieces with numbers
+MOST_BUFFERS = 1000
 
 
 def read_head(path: str | Path) -> dict[str, Any]:
@@ -19,12 +23,12 @@ def read_head(path: str | Path) -> dict[str, Any]:
     try:
         with Path(path).open("rb") as stream:
             if Path(path).suffix.lower() == ".gltf":
-                head = json.loads(stream.read())
+                head = parse_json(stream.read(), path)
             else:
                 magic, _, _, length, _ = struct.unpack("<4s4I", stream.read(20))
                 # of another kind of file nothing is read
-                head = json.loads(stream.read(length)) if magic == b"glTF" else {}
-    except (OSError, ValueError, RecursionError, struct.error):
+                head = parse_json(stream.read(length), path) if magic == b"glTF" else {}
+    except (OSError, ValueError, struct.error):
         return {}
     return head if isinstance(head, dict) else {}
 
@@ -52,46 +56,30 @@ def no_skin(path: str | Path) -> InputError:
     )
 
 
-def read_document(path: Path) -> tuple[Any, list[bytes | None]]:
+def read_document(path: Path) -> tuple[Part, list[bytes | None]]:
     """Read a whole file: its content, and the bytes of each buffer, None where the file has none for it.
 
     Buffers are the file's own, data URIs, or files in the same folder or below.
 
     **Raises:** `InputError` where the file is not whole, or a buffer is missing, cut short or elsewhere.
     """
-    import pygltflib
-
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file; check the path.")
-    suffix = path.suffix.lower() if path.suffix.lower() in SUFFIXES else ".glb"
-    try:
-        if suffix == ".gltf":
-            document: Any = pygltflib.GLTF2.gltf_from_json(path.read_text(encoding="utf-8-sig"))
-            own = None
-        else:
-            with path.open("rb") as stream:
-                head = stream.read(12)
-            if head[:4] != b"glTF" or int.from_bytes(head[8:], "little") != path.stat().st_size:
-                raise InputError(f"{path}: this is not a whole .glb file; export it again.")
-            document = pygltflib.GLTF2().load_binary(str(path))
-            own = document.binary_blob()
-    except InputError:
-        raise
-    except Exception as error:  # whatever a damaged file makes of a reader
+    if path.suffix.lower() == ".gltf":
+        root, own = Part(read_json(path), str(path)), None
+    else:
+        head, own = chunks(path)
+        root = Part(parse_json(head, path), str(path))
+    parts, found = root.parts("buffers"), dict[str, bytes]()
+    if len(parts) > MOST_BUFFERS:
         raise InputError(
-            f"{path}: this is not a whole {suffix} file ({type(error).__name__}); export it again."
-        ) from None
-    if document is None:
-        raise InputError(f"{path}: this is not a whole {suffix} file; export it again.")
+            f"{path}: there are {len(parts)} buffers in it; export it with {MOST_BUFFERS} at most."
+        )
     buffers: list[bytes | None] = []
-    for number, buffer in enumerate(document.buffers or []):
-        content = own if buffer.uri is None and number == 0 else None
-        if buffer.uri is not None:
-            if not isinstance(buffer.uri, str):
-                raise InputError(f"{path}: the URI of buffer {number} is not text; export the file again.")
-            content = read_inside(path, buffer.uri)
-        buffers.append(content)
-    return document, buffers
+    for number, buffer in enumerate(parts):
+        uri = buffer.word("uri") if "uri" in buffer else None
+        if uri is not None and uri not in found:
+            found[uri] = read_inside(path, uri)
+        buffers.append(found[uri] if uri is not None else own if number == 0 else None)
+    return root, buffers
 
 
 def _dicts(rows: object) -> list[dict]:

@@ -1,5 +1,6 @@
 """Bodies, skeletons and motions from glTF 2.0 (`.glb`, `.gltf`), whichever program wrote them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,17 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import KINDS, Skeleton
 from .bound import Bound, Joints, bind, body_of, motion_of, placing
+from .door import reads
 from .gltf_file import GltfFile
-from .gltf_surface import read_surface
+from .gltf_parts import Part
+from .gltf_surface import inverse_binds, read_surface, skin_joints
+from .text import LARGEST
 
 _HINGES = ("revolute", "universal")
 
 
 @checked
+@reads("a skinned glTF file")
 def read_gltf(
     path: str | Path, rate: float | None = None, clip: str | None = None
 ) -> tuple[Skeleton, Motion | None]:
@@ -34,6 +39,7 @@ def read_gltf(
     return bound.skeleton, _motion(file, bound, rate)
 
 
+@reads("a skinned glTF file")
 def read_gltf_body(
     path: str | Path, rate: float | None = None, clip: str | None = None
 ) -> tuple[Body, Motion | None]:
@@ -46,53 +52,75 @@ def read_gltf_body(
     """
     file = GltfFile(path, clip)
     bound = _bind(file)
-    return body_of(bound, read_surface(file, _nodes(file, bound))), _motion(file, bound, rate)
+    return body_of(file.path, bound, read_surface(file, _nodes(file, bound))), _motion(file, bound, rate)
 
 
 def _bind(file: GltfFile) -> Bound:
     """The skeleton of the first skin, at rest."""
-    skin, nodes = file.document.skins[0], file.document.nodes
-    joints = list(skin.joints)
-    parents = [_parent(file, joint, joints) for joint in joints]
-    inverse = np.tile(np.eye(4), (len(joints), 1, 1))
-    if skin.inverseBindMatrices is not None:
-        inverse = file.array(skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)
-    notes = [nodes[joint].extras or {} for joint in joints]
-    axes = np.tile(np.eye(3)[:2], (len(joints), 1, 1))
-    for number, note in enumerate(notes):
-        if np.shape(note.get("axes", ())) == (2, 3):
-            axes[number] = note["axes"]
-    # a hinge without its axes could turn about any
-    kinds = [
-        note.get("kind") if "axes" in note or note.get("kind") not in _HINGES else None for note in notes
-    ]
-    kinds = [kind if kind in KINDS else None for kind in kinds]
-    names = [nodes[joint].name or f"joint{number}" for number, joint in enumerate(joints)]
+    joints = skin_joints(file, 0)
+    place = {joint: number for number, joint in enumerate(joints)}
+    parents = _parents(file, place)
+    inverse = inverse_binds(file, 0)
+    nodes = [file.nodes[joint] for joint in joints]
+    axes, kinds = np.tile(np.eye(3)[:2], (len(joints), 1, 1)), []
+    for number, node in enumerate(nodes):
+        kind, noted = _notes(node)
+        kinds.append(kind)
+        if noted is not None:
+            axes[number] = noted
+    names = [node.word("name") or f"joint{number}" for number, node in enumerate(nodes)]
     root = parents.index(-1)
-    world, over = file.world(file.still()), file.above.get(joints[root])
+    over = file.above.get(joints[root])
+    world = file.world({}, [joints[root]] if over is None else [joints[root], over])
     above = np.eye(3) if over is None else world[over][0, :3, :3]
     placed = placing(file.path, above, (world[joints[root]][0] @ inverse[root])[:3, :3])
     return bind(file.path, Joints(names, parents, kinds, axes, inverse), placed)
 
 
-def _parent(file: GltfFile, joint: int, joints: list[int]) -> int:
-    """The next joint above, whatever nodes stand between; -1 for a root."""
-    node = file.above.get(joint)
-    while node is not None and node not in joints:
-        node = file.above.get(node)
-    return -1 if node is None else joints.index(node)
+def _notes(node: Part) -> tuple[str | None, np.ndarray | None]:
+    """The kind and the axes that `write_gltf` notes of a joint; None where they are not there, or other programs' own."""
+    note = node.content.get("extras")
+    if not isinstance(note, dict):
+        return None, None
+    try:
+        axes = np.array(note["axes"], float)
+        axes = axes if axes.shape == (2, 3) and (np.abs(axes) <= LARGEST).all() else None
+    except (KeyError, TypeError, ValueError, OverflowError):
+        axes = None
+    kind = note.get("kind")
+    # a hinge without its axes could turn about any
+    known = isinstance(kind, str) and kind in KINDS and (axes is not None or kind not in _HINGES)
+    return (kind if known else None), axes
 
 
-def _nodes(file: GltfFile, bound: Bound) -> list[int]:
-    joints = file.document.skins[0].joints
-    return [joints[number] for number in bound.order]
+def _parents(file: GltfFile, place: Mapping[int, int]) -> list[int]:
+    """For each joint the next one above, whatever nodes stand between; -1 for a root."""
+    # of every node the joint that it is, or hangs on
+    nearest: dict[int, int] = dict(place)
+    parents = []
+    for joint in place:
+        chain, node = [], file.above.get(joint)
+        while node is not None and node not in nearest:
+            chain.append(node)
+            node = file.above.get(node)
+        found = -1 if node is None else nearest[node]
+        nearest.update(dict.fromkeys(chain, found))
+        parents.append(found)
+    return parents
 
 
 def _motion(file: GltfFile, bound: Bound, rate: float | None) -> Motion | None:
-    if not file.document.animations:
+    if not file.animations:
         return None
-    clock, values = file.animation(rate)
-    world = file.world(values)
-    frames = np.stack([world[node] for node in _nodes(file, bound)], 1)
+    clock, moving = file.animation(rate)
+    nodes = _nodes(file, bound)
+    world = file.world(moving, nodes)
+    file.spend(3 * 16 * len(clock) * len(nodes), "the motion of its joints")
+    frames = np.stack([np.broadcast_to(world[node], (len(clock), 4, 4)) for node in nodes], 1)
     found = (len(clock) - 1) / (clock[-1] - clock[0]) if len(clock) > 1 else 30.0
     return motion_of(file.path, bound, frames, found)
+
+
+def _nodes(file: GltfFile, bound: Bound) -> list[int]:
+    joints = skin_joints(file, 0)
+    return [joints[number] for number in bound.order]

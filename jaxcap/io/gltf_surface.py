@@ -1,13 +1,14 @@
 """The surface that a skin of a glTF file moves, and which joints each vertex follows."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ..errors import InputError
+from .bound import inverted
 from .gltf_file import GltfFile
+from .gltf_parts import Part
 from .surface import Surface, as_shares, joined, sewn
 
 #: triangles, and points where there are no faces
@@ -20,58 +21,93 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
     **Raises:** `InputError` where there is none, one is not of triangles, or a vertex follows no joint.
     """
     parts: list[Surface] = []
-    for node in file.document.nodes:
-        if node.mesh is None or node.skin is None or not _shared(file, node.skin, joints):
+    for node in file.nodes:
+        mesh, skin = node.index("mesh", len(file.meshes)), node.index("skin", len(file.skins))
+        if mesh is None or skin is None or not set(skin_joints(file, skin)) & set(joints):
             continue
-        move = _between_skins(file, node.skin, joints)
-        for primitive in file.document.meshes[node.mesh].primitives:
-            part = _part(file, primitive, file.document.skins[node.skin].joints, joints)
+        move = _between_skins(file, skin, joints)
+        for primitive in file.meshes[mesh].parts("primitives"):
+            part = _part(file, primitive, skin_joints(file, skin), joints)
             parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
     if not parts:
         raise InputError(f"{file.path}: no mesh of this file follows its joints; read it as a skeleton.")
     return sewn(joined(parts))
 
 
-def _shared(file: GltfFile, skin: int, joints: Sequence[int]) -> bool:
-    return bool(set(file.document.skins[skin].joints) & set(joints))
+def skin_joints(file: GltfFile, skin: int) -> list[int]:
+    """The nodes that are the joints of a skin. Raises `InputError` where there are none, or one twice."""
+    joints = file.skins[skin].indices("joints", len(file.nodes))
+    if not joints or len(set(joints)) < len(joints):
+        raise file.skins[skin].wrong("joints", "a list of nodes, each of them once")
+    return joints
+
+
+def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
+    """From the space of the surface into the frame of each joint of a skin."""
+    part, count = file.skins[skin], len(skin_joints(file, skin))
+    if "inverseBindMatrices" not in part:
+        return np.tile(np.eye(4), (count, 1, 1))
+    where = f"{part.where}.inverseBindMatrices"
+    found = file.array(part.whole("inverseBindMatrices"), 16, where)
+    if len(found) != count:
+        raise InputError(f"{where} are {len(found)} matrices for {count} joints; give one for each.")
+    return found.reshape(-1, 4, 4).swapaxes(1, 2)
 
 
 def _between_skins(file: GltfFile, skin: int, joints: Sequence[int]) -> Float[np.ndarray, "4 4"]:
     """From the space in which a skin was bound to that of the first, by a joint of both."""
-    first, other = file.document.skins[0], file.document.skins[skin]
-    if skin == 0 or first.inverseBindMatrices is None or other.inverseBindMatrices is None:
+    if skin == 0 or any("inverseBindMatrices" not in file.skins[number] for number in (0, skin)):
         return np.eye(4)
-    joint = next(joint for joint in other.joints if joint in joints)
+    shared = next(joint for joint in skin_joints(file, skin) if joint in joints)
     to_first, to_other = (
-        file.array(which.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)[which.joints.index(joint)]
-        for which in (first, other)
+        inverse_binds(file, number)[skin_joints(file, number).index(shared)] for number in (0, skin)
     )
-    return np.linalg.inv(to_first) @ to_other
+    return inverted(file.path, to_first) @ to_other
 
 
-def _part(file: GltfFile, primitive: Any, own: Sequence[int], joints: Sequence[int]) -> Surface:
-    if primitive.mode not in (None, _TRIANGLES, _POINTS):
-        raise InputError(f"{file.path}: a mesh is lines, or strips of triangles; export it as triangles.")
-    names = primitive.attributes
-    vertices = file.array(names.POSITION)
-    if primitive.mode == _POINTS:
+def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[int]) -> Surface:
+    mode, where = primitive.whole("mode", _TRIANGLES), primitive.where
+    if mode not in (_TRIANGLES, _POINTS):
+        raise InputError(f"{where}: a mesh is lines, or strips of triangles; export it as triangles.")
+    names = primitive.part("attributes")
+    vertices = _attribute(file, names, "POSITION", 3)
+    if mode == _POINTS:
         faces = np.zeros((0, 3), np.int64)
-    elif primitive.indices is None:
-        faces = np.arange(len(vertices)).reshape(-1, 3)
+    elif "indices" not in primitive:
+        faces = np.arange(len(vertices))
     else:
-        faces = file.array(primitive.indices).astype(np.int64).reshape(-1, 3)
-    if faces.max(initial=-1) >= len(vertices):
-        raise InputError(f"{file.path}: a face names vertex {faces.max()} of {len(vertices)}.")
-    # attributes that pygltflib does not name are there all the same
+        faces = file.array(primitive.whole("indices"), 1, f"{where}.indices")[:, 0].astype(np.int64)
+    if faces.size % 3:
+        raise InputError(f"{where}: its triangles have {faces.size} corners; they must be three for each.")
+    faces = faces.reshape(-1, 3)
+    if faces.max(initial=-1) >= len(vertices) or faces.min(initial=0) < 0:
+        raise InputError(
+            f"{where}: a face names vertex {faces.max()} of {len(vertices)}; export the mesh again."
+        )
+    file.spend(4 * len(vertices) * len(joints), "the weights of its vertices")
     column = {node: number for number, node in enumerate(joints)}
     columns = np.array([column.get(node, -1) for node in own])
     weights, rows, place = np.zeros((len(vertices), len(joints))), np.arange(len(vertices)), 0
-    while getattr(names, f"JOINTS_{place}", None) is not None:
-        chosen = file.array(getattr(names, f"JOINTS_{place}")).astype(int)
-        shares = file.array(getattr(names, f"WEIGHTS_{place}"))
-        if chosen.max(initial=0) >= len(columns):
-            raise InputError(f"{file.path}: a vertex follows joint {chosen.max()} of {len(columns)}.")
+    while f"JOINTS_{place}" in names:
+        chosen = _attribute(file, names, f"JOINTS_{place}", 4).astype(int)
+        shares = _attribute(file, names, f"WEIGHTS_{place}", 4)
+        if len(chosen) != len(vertices) or len(shares) != len(vertices):
+            raise InputError(
+                f"{where}: there are {len(vertices)} vertices, {len(chosen)} joints and {len(shares)} weights of them; "
+                "export the mesh again."
+            )
+        if chosen.max(initial=0) >= len(columns) or chosen.min(initial=0) < 0:
+            raise InputError(f"{where}: a vertex follows joint {chosen.max()} of {len(columns)}.")
+        if shares.min(initial=0) < 0:
+            raise InputError(
+                f"{where}: a vertex follows a joint with a weight below zero; export the mesh again."
+            )
         for numbers, share in zip(columns[chosen].T, shares.T, strict=True):
             np.add.at(weights, (rows[numbers >= 0], numbers[numbers >= 0]), share[numbers >= 0])
         place += 1
     return Surface(vertices, faces, as_shares(weights, str(file.path)))
+
+
+def _attribute(file: GltfFile, names: Part, name: str, width: int) -> Float[np.ndarray, "V W"]:
+    """The numbers of an attribute of all vertices."""
+    return file.array(names.whole(name) if name in names else None, width, f"{names.where}.{name}")

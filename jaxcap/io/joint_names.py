@@ -20,6 +20,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from .atomic import write_text
+from .door import reads
 from .text import read_text
 
 KIND, VERSION = "jaxcap joint names", 1
@@ -36,6 +37,7 @@ def write_joint_names(
     write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
+@reads("a table of joints")
 def read_joint_names(path: str | Path) -> dict[str, str | None]:
     """Read a table that `write_joint_names` or a person wrote.
 

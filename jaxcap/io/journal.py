@@ -22,8 +22,11 @@ from jaxtyping import Float
 
 from ..errors import InputError
 from .atomic import FULL, replacing
+from .text import parse_json
 
 MAGIC = b"JAXCAPJ1"
+#: numbers of a record
+WIDEST = 1_000_000
 #: bytes of records that are read at once
 BLOCK = 1 << 22
 
@@ -172,18 +175,19 @@ def _opened(path: Path) -> Iterator[tuple[BinaryIO, dict[str, object], int]]:
     try:
         file = open(path, "rb")  # noqa: SIM115 - closed below
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from None
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the journal of a run.") from None
     with file:
         try:
             magic, length = file.read(8), file.read(4)
             if magic != MAGIC:
                 raise ValueError
             start = 12 + struct.unpack("<I", length)[0]
-            text = file.read(start - 12)
-            header = json.loads(text)
-            if len(text) < start - 12 or not isinstance(header.get("width"), int):
+            text = file.read(min(start - 12, path.stat().st_size))
+            header = parse_json(text, path)
+            width = header.get("width") if isinstance(header, dict) else None
+            if len(text) < start - 12 or type(width) is not int or not 0 < width <= WIDEST:
                 raise ValueError
-        except (ValueError, struct.error, AttributeError):
+        except (ValueError, struct.error):
             raise InputError(f"{path}: this is not the journal of a run; overwrite it.") from None
         yield file, header, start
 

@@ -1,20 +1,17 @@
 """Which kind of content a file or folder holds, and sentences for files that are of another kind than was asked for."""
 
-import json
 import shlex
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..errors import InputError
+from .archive import array_names, kind_of
 from .clip import split_clip
 from .foreign import FOREIGN, PICTURES
 from .gltf_document import SUFFIXES as GLTF
 from .gltf_document import has_skin
-from .text import read_text
+from .text import read_json, shortened
 
 #: what each kind is called in a sentence
 WORDS = {
@@ -153,10 +150,11 @@ def check_npz(path: str | Path, wanted: str) -> None:
         raise wrong_kind(path, wanted, (".npz",))
 
 
-def wrong_arrays(path: str | Path, arrays: Mapping[str, Any], lacking: str) -> InputError:
+def wrong_arrays(path: str | Path, lacking: str) -> InputError:
     """Say what an `.npz` is and holds, what it is not or has not, as in "not a body", and what to do."""
-    kind = kind_of_arrays(arrays, str(arrays["format"]) if "format" in arrays else "")
-    there = ", ".join(list(arrays)[:8]) + (", ..." if len(arrays) > 8 else "")
+    names = array_names(path)
+    kind = kind_of_arrays(names, kind_of(path))
+    there = ", ".join(map(shortened, names[:8])) + (", ..." if len(names) > 8 else "")
     return InputError(
         f"{path}: this is {WORDS[kind]}, {lacking}; it holds {there or 'nothing'}; {what_for(path)}."
     )
@@ -177,14 +175,8 @@ def _inside(folder: Path, suffixes: Sequence[str]) -> str:
 
 def _npz(path: Path) -> str:
     try:
-        with open(path, "rb") as raw:
-            if raw.read(2) != b"PK":
-                return "damaged"
-            raw.seek(0)
-            with np.load(raw, allow_pickle=False) as file:
-                form = str(file["format"]) if "format" in file.files else ""
-                return kind_of_arrays(file.files, form)
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
+        return kind_of_arrays(array_names(path), kind_of(path))
+    except InputError:
         return "damaged"
 
 
@@ -205,8 +197,8 @@ def kind_of_json(content: Any) -> str:
 
 def _json(path: Path) -> str:
     try:
-        return kind_of_json(json.loads(read_text(path)))
-    except (ValueError, RecursionError):
+        return kind_of_json(read_json(path))
+    except InputError:
         return "json"
 
 

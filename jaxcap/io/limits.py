@@ -14,8 +14,10 @@ from ..body.skeleton import Skeleton
 from ..errors import InputError
 from .asf import read_asf
 from .cst import read_cst
+from .door import reads
 from .kinds import wrong_kind
-from .npz import get_array, load_kind, save_arrays
+from .npz import LEAST, get_array, load_kind, save_arrays
+from .text import shortened
 
 #: the format's name in the file
 KIND = "jaxcap limits"
@@ -48,17 +50,19 @@ def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
 
 
 @checked
+@reads("limits of joints")
 def load_limits(path: str | Path) -> SurfaceLimits:
     """Read limits that `save_limits` wrote.
 
     **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
     """
     arrays = load_kind(path, KIND)
-    joints = get_array(arrays, "joints", path, (None,)).tolist()
+    joints = get_array(arrays, "joints", path, (None,), "text").tolist()
     return SurfaceLimits(tuple(_surface(arrays, f"{i}.", joint, path) for i, joint in enumerate(joints)))
 
 
 @checked
+@reads("limits of joints")
 def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
     """Limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
 
@@ -98,21 +102,31 @@ def _chart_arrays(start: str, chart: Chart) -> dict[str, np.ndarray]:
 
 
 def _chart(arrays: Mapping[str, np.ndarray], start: str, path: str | Path) -> Chart:
-    kind = str(get_array(arrays, f"{start}kind", path, ()))
+    kind = str(get_array(arrays, f"{start}kind", path, (), "text"))
     if kind not in DIMENSIONS:
         raise InputError(
-            f"{path}: the chart '{kind}' is not known; this version reads {', '.join(DIMENSIONS)}."
+            f"{path}: the chart '{shortened(kind)}' is not known; this version reads {', '.join(DIMENSIONS)}."
         )
-    middle = jnp.asarray(get_array(arrays, f"{start}middle", path, (4,)))
-    return Chart(middle, jnp.asarray(get_array(arrays, f"{start}axes", path, (2, 3))), kind)  # pyright: ignore[reportArgumentType]
+    middle = get_array(arrays, f"{start}middle", path, (4,))
+    if not np.linalg.norm(middle) > LEAST:
+        raise InputError(
+            f"{path}: the middle of a chart is a quaternion of no length; learn the limits again."
+        )
+    return Chart(jnp.asarray(middle), jnp.asarray(get_array(arrays, f"{start}axes", path, (2, 3))), kind)  # pyright: ignore[reportArgumentType]
 
 
 def _surface(arrays: Mapping[str, np.ndarray], start: str, joint: str, path: str | Path) -> LimitSurface:
     values = {name: get_array(arrays, f"{start}{name}", path, shape) for name, shape in _ARRAYS.items()}
     keyframes, primitives = values["centres"].shape[:2]
-    if values["thickness"].shape != (keyframes, primitives) or len(values["keys"]) != keyframes:
+    alike = values["thickness"].shape == values["counts"].shape == (keyframes, primitives)
+    if not (alike and keyframes and primitives and len(values["keys"]) == keyframes):
         raise InputError(f"{path}: the limits of '{joint}' do not fit together; this file is damaged.")
-    parent = str(get_array(arrays, f"{start}parent", path, ())) or None
+    for name in ("reach", "unit", "stiffness"):
+        if not values[name] > 0:
+            raise InputError(
+                f"{path}: the '{name}' of the limits of '{joint}' is {values[name]:g}; it has to be above 0."
+            )
+    parent = str(get_array(arrays, f"{start}parent", path, (), "text")) or None
     return LimitSurface(
         joint=joint,
         parent=parent,

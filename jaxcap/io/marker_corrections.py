@@ -12,9 +12,11 @@ from pathlib import Path
 
 from ..errors import InputError
 from .atomic import write_text
-from .text import numbered_lines, parse_floats, read_text
+from .door import reads
+from .text import numbered_lines, parse_floats, read_text, shortened
 
 
+@reads("corrections of markers")
 def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
     """Corrections as marker -> (segment, weight), for `markers.partition.correct` and `fit_local`.
 
@@ -26,14 +28,17 @@ def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
         words, where = line.split(), f"{path}:{number}"
         if len(words) not in (2, 3):
             raise InputError(
-                f"{where}: '{line}' has {len(words)} words; write a marker, its segment and its weight."
+                f"{where}: '{shortened(line)}' has {len(words)} words; write a marker, its segment and its weight."
             )
         marker, segment = words[:2]
-        weight = parse_floats(words[2:], where, f"the weight of '{marker}'")[0] if len(words) == 3 else 1.0
+        named = f"the weight of '{shortened(marker)}'"
+        weight = parse_floats(words[2:], where, named)[0] if len(words) == 3 else 1.0
         if not 0 <= weight <= 1:
-            raise InputError(f"{where}: the weight of '{marker}' is {weight:g}; write a number from 0 to 1.")
+            raise InputError(f"{where}: {named} is {weight:g}; write a number from 0 to 1.")
         if marker in corrections:
-            raise InputError(f"{where}: the marker '{marker}' stands twice; keep one of its lines.")
+            raise InputError(
+                f"{where}: the marker '{shortened(marker)}' stands twice; keep one of its lines."
+            )
         corrections[marker] = (segment, 0.0 if segment == "-" else weight)
     return corrections
 

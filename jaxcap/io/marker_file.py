@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from ..errors import InputError
 from ..observe import MarkerFrames, make_markers
-from .text import UNITS, unit_scale
+from .text import LARGEST, UNITS, check_rate, unit_scale
 
 #: metres between which the longest side of the markers of one frame has to be
 SIZE = (0.2, 5.0)
@@ -184,6 +184,11 @@ def make_file(
     if lost.all():
         raise InputError(f"{where}: none of its {len(names)} markers is seen in any of {len(places)} frames.")
     scale = unit_scale(unit)
+    if not (np.abs(places[~lost]) * scale <= LARGEST).all():
+        raise InputError(
+            f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
+        )
+    check_rate(rate, str(where))
     frames = make_markers(np.where(lost[..., None], np.nan, places * scale), names, rate, name=str(where))
     said = unit if isinstance(unit, str) else f"{unit:g} m"
     return MarkerFile(frames, scale, said, first_frame, others or {}, (*told, *changed))
@@ -213,15 +218,18 @@ def regular_rows(
         )
     # times of few digits come in steps of two lengths, and their mean is the right one
     usual = float(np.mean(steps[steps < 1.5 * np.median(steps)]))
-    at = np.rint((times - times[0]) / usual).astype(int)
-    rate = at[-1] / (times[-1] - times[0])
-    at = np.rint((times - times[0]) * rate).astype(int)
+    # in floats until it is known that they are not too large for whole numbers
+    with np.errstate(over="ignore", invalid="ignore"):
+        at = np.rint((times - times[0]) / usual)
+        rate = at[-1] / (times[-1] - times[0])
+        at = np.rint((times - times[0]) * rate)
     if (
-        np.abs((times - times[0]) * rate - at).max() > 0.26
+        not at[-1] <= 20 * len(at)
+        or np.abs((times - times[0]) * rate - at).max() > 0.26
         or (np.diff(at) < 1).any()
-        or at[-1] > 20 * len(at)
     ):
         raise InputError(f"{where}: {what} does not go in equal steps; resample the file to a constant rate.")
+    at = at.astype(int)
     full = np.full((at[-1] + 1, *places.shape[1:]), np.nan)
     full[at] = places
     return float(f"{rate:.9g}"), full

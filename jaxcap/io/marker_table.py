@@ -16,16 +16,23 @@ import numpy as np
 from ..errors import InputError
 from ..observe import MarkerFrames
 from .atomic import write_text
+from .door import reads
 from .marker_file import MarkerFile, clear_of_zero, make_file, regular_rows
-from .text import parse_floats, read_text, unit_scale
+from .text import check_rate, parse_floats, read_text, shortened, unit_scale
 from .trc import read_places
 
-_COLUMN = re.compile(r"(?P<label>.*\S)\s*[._:/|\-\s]\s*\(?(?P<axis>[xyzXYZ])\)?(\s*[\[(]\w+[\])])?")
+#: a label, a mark between, and an axis with or without its unit; blanks in a row are one, and names are short, as
+#: the time of a search grows with their length
+_COLUMN = re.compile(r"(?P<label>.*\S) ?[._:/|\- ] ?\(?(?P<axis>[xyzXYZ])\)?( ?[\[(]\w+[\])])?")
+LONGEST_NAME = 200
 _TIMES = re.compile(r"(time|times|t|seconds|timestamp)[\s_.]*[\[(]?(s|sec|seconds|ms|milliseconds)?[\])]?")
 _FRAMES = re.compile(r"(frame|frames|frame#|index|sample|#)[\s_]*(no|number)?\.?")
-_RATE = re.compile(r"#?\s*(rate|frame ?rate|datarate)\s*[:=,;\t ]\s*(\S+?)[\s,;]*(hz)?[,;\s]*", re.IGNORECASE)
+_RATE = re.compile(
+    r"#? ?(rate|frame ?rate|datarate)(?: ?[:=,;]| ) ?([^\s,;]+?)[ ,;]*(hz)?[,; ]*", re.IGNORECASE
+)
 
 
+@reads("a table of markers")
 def read_marker_table(
     path: str | Path, unit: str | float | None = None, rate: float | None = None
 ) -> MarkerFile:
@@ -46,6 +53,13 @@ def read_marker_table(
     if not rows:
         raise InputError(f"{path}: the table is empty; give a row of column names and a row for each frame.")
     names, begin = _column_names(rows)
+    names = [_plain(name) for name in names]
+    long = next((name for name in names if len(name) > LONGEST_NAME), None)
+    if long is not None:
+        raise InputError(
+            f"{path}:{rows[0][0]}: the column '{shortened(long)}' has a name of {len(long)} letters; give at most "
+            f"{LONGEST_NAME}."
+        )
     labels, columns = _markers(path, rows[0][0], names)
     width = len(names)
     places, clock, numbers = [], [], []
@@ -75,7 +89,7 @@ def read_marker_table(
         )
     missing = len(full) - len(there)
     told = [f"{missing} frames are missing between its rows; nothing is seen in them."] if missing else []
-    first = int(numbers[0]) if numbers else 1
+    first = round(numbers[0]) if numbers else 1
     return make_file(
         path, full, labels, rate or 1.0, "m" if unit is None else unit, first_frame=first, told=told
     )
@@ -107,9 +121,10 @@ def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str
     rate, lines = None, text.splitlines(keepends=True)
     start = len(lines)
     for i, line in enumerate(lines):
-        match = _RATE.fullmatch(line.strip())
+        match = _RATE.fullmatch(_plain(line)) if len(line) <= LONGEST_NAME else None
         if match:
             (rate,) = parse_floats([match[2]], f"{path}:{i + 1}", "the rate")
+            check_rate(rate, f"{path}:{i + 1}")
         elif line.strip() and not line.lstrip().startswith("# "):
             start = i
             break
@@ -121,6 +136,11 @@ def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str
     except csv.Error as error:
         raise InputError(f"{path}:{start + reader.line_num}: this is not a table ({error}).") from None
     return rate, [(number, cells) for number, cells in rows if any(cells)]
+
+
+def _plain(text: str) -> str:
+    """A text with one blank where there are several, or tabs."""
+    return " ".join(text.split())
 
 
 def _column_names(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[str], int]:

@@ -12,12 +12,15 @@ from jaxtyping import Float, Int
 
 from ..arguments import checked
 from ..errors import InputError
+from ..observe import unit_normals
 from .atomic import replacing, write_text
+from .door import reads
+from .gltf_scene import check_scene
 from .inside import InsideResolver
 from .kinds import wrong_kind
 from .obj import read_obj, write_obj
 from .off import read_off
-from .text import UNITS, unit_scale
+from .text import LARGEST, UNITS, unit_scale
 
 #: suffixes that `read_mesh` knows
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
@@ -43,6 +46,7 @@ class Mesh(NamedTuple):
 
 
 @checked
+@reads("a mesh")
 def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
     """Read a mesh or a cloud; polygons are cut into triangles as fans.
 
@@ -59,13 +63,12 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
         raise InputError(f"{path}: there is no such file; check the path.")
     reader = {".off": read_off, ".obj": read_obj}.get(suffix, _read_trimesh)
     vertices, faces, normals = reader(path)
-    check_points(vertices, path)
     check_faces(faces, len(vertices), path)
     if normals is not None:
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = normals / np.where(lengths > 0, lengths, 1.0)
-        normals = normals if np.isfinite(normals).all() else None
-    return Mesh(vertices * metres, faces.astype(np.int64), normals)
+        normals = unit_normals(normals)
+    vertices = vertices * metres
+    check_points(vertices, path)
+    return Mesh(vertices, faces.astype(np.int64), normals)
 
 
 @checked
@@ -102,13 +105,14 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
 
 
 def check_points(points: np.ndarray, where: str | Path) -> None:
-    """Raises `InputError` where there are no points, or some are NaN or infinite."""
+    """Raises `InputError` where there are no points, or some are NaN, infinite or too large for any length."""
     if len(points) == 0:
         raise InputError(f"{where}: there are no points in it; give at least one.")
-    wrong = ~np.isfinite(points).all(1)
+    wrong = ~(np.abs(points) <= LARGEST).all(1)
     if wrong.any():
+        why = "too large" if np.isfinite(points).all() else "NaN or infinite"
         raise InputError(
-            f"{where}: {wrong.sum()} of {len(points)} points are NaN or infinite, the first is point "
+            f"{where}: {wrong.sum()} of {len(points)} points are {why}, the first is point "
             f"{int(wrong.argmax())}; remove them."
         )
 
@@ -187,6 +191,8 @@ def load_by_trimesh(path: Path) -> Any:
     that it names from its own folder alone."""
     import trimesh
 
+    if path.suffix.lower() in (".glb", ".gltf"):
+        check_scene(path)
     more: dict[str, Any] = {"resolver": InsideResolver(path), "skip_materials": True}
     if path.suffix.lower() == ".ply":
         # vertices stay as they are in the file, where trimesh would take them apart along seams of a texture

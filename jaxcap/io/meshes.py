@@ -10,13 +10,16 @@ from jaxtyping import Float, Int
 from ..arguments import checked
 from ..errors import InputError
 from ..observe import MeshSequence
+from .archive import array_names, load_arrays
+from .door import reads
 from .kinds import wrong_arrays
 from .mesh import check_points, read_mesh
-from .npz import load_arrays, save_arrays
+from .npz import save_arrays
 from .paths import find_files
-from .text import unit_scale
+from .text import check_rate, shortened, unit_scale
 
 KIND = "jaxcap meshes"
+_ARRAYS = ("vertices", "faces", "face_counts", "face_indices", "names", "rate")
 
 
 class NamedMeshes(NamedTuple):
@@ -51,6 +54,7 @@ def read_meshes(
     return read_named_meshes(paths, unit, rate).sequence
 
 
+@reads("registered meshes")
 def read_named_meshes(
     paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
 ) -> NamedMeshes:
@@ -85,7 +89,8 @@ def triangulate(
     **Raises:** `InputError` where the two do not fit, or a polygon has fewer than three corners.
     """
     counts, indices = np.asarray(counts), np.asarray(indices)
-    if counts.sum() != len(indices) or (counts < 3).any():
+    # a count of more than all corners could make the sum right again, as it overflows
+    if (counts < 3).any() or (counts > len(indices)).any() or counts.sum() != len(indices):
         raise InputError(
             f"{where}: the faces have {counts.sum()} corners by their counts and {len(indices)} by their indices, "
             f"the least {counts.min(initial=3)}; each has at least 3."
@@ -111,21 +116,24 @@ def _read(path: Path) -> _File:
 
 
 def _arrays(path: Path) -> _File:
-    arrays = load_arrays(path)
+    arrays, held = load_arrays(path, lambda name: name in _ARRAYS), array_names(path)
     vertices = arrays.get("vertices")
-    if vertices is None or vertices.dtype.kind not in "fiu" or "skin" in arrays:
-        raise wrong_arrays(path, arrays, "without an array 'vertices' (F, V, 3) of numbers")
+    if vertices is None or vertices.dtype.kind not in "fiu" or "skin" in held:
+        raise wrong_arrays(path, "without an array 'vertices' (F, V, 3) of numbers")
     if vertices.ndim == 2:
         vertices = vertices[None]
     if vertices.ndim != 3 or vertices.shape[-1] != 3 or not vertices.size:
         raise InputError(f"{path}: the vertices have the shape {vertices.shape}; it must be (F, V, 3).")
     faces = arrays.get("faces")
     if faces is None and {"face_counts", "face_indices"} <= set(arrays):
-        faces = triangulate(arrays["face_counts"], arrays["face_indices"], path)
+        faces = triangulate(
+            _whole(arrays["face_counts"], "face_counts", path),
+            _whole(arrays["face_indices"], "face_indices", path),
+            path,
+        )
     if faces is None or faces.dtype.kind not in "iu":
         raise wrong_arrays(
             path,
-            arrays,
             "without an array 'faces' (T, 3), or 'face_counts' and 'face_indices', of whole numbers",
         )
     if faces.ndim == 2 and faces.shape[1] > 3:
@@ -139,14 +147,28 @@ def _arrays(path: Path) -> _File:
         )
     given = arrays.get("names", np.zeros(0))
     named = given.shape == (len(vertices),) and given.dtype.kind == "U"
-    names = [f"{path}[{name}]" for name in (given.tolist() if named else range(len(vertices)))]
+    names = [
+        f"{path}[{shortened(str(name))}]" for name in (given.tolist() if named else range(len(vertices)))
+    ]
     for name, mesh in zip(names, vertices, strict=True):
         check_points(mesh, name)
     rate = arrays.get("rate")
-    if rate is not None and not (rate.shape == () and rate.dtype.kind in "fiu" and 0 < rate < np.inf):
-        raise InputError(f"{path}: the rate is {rate}; it must be one number above 0, meshes a second.")
-    rate = None if rate is None else float(rate)
+    if rate is not None and not (rate.shape == () and rate.dtype.kind in "fiu"):
+        raise InputError(
+            f"{path}: the rate has the shape {rate.shape} and holds {rate.dtype}; it must be one number above 0."
+        )
+    rate = None if rate is None else check_rate(rate.item(), str(path))
     return _File(names, vertices.astype(float), faces.astype(np.int64), rate)
+
+
+def _whole(values: np.ndarray, name: str, path: Path) -> np.ndarray:
+    """A list of whole numbers. Raises `InputError` where it is none."""
+    if values.ndim != 1 or values.dtype.kind not in "iu":
+        raise InputError(
+            f"{path}: the array '{name}' has the shape {values.shape} and holds {values.dtype}; it must be a list of "
+            "whole numbers."
+        )
+    return values.astype(np.int64)
 
 
 def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> None:

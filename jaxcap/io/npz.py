@@ -1,10 +1,8 @@
 """Bodies and motions as `.npz`: plain arrays with a format name and a version, never pickled."""
 
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,11 +13,17 @@ from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ..errors import InputError
+from .archive import load_arrays
 from .atomic import replacing
+from .door import reads
 from .kinds import WORDS, check_npz, wrong_arrays
+from .text import LARGEST, RATES, shortened
 
 VERSION = 1
 
+#: a quaternion that is no longer is no rotation
+LEAST = 1e-6
+_SKELETON = ("names", "parents", "kinds", "centres", "orientations", "axes")
 #: what the arrays beside a body are called in front
 LIMITS = "limits."
 #: skins by the name that a file gives them, with their arrays
@@ -68,50 +72,51 @@ def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
 
 
 @checked
+@reads("a body")
 def load_body(path: str | Path) -> Body:
     """Read a body that `save_body` wrote.
 
     **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
     """
-    return body_of(load_kind(path, "jaxcap body"), path)
+    return body_of(load_kind(path, "jaxcap body", wanted=lambda name: not name.startswith(LIMITS)), path)
 
 
 def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
     """The body of arrays that `body_arrays` made. Raises `InputError` where they do not fit together."""
-    kind = str(arrays["skin"]) if "skin" in arrays else ""
+    kind = str(get_array(arrays, "skin", path, (), "text"))
     if kind not in SKINS:
         raise InputError(
-            f"{path}: the skin '{kind}' is not known; this version reads {', '.join(SKINS)} skins."
+            f"{path}: the skin '{shortened(kind)}' is not known; this version reads {', '.join(SKINS)} skins."
         )
     cls, names = SKINS[kind]
     skeleton = skeleton_of(arrays, path)
-    vertices, faces = (
-        get_array(arrays, "vertices", path, (None, 3)),
-        get_array(arrays, "faces", path, (None, 3)),
-    )
-    if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise InputError(
-            f"{path}: a face names vertex {faces.max()}, but there are {len(vertices)} vertices."
-        )
+    vertices = get_array(arrays, "vertices", path, (None, 3), rows="vertex")
+    faces = get_array(arrays, "faces", path, (None, 3), "whole")
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        wrong = faces.max() if faces.min() >= 0 else faces.min()
+        raise InputError(f"{path}: a face names vertex {wrong}, but there are {len(vertices)} vertices.")
     count, joints = len(vertices), skeleton.num_joints
-    fields = {name: get_array(arrays, f"skin.{name}", path, (count,)) for name in names}
-    for name, values in {"vertices": vertices, **{f"skin.{name}": a for name, a in fields.items()}}.items():
-        _check_finite(values, name, path, "vertex")
-    for name, values in fields.items():
+    fields = []
+    for name in names:
         whole = name in ("bones", "bases")
-        if whole != (values.dtype.kind in "iu") or values.shape != ((count,) if whole else (count, joints)):
-            raise InputError(f"{path}: the skin is for other bones than the {joints} of the skeleton.")
-        if whole and count and not 0 <= values.min() <= values.max() < joints:
+        shape = (count,) if whole else (count, None)
+        values = get_array(arrays, f"skin.{name}", path, shape, "whole" if whole else "numbers", "vertex")
+        if not whole and values.shape[1] != joints:
             raise InputError(
-                f"{path}: the skin names bone {values.max()}, but the skeleton has {joints}: 0 to {joints - 1}."
+                f"{path}: the skin is for other bones than the {joints} of the skeleton; write the body again."
             )
-    skin = cls(*(jnp.asarray(values) for values in fields.values()))
-    return Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
+        if whole and count and not 0 <= values.min() <= values.max() < joints:
+            wrong = values.max() if values.min() >= 0 else values.min()
+            raise InputError(
+                f"{path}: the skin names bone {wrong}, but the skeleton has {joints}: 0 to {joints - 1}."
+            )
+        fields.append(jnp.asarray(values))
+    return Body(skeleton, cls(*fields), jnp.asarray(vertices), jnp.asarray(faces))
 
 
 def load_limits(path: str | Path) -> dict[str, np.ndarray]:
     """The joint limits of a body file, by the names they were saved under; none is `{}`."""
-    return limits_in(load_kind(path, "jaxcap body"))
+    return limits_in(load_kind(path, "jaxcap body", wanted=lambda name: name.startswith(LIMITS)))
 
 
 @checked
@@ -132,6 +137,7 @@ def motion_arrays(motion: Motion) -> dict[str, Any]:
 
 
 @checked
+@reads("a motion")
 def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     """Read a motion that `save_motion` wrote.
 
@@ -141,8 +147,8 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     arrays = load_kind(path, "jaxcap motion")
     motion = motion_of(arrays, path)
     if skeleton is not None:
-        names = tuple(arrays["names"].tolist()) if "names" in arrays else skeleton.names
-        joints = motion.poses.rotations.shape[1]
+        own = get_array(arrays, "names", path, (None,), "text") if "names" in arrays else skeleton.names
+        names, joints = tuple(str(name) for name in own), motion.poses.rotations.shape[1]
         if names != skeleton.names or joints != skeleton.num_joints:
             raise InputError(
                 f"{path}: this motion is of the {joints} joints {', '.join(names)}, not of the skeleton's "
@@ -153,35 +159,31 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
 
 def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
     """The motion of arrays that `motion_arrays` made. Raises `InputError` where they do not fit together."""
-    rotations = get_array(arrays, "rotations", path, (None, None, 4))
+    rotations = get_array(arrays, "rotations", path, (None, None, 4), rows="frame")
     frames, joints = rotations.shape[:2]
-    translations = get_array(arrays, "translations", path, (frames, joints, 3))
-    scale, rate = get_array(arrays, "scale", path, (frames,)), get_array(arrays, "rate", path, ())
-    for name, values in (("rotations", rotations), ("translations", translations), ("scale", scale)):
-        _check_finite(values, name, path, "frame")
-    if not np.linalg.norm(rotations, axis=-1).all():
+    translations = get_array(arrays, "translations", path, (frames, joints, 3), rows="frame")
+    scale = get_array(arrays, "scale", path, (frames,), rows="frame")
+    rate = get_array(arrays, "rate", path, ()).item()
+    if not RATES[0] <= rate <= RATES[1]:
+        raise InputError(
+            f"{path}: the rate is {rate}; it must be from {RATES[0]:g} to {RATES[1]:g} frames a second."
+        )
+    if not (np.linalg.norm(rotations, axis=-1) > LEAST).all():
         raise InputError(
             f"{path}: the array 'rotations' has quaternions of no length; write rotations as these."
         )
-    if not (rate.dtype.kind in "fiu" and 0 < rate < np.inf):
-        raise InputError(f"{path}: the rate is {rate}; it must be above 0 frames a second.")
-    return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), float(rate))
-
-
-def _check_finite(values: np.ndarray, name: str, path: str | Path, what: str) -> None:
-    """That an array holds finite numbers; `what` its rows are, as `frame`. Raises `InputError`."""
-    if values.dtype.kind not in "fiu":
-        raise InputError(f"{path}: the array '{name}' holds other than numbers; this file is not whole.")
-    wrong = ~np.isfinite(values).all(tuple(range(1, values.ndim)))
-    if wrong.any():
+    if not (scale > 0).all():
         raise InputError(
-            f"{path}: the array '{name}' has numbers that are not finite, first in {what} {int(wrong.argmax())}."
+            f"{path}: the scale is {scale.min():g} in frame {int(scale.argmin())}; it must be above 0."
         )
+    return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), rate)
 
 
+@reads("a skeleton")
 def load_skeleton(path: str | Path) -> Skeleton:
     """The skeleton in a body or subject file, or in a motion file that was written with one."""
-    return skeleton_of(load_kind(path, "jaxcap body", "jaxcap motion", "jaxcap subject"), path)
+    kinds = ("jaxcap body", "jaxcap motion", "jaxcap subject")
+    return skeleton_of(load_kind(path, *kinds, wanted=lambda name: name in _SKELETON), path)
 
 
 def skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
@@ -198,11 +200,16 @@ def skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
 
 def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
     """The skeleton of arrays that `skeleton_arrays` made. Raises `InputError` where they do not fit together."""
-    names = get_array(arrays, "names", path, (None,)).tolist()
+    names = get_array(arrays, "names", path, (None,), "text").tolist()
     count = len(names)
-    parents, kinds = (get_array(arrays, name, path, (count,)).tolist() for name in ("parents", "kinds"))
+    parents = get_array(arrays, "parents", path, (count,), "whole").tolist()
+    kinds = get_array(arrays, "kinds", path, (count,), "text").tolist()
     shapes = {"centres": (count, 3), "orientations": (count, 4), "axes": (count, 2, 3)}
-    numbers = {name: get_array(arrays, name, path, shape) for name, shape in shapes.items()}
+    numbers = {name: get_array(arrays, name, path, shape, rows="joint") for name, shape in shapes.items()}
+    if not (np.linalg.norm(numbers["orientations"], axis=1) > LEAST).all():
+        raise InputError(
+            f"{path}: the array 'orientations' has quaternions of no length; write rotations as these."
+        )
     try:
         checked = make_skeleton(names, parents, kinds, numbers["centres"])
     except ValueError as error:
@@ -226,60 +233,70 @@ def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
         np.savez_compressed(file, **everything)
 
 
-def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
-    """The arrays of any `.npz` file whose names are `wanted`, all where not given. Raises `InputError` where it is not
-    one, is damaged, or holds pickled objects among these, which are never read."""
-    try:
-        with open(path, "rb") as raw:
-            start = raw.read(6)
-            if start == b"\x93NUMPY":
-                raise InputError(
-                    f"{path}: this is a single array, not an .npz file of named arrays; write it by numpy.savez."
-                )
-            if not start.startswith(b"PK"):
-                raise InputError(f"{path}: this is not an .npz file; give one, whole.")
-            raw.seek(0)
-            with np.load(raw, allow_pickle=False) as file:
-                return {name: file[name] for name in file.files if wanted(name)}
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; check the path.") from None
-    except (IsADirectoryError, PermissionError) as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
-    except ValueError:
-        raise InputError(
-            f"{path}: this file holds pickled objects, which are never read; write plain arrays."
-        ) from None
-    except (OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: this is not a whole .npz file ({type(error).__name__}).") from None
+def load_kind(
+    path: str | Path, *kinds: str, wanted: Callable[[str], bool] = lambda name: True
+) -> dict[str, np.ndarray]:
+    """Read the arrays that are `wanted` of a file of one of some formats, and its `format` and `version`.
 
-
-def load_kind(path: str | Path, *kinds: str) -> dict[str, np.ndarray]:
-    """The arrays of a file of one of some formats. Raises `InputError` where it is another, or of
-    another version."""
+    **Raises:** `InputError` where it is another format, or of another version.
+    """
     check_npz(path, WORDS[kinds[0].removeprefix("jaxcap ")])
-    arrays = load_arrays(path)
-    form = str(arrays["format"]) if "format" in arrays else ""
-    if form not in kinds:
-        raise wrong_arrays(path, arrays, f"not a '{kinds[0]}'")
-    version = int(arrays["version"]) if "version" in arrays else 0
+    marks = load_arrays(path, lambda name: name in ("format", "version"))
+    if str(marks.get("format", "")) not in kinds:
+        raise wrong_arrays(path, f"not a '{kinds[0]}'")
+    version = get_array(marks, "version", path, (), "whole").item() if "version" in marks else 0
     if version != VERSION:
         raise InputError(f"{path}: this file has version {version}; this program reads version {VERSION}.")
-    return arrays
+    return marks | load_arrays(path, lambda name: name not in marks and wanted(name))
+
+
+#: what arrays hold: their types, and words for these
+_CONTENTS = {
+    "numbers": ("fiu", "numbers"),
+    "whole": ("iu", "whole numbers"),
+    "text": ("U", "text"),
+}
 
 
 def get_array(
-    arrays: Mapping[str, np.ndarray], name: str, path: str | Path, shape: tuple[int | None, ...]
+    arrays: Mapping[str, np.ndarray],
+    name: str,
+    path: str | Path,
+    shape: tuple[int | None, ...],
+    holds: Literal["numbers", "whole", "text"] = "numbers",
+    rows: str = "row",
 ) -> np.ndarray:
-    """An array of which the first axes must have `shape` (None is any length)."""
+    """Get an array of a `shape`, in which None is any length.
+
+    Numbers have to be finite, and small enough for a length or an angle; `rows` is what the first axis counts, for the
+    message. **Raises:** `InputError` where the array is missing or is another.
+    """
     if name not in arrays:
         raise InputError(f"{path}: the array '{name}' is missing; this file is not whole.")
     values = arrays[name]
-    fits = values.ndim >= len(shape) and all(
-        n is None or n == m for n, m in zip(shape, values.shape, strict=False)
+    fits = values.ndim == len(shape) and all(
+        n is None or n == m for n, m in zip(shape, values.shape, strict=True)
     )
     if not fits:
-        wanted = " x ".join("any" if n is None else str(n) for n in shape)
+        wanted = " x ".join("any" if n is None else str(n) for n in shape) or "a single value"
         raise InputError(f"{path}: the array '{name}' has the shape {values.shape}; it must be {wanted}.")
-    return values
+    types, words = _CONTENTS[holds]
+    # an array without elements may be of any type
+    if values.dtype.kind not in types and values.size:
+        raise InputError(
+            f"{path}: the array '{name}' holds other than {words} ({values.dtype}); write it again."
+        )
+    if holds != "numbers":
+        return values
+    _check_finite(values, name, path, rows)
+    return values if values.dtype.kind == "f" else values.astype(float)
+
+
+def _check_finite(values: np.ndarray, name: str, path: str | Path, rows: str) -> None:
+    """That an array holds finite numbers. Raises `InputError`."""
+    sizes = np.abs(np.atleast_1d(values).astype(float))
+    wrong = ~(sizes <= LARGEST)
+    if wrong.any():
+        which = f", first in {rows} {int(np.argwhere(wrong)[0, 0])}" if values.ndim else ""
+        why = "too large" if np.isfinite(sizes).all() else "not finite"
+        raise InputError(f"{path}: the array '{name}' has numbers that are {why}{which}; write it again.")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from .text import numbered_lines, parse_floats, parse_int, read_text
+from .text import float_table, numbered_lines, parse_floats, parse_int, read_text
 
 
 def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -55,16 +55,20 @@ def _rows(lines: list[tuple[int, str]], width: int, path: Path) -> np.ndarray:
     for (number, _), row in zip(lines, words, strict=True):
         if len(row) != width:
             raise InputError(f"{path}:{number}: this vertex has {len(row)} numbers; give {width}.")
-    try:
-        return np.array(words, dtype=str).astype(float).reshape(-1, width)
-    except ValueError:
-        for (number, _), row in zip(lines, words, strict=True):
-            parse_floats(
-                [word for word in row if word.lower().strip("+-") not in ("nan", "inf")],
-                f"{path}:{number}",
-                "a vertex",
-            )
-        raise
+    numbers = float_table([word for row in words for word in row])
+    if numbers is not None:
+        return numbers.reshape(-1, width)
+    rows = [
+        [_number(word, f"{path}:{number}") for word in row]
+        for (number, _), row in zip(lines, words, strict=True)
+    ]
+    return np.array(rows, float).reshape(-1, width)
+
+
+def _number(word: str, where: str) -> float:
+    """A number, or NaN and infinity, of which the caller says what they are of."""
+    plain = word.lower().strip("+-")
+    return float(plain) if plain in ("nan", "inf") else parse_floats([word], where, "a vertex")[0]
 
 
 def _faces(lines: list[tuple[int, str]], num_vertices: int, path: Path) -> np.ndarray:
@@ -73,7 +77,7 @@ def _faces(lines: list[tuple[int, str]], num_vertices: int, path: Path) -> np.nd
         words = line.split()
         where = f"{path}:{number}"
         count = parse_int(words[0], where, "the number of corners")
-        if len(words) < count + 1 or count < 0:
+        if not 0 <= count < len(words):
             raise InputError(f"{where}: this face promises {count} corners and has {len(words) - 1}.")
         corners = [parse_int(word, where, "a corner") for word in words[1 : count + 1]]
         for corner in corners:

@@ -17,7 +17,9 @@ from ..body.pose_boxes import PoseBoxes, make_pose_boxes
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..geometry.mesh import mesh_edges
-from .npz import LIMITS, get_array, limits_in, load_arrays, load_kind, save_arrays, save_body
+from .archive import load_arrays
+from .door import reads
+from .npz import LEAST, LIMITS, get_array, limits_in, load_kind, save_arrays, save_body
 
 #: the format's name in a file of its own
 KIND = "jaxcap prior"
@@ -60,6 +62,7 @@ def save_prior(
 
 
 @checked
+@reads("a prior")
 def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
     """All that a file knows of the poses and the shape of `body`, read once; without `shape`, of its poses alone.
 
@@ -78,6 +81,7 @@ def carries_prior(path: str | Path) -> bool:
 
 
 @checked
+@reads("a prior")
 def load_prior(path: str | Path, skeleton: Skeleton | None = None) -> PairPrior:
     """Read a prior from a file of its own or from that of a body.
 
@@ -87,11 +91,13 @@ def load_prior(path: str | Path, skeleton: Skeleton | None = None) -> PairPrior:
     return _prior(_arrays(path), path, skeleton)
 
 
+@reads("a prior")
 def load_boxes(path: str | Path, skeleton: Skeleton | None = None) -> PoseBoxes | None:
     """The boxes beside a prior; None where there are none. Errors as in `load_prior`."""
     return _boxes(_arrays(path), path, skeleton)
 
 
+@reads("a prior")
 def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
     """The shape beside a prior, in the numbers of `body`, of which it must be; None where there is none.
 
@@ -106,7 +112,7 @@ def shape_counts(path: str | Path) -> tuple[int, int] | None:
     arrays = _arrays(path)
     if "shape.vectors" not in arrays:
         return None
-    meshes, vertices = get_array(arrays, "shape.vectors", path, (None, None, 3)).shape[:2]
+    meshes, vertices = get_array(arrays, "shape.vectors", path, (None, None, 3), rows="mesh").shape[:2]
     return meshes, vertices
 
 
@@ -146,13 +152,13 @@ def shape_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
 def _prior(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleton | None) -> PairPrior:
     if "prior.weights" not in arrays:
         raise InputError(f"{path}: there is no pose prior in this file; learn one with `jaxcap prior learn`.")
-    pairs = get_array(arrays, "prior.pairs", path, (None, 2)).tolist()
+    pairs = get_array(arrays, "prior.pairs", path, (None, 2), "text").tolist()
     weights = get_array(arrays, "prior.weights", path, (len(pairs), None))
     shape = weights.shape
     try:
         prior = make_pair_prior(
             tuple((above, below) for above, below in pairs),
-            get_array(arrays, "prior.frames", path, (len(pairs), 2, 4)),
+            _turns(arrays, "prior.frames", path, (len(pairs), 2, 4)),
             weights,
             get_array(arrays, "prior.means", path, (*shape, 6)),
             get_array(arrays, "prior.factors", path, (*shape, 6, 6)),
@@ -167,7 +173,7 @@ def _prior(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleto
 def _boxes(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleton | None) -> PoseBoxes | None:
     if "boxes.joints" not in arrays:
         return None
-    joints = get_array(arrays, "boxes.joints", path, (None,)).tolist()
+    joints = get_array(arrays, "boxes.joints", path, (None,), "text").tolist()
     lower, upper = (get_array(arrays, f"boxes.{name}", path, (len(joints), 3)) for name in ("lower", "upper"))
     lacking = [] if skeleton is None else [name for name in joints if name not in skeleton.names]
     if skeleton is not None and lacking:
@@ -184,22 +190,29 @@ def _boxes(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleto
 def _shape(arrays: Mapping[str, np.ndarray], path: str | Path, body: Body) -> ShapePrior | None:
     if "shape.vectors" not in arrays:
         return None
-    vectors = get_array(arrays, "shape.vectors", path, (None, None, 3))
+    vectors = get_array(arrays, "shape.vectors", path, (None, None, 3), rows="mesh")
     meshes, vertices = vectors.shape[:2]
-    _check_surface(vertices, get_array(arrays, "shape.edges", path, (None, 2)), body, path)
+    _check_surface(vertices, get_array(arrays, "shape.edges", path, (None, 2), "whole"), body, path)
     joints = body.skeleton.num_joints
-    numbers = [
-        get_array(arrays, f"shape.{name}", path, shape)
-        for name, shape in (
-            ("translations", (meshes, joints, 3)),
-            ("rotations", (meshes, joints, 4)),
-            ("scale", (meshes,)),
-        )
-    ]
-    if not meshes or not all(np.isfinite(values).all() for values in (vectors, *numbers)):
-        raise InputError(f"{path}: the shape prior has no meshes, or is not finite; learn it again.")
+    if not meshes:
+        raise InputError(f"{path}: the shape prior has no meshes; learn it again.")
+    numbers = (
+        get_array(arrays, "shape.translations", path, (meshes, joints, 3), rows="mesh"),
+        _turns(arrays, "shape.rotations", path, (meshes, joints, 4)),
+        get_array(arrays, "shape.scale", path, (meshes,), rows="mesh"),
+    )
     poses = Pose(*(jnp.asarray(values, body.vertices.dtype) for values in numbers))
     return ShapePrior(uniform_laplacian(body), poses, vectors.astype(float))
+
+
+def _turns(
+    arrays: Mapping[str, np.ndarray], name: str, path: str | Path, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Quaternions, which have a length. Raises `InputError`."""
+    turns = get_array(arrays, name, path, shape)
+    if not (np.linalg.norm(turns, axis=-1) > LEAST).all():
+        raise InputError(f"{path}: the array '{name}' has quaternions of no length; learn the prior again.")
+    return turns
 
 
 def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, path: str | Path) -> None:
@@ -215,7 +228,11 @@ def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, pat
         )
 
 
+def _of_prior(name: str) -> bool:
+    return name.removeprefix(LIMITS).startswith(("prior.", "boxes.", "shape."))
+
+
 def _arrays(path: str | Path) -> dict[str, np.ndarray]:
     """What a file says beside a body, or by itself."""
-    arrays = load_kind(path, KIND, "jaxcap body")
+    arrays = load_kind(path, KIND, "jaxcap body", wanted=_of_prior)
     return arrays if str(arrays["format"]) == KIND else limits_in(arrays)

@@ -22,13 +22,17 @@ import numpy as np
 from ..body.skeleton import Skeleton, make_skeleton
 from ..errors import InputError
 from .atomic import write_text
-from .text import Words, unit_scale
+from .door import reads
+from .text import Words, shortened, unit_scale
 from .tree import with_twist_axes
 
+#: letters of a joint's name
+LONGEST_NAME = 200
 #: how many axes stand before the point, for each type
 TYPES: dict[str, int] = {"TRANSLATE": 0, "REVOLUTE": 1, "BALL": 0, "UNIVERSAL": 2, "FIXED": 0, "FREE": 0}
 
 
+@reads("a skeleton")
 def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
     """Read a skeleton; `unit` is that of the file's positions.
 
@@ -37,40 +41,33 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
     """
     words, metres = Words(path), unit_scale(unit)
     count = words.header("KBSKEL")
+    if count < 1:
+        raise InputError(f"{words.where}: the header promises {count} joints; a skeleton needs one at least.")
     names: list[str] = []
     kinds, above, lines = {}, {}, {}
     for _ in range(count):
         name = words.take(f"a joint, of which the header promises {count},")
+        if len(name) > LONGEST_NAME:
+            raise InputError(
+                f"{words.where}: the joint '{shortened(name)}' has a name of {len(name)} letters; give at most {LONGEST_NAME}."
+            )
+        if name in lines:
+            raise InputError(f"{words.where}: the joint '{shortened(name)}' stands twice; names must differ.")
         lines[name] = words.where
-        if name in names:
-            raise InputError(f"{words.where}: the joint '{name}' stands twice; names must differ.")
         kind = words.take(f"the type of '{name}'").upper().removeprefix("KBJOINT_")
         if kind not in TYPES:
-            raise InputError(f"{words.where}: '{kind}' is not a type of joint; use {', '.join(TYPES)}.")
+            raise InputError(
+                f"{words.where}: '{shortened(kind)}' is not a type of joint; use {', '.join(TYPES)}."
+            )
         names.append(name)
         kinds[name], above[name] = kind, words.take(f"the parent of '{name}'")
-    if not names:
-        raise InputError(f"{words.where}: the header promises {count} joints; a skeleton needs one at least.")
-    for name in names:
-        if above[name] != "NULL" and above[name] not in names:
-            raise InputError(
-                f"{lines[name]}: the parent '{above[name]}' of '{name}' is not a joint of this file."
-            )
-        chain = [name]
-        while above[chain[-1]] != "NULL":
-            chain.append(above[chain[-1]])
-            if chain[-1] == name:
-                raise InputError(
-                    f"{lines[name]}: the joint '{name}' descends from itself: {' <- '.join(chain)}."
-                )
-            if len(chain) > count:
-                break  # a cycle further up, which is told at one of its own joints
+    _check_tree(above, lines)
     centres, axes = {}, {}
     while words.left:
         name = words.take("a joint")
-        if name not in names:
+        if name not in kinds:
             raise InputError(
-                f"{words.where}: '{name}' stands where the coordinates of a joint belong, and is none."
+                f"{words.where}: '{shortened(name)}' stands where the coordinates of a joint belong, and is none."
             )
         if name in centres:
             raise InputError(f"{words.where}: the coordinates of '{name}' stand twice.")
@@ -81,14 +78,37 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
     for name in names:
         if name not in centres:
             raise InputError(f"{lines[name]}: the joint '{name}' has no coordinates; add a line with them.")
+    place = {name: joint for joint, name in enumerate(names)}
     skeleton = make_skeleton(
         names,
-        [-1 if above[name] == "NULL" else names.index(above[name]) for name in names],
+        [place.get(above[name], -1) for name in names],
         [kinds[name].lower() for name in names],
         [centres[name] for name in names],
         axes=[axes[name] for name in names],
     )
     return with_twist_axes(skeleton)
+
+
+def _check_tree(above: dict[str, str], lines: dict[str, str]) -> None:
+    """Check that every joint descends from a root, whose parent is `NULL`. Raises `InputError` with the line."""
+    rooted: set[str] = set()
+    for name in above:
+        chain: dict[str, None] = {}
+        here = name
+        while here != "NULL" and here not in rooted:
+            if here in chain:
+                joints = list(chain)
+                cycle = [*joints[joints.index(here) :], here]
+                raise InputError(
+                    f"{lines[here]}: the joint '{here}' descends from itself: {shortened(' <- '.join(cycle))}."
+                )
+            chain[here] = None
+            if above[here] != "NULL" and above[here] not in above:
+                raise InputError(
+                    f"{lines[here]}: the parent '{shortened(above[here])}' of '{here}' is not a joint of this file."
+                )
+            here = above[here]
+        rooted.update(chain)
 
 
 def write_skl(path: str | Path, skeleton: Skeleton, unit: str | float = "m") -> None:

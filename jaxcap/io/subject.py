@@ -8,6 +8,7 @@ import numpy as np
 from ..arguments import checked
 from ..errors import InputError
 from ..markers.subject import Subject, make_subject
+from .door import reads
 from .npz import get_array, load_kind, save_arrays, skeleton_arrays, skeleton_of
 
 #: the format's name in the file
@@ -37,6 +38,7 @@ def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
 
 
 @checked
+@reads("a subject")
 def load_subject(path: str | Path) -> Subject:
     """Read a subject that `save_subject` wrote.
 
@@ -47,17 +49,19 @@ def load_subject(path: str | Path) -> Subject:
 
 def subject_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Subject:
     """The subject of arrays that `subject_arrays` made. Raises `InputError` where they do not fit together."""
-    labels = get_array(arrays, "marker.labels", path, (None,)).tolist()
+    labels = get_array(arrays, "marker.labels", path, (None,), "text").tolist()
     count = len(labels)
-    models, bones, weights, deviations = (
-        get_array(arrays, f"marker.{name}", path, (count,))
-        for name in ("models", "bones", "weights", "deviations")
+    models = get_array(arrays, "marker.models", path, (count,), "text").tolist()
+    bones = get_array(arrays, "marker.bones", path, (count,), "whole")
+    weights, deviations = (
+        get_array(arrays, f"marker.{name}", path, (count,), rows="marker")
+        for name in ("weights", "deviations")
     )
-    offsets = get_array(arrays, "marker.offsets", path, (count, 3))
+    offsets = get_array(arrays, "marker.offsets", path, (count, 3), rows="marker")
     skeleton = skeleton_of(arrays, path)
     try:
         return make_subject(
-            skeleton, bones, offsets, labels, weights=weights, deviations=deviations, models=models.tolist()
+            skeleton, bones, offsets, labels, weights=weights, deviations=deviations, models=models
         )
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None

@@ -1,10 +1,20 @@
-"""What the readers of text formats share: lines with their numbers, floats, clean errors."""
+"""What the readers of text formats share: lines with their numbers, floats, JSON, clean errors."""
 
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
 
 from ..errors import InputError
+
+#: the largest length, angle or time that is read; its square is a number in single precision too
+LARGEST = 1e15
+#: frames a second between which a rate has to be
+RATES = (1e-6, 1e6)
 
 #: metres in one unit of each name
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -15,15 +25,14 @@ def unit_scale(unit: str | float) -> float:
 
     **Raises:** `InputError` for anything else.
     """
-    if isinstance(unit, str):
-        if unit in UNITS:
-            return UNITS[unit]
-        try:
-            unit = float(unit)
-        except ValueError:
-            raise InputError(
-                f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}, or the metres in one, as 0.0564."
-            ) from None
+    if unit in UNITS:
+        return UNITS[str(unit)]
+    try:
+        unit = float(unit)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}, or the metres in one, as 0.0564."
+        ) from None
     if not (math.isfinite(unit) and unit > 0):
         raise InputError(f"{unit} metres cannot be a unit of length; give a number above zero.")
     return float(unit)
@@ -43,6 +52,8 @@ def read_text(path: str | Path) -> str:
         raise InputError(f"{path}: there is no such file; check the path.") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
+    except ValueError:
+        raise InputError(f"{str(path)!r}: no file can have this name; check the path.") from None
     if b"\0" in raw[:4096]:
         raise InputError(f"{path}: this is a binary file; give a text file.")
     try:
@@ -64,20 +75,87 @@ def parse_floats(words: list[str], where: str, what: str) -> list[float]:
     numbers = []
     for word in words:
         try:
-            numbers.append(float(word))
+            # Python takes 1_000 for a number; no program writes one so
+            numbers.append(float("" if "_" in word else word))
         except ValueError:
-            raise InputError(f"{where}: '{word}' in {what} is not a number; write a number there.") from None
+            raise InputError(
+                f"{where}: '{shortened(word)}' in {what} is not a number; write a number there."
+            ) from None
         if not math.isfinite(numbers[-1]):
-            raise InputError(f"{where}: '{word}' in {what} is not finite; write a finite number there.")
+            raise InputError(
+                f"{where}: '{shortened(word)}' in {what} is not finite; write a finite number there."
+            )
+        if abs(numbers[-1]) > LARGEST:
+            raise InputError(
+                f"{where}: '{shortened(word)}' in {what} is too large; write a number of at most {LARGEST:g}."
+            )
     return numbers
 
 
-def parse_int(word: str, where: str, what: str) -> int:
-    """A whole number; `where` is `path:line` and `what` names it in the error."""
+def float_table(words: list[str]) -> Float[np.ndarray, "N"] | None:
+    """Many words at once as numbers that `parse_floats` takes; None where it does not take one of them."""
+    # one long word would make an array of as long ones
+    if any(len(word) > 60 or "_" in word for word in words):
+        return None
     try:
-        return int(word)
+        numbers = np.array(words, dtype=str).astype(float)
     except ValueError:
-        raise InputError(f"{where}: '{word}' for {what} is not a whole number.") from None
+        return None
+    return numbers if (np.abs(numbers) <= LARGEST).all() else None
+
+
+def parse_int(word: str, where: str, what: str) -> int:
+    """A whole number of at most 18 digits; `where` is `path:line` and `what` names it in the error."""
+    try:
+        number = int("" if "_" in word else word)
+    except ValueError:
+        raise InputError(
+            f"{where}: '{shortened(word)}' for {what} is not a whole number; write one there."
+        ) from None
+    if abs(number) >= 10**18:
+        raise InputError(
+            f"{where}: '{shortened(word)}' for {what} is too large; write a number of at most 18 digits."
+        )
+    return number
+
+
+def shortened(word: str) -> str:
+    """A word as a message quotes it: without its middle where it is long."""
+    return word if len(word) <= 60 else f"{word[:40]}...{word[-10:]}"
+
+
+def check_rate(rate: float, where: str) -> float:
+    """A rate of frames that motions can have. Raises `InputError`, which begins with `where`."""
+    if not RATES[0] <= rate <= RATES[1]:
+        raise InputError(
+            f"{where}: {rate} frames a second cannot be a rate; give a number above zero, from {RATES[0]:g} to {RATES[1]:g}."
+        )
+    return float(rate)
+
+
+def read_json(path: str | Path) -> Any:
+    """The content of a JSON file.
+
+    **Raises:** `InputError` with file and line where there is no such file or it is not JSON, and where it is nested too
+    deeply or has numbers of too many digits. NaN and infinities are left to the caller.
+    """
+    return parse_json(read_text(path), path)
+
+
+def parse_json(text: str | bytes, where: str | Path) -> Any:
+    """The content of a JSON text; `where` begins the message. Errors as in `read_json`."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"{where}:{error.lineno}: this is not JSON ({error.msg}); correct it there."
+        ) from None
+    except UnicodeDecodeError:
+        raise InputError(f"{where}: this is not JSON, which is text in UTF-8; write it anew.") from None
+    except RecursionError:
+        raise InputError(f"{where}: this JSON is nested too deeply; write it flat.") from None
+    except ValueError:
+        raise InputError(f"{where}: this JSON has numbers of too many digits; write shorter ones.") from None
 
 
 class Words:
@@ -115,6 +193,6 @@ class Words:
         word = self.take(keyword)
         if word.upper() != keyword:
             raise InputError(
-                f"{self.where}: '{word[:40]}' stands where {keyword} belongs, with which such a file begins; give another file."
+                f"{self.where}: '{shortened(word)}' stands where {keyword} belongs, with which such a file begins; give another file."
             )
         return parse_int(self.take("a number"), self.where, f"the number behind {keyword}")

@@ -13,8 +13,12 @@ import numpy as np
 from ..errors import InputError
 from ..observe import MarkerFrames
 from .atomic import write_text
+from .door import reads
 from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file, regular_rows
-from .text import UNITS, parse_floats, parse_int, read_text, unit_scale
+from .text import UNITS, check_rate, parse_floats, parse_int, read_text, shortened, unit_scale
+
+#: cells of markers in any file
+MOST_CELLS = 1_000_000
 
 
 class _Head(NamedTuple):
@@ -26,6 +30,7 @@ class _Head(NamedTuple):
     labels: list[str]
 
 
+@reads("a TRC file")
 def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """The markers of a TRC file; not seen is a cell that is empty or NaN, or zeros for a place.
 
@@ -40,6 +45,8 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
         raise InputError(f"{path}: the file is empty; copy or export it again.")
     head = _read_head(path, lines)
     count, numbers, times, rows, last = len(head.labels), [], [], [], 5
+    # cells that are empty may be missing, and a file of few could claim many
+    room = max(MOST_CELLS, 8 * sum(map(len, lines)))
     for number, line in enumerate(lines[5:], 6):
         if not line.strip():
             continue
@@ -50,11 +57,15 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
             raise InputError(
                 f"{where}: there are {len(cells)} cells in this row, and {2 + 3 * count} for {count} markers."
             )
+        if len(rows) * 3 * count > room:
+            raise InputError(
+                f"{where}: the rows up to here have {3 * count} cells by the head, and most are not there; correct the head."
+            )
         # empty cells at the end of a row may be missing, as editors take trailing blanks away
         cells = (cells + [""] * (2 + 3 * count))[: 2 + 3 * count]
         numbers.append(parse_int(cells[0], where, "the frame"))
         times.append(read_cell(cells[1], where, "the time"))
-        rows.append(read_places(cells[2:], head.labels, where))
+        rows.append(np.array(read_places(cells[2:], head.labels, where)))
     if head.frames is not None and len(rows) < head.frames:
         raise InputError(
             f"{path}:{last}: the file is cut short: {len(rows)} of the {head.frames} frames that its head announces "
@@ -130,12 +141,12 @@ def read_places(cells: list[str], labels: list[str], where: str) -> list[float]:
 
     **Raises:** `InputError` where a marker has one or two of three coordinates, or a cell is no number.
     """
-    numbers = [read_cell(cell, where, f"marker {labels[i // 3]}") for i, cell in enumerate(cells)]
+    numbers = [read_cell(cell, where, f"marker {shortened(labels[i // 3])}") for i, cell in enumerate(cells)]
     for i, label in enumerate(labels):
         missing = sum(map(math.isnan, numbers[3 * i : 3 * i + 3]))
         if missing in (1, 2):
             raise InputError(
-                f"{where}: marker '{label}' has {3 - missing} of three coordinates; the row is damaged or cut short."
+                f"{where}: marker '{shortened(label)}' has {3 - missing} of three coordinates; the row is damaged or cut short."
             )
     return numbers
 
@@ -151,7 +162,15 @@ def _read_head(path: Path, lines: list[str]) -> _Head:
         return parse_int(values[name], f"{path}:3", name) if name in values else None
 
     markers = setting("NumMarkers")
+    # every marker has a label, or its axes, or its cells
+    most = max(map(len, lines))
+    if markers is not None and not 0 <= markers <= most:
+        raise InputError(
+            f"{path}:3: NumMarkers is {markers}, and no line of the file has as many cells; correct the number."
+        )
     rate = parse_floats([values["DataRate"]], f"{path}:3", "DataRate")[0] if "DataRate" in values else 0.0
+    if rate:
+        check_rate(rate, f"{path}:3")
     cells = lines[3].split("\t")
     if "\t" in lines[3]:
         # every third cell; a marker without a name leaves its cell empty

@@ -31,8 +31,12 @@ def twist_orientations(centres: np.ndarray, parents: list[int]) -> np.ndarray:
     goes on as its parent does. Joints stand parents first."""
     centres = np.asarray(centres, float)
     directions = np.tile([1.0, 0.0, 0.0], (len(parents), 1))
+    below: list[list[int]] = [[] for _ in parents]
     for joint, parent in enumerate(parents):
-        children = [child for child, above in enumerate(parents) if above == joint]
+        if parent >= 0:
+            below[parent].append(joint)
+    for joint, parent in enumerate(parents):
+        children = below[joint]
         along = np.mean(centres[children], 0) - centres[joint] if children else np.zeros(3)
         length = np.linalg.norm(along)
         if length > 1e-9:

@@ -12,11 +12,15 @@ from jaxtyping import Float
 from ..body.body import Body
 from ..body.pose import Motion
 from ..errors import InputError
-from .bound import Joints, bind, body_of, motion_of, placing
+from .archive import PACKED, ROOM
+from .bound import Joints, bind, body_of, inverted, motion_of, placing
+from .door import reads
 from .gltf_document import no_skin
 from .inside import is_inside, outside
+from .mesh import check_faces, check_points
 from .meshes import triangulate
 from .surface import Surface, as_shares, joined
+from .text import LARGEST, check_rate, shortened
 from .usd import SUFFIXES as WRITTEN
 
 if TYPE_CHECKING:
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".usd", *WRITTEN)
 
 
+@reads("a USD file")
 def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
     """The body of a file's first skeleton, which blends linearly, and its animation, a frame of the file's own rate each.
 
@@ -46,13 +51,29 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
         raise InputError(
             f"{path}: USD is read by the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
         ) from None
+    _check_text(path)
     try:
         _check_layers(path)
-        stage = Usd.Stage.Open(str(path))
+        return _Skinned(path, Usd.Stage.Open(str(path))).read()
     except Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise InputError(f"{path}: this is not a whole USD file ({reason[:200]}).") from None
-    return _Skinned(path, stage).read()
+        # behind the place in OpenUSD's own source
+        reason = str(error).strip().splitlines()[-1].rsplit(" : ", 1)[-1].strip(" '.")
+        raise InputError(
+            f"{path}: this is not a whole USD file ({shortened(reason)}); export it again."
+        ) from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: this file holds text that is not UTF-8; export it again.") from None
+
+
+def _check_text(path: Path) -> None:
+    """That a layer of text is UTF-8. Raises `InputError` with the line."""
+    data = path.read_bytes()
+    try:
+        if data.startswith(b"#usda"):
+            data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}:{line}: this line is not UTF-8; export the file again.") from None
 
 
 def _check_layers(path: Path) -> None:
@@ -95,8 +116,12 @@ class _Skinned:
         self.query = cache.GetSkelQuery(self.skeleton)
         if not self.query or not len(self.query.GetJointOrder()):
             raise InputError(f"{path}: the skeleton of this file has no joints.")
+        metres = float(UsdGeom.GetStageMetersPerUnit(stage))
+        if not 1e-6 <= metres <= 1e6:
+            raise InputError(f"{path}: metersPerUnit is {metres:g}; it must be from 1e-06 to 1e+06.")
+        self.room = max(ROOM, PACKED * path.stat().st_size)
         # what brings the stage into metres, y up
-        self.upright = np.eye(4) * UsdGeom.GetStageMetersPerUnit(stage)
+        self.upright = np.eye(4) * metres
         self.upright[3, 3] = 1.0
         if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
             self.upright = self.upright @ [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
@@ -109,20 +134,26 @@ class _Skinned:
         names = [str(name) for name in self.skeleton.GetJointNamesAttr().Get() or ()]
         if len(set(names)) != len(order):
             names = [joint.rsplit("/", 1)[-1] for joint in order]
-        inverse = np.linalg.inv(_columns(self.query.GetJointWorldBindTransforms()))
+        if len(parents) != len(order) or -1 not in parents:
+            raise InputError(
+                f"{self.path}: the joints of the skeleton are no tree with a root; export it again."
+            )
+        there = self.columns(self.query.GetJointWorldBindTransforms(), "bindTransforms", len(order))
+        inverse = inverted(self.path, there)
         above, root = self.above(Usd.TimeCode.Default()), parents.index(-1)
         by_root = above
         if self.query.HasRestPose():
-            rest = _columns(self.query.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True))
+            found = self.query.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True)
+            rest = self.columns(found, "restTransforms", len(order))
             by_root = above @ rest[root] @ inverse[root]
         axes = np.tile(np.eye(3)[:2], (len(order), 1, 1))
         placed = placing(self.path, above[:3, :3], by_root[:3, :3])
         bound = bind(self.path, Joints(names, parents, [None] * len(order), axes, inverse), placed)
         surface = joined([self.surface(target, order) for target in self.targets])
         surface = surface._replace(weights=surface.weights[:, list(bound.order)])
-        frames, rate = self.frames()
+        frames, rate = self.frames(len(order))
         motion = motion_of(self.path, bound, frames[:, list(bound.order)], rate) if len(frames) else None
-        return body_of(bound, surface), motion
+        return body_of(self.path, bound, surface), motion
 
     def above(self, time: "Usd.TimeCode") -> Float[np.ndarray, "4 4"]:
         """From the skeleton's space into the world."""
@@ -131,50 +162,86 @@ class _Skinned:
         there = UsdGeom.XformCache(time).GetLocalToWorldTransform(self.skeleton.GetPrim())
         return self.upright @ np.array(there).T
 
-    def frames(self) -> tuple[Float[np.ndarray, "F J 4 4"], float]:
+    def frames(self, joints: int) -> tuple[Float[np.ndarray, "F J 4 4"], float]:
         """Of every joint into the world, and how many there are a second."""
         from pxr import Usd
 
         animation = self.query.GetAnimQuery()
         times = list(animation.GetJointTransformTimeSamples()) if animation else []
-        rate = float(self.stage.GetFramesPerSecond())
+        rate = check_rate(float(self.stage.GetFramesPerSecond()), f"{self.path}: framesPerSecond")
         if not times:
             return np.zeros((0, 1, 4, 4)), rate
-        step = self.stage.GetTimeCodesPerSecond() / rate
-        codes = [Usd.TimeCode(code) for code in np.arange(times[0], times[-1] + 0.5 * step, step)]
-        return np.stack(
-            [self.above(code) @ _columns(self.query.ComputeJointSkelTransforms(code)) for code in codes]
-        ), rate
+        codes = float(self.stage.GetTimeCodesPerSecond())
+        step = check_rate(codes, f"{self.path}: timeCodesPerSecond") / rate
+        if not np.isfinite([times[0], times[-1]]).all():
+            raise InputError(f"{self.path}: the times of the animation are not finite; export it again.")
+        self.spend((times[-1] - times[0]) / step * joints * 3 * 16, "an animation of so many frames")
+        frames = []
+        for code in np.arange(times[0], times[-1] + 0.5 * step, step):
+            found = self.query.ComputeJointSkelTransforms(Usd.TimeCode(code))
+            frames.append(
+                self.above(Usd.TimeCode(code)) @ self.columns(found, f"transforms at time {code:g}", joints)
+            )
+        return np.stack(frames), rate
+
+    def spend(self, numbers: float | int, what: str) -> None:
+        """Count numbers that are made of the file. Raises `InputError` where they are more than it can be meant for."""
+        self.room -= 8 * numbers
+        if not self.room >= 0:
+            raise InputError(
+                f"{self.path}: {what} takes more memory than a file of its size can ask for; check its times and sizes."
+            )
+
+    def columns(self, matrices, name: str, count: int) -> Float[np.ndarray, "J 4 4"]:
+        """Matrices of columns of USD's rows, one for each joint. Raises `InputError`."""
+        found = np.array([] if matrices is None else matrices, float)
+        if found.shape != (count, 4, 4) or not (np.abs(found) <= LARGEST).all():
+            raise InputError(
+                f"{self.path}: the {name} of the skeleton are not {count} matrices of finite numbers; export it again."
+            )
+        return found.swapaxes(1, 2)
 
     def surface(self, target: "UsdSkel.SkinningQuery", order: list[str]) -> Surface:
         from pxr import Usd, UsdGeom
 
         mesh, first = UsdGeom.Mesh(target.GetPrim()), Usd.TimeCode.EarliestTime()
         points = mesh.GetPointsAttr().Get(first)
-        if not mesh or points is None:
+        if not mesh or points is None or not len(points):
             raise InputError(f"{self.path}: '{target.GetPrim().GetPath()}' is no mesh; export it as one.")
-        into = np.array(target.GetGeomBindTransform()).T
-        vertices = np.array(points, float) @ into[:3, :3].T + into[:3, 3]
+        where = f"{self.path}: '{target.GetPrim().GetPath()}'"
+        into, vertices = np.array(target.GetGeomBindTransform()).T, np.array(points, float)
+        check_points(vertices, where)
+        if not (np.abs(into) <= LARGEST).all():
+            raise InputError(f"{where}: its geomBindTransform is not finite; export it again.")
+        vertices = vertices @ into[:3, :3].T + into[:3, 3]
+        self.spend(4 * len(vertices) * len(order), "its weights")
         found = target.ComputeVaryingJointInfluences(len(vertices))
         if not found or not len(found[0]):
             raise InputError(
                 f"{self.path}: vertices of '{target.GetPrim().GetPath()}' follow no joints; bind the whole mesh."
             )
+        if len(found[0]) % len(vertices) or len(found[0]) != len(found[1]):
+            raise InputError(
+                f"{where}: {len(vertices)} vertices have {len(found[0])} joints and {len(found[1])} weights; give each as "
+                "many."
+            )
         chosen, shares = (np.array(values).reshape(len(vertices), -1) for values in found)
-        own = target.GetJointOrder()
-        columns = np.arange(len(order)) if own is None else np.array([order.index(str(name)) for name in own])
+        if not ((shares >= 0) & (shares <= LARGEST)).all():
+            raise InputError(f"{where}: a weight is below zero, or not finite; export the mesh again.")
+        place, own = {joint: number for number, joint in enumerate(order)}, target.GetJointOrder()
+        named = order if own is None else [str(name) for name in own]
+        strange = next((name for name in named if name not in place), None)
+        if strange is not None:
+            raise InputError(f"{where}: it follows '{strange}', which is no joint of the skeleton.")
+        columns = np.array([place[name] for name in named])
         if chosen.min() < 0 or chosen.max() >= len(columns):
-            raise InputError(f"{self.path}: a vertex follows joint {chosen.max()} of {len(columns)}.")
+            raise InputError(f"{where}: a vertex follows joint {chosen.max()} of {len(columns)}.")
         weights = np.zeros((len(vertices), len(order)))
         np.add.at(weights, (np.arange(len(vertices))[:, None], columns[chosen]), shares.astype(float))
         counts = np.array(mesh.GetFaceVertexCountsAttr().Get(first) or (), int)
         corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(first) or (), int)
-        faces = triangulate(counts, corners, self.path)
+        faces = triangulate(counts, corners, where)
+        check_faces(faces, len(vertices), where)
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             faces = faces[:, ::-1]
-        where = f"{self.path}, '{target.GetPrim().GetPath()}'"
         return Surface(vertices, faces, as_shares(weights, where))
-
-
-def _columns(matrices) -> Float[np.ndarray, "J 4 4"]:
-    return np.array(matrices, float).swapaxes(1, 2)

@@ -8,9 +8,11 @@ RFHD      88
 from pathlib import Path
 
 from ..errors import InputError
-from .text import numbered_lines, parse_int, read_text
+from .door import reads
+from .text import numbered_lines, parse_int, read_text, shortened
 
 
+@reads("a list of vertices")
 def read_vertex_list(path: str | Path) -> dict[str, int]:
     """Names with the vertex of each; a line of a number alone is named `v` and the number.
 
@@ -21,13 +23,15 @@ def read_vertex_list(path: str | Path) -> dict[str, int]:
     for number, line in numbered_lines(read_text(path)):
         words, where = line.split(), f"{path}:{number}"
         if len(words) > 2:
-            raise InputError(f"{where}: '{line}' has {len(words)} words; write a name and a vertex.")
+            raise InputError(
+                f"{where}: '{shortened(line)}' has {len(words)} words; write a name and a vertex."
+            )
         vertex = parse_int(words[-1], where, "the vertex")
         if vertex < 0:
             raise InputError(f"{where}: there is no vertex {vertex}; they count from 0.")
         name = words[0] if len(words) == 2 else f"v{vertex}"
         if name in found:
-            raise InputError(f"{where}: the name '{name}' stands twice; give each marker its own.")
+            raise InputError(f"{where}: the name '{shortened(name)}' stands twice; give each marker its own.")
         found[name] = vertex
     if not found:
         raise InputError(f"{path}: there are no vertices in it; write a name and a vertex on each line.")

@@ -9,10 +9,12 @@ from jaxtyping import Int
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from .atomic import write_text
+from .door import reads
 from .kinds import check_kind
-from .text import read_text
+from .text import read_text, shortened
 
 
+@reads("parts of a mesh")
 def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.ndarray, "V"]:
     """The bone of each of a mesh's `num_vertices` vertices.
 
@@ -26,7 +28,7 @@ def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.n
     places = {name: joint for joint, name in enumerate(skeleton.names)}
     for number, name in enumerate(lines, 1):
         if name not in places:
-            what = f"'{name}' is not a joint of the skeleton" if name else "this line is empty"
+            what = f"'{shortened(name)}' is not a joint of the skeleton" if name else "this line is empty"
             raise InputError(
                 f"{path}:{number}: {what}; vertex {number - 1} needs one of {', '.join(skeleton.names)}."
             )

@@ -1,6 +1,5 @@
 """Files into what a window shows: whatever `jaxcap info` knows, and the folders that runs and scans leave."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,11 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
+from ..io.archive import array_names, kind_of
 from ..io.body_motion import read_motion_of
 from ..io.cameras import read_cameras
 from ..io.checkpoint import KIND as CHECKPOINT
+from ..io.checkpoint import load_progress
 from ..io.clip import split_clip, suffix_of
 from ..io.clouds import read_clouds
 from ..io.constraints import KIND as CONSTRAINTS
@@ -22,7 +23,7 @@ from ..io.kinds import wrong_kind
 from ..io.limits import KIND as LIMITS
 from ..io.mesh import SUFFIXES, read_mesh
 from ..io.meshes import read_meshes
-from ..io.npz import body_of, load_arrays, load_body, load_motion, motion_of
+from ..io.npz import load_body, load_motion
 from ..io.prior import KIND as PRIOR
 from ..io.registry import (
     MARKER_READERS,
@@ -36,9 +37,10 @@ from ..io.registry import (
     read_skeleton,
     read_skinned,
 )
+from ..io.run_statistics import read_statistics
 from ..io.subject import KIND as SUBJECT
 from ..io.subject import load_subject
-from ..io.text import read_text
+from ..io.text import read_json
 from ..markers.subject import Subject
 from .clouds import SeenClouds
 from .contents import Contents, Markers, Meshes, Take, make_take
@@ -175,38 +177,28 @@ class _Loader:
         self.found.clouds.append(SeenClouds(read_clouds(source, unit=self.unit or "m"), self.turn))
 
     def arrays(self, path: Path) -> None:
-        arrays = load_arrays(path)
-        kind = str(arrays["format"]) if "format" in arrays else ""
+        names = array_names(path)
+        kind = kind_of(path)
         if kind == "jaxcap body":
             self.bodies.append((path.name, load_body(path)))
-        elif kind == "jaxcap motion" or (not kind and "poses" in arrays):
+        elif kind == "jaxcap motion" or (not kind and "poses" in names):
             self.motions.append(path)
         elif kind == SUBJECT:
             self.subjects.append((path.name, load_subject(path)))
         elif kind == CHECKPOINT:
-            parts = {
-                group: {
-                    name.removeprefix(group): values
-                    for name, values in arrays.items()
-                    if name.startswith(group)
-                }
-                for group in ("body.", "motion.")
-            }
-            body = body_of(parts["body."], path)
-            self.found.takes.append(
-                make_take(path.name, body.skeleton, body, motion_of(parts["motion."], path))
-            )
+            body, motion = load_progress(path)
+            self.found.takes.append(make_take(path.name, body.skeleton, body, motion))
         elif kind in SHAPELESS:
             self.found.told.append(f"{path}: {SHAPELESS[kind]}.")
-        elif "vertices" in arrays and {"faces", "face_counts"} & set(arrays):
+        elif "vertices" in names and {"faces", "face_counts"} & set(names):
             meshes = read_meshes(path, self.unit or "m")
             there = self.upright(np.asarray(meshes.vertices))
             self.found.meshes.append(Meshes(path.name, there, np.asarray(meshes.faces), meshes.rate))
-        elif {"points", "vertices"} & set(arrays):
+        elif {"points", "vertices"} & set(names):
             self.clouds(str(path))
         else:
             self.found.told.append(
-                f"{path}: there is nothing in it that has a shape, but {', '.join(arrays)}."
+                f"{path}: there is nothing in it that has a shape, but {', '.join(names[:8])}."
             )
 
     def skinned(self, path: Path) -> None:
@@ -221,10 +213,7 @@ class _Loader:
             self.found.takes.append(make_take(path.name, body.skeleton, body, motion))
 
     def json(self, path: Path) -> None:
-        try:
-            content = json.loads(read_text(path))
-        except json.JSONDecodeError:
-            content = {"cameras": None}
+        content = read_json(path)
         if isinstance(content, dict) and "cameras" in content:
             self.found.cameras.extend(read_cameras(path))
         elif isinstance(content, dict) and content.get("format") == CONSTRAINTS:
@@ -253,7 +242,7 @@ class _Loader:
             title = name if len(self.bodies) == 1 else f"{name} on {body_name}"
             return make_take(title, body.skeleton, body, motion, **more)
         given = ", ".join(body_name for body_name, _ in self.bodies)
-        bare = path.suffix.lower() == ".npz" and not {"names", "poses"} & set(load_arrays(path))
+        bare = path.suffix.lower() == ".npz" and not {"names", "poses"} & set(array_names(path))
         skeleton, motion = self.skeleton_of(path, why) if bare else read_motion(path, self.unit)
         _check_frames(motion, path)
         if why:
@@ -324,11 +313,4 @@ def _statistics(path: Path) -> dict[str, Any]:
     beside = path.with_name("statistics.json")
     if path.name != "motion.npz" or not beside.is_file():
         return {}
-    try:
-        rows = json.loads(read_text(beside))["frames"]
-        return {
-            "sigmas": tuple(float(row["sigma"]) for row in rows),
-            "clouds": tuple(str(row["cloud"]) for row in rows),
-        }
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{beside}: these are not the statistics of a run; remove the file.") from None
+    return read_statistics(beside)._asdict()

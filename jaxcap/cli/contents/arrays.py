@@ -7,11 +7,13 @@ import numpy as np
 
 from ...errors import InputError
 from ...io.amass import read_amass
+from ...io.archive import array_names, kind_of, load_arrays
 from ...io.checkpoint import KIND as CHECKPOINT
+from ...io.door import reads
 from ...io.kinds import kind_of_arrays
 from ...io.limits import load_limits
 from ...io.meshes import read_meshes
-from ...io.npz import get_array, load_arrays, load_body, load_kind, load_motion, skeleton_of
+from ...io.npz import get_array, load_body, load_kind, load_motion, skeleton_of
 from ...io.prior import carries_prior, load_prior
 from ...io.subject import load_subject
 from ..say import say
@@ -19,10 +21,10 @@ from .bodies import metres, tell_body, tell_motion, tell_moving, tell_skeleton
 from .folders import tell_clouds
 
 
+@reads("an .npz file")
 def tell_arrays(path: Path, unit: str) -> str:
     """Say what is in an `.npz`, by its kind, and return that."""
-    arrays = load_arrays(path)
-    kind = kind_of_arrays(arrays, str(arrays["format"]) if "format" in arrays else "")
+    kind = kind_of_arrays(array_names(path), kind_of(path))
     tell = {
         "body": _body,
         "motion": _motion,
@@ -41,14 +43,14 @@ def tell_arrays(path: Path, unit: str) -> str:
     if kind == "keys":
         keys = load_kind(path, "jaxcap keys")
         say(
-            f"keys: {len(get_array(keys, 'frames', path, (None,)))} of {get_array(keys, 'count', path, ())} frames"
+            f"keys: {len(get_array(keys, 'frames', path, (None,), 'whole'))} of {get_array(keys, 'count', path, (), 'whole')} frames"
         )
         tell_skeleton(skeleton_of(keys, path))
     elif kind == "joints":
-        shape = arrays["joints"].shape
+        shape = load_arrays(path, lambda name: name == "joints")["joints"].shape
         say(f"joint centres: an array of the shape {' x '.join(map(str, shape))}")
     else:
-        _others(arrays)
+        _others(load_arrays(path))
     return kind
 
 
@@ -82,10 +84,10 @@ def _amass(path: Path) -> str:
     try:
         skeleton, motion = read_amass(path)
     except InputError as error:
-        if "skeleton.names" in load_arrays(path):
+        if "skeleton.names" in array_names(path):
             raise
         say(
-            f"motion in the manner of AMASS: {get_array(load_arrays(path), 'poses', path, (None, None)).shape[0]} frames"
+            f"motion in the manner of AMASS: {load_arrays(path, lambda name: name == 'poses')['poses'].shape[0]} frames"
         )
         say(f"this file does not say the skeleton: {error}")
         return "motion of a body"
@@ -122,7 +124,7 @@ def _prior(path: Path) -> str:
 
 def _checkpoint(path: Path) -> str:
     arrays = load_kind(path, CHECKPOINT)
-    steps = get_array(arrays, "history.steps", path, (None,))
+    steps = get_array(arrays, "history.steps", path, (None,), "text")
     vertices = get_array(arrays, "body.vertices", path, (None, 3))
     say(f"checkpoint: {len(steps)} steps are done, on a body of {len(vertices)} vertices")
     return "checkpoint"

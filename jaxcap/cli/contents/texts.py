@@ -1,6 +1,5 @@
 """Markers, JSON, tables and Kineben's files in lines of text."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +8,11 @@ from ...errors import InputError
 from ...io.asf import read_asf
 from ...io.cameras import read_cameras
 from ...io.cst import read_cst
+from ...io.door import reads
 from ...io.journal import read_header, read_records
 from ...io.kinds import kind_of_json
 from ...io.registry import read_marker_file, read_skeleton
-from ...io.text import Words, numbered_lines, read_text
+from ...io.text import Words, numbered_lines, parse_json, read_json, read_text
 from ..say import say
 from .bodies import tell_skeleton
 
@@ -29,16 +29,10 @@ def tell_markers(path: Path, unit: str | None) -> str:
     return "markers"
 
 
+@reads("a JSON file")
 def tell_json(path: Path) -> str:
     """Say what a JSON file holds, and return its kind."""
-    try:
-        content = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}); mend it there.") from None
-    except (ValueError, RecursionError):
-        raise InputError(
-            f"{path}: this JSON is nested too deeply, or has numbers of too many digits; give a file that this program wrote."
-        ) from None
+    content = read_json(path)
     kind = kind_of_json(content)
     if kind == "cameras":
         cameras = read_cameras(path)
@@ -68,7 +62,7 @@ def tell_statistics(path: Path) -> None:
     text = read_text(path)
     try:
         if path.suffix.lower() == ".json":
-            states = [row["state"] for row in json.loads(text)["frames"]]
+            states = [row["state"] for row in parse_json(text, path)["frames"]]
         else:
             head, *rows = (line.split(",") for line in text.splitlines() if line.strip())
             states = [row[head.index("state")] for row in rows]
@@ -110,6 +104,7 @@ def tell_asf(path: Path) -> str:
     return "asf"
 
 
+@reads("a list")
 def tell_text(path: Path) -> str:
     """Say which list a text file is. Raises `InputError` where it is none."""
     rows = [line.split() for _, line in numbered_lines(read_text(path))]

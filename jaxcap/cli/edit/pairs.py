@@ -5,7 +5,7 @@ from pathlib import Path
 from ...edit.retargeting.point_pairs import PointPair
 from ...errors import InputError
 from ...io.joint_names import read_joint_names
-from ...io.text import read_text
+from ...io.text import parse_floats, parse_int, read_text
 
 
 def table_of(path: Path) -> list[list[str]]:
@@ -46,8 +46,7 @@ def names_of(path: Path) -> dict[str, str | None]:
 def point_pair(path: Path, row: list[str]) -> PointPair:
     """A line of `table_of`, with its number before it. Raises `InputError`."""
     number, here, there, *weight = row
-    try:
-        heavy = float(weight[0]) if weight else 1.0
-    except ValueError:
-        raise InputError(f"{path}:{number}: the weight '{weight[0]}' is not a number.") from None
-    return PointPair(*(int(word) if word.isdigit() else word for word in (here, there)), weight=heavy)
+    where = f"{path}:{number}"
+    heavy = parse_floats(weight, where, "the weight")[0] if weight else 1.0
+    ends = (parse_int(word, where, "a vertex") if word.isdecimal() else word for word in (here, there))
+    return PointPair(*ends, weight=heavy)

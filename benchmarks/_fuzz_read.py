@@ -1,0 +1,225 @@
+"""Read one file as its format is read by the library, and say what came of it."""
+
+import dataclasses
+import functools
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks._fuzz_seeds import ASF, HEADER, fuzz_body
+from jaxcap.body.body import Body
+from jaxcap.cli.adapt_state import state_of
+from jaxcap.cli.edit.pairs import point_pair, table_of
+from jaxcap.cli.learn import state_of as learn_state_of
+from jaxcap.cli.scan_folder import check_same_scans
+from jaxcap.errors import InputError
+from jaxcap.io.amass import read_amass
+from jaxcap.io.amc import read_amc
+from jaxcap.io.asf import read_asf
+from jaxcap.io.body_motion import read_motion_of
+from jaxcap.io.cameras import read_cameras
+from jaxcap.io.checkpoint import load_checkpoint, load_progress
+from jaxcap.io.clouds import read_clouds
+from jaxcap.io.colours import read_colours
+from jaxcap.io.constraints import read_constraints
+from jaxcap.io.cst import read_cst
+from jaxcap.io.gltf_reader import read_gltf
+from jaxcap.io.journal import resume_journal
+from jaxcap.io.limits import load_limits, read_limits
+from jaxcap.io.marker_corrections import read_corrections
+from jaxcap.io.mesh import read_mesh
+from jaxcap.io.meshes import read_meshes
+from jaxcap.io.npz import load_limits as load_body_limits
+from jaxcap.io.npz import load_skeleton
+from jaxcap.io.prior import load_priors, load_shape_prior, shape_counts
+from jaxcap.io.registry import (
+    is_skinned,
+    read_body,
+    read_marker_file,
+    read_motion,
+    read_skeleton,
+    read_skinned,
+)
+from jaxcap.io.run_statistics import read_statistics
+from jaxcap.io.subject import load_subject
+from jaxcap.io.vertex_list import read_vertex_list
+from jaxcap.io.vj import read_vj
+from jaxcap.view.load import load
+
+#: what reading a file may end in, best first; the last five are faults
+OUTCOMES = (
+    "data",
+    "refused",
+    "last door",
+    "not finite",
+    "foreign words",
+    "traceback",
+    "too much memory",
+    "too slow",
+    "crash",
+)
+#: those that must not be
+FAULTS = OUTCOMES[3:]
+
+
+def outcome(format: str, path: Path) -> tuple[str, str]:
+    """The worst of `OUTCOMES` of everything that reads files of a format, memory and time apart, and what tells more of it."""
+    found = [_outcome(reader, path) for reader in READERS[format]]
+    return max(found, key=lambda one: OUTCOMES.index(one[0]))
+
+
+def _outcome(reader: Callable[[Path], Any], path: Path) -> tuple[str, str]:
+    try:
+        found = reader(path)
+        for where, values in numbers(found):
+            if not np.isfinite(values).all():
+                return "not finite", where
+    except InputError as error:
+        return _sentence(error, path)
+    except MemoryError as error:
+        return "too much memory", _place(error)
+    except Exception as error:
+        return "traceback", _place(error)
+    return "data", ""
+
+
+def _sentence(error: InputError, path: Path) -> tuple[str, str]:
+    """Whether an error is a sentence of the library: begins with the file or what is in it, ends as a sentence does, and
+    is not the words of another library's error."""
+    text = str(error)
+    context: BaseException | None = error.__cause__ or error.__context__
+    said = text.removeprefix(str(path)).lstrip(":0123456789 ")
+    foreign = (
+        context is not None
+        and not isinstance(context, InputError)
+        and str(context)
+        and said.startswith(str(context))
+    )
+    if foreign and isinstance(context, ValueError) and raised_here(context):
+        foreign = False
+    if path.name not in text or not text.endswith((".", ".)")) or foreign or len(text) > 2000:
+        return "foreign words", text[:300]
+    return ("last door" if error.__cause__ is not None else "refused"), text[:300]
+
+
+def raised_here(error: BaseException) -> bool:
+    """Whether a statement of the library raised an error, by the text of the line."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return "jaxcap" in Path(frame.filename).parts and (frame.line or "").startswith("raise ")
+
+
+def _place(error: BaseException) -> str:
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "jaxcap" in Path(frame.filename).parts] or frames[-1:]
+    return f"{type(error).__name__}: {str(error)[:120]} at {Path(own[-1].filename).name}:{own[-1].lineno}"
+
+
+def numbers(value: Any, where: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Every float in what a reader gave, with its place there."""
+    if isinstance(value, float | np.floating):
+        yield where, np.asarray(value)
+    elif isinstance(value, str | bytes | int | None):
+        return
+    elif isinstance(value, Mapping):
+        for name, part in value.items():
+            yield from numbers(part, f"{where}.{name}")
+    elif hasattr(value, "_fields"):
+        for name in value._fields:
+            yield from numbers(getattr(value, name), f"{where}.{name}")
+    elif dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from numbers(getattr(value, field.name), f"{where}.{field.name}")
+    elif hasattr(value, "data") and hasattr(value, "tocsr"):
+        yield where, np.asarray(value.data)
+    elif hasattr(value, "dtype") and hasattr(value, "shape"):
+        if np.issubdtype(value.dtype, np.inexact):
+            yield where, np.asarray(value)
+    elif isinstance(value, Sequence | Iterator):
+        for number, part in enumerate(value):
+            yield from numbers(part, f"{where}[{number}]")
+
+
+def _journal(path: Path) -> np.ndarray:
+    with resume_journal(path, HEADER) as journal:
+        return journal.records
+
+
+def _amc(path: Path) -> Any:
+    """A motion of the skeleton that is made here, or of that of the captures, which lies with the whole files."""
+    skeleton = path.parents[2] / "seeds" / "asf-cmu.asf"
+    if "cmu" not in path.name:
+        skeleton = path.with_name("own.asf")
+        skeleton.write_text(ASF)
+    return read_amc(path, read_asf(skeleton))
+
+
+def _pairs(path: Path) -> list[Any]:
+    return [point_pair(path, row) for row in table_of(path)]
+
+
+def _corrupt_limits(path: Path) -> Any:
+    return load_limits(path), read_limits(path, _body().skeleton)
+
+
+def _mesh(path: Path) -> Any:
+    mesh = read_mesh(path)
+    return mesh, _clouds(path), read_colours(path, len(mesh.vertices))
+
+
+def _clouds(path: Path) -> Any:
+    scans = read_clouds(path)
+    return [scans[frame] for frame in range(min(len(scans), 50))]
+
+
+def _contents(path: Path) -> Any:
+    # bodies are posed when they are shown, which compiles
+    return load([str(path)]).told
+
+
+@functools.cache
+def _body() -> Body:
+    """Of what limits, parts and motions are; made when it is needed, as JAX must not have begun where processes fork."""
+    return fuzz_body()
+
+
+Reader = Callable[[Path], Any]
+#: what reads each format; the viewer's loader stands for `info`, which reads by the same functions
+READERS: dict[str, tuple[Reader, ...]] = {
+    "skl": (read_skeleton,),
+    "vj": (lambda path: read_vj(path, _body().skeleton, len(_body().vertices)),),
+    "cst": (lambda path: read_cst(path, _body().skeleton),),
+    "bvh": (read_motion, read_skeleton),
+    "asf": (read_asf, read_skeleton),
+    "amc": (_amc,),
+    **dict.fromkeys(("off", "obj", "ply", "stl", "glb", "gltf"), (_mesh, _contents)),
+    "skinned": (is_skinned, read_skinned, read_gltf, read_mesh),
+    **dict.fromkeys(("usda", "usdc", "usdz"), (read_skinned,)),
+    **dict.fromkeys(("c3d", "trc", "csv"), (read_marker_file,)),
+    "cameras": (read_cameras, _contents),
+    "constraints": (lambda path: read_constraints(path, _body()), _contents),
+    "vertices": (read_vertex_list,),
+    "corrections": (read_corrections,),
+    "pairs": (_pairs,),
+    "body": (read_body, read_skeleton, load_body_limits),
+    "motion": (lambda path: read_motion_of(_body(), path), load_skeleton),
+    "subject": (load_subject,),
+    "limits": (_corrupt_limits, _contents),
+    "prior": (lambda path: load_priors(path, _body()), shape_counts),
+    "shape": (
+        lambda path: load_priors(path, _body()),
+        lambda path: load_shape_prior(path, _body()),
+        read_body,
+    ),
+    "amass": (read_amass, lambda path: read_motion_of(_body(), path)),
+    "checkpoint": (lambda path: load_checkpoint(path, HEADER), load_progress),
+    "adapt": (lambda path: state_of(load_checkpoint(path, HEADER), path),),
+    "learn": (lambda path: learn_state_of(load_checkpoint(path, HEADER), path),),
+    "journal": (_journal,),
+    "meshes": (read_meshes, _contents),
+    "clouds": (_clouds, _contents),
+    "statistics": (read_statistics,),
+    "scans": (lambda path: check_same_scans(path, HEADER),),
+}
