@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import overload
 
 import numpy as np
+from jaxtyping import Float
 
 from ..arguments import checked
 from ..errors import InputError
