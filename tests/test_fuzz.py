@@ -152,7 +152,7 @@ def test_arrays_are_those_that_numpy_reads(tmp_path, save):
 
 def test_an_archive_that_fills_the_memory_is_not_inflated(tmp_path):
     path = tmp_path / "bomb.npz"
-    path.write_bytes(bomb("points", "(44739242, 3)", 2**30 // 8 * 8))
+    path.write_bytes(bomb("points", "(44739242, 3)"))
     assert path.stat().st_size < 2e6
     with pytest.raises(InputError, match=r"its arrays take 1074 MB"):
         load_arrays(path)

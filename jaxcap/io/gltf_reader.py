@@ -62,6 +62,9 @@ def _bind(file: GltfFile) -> Bound:
     parents = _parents(file, place)
     inverse = inverse_binds(file, 0)
     nodes = [file.nodes[joint] for joint in joints]
+    for joint in joints:
+        # rest is where it is bound, and where it stands counts as soon as something moves
+        file.still(joint)
     axes, kinds = np.tile(np.eye(3)[:2], (len(joints), 1, 1)), []
     for number, node in enumerate(nodes):
         kind, noted = _notes(node)
