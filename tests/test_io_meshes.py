@@ -94,7 +94,7 @@ def test_another_topology_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"vertices": None}, "no array 'vertices'"),
+        ({"vertices": None}, "without an array 'vertices'"),
         ({"vertices": np.zeros((4, 3, 2))}, r"\(4, 3, 2\)"),
         ({"faces": None}, "face_indices"),
         ({"faces": np.array([[0, 1, 99]])}, "vertex 99"),

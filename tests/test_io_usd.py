@@ -222,7 +222,7 @@ def test_what_is_not_read_is_said(tmp_path):
     for name, sentence in (
         ("text.usda", "not a whole USD file"),
         ("cut.usdc", "not a whole USD file"),
-        ("ball.usda", "no skeleton in this file"),
+        ("ball.usda", "there is no skin in it"),
         ("none.usda", "no such file"),
         ("body.bvh", "USD is not read from"),
     ):
