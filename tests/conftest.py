@@ -6,6 +6,8 @@ processes, which share one cache of compiled functions."""
 import gc
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -43,6 +45,9 @@ SHARED = Path(os.environ.get("JAXCAP_SHARED") or CHECKOUT.parent / "shared")
 
 #: what a worker needs at most, and the size from which the cache is begun anew, in bytes
 WORKER_MEMORY, CACHE_SIZE = 4 << 30, 2 << 30
+#: flags of XLA that make it compile sooner, and what tells whether it knows them
+COMPILE_SOON = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+KNOWS_FLAGS = "import jax; jax.devices()"
 #: pieces of memory that a process may map, and those from which compiled functions are forgotten
 MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000
@@ -56,6 +61,20 @@ def pytest_xdist_auto_num_workers() -> int:
     except (AttributeError, ValueError):
         return cores
     return max(1, min(cores, memory // WORKER_MEMORY))
+
+
+def pytest_configure(config):
+    """Have XLA compile sooner and less well: most tests call what they compile a few times only."""
+    if (
+        "XLA_FLAGS" in os.environ
+        or hasattr(config, "workerinput")
+        or config.getoption("markexpr") != "not slow"
+    ):
+        return
+    wanted = {**os.environ, "XLA_FLAGS": COMPILE_SOON}
+    # a version of XLA that has no such flags dies of them
+    if not subprocess.run([sys.executable, "-c", KNOWS_FLAGS], env=wanted, capture_output=True).returncode:
+        os.environ["XLA_FLAGS"] = COMPILE_SOON
 
 
 def pytest_sessionstart(session):

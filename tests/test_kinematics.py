@@ -65,7 +65,7 @@ def test_two_links_in_a_plane():
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.3])
-def test_levels_agree_with_a_recursion_over_joints(scale, rng):
+def test_chains_agree_with_a_recursion_over_joints(scale, rng):
     for pose in [*awkward_poses(SKELETON), random_pose(SKELETON, rng, 1.0)]:
         pose = eqx.tree_at(lambda p: p.scale, pose, jnp.asarray(scale))
         expected = slow_kinematics(SKELETON, pose)

@@ -1,4 +1,4 @@
-"""Forward kinematics, batched over all joints of a level of the tree."""
+"""Forward kinematics, batched over all joints of a tree."""
 
 import equinox as eqx
 import jax
@@ -27,30 +27,23 @@ def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
     """The world transform of every bone, `T_j = T_parent . Translate(t_j) . Rot(q_j about c_j)`
     (Kineben, eq. 1; Adaptation, section 3.1), and last the pose's scale.
 
-    One batched product for each level of the tree, which compiles in half the time of a
-    product for each joint.
+    Chains double in every round, over all joints at once, so that a tree of `n` levels takes
+    `log2 n` batched products; few operations compile fast.
     """
-    local_r = rotation.to_matrix(pose.rotations)
+    turns = rotation.to_matrix(pose.rotations)
     centres = skeleton.centres
-    local_t = pose.translations + centres - jnp.einsum("jab,jb->ja", local_r, centres)
-    parents = np.array(skeleton.parents)
-    done_r, done_t, order = [], [], []
-    above_r = above_t = above = None
-    for level in skeleton.levels:
-        joints = np.array(level)
-        if above is None or above_r is None or above_t is None:
-            level_r, level_t = local_r[joints], local_t[joints]
-        else:
-            slots = np.array([above.index(p) for p in parents[joints]])
-            parent_r = above_r[slots]
-            level_r = jnp.einsum("jab,jbc->jac", parent_r, local_r[joints])
-            level_t = jnp.einsum("jab,jb->ja", parent_r, local_t[joints]) + above_t[slots]
-        done_r.append(level_r)
-        done_t.append(level_t)
-        order += level
-        above_r, above_t, above = level_r, level_t, level
-    back = np.argsort(order)
-    return Transforms(pose.scale * jnp.concatenate(done_r)[back], pose.scale * jnp.concatenate(done_t)[back])
+    moves = pose.translations + centres - jnp.einsum("jab,jb->ja", turns, centres)
+    # the joint that the chain of each hangs on; the row after the last joint is the world
+    world = skeleton.num_joints
+    above = np.array([*skeleton.parents, world])
+    above[above < 0] = world
+    turns = jnp.concatenate([turns, jnp.eye(3, dtype=turns.dtype)[None]])
+    moves = jnp.concatenate([moves, jnp.zeros((1, 3), moves.dtype)])
+    while np.any(above < world):
+        upper = turns[above]
+        turns, moves = upper @ turns, jnp.einsum("jab,jb->ja", upper, moves) + moves[above]
+        above = above[above]
+    return Transforms(pose.scale * turns[:world], pose.scale * moves[:world])
 
 
 def joint_positions(skeleton: Skeleton, transforms: Transforms) -> Float[Array, "J 3"]:

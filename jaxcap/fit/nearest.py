@@ -1,13 +1,14 @@
 """For every point and every part of a body, the nearest vertex with a compatible normal.
 
 Points go in tiles of 32, vertices in blocks of 32, and a tile meets a block only where their
-boxes are within reach of each other. Within both, a loop unrolled over the block's vertices is
-one elementwise pass: exact, and several times faster on a CPU than `argmin`, which XLA does not
-vectorise there.
+boxes are within reach of each other. Within both, a loop over the block's vertices, some at a
+time, is a few elementwise passes: exact, and several times faster on a CPU than `argmin`, which
+XLA does not vectorise there.
 """
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -17,7 +18,9 @@ from .parts import BLOCK, Parts
 #: Points in a tile.
 TILE = 32
 #: Pairs of a tile and a block that one step of the culled search takes.
-CHUNK = 1024
+CHUNK = 256
+#: Vertices of a block in one elementwise pass; all of them compile far longer and run little faster.
+PASS = 8
 #: Share of pairs in reach above which going through all of them, in one pass, is faster.
 FEW = 0.3
 
@@ -84,13 +87,19 @@ def _sweep(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array, "*#pairs 6 
     shape = jnp.broadcast_shapes(tiles.shape[:-2], blocks.shape[:-2])
     best = jnp.full((*shape, TILE), jnp.inf, tiles.dtype)
     slot = jnp.zeros(best.shape, jnp.int32)
-    for s in range(BLOCK):
-        vx, vy, vz, ux, uy, uz = (blocks[..., i, s, None] for i in range(6))
-        squared = (x - vx) ** 2 + (y - vy) ** 2 + (z - vz) ** 2
-        better = (squared < best) & (nx * ux + ny * uy + nz * uz > limit)
-        best = jnp.where(better, squared, best)
-        slot = jnp.where(better, s, slot)
-    return best, slot
+
+    def step(i, found):
+        best, slot = found
+        some = lax.dynamic_slice_in_dim(blocks, i * PASS, PASS, -1)
+        for s in range(PASS):
+            vx, vy, vz, ux, uy, uz = (some[..., i, s, None] for i in range(6))
+            squared = (x - vx) ** 2 + (y - vy) ** 2 + (z - vz) ** 2
+            better = (squared < best) & (nx * ux + ny * uy + nz * uz > limit)
+            best = jnp.where(better, squared, best)
+            slot = jnp.where(better, i * PASS + s, slot)
+        return best, slot
+
+    return lax.fori_loop(0, BLOCK // PASS, step, (best, slot))
 
 
 def _sweep_near(tiles, blocks, near):
@@ -116,23 +125,26 @@ def _sweep_near(tiles, blocks, near):
 
 
 def _by_part(parts: Parts, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"], reach):
-    """The best of each part's blocks, `(K, N)`."""
-    distances, vertices = [], []
-    first = 0
-    for count in parts.blocks_of_part:
-        best = jnp.full(squared[0].shape, jnp.inf, squared.dtype)
-        place = jnp.zeros(best.shape, jnp.int32)
-        for b in range(first, first + count):
-            better = squared[b] < best
-            best = jnp.where(better, squared[b], best)
-            place = jnp.where(better, b * BLOCK + slot[b], place)
-        # also what a box let through, so that the result does not hang on the tiles
-        here = best <= jnp.asarray(reach, best.dtype) ** 2
-        here &= jnp.isfinite(best)
-        distances.append(jnp.where(here, best, jnp.inf).reshape(-1))
-        vertices.append(jnp.where(here, parts.slots.reshape(-1)[place], 0).reshape(-1))
-        first += count
-    return jnp.stack(distances), jnp.stack(vertices)
+    """The best of each part's blocks, `(K, N)`: a running minimum that every part begins anew, and ends with."""
+    counts = np.array(parts.blocks_of_part)
+    last = np.cumsum(counts) - 1
+    begins = np.isin(np.arange(parts.num_blocks), last - counts + 1)
+
+    def step(found, row):
+        best, place = found
+        squared, slot, begins, first = row
+        better = begins | (squared < best)
+        found = jnp.where(better, squared, best), jnp.where(better, first + slot, place)
+        return found, found
+
+    shape = squared.shape[1:]
+    start = (jnp.full(shape, jnp.inf, squared.dtype), jnp.zeros(shape, jnp.int32))
+    firsts = jnp.arange(parts.num_blocks, dtype=jnp.int32) * BLOCK
+    _, (best, place) = lax.scan(step, start, (squared, slot, jnp.asarray(begins), firsts))
+    best, place = (rows[last].reshape(len(last), -1) for rows in (best, place))
+    # also what a box let through, so that the result does not hang on the tiles
+    here = jnp.isfinite(best) & (best <= jnp.asarray(reach, best.dtype) ** 2) & (counts > 0)[:, None]
+    return jnp.where(here, best, jnp.inf), jnp.where(here, parts.slots.reshape(-1)[place], 0)
 
 
 def _apart(function, *arguments):

@@ -22,7 +22,7 @@ class Parts(eqx.Module):
 
     #: vertex in each slot of each block
     slots: Int[Array, "B 32"]
-    #: how many blocks each part has; static, so that a search unrolls over parts
+    #: how many blocks each part has
     blocks_of_part: tuple[int, ...] = eqx.field(static=True)
 
     @property
