@@ -85,10 +85,16 @@ def scan_frame(
     noise: Noise = NOISE,
     visible: Visible = "whole",
     turn: Float[np.ndarray, "3 3"] | None = None,
+    clothes: Float[np.ndarray, "V"] | None = None,
 ) -> Scanned:
-    """A cloud of a posed body's surface, spread by area; `turn` rotates the scene."""
+    """A cloud of a posed body's surface, spread by area; `turn` rotates the scene, and `clothes` lie so far outside of
+    each vertex, metres, less a random share of a third that changes from frame to frame."""
     posed = _pose_body(body, pose)
     vertices, joints = np.asarray(posed.vertices, float), np.asarray(posed.joints, float)
+    if clothes is not None:
+        across = np.asarray(body.vertices, float)[:, 0]
+        swing = 1.0 - 0.3 * (0.5 + 0.5 * np.sin(30.0 * across + rng.uniform(0, 2 * np.pi)))
+        vertices = vertices + (clothes * swing)[:, None] * np.asarray(posed.normals, float)
     if turn is not None:
         vertices, joints = vertices @ turn.T, joints @ turn.T
     points, normals = _surface(vertices, np.asarray(body.faces), noise.points, visible, rng)
@@ -99,6 +105,19 @@ def scan_frame(
     points[wild] = rng.uniform(*box, (len(wild), 3))
     normals[wild] = rng.normal(size=(len(wild), 3))
     return Scanned(jc.make_cloud(points, normals), joints)
+
+
+def clothes_of(body: jc.Body, thickness: float = 0.06) -> Float[np.ndarray, "V"]:
+    """How far clothes about the thighs and the trunk lie outside of each vertex, metres; smooth along the surface."""
+    covered = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "Spine", "LeftUpLeg", "RightUpLeg")
+    cloth = np.isin(np.asarray(body.skeleton.names), covered)[np.asarray(body.skin.parts())].astype(float)
+    corners = np.asarray(body.faces)
+    starts, ends = corners.ravel(), np.roll(corners, 1, axis=1).ravel()
+    degree = np.maximum(np.bincount(starts, minlength=len(cloth)), 1)
+    for _ in range(60):
+        around = np.bincount(starts, cloth[ends], len(cloth)) / degree
+        cloth = 0.5 * cloth + 0.5 * around
+    return thickness * cloth / cloth.max()
 
 
 def scan_motion(

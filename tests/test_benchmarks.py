@@ -59,6 +59,17 @@ def test_track_cmu(checkout, shared, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_lost(checkout, shared, tmp_path):
+    picture = tmp_path / "judged.png"
+    options = ("--scenes", "held_whole", "--frames", "12", "--every", "6", "--picture", str(picture))
+    line = run(checkout, "lost", *options)
+    assert meets(line, "held_false_alarms_percent", "held_flagged_percent")
+    assert line["figures"]["scenes"]["held_whole"]["wrong"] > 5
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_first_frame(checkout, shared):
     line = run(checkout, "first_frame", "--frames", "2")
     assert meets(line, "solved_share")

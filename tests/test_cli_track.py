@@ -15,7 +15,7 @@ from cli import FRAMES, PYTHON, fails, runs, write_inputs
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
 from jaxcap.cli import track as track_module
-from jaxcap.fit.sequence import track_frames
+from jaxcap.fit.sequence import Search, track_frames
 from jaxcap.io.bvh import read_bvh
 from jaxcap.io.journal import Journal
 from jaxcap.io.mesh import Mesh, write_mesh
@@ -242,6 +242,18 @@ def test_lost_frames_are_told(inputs, tmp_path, capsys, monkeypatch):
     assert f"2 of {FRAMES} frames are lost: 1, 3" in capsys.readouterr().err
     rows = json.loads((tmp_path / "out" / "statistics.json").read_text())["frames"]
     assert [row["state"] for row in rows] == ["converged", "lost", "converged", "lost", "converged"]
+
+
+def test_a_search_is_announced_with_its_reason(capsys):
+    announce = track_module.announcing()
+    announce(Search(3, ("unexplained points near the left leg",), 0))
+    announce(Search(9, ("left arm where a camera sees nothing",), 1))
+    first, second = capsys.readouterr().err.splitlines()
+    assert "frame 3: unexplained points near the left leg" in first and "compiles" in first
+    assert (
+        "frame 9: left arm where a camera sees nothing; 1 search before it" in second
+        and "compiles" not in second
+    )
 
 
 def test_wrong_cloud_on_the_way_keeps_the_frames_before(inputs, finished, tmp_path, capsys):

@@ -13,7 +13,7 @@ from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.errors import InputError
-from jaxcap.fit import recover
+from jaxcap.fit import recover, sequence
 from jaxcap.fit.batch import fit_batch, scan_track
 from jaxcap.fit.sequence import track, track_frames
 from jaxcap.fit.track import make_tracker, start_state
@@ -202,3 +202,48 @@ def test_a_motion_and_a_warning_come_from_track(scene, tracked):
     assert joint_error(motion[1], truth[1]) < 0.008
     with pytest.raises(InputError, match=r"cloud 0 .*millimetres"):
         track(BODY, [eqx.tree_at(lambda c: c.points, clouds[0], 1000.0 * clouds[0].points)])
+
+
+def test_the_first_pose_is_searched_for_where_the_start_explains_nothing(scene, monkeypatch):
+    truth, clouds = scene
+    searched, announced = [], []
+
+    def found(tracker, cloud, **options):
+        searched.append(cloud)
+        return truth[0], None
+
+    monkeypatch.setattr(sequence, "initialise", found)
+    layout = dof_layout(SKELETON)
+    raised = np.zeros(SKELETON.num_dofs)
+    raised[layout.translations[0]] = [0.6, 0.3, 0.0]
+    away = retract(SKELETON, truth[0], jnp.asarray(raised))
+
+    def first(start, search):
+        frames = track_frames(
+            TRACKER, clouds[:1], start, search=search, sigma=0.02, announce=announced.append
+        )
+        return next(frames)
+
+    assert first(truth[0], "auto").verdict == "good"
+    assert first(away, False).verdict != "good"
+    assert not searched and not announced
+    frame = first(away, "auto")
+    assert (len(searched), frame.verdict, frame.searches) == (1, "good", 1.0)
+    assert joint_error(frame.pose, truth[0]) < 0.012
+    assert first(truth[0], True).verdict == "good"
+    assert len(searched) == 2
+    assert announced[0].frame == 0 and announced[0].reasons
+    assert announced[1].reasons == ()
+
+
+def test_searches_that_do_not_help_become_rare():
+    patience, waits = recover.Patience(), []
+    for _ in range(8):
+        patience = patience.after_failure()
+        waits.append(patience.wait)
+        while patience.wait > 0:
+            patience = patience.after(good=False)
+    assert waits == [2, 4, 8, 16, 32, 64, 128, 128]
+    for _ in range(7):
+        patience = patience.after(good=True)
+    assert patience.after_failure().wait == 2

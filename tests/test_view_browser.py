@@ -1,9 +1,9 @@
 """The viewer in a real browser: what is asked for there arrives there, and nowhere else."""
 
+import dataclasses
 import time
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from browser import chromium, shown, vertices, wait_for_node, wait_for_vertex  # noqa: F401
@@ -11,10 +11,8 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import deform_all
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.cli.frame_rows import pack, record_width, whose_poses
-from jaxcap.fit.em import FrameStatistics
-from jaxcap.fit.recover import TrackedFrame
-from jaxcap.fit.track import make_tracker, start_state
+from jaxcap.cli.frame_rows import pack, record_width, row_template, whose_poses
+from jaxcap.fit.track import make_tracker
 from jaxcap.io.clouds import NO_FACES, Scans
 from jaxcap.io.journal import begin_journal
 from jaxcap.view import controls, show
@@ -183,12 +181,9 @@ def test_a_browser_that_closes_is_let_go(chromium, window, capfd):  # noqa: F811
 def test_a_running_track_appears_frame_by_frame(chromium, tmp_path, motion, posed):  # noqa: F811
     body = chain_body()
     tracker = make_tracker(body)
-    number = jnp.zeros(())
 
     def record(frame: int) -> np.ndarray:
-        state = start_state(tracker, motion[frame])
-        numbers = FrameStatistics(number, number, number, number)
-        return pack(TrackedFrame(motion[frame], numbers, False, state, (0.0, 0.0, 0.0)), 0.1)
+        return pack(dataclasses.replace(row_template(tracker), pose=motion[frame]), 0.1)
 
     server = open_server(0)
     with begin_journal(tmp_path / "journal", whose_poses(body.skeleton), record_width(tracker)) as journal:

@@ -1,8 +1,8 @@
 """What a window shows of files, and which frame when: without a window."""
 
+import dataclasses
 import time
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import chain_body, chain_skeleton, random_pose
@@ -10,11 +10,9 @@ from helpers import chain_body, chain_skeleton, random_pose
 from jaxcap.body.body import Body, deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
-from jaxcap.cli.frame_rows import pack, record_width, whose_poses
+from jaxcap.cli.frame_rows import pack, record_width, row_template, whose_poses
 from jaxcap.errors import InputError
-from jaxcap.fit.em import FrameStatistics
-from jaxcap.fit.recover import TrackedFrame
-from jaxcap.fit.track import make_tracker, start_state
+from jaxcap.fit.track import make_tracker
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.bvh import write_bvh
 from jaxcap.io.cameras import write_cameras
@@ -214,14 +212,8 @@ def test_a_motion_grows_under_the_eye(body, motion):
 
 
 def _record(tracker, motion, frame) -> np.ndarray:
-    number = jnp.zeros(())
-    state = start_state(tracker, motion[0])
-    return pack(
-        TrackedFrame(
-            motion[frame], FrameStatistics(number, number, number, number), True, state, (0.1, 0.2, 0.3)
-        ),
-        0.5,
-    )
+    template = row_template(tracker)
+    return pack(dataclasses.replace(template, pose=motion[frame], lost=True), 0.5)
 
 
 def test_a_journal_tells_the_poses(tmp_path, body, motion):

@@ -16,7 +16,7 @@ from ..fit.track import make_tracker
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..io.npz import get_array
 from ..io.registry import MOTION_WRITERS
-from .frame_rows import pack, record_width, unpack
+from .frame_rows import pack, row_template, unpack
 from .outputs import check_absent
 from .results import make_writable
 
@@ -116,10 +116,10 @@ def _tracked(kept: Checkpoint, path: Path) -> TrackedFrame | None:
     row = kept.arrays.get("tracked", np.zeros(0))
     if not row.size:
         return None
-    tracker = make_tracker(kept.body)
-    if row.shape != (record_width(tracker),) or row.dtype.kind != "f":
+    template = row_template(make_tracker(kept.body), kept.motion[0])
+    if row.shape != pack(template, 0.0).shape or row.dtype.kind != "f":
         raise InputError(f"{path}: the frame that was tracked last is damaged; overwrite it to begin anew.")
-    return unpack(tracker, row, kept.motion[0])[0]
+    return unpack(template, row)[0]
 
 
 def fingerprint_of(body: Body, scans: Sequence[str]) -> dict[str, object]:

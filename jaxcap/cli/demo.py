@@ -15,7 +15,7 @@ from ..demo.performance import walk_and_wave
 from ..demo.picture import View, draw
 from ..demo.scanner import Scanner, scan
 from ..errors import InputError
-from ..fit.sequence import track_frames
+from ..fit.sequence import track_frames, verdict_sentences
 from ..fit.track import make_tracker
 from ..io.atomic import replacing, write_text
 from ..io.lock import run_lock
@@ -105,9 +105,8 @@ class Demo:
         say(
             f"{len(motion)} frames: {seconds[0]:.1f} s for the first, then {1 / np.median(steady):.0f} frames a second"
         )
-        lost = np.flatnonzero(results.lost)
-        if lost.size:
-            warn(f"{len(lost)} of {len(motion)} frames are lost: {', '.join(map(str, lost))}; counted from 0")
+        for sentence in verdict_sentences(results.verdicts):
+            warn(sentence)
         say(f"{', '.join(FILES)} and demo.png are in {self.out}")
 
     def make_folder(self) -> None:

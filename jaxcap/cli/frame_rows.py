@@ -6,12 +6,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ..body.pose import Pose, rest_pose
 from ..body.skeleton import Skeleton
 from ..fit.em import FrameStatistics
-from ..fit.recover import TrackedFrame
+from ..fit.judgement.surface import judged_surface
+from ..fit.judgement.usual import nothing_usual
+from ..fit.judgement.verdict import Judgement
+from ..fit.recover import Patience, TrackedFrame, reasons_of, verdict_of
 from ..fit.track import Tracker, start_state
 
 #: numbers of a row in front of its pose
@@ -30,12 +33,9 @@ def pack(frame: TrackedFrame, seconds: float) -> Float[np.ndarray, "R"]:
     )
 
 
-def unpack(
-    tracker: Tracker, row: Float[np.ndarray, "R"], like: Pose | None = None
-) -> tuple[TrackedFrame, float]:
-    """The frame of a row that `pack` made, to the last bit; `like` is a pose of the precision that the run was begun with,
-    the body's where not given."""
-    leaves, tree = jax.tree.flatten(_template(tracker, like))
+def unpack(template: TrackedFrame, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame, float]:
+    """The frame of a row that `pack` made, to the last bit, with the shapes and types of a `row_template`."""
+    leaves, tree = jax.tree.flatten(template)
     numbers, at = [], POSE_AT
     for leaf in leaves:
         size = np.size(leaf)
@@ -53,39 +53,50 @@ class Results(NamedTuple):
     poses: Pose
     #: as arrays (N,)
     statistics: FrameStatistics
-    lost: Bool[np.ndarray, "N"]
+    #: `verdict` and `reasons` of every `TrackedFrame`
+    verdicts: list[tuple[str, tuple[str, ...]]]
 
 
 def results_of(tracker: Tracker, rows: Float[np.ndarray, "N R"]) -> Results:
     """The results of rows that `pack` made, or of their first `results_width` columns."""
-    leaves, tree = jax.tree.flatten(_results_in(_template(tracker, None)))
+    leaves, tree = jax.tree.flatten(_results_in(row_template(tracker)))
     arrays, at = [], POSE_AT
     for leaf in leaves:
         size = np.size(leaf)
         columns = rows[:, at : at + size].reshape(-1, *np.shape(leaf))
         arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
         at += size
-    poses, statistics, lost = jax.tree.unflatten(tree, arrays)
-    return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), np.asarray(lost))
+    poses, statistics, lost, judgements = jax.tree.unflatten(tree, arrays)
+    shares, tolerances = np.asarray(judgements.shares), np.asarray(judgements.tolerance)
+    verdicts = []
+    for number, one in enumerate(np.asarray(lost).tolist()):
+        judgement = Judgement(shares[number], tolerances[number], judgements.names)
+        verdicts.append((verdict_of(one, judgement), reasons_of(one, judgement)))
+    return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), verdicts)
 
 
 def results_width(tracker: Tracker) -> int:
     """How many numbers of a row are results."""
-    return POSE_AT + sum(np.size(leaf) for leaf in jax.tree.leaves(_results_in(_template(tracker, None))))
+    return POSE_AT + sum(np.size(leaf) for leaf in jax.tree.leaves(_results_in(row_template(tracker))))
 
 
-def _results_in(frame: TrackedFrame) -> tuple[Pose, FrameStatistics, bool]:
-    return frame.pose, frame.statistics, frame.lost
+def _results_in(frame: TrackedFrame) -> tuple[Pose, FrameStatistics, bool, Judgement]:
+    return frame.pose, frame.statistics, frame.lost, frame.judgement
 
 
 def record_width(tracker: Tracker) -> int:
     """How many numbers a row has."""
-    return len(pack(_template(tracker, None), 0.0))
+    return len(pack(row_template(tracker), 0.0))
 
 
-def _template(tracker: Tracker, like: Pose | None) -> TrackedFrame:
-    """A frame with the shapes and types of all frames."""
+def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
+    """A frame with the shapes and types of all frames of a run; `like` is a pose of the precision that the run was
+    begun with, the body's where not given."""
     pose = rest_pose(tracker.body.skeleton) if like is None else like
     number = jnp.zeros((), pose.rotations.dtype)
+    statistics = FrameStatistics(number, number, number, number)
+    surface = judged_surface(tracker.body)
+    usual = nothing_usual(surface)
+    judgement = Judgement(usual.level, number, surface.names)
     state = start_state(tracker, pose)
-    return TrackedFrame(pose, FrameStatistics(number, number, number, number), False, state, (0.0, 0.0, 0.0))
+    return TrackedFrame(pose, statistics, False, judgement, state, usual, Patience(), 0.0)

@@ -84,7 +84,8 @@ def write_results(
         "sigma": statistics.sigma,
         "outlier_share": statistics.outlier_share,
         "mean_distance": statistics.mean_distance,
-        "state": np.where(results.lost, "lost", "converged"),
+        "state": np.array(["converged" if verdict == "good" else verdict for verdict, _ in results.verdicts]),
+        "reasons": np.array(["; ".join(reasons) for _, reasons in results.verdicts]),
         "seconds": results.seconds,
     }
     rows = [

@@ -1,9 +1,9 @@
 """`jaxcap track`: fit a body to a sequence of clouds."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -13,13 +13,13 @@ from ..energy.limits import JointLimits
 from ..errors import InputError
 from ..fit.em import make_mixture
 from ..fit.recover import TrackedFrame
-from ..fit.sequence import track_frames
+from ..fit.sequence import FirstSearch, Search, track_frames, verdict_sentences
 from ..fit.track import Tracker, make_tracker
 from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
 from ..io.limits import read_limits
 from ..io.lock import run_lock
-from .frame_rows import pack, record_width, results_of, results_width, unpack, whose_poses
+from .frame_rows import pack, record_width, results_of, results_width, row_template, unpack, whose_poses
 from .heartbeat import doing
 from .options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
 from .results import check_folder, fingerprint, make_writable, write_results
@@ -28,8 +28,8 @@ from .sources import Clouds, load_body, load_cloud
 from .timed import timed
 
 JOURNAL = "journal"
-#: lost frames that are named
-TOLD = 20
+#: of --initialise
+SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": False}
 
 
 @dataclass
@@ -73,8 +73,8 @@ class Track:
     """Reduce the body to about so many vertices, for speed."""
     estimate_priors: Flag = False
     """Estimate the share of points of each part too."""
-    initialise: Flag = False
-    """Find the pose of the first frame from nothing; without it, it has to be near rest."""
+    initialise: Literal["auto", "always", "never"] = "auto"
+    """Search for the pose of the first frame: where rest does not explain its cloud, always or never."""
     resume: Flag = False
     """Go on with a run that was stopped."""
     overwrite: Flag = False
@@ -113,12 +113,8 @@ class Track:
             f"{len(rows)} frames in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
-        lost = np.flatnonzero(results.lost)
-        if lost.size:
-            more = f" and {len(lost) - TOLD} more" if len(lost) > TOLD else ""
-            warn(
-                f"{len(lost)} of {len(rows)} frames are lost: {', '.join(map(str, lost[:TOLD]))}{more}; counted from 0"
-            )
+        for sentence in verdict_sentences(results.verdicts):
+            warn(sentence)
         if len(rows) < len(scans):
             raise KeyboardInterrupt(
                 f"stopped after {len(rows)} of {len(scans)} frames, which are written; --resume goes on"
@@ -182,9 +178,26 @@ class Track:
             track_frames(
                 tracker,
                 iter(Clouds(scans, tracker.body, self.up)[begin:]),
-                None if journal.last is None else unpack(tracker, journal.last)[0],
-                search=self.initialise,
+                None if journal.last is None else unpack(row_template(tracker), journal.last)[0],
+                search=SEARCHES[self.initialise],
                 sigma=self.sigma0,
                 first=begin,
+                announce=announcing(),
             )
         )
+
+
+def announcing() -> Callable[[Search], None]:
+    """A function that says which frame is searched for and why, before that begins."""
+    compiled = False
+
+    def announce(search: Search) -> None:
+        nonlocal compiled
+        why = f": {', '.join(search.reasons)}" if search.reasons else ", as --initialise always asks for"
+        many = "1 search" if search.before == 1 else f"{search.before} searches"
+        before = f"; {many} before it" if search.before else ""
+        once = "" if compiled else "; the first search compiles its functions, which may take some minutes"
+        warn(f"searching for the pose of frame {search.frame}{why}{before}{once}")
+        compiled = True
+
+    return announce

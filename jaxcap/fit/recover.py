@@ -1,4 +1,4 @@
-"""Judge tracked frames, and search for those that their forerunner did not lead to."""
+"""Judge tracked frames, and search for those that their predecessor did not lead to."""
 
 import equinox as eqx
 import jax
@@ -19,22 +19,40 @@ from .initialise import (
     subtree_starts,
     turned_starts,
 )
+from .judgement.evidence import gather_evidence
+from .judgement.surface import JudgedSurface
+from .judgement.usual import Usual, nothing_usual, renew, sensors_of
+from .judgement.verdict import Judgement, judge_evidence
 from .track import Tracker, TrackState, start_state, track_frame
 
-#: a fall of a frame's mean log-likelihood below the usual that is worth a search, unless points
-#: lie within `CLOSE` metres of the surface and about as many as usual are explained
-DOUBT, CLOSE, MISSING = 0.3, 0.01, 0.015
-#: shares of points beyond the usual outliers, or on the first frame beyond the expected ones,
-#: that no part explains where a frame is lost; and the deviation in metres
-LOST_SHARE, FIRST_SHARE, LOST_SIGMA = 0.04, 0.1, 0.03
 #: deviation at the end of a first frame, metres, and rounds to get there
 FIRST_SIGMA, FIRST_ROUNDS = 0.02, 6
-#: frames until the next search, where one has found nothing better
-PATIENCE = 3
+#: frames from one search that has not helped to the next one, which double from the first number to the second
+PATIENCE, LONGEST = 2.0, 128.0
+#: where so many of the points are outliers the body is not in the cloud, and the next frame starts at the last good pose
+GONE = 0.5
 #: directions in which a body that jumped is looked for
 TURNS = 4
 
 next_frame = eqx.filter_jit(track_frame)
+
+
+class Patience(eqx.Module):
+    """When a frame is searched for again, after searches that have not helped."""
+
+    #: frames until the next search is allowed
+    wait: float = 0.0
+    #: how many they were after the last search
+    pause: float = 0.0
+
+    def after(self, good: bool) -> "Patience":
+        """One frame later; good frames shorten the pauses again."""
+        return Patience(max(self.wait - 1.0, 0.0), 0.5 * self.pause if good else self.pause)
+
+    def after_failure(self) -> "Patience":
+        """Double the pause after a search that has not helped."""
+        pause = min(max(2.0 * self.pause, PATIENCE), LONGEST)
+        return Patience(pause, pause)
 
 
 class TrackedFrame(eqx.Module):
@@ -42,70 +60,130 @@ class TrackedFrame(eqx.Module):
 
     pose: Pose
     statistics: FrameStatistics
-    #: the frame is not explained by the body, and its pose is not to be trusted
+    #: the body does not explain the frame, and its pose is not to be trusted
     lost: bool
-    #: what the next frame starts from; all that is needed to go on after a stop
+    #: what is wrong, by part, compared with the frames before
+    judgement: Judgement
+    #: what the next frame starts from, with the three fields below; all that is needed to go on after a stop
     state: TrackState
-    #: usual log-likelihood and outlier share, by the good frames so far, and how many frames to
-    #: wait before the next search
-    usual: tuple[float, float, float]
+    #: what the good frames so far show to be normal
+    usual: Usual
+    patience: Patience
+    #: searches so far, this frame's included
+    searches: float
+
+    @property
+    def verdict(self) -> str:
+        """`good`, `doubtful` or `lost`."""
+        return verdict_of(self.lost, self.judgement)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What is wrong and where, such as "unexplained points near the left leg"; empty for a good frame."""
+        return reasons_of(self.lost, self.judgement)
 
 
-def first_frame(tracker: Tracker, cloud: Cloud, pose: Pose, sigma: float) -> TrackedFrame:
-    """The deviation falls from `sigma`, over frames that all see the same cloud: the function that
-    tracks is compiled anyway. Nothing is known yet of what is usual."""
+def verdict_of(lost: bool, judgement: Judgement) -> str:
+    """Return `good`, `doubtful` or `lost`."""
+    return "lost" if lost else judgement.verdict
+
+
+def reasons_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
+    """Say what is wrong with a frame and where; a lost frame always has a reason."""
+    if lost and not judgement.reasons:
+        return ("no finite pose",)
+    return judgement.reasons
+
+
+def first_frame(
+    tracker: Tracker, surface: JudgedSurface, cloud: Cloud, pose: Pose, sigma: float
+) -> TrackedFrame:
+    """Track the first frame from a pose near it.
+
+    The deviation falls from `sigma`, over frames that all see the same cloud: the function that tracks is compiled
+    anyway. Nothing is known yet of what is usual, and limits are absolute.
+    """
     last = min(sigma, FIRST_SIGMA)
     state = start_state(tracker, pose, sigma)
     for level in np.geomspace(sigma, last, FIRST_ROUNDS)[:-1]:
         state, _ = next_frame(tracker, settled(tracker, state, float(level)), cloud)
     state, statistics = next_frame(tracker, settled(tracker, state, last), cloud)
-    share = float(statistics.outlier_share)
-    expected = float(tracker.mixture.outlier) + FIRST_SHARE - LOST_SHARE
-    lost = judge((-np.inf, expected, 0.0), state, statistics).lost
-    usual = float(statistics.log_likelihood), share, 0.0
-    return TrackedFrame(state.estimate.pose, statistics, lost, settled(tracker, state), usual)
+    usual = nothing_usual(surface)
+    frame = judge(surface, cloud, settled(tracker, state), statistics, usual, Patience())
+    return conclude(tracker, frame, pose)
 
 
-def judge(usual: tuple[float, float, float], state: TrackState, statistics: FrameStatistics) -> TrackedFrame:
-    """Whether a frame is explained about as well as those before it."""
-    likelihood, share = float(statistics.log_likelihood), float(statistics.outlier_share)
-    level, level_share, wait = usual
-    explained = share < level_share + LOST_SHARE and float(statistics.sigma) < LOST_SIGMA
-    lost = not (explained and np.isfinite(likelihood))
-    if likelihood > level - DOUBT and not lost:
-        level, level_share = 0.9 * level + 0.1 * likelihood, 0.9 * level_share + 0.1 * share
-    usual = (level, level_share, max(wait - 1.0, 0.0))
-    return TrackedFrame(state.estimate.pose, statistics, lost, state, usual)
+def judge(
+    surface: JudgedSurface,
+    cloud: Cloud,
+    state: TrackState,
+    statistics: FrameStatistics,
+    usual: Usual,
+    patience: Patience,
+    searches: float = 0.0,
+) -> TrackedFrame:
+    """Compare a frame with what is `usual`, and learn from it unless it is lost."""
+    pose = state.estimate.pose
+    judgement, renewed = _compare(surface, usual, pose, cloud)
+    lost = judgement.verdict == "lost" or not _finite(pose)
+    return TrackedFrame(
+        pose, statistics, lost, judgement, state, usual if lost else renewed, patience, searches
+    )
 
 
-def doubtful(frame: TrackedFrame) -> bool:
-    level, level_share, wait = frame.usual
-    statistics = frame.statistics
-    fallen = not float(statistics.log_likelihood) > level - DOUBT
-    far = not float(statistics.sigma) < CLOSE
-    missing = not float(statistics.outlier_share) < level_share + MISSING
-    return frame.lost or (wait <= 0 and fallen and (far or missing))
+@eqx.filter_jit
+def _compare(surface: JudgedSurface, usual: Usual, pose: Pose, cloud: Cloud) -> tuple[Judgement, Usual]:
+    evidence = gather_evidence(surface, pose, cloud, sensors_of(usual))
+    return judge_evidence(surface, usual, evidence), renew(usual, evidence)
+
+
+def conclude(tracker: Tracker, frame: TrackedFrame, before: Pose) -> TrackedFrame:
+    """Settle what the next frame starts from: the pose `before` where the body is not in the cloud at all."""
+    patience = frame.patience.after(frame.verdict == "good")
+    pose, state = frame.pose, frame.state
+    if frame.lost:
+        finite = _finite(pose)
+        if not finite or not float(frame.statistics.outlier_share) < GONE:
+            state = start_state(tracker, before, FIRST_SIGMA)
+        pose = pose if finite else before
+    return eqx.tree_at(lambda f: (f.pose, f.state, f.patience), frame, (pose, state, patience))
+
+
+def wanted(frame: TrackedFrame) -> bool:
+    """Whether a frame is to be searched for: it is not good, and no search has just failed."""
+    return frame.verdict != "good" and frame.patience.wait <= 0
+
+
+def better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
+    """Choose between two poses of one frame: `found` where it is likelier and leaves less that is wrong."""
+    likelier = not float(frame.statistics.log_likelihood) > float(found.statistics.log_likelihood)
+    return found if likelier and found.judgement.worst < frame.judgement.worst else frame
 
 
 def recover(
     tracker: Tracker,
+    surface: JudgedSurface,
     coarse: Tracker,
     frame: TrackedFrame,
+    usual: Usual,
     before: Pose,
     cloud: Cloud,
     key: PRNGKeyArray,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
 ) -> TrackedFrame:
-    """Many starts side by side (Kineben, section 6, "global refinement"), and the best goes on:
-    neighbours of the frame's own pose and of the one `before`, whole and limb by limb, and
-    the latter moved to the cloud's middle and turned about `up`, for a body that jumped.
+    """Search for a frame, which was compared with `usual`, from many starts (Kineben, section 6, "global refinement").
 
-    Where nothing explains the cloud, the frame is `lost` and the next one starts at `before`.
+    Starts are neighbours of the frame's own pose and of the one `before`, whole and limb by limb, and the latter
+    moved to the cloud's middle and turned about `up`, for a body that jumped. The pose that is found is taken where
+    it is likelier and leaves less that is wrong.
     """
+    failed = eqx.tree_at(
+        lambda f: (f.patience, f.searches), frame, (frame.patience.after_failure(), frame.searches + 1.0)
+    )
     skeleton = tracker.body.skeleton
     few = thin_cloud(cloud, COARSE_POINTS)
     if not float(jnp.sum(few.weights)) > 0:
-        return _lost(tracker, frame, before)
+        return failed
     wide = tangent_deviations(skeleton, 0.05, 0.5)
     here = _stack(*([frame.pose] if _finite(frame.pose) else []), before)
     keys = jax.random.split(key, 3)
@@ -119,20 +197,12 @@ def recover(
     pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])
     state, _ = next_frame(tracker, start_state(tracker, pose, 0.02), cloud)
     state, statistics = next_frame(tracker, settled(tracker, state), cloud)
-    found = judge(frame.usual, settled(tracker, state), statistics)
-    if not float(frame.statistics.log_likelihood) > float(statistics.log_likelihood):
-        return _lost(tracker, found, before) if found.lost else found
-    if frame.lost:
-        return _lost(tracker, frame, before)
-    # what no search betters is the new usual
-    usual = float(frame.statistics.log_likelihood), frame.usual[1], float(PATIENCE)
-    return TrackedFrame(frame.pose, frame.statistics, False, frame.state, usual)
-
-
-def _lost(tracker: Tracker, frame: TrackedFrame, before: Pose) -> TrackedFrame:
-    pose = frame.pose if _finite(frame.pose) else before
-    state = start_state(tracker, before, FIRST_SIGMA)
-    return TrackedFrame(pose, frame.statistics, True, state, frame.usual)
+    patience = Patience(0.0, frame.patience.pause)
+    found = judge(surface, cloud, settled(tracker, state), statistics, usual, patience, frame.searches + 1.0)
+    if better(found, frame) is frame:
+        return failed
+    # a better pose that is not good either is searched for no sooner
+    return found if found.verdict == "good" else eqx.tree_at(lambda f: f.patience, found, failed.patience)
 
 
 def _finite(pose: Pose) -> bool:

@@ -2,8 +2,11 @@
 
 import logging
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Literal, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -13,11 +16,28 @@ from ..body.pose import Motion, Pose, rest_pose, stack_poses
 from ..observe import Cloud, CloudFrames, Scan, as_cloud
 from .check import check_cloud
 from .initialise import coarse_tracker, initialise
+from .judgement.surface import judged_surface
+from .judgement.usual import nothing_usual
 from .likeliest import likelier_pose, likeliest
-from .recover import TrackedFrame, doubtful, first_frame, judge, next_frame, recover
+from .recover import Patience, TrackedFrame, better, conclude, first_frame, judge, next_frame, recover, wanted
 from .track import Tracker, make_tracker
 
 _LOG = logging.getLogger(__name__)
+#: frames and reasons named in a sentence
+NAMED, REASONS = 20, 4
+#: whether the pose of a first frame is searched for: where the start does not explain the cloud, always, never
+FirstSearch = Literal["auto"] | bool
+
+
+class Search(NamedTuple):
+    """A search that is about to begin; the first one of a process compiles for a minute or more."""
+
+    #: number of the frame
+    frame: int
+    #: what is wrong, as in `TrackedFrame.reasons`; empty where the search was asked for
+    reasons: tuple[str, ...]
+    #: how many searches there were before it
+    before: int
 
 
 @checked
@@ -26,53 +46,74 @@ def track_frames(
     clouds: Iterable[Cloud | Scan] | Cloud,
     start: Pose | TrackedFrame | None = None,
     *,
-    search: bool = False,
+    search: FirstSearch = "auto",
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     first: int = 0,
+    announce: Callable[[Search], None] | None = None,
     known: Callable[[int], Sequence[Pose]] | None = None,
     worth: float = 0.0,
 ) -> Iterator[TrackedFrame]:
     """Track a stream of clouds; yields a frame as soon as it is done.
 
-    **Arguments:** `start` is the pose to begin at, rest where not given, or the last
-    `TrackedFrame` of a run that was stopped; with `search` the first pose is found by
-    `initialise`; `sigma` metres is the deviation that the first frame starts with
-    (Kineben's sigma0); `up` is the vertical of the scene; `first` is the number of the first
-    cloud, so that a run that goes on searches as it would have; `known(number)` gives other poses that a frame
-    may be in: the frame keeps the likeliest, and leaves the tracked pose only for one whose mean log-likelihood is
-    better by more than `worth`.
+    **Arguments:** `start` is the pose to begin at, rest where not given, or the last `TrackedFrame` of a run that was
+    stopped; `search`, whether the first pose is found by `initialise`: where `start` does not explain the first cloud
+    ("auto"), always or never; `sigma` metres is the deviation that the first frame starts with (Kineben's sigma0);
+    `up` is the vertical of the scene; `first` is the number of the first cloud, so that a run that goes on searches as
+    it would have; `announce` is called before every search; `known(number)` gives other poses that a
+    frame may be in: the frame keeps the likeliest, and leaves the tracked pose only for one whose mean log-likelihood
+    is better by more than `worth`.
 
-    A frame that its forerunner does not lead to is searched for by many perturbed starts
-    side by side; where none explains the cloud it is marked `lost`, and tracking goes on.
+    A frame is judged by the points that no part explains and by the surface that has no points where a sensor looks,
+    against what the frames before it show to be normal. One that is not good is searched for from many starts; after a
+    search that has not helped the next one waits, twice as long each time. A frame that nothing explains is `lost`,
+    and tracking goes on.
     """
-    coarse = None
+    coarse, surface = None, judged_surface(tracker.body)
     frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
+
+    def begin_search(number: int, reasons: tuple[str, ...], before: float) -> Tracker:
+        _LOG.info("searching for a better pose of frame %d", number)
+        if announce is not None:
+            announce(Search(number, reasons, int(before)))
+        return coarse_tracker(tracker) if coarse is None else coarse
+
     for number, cloud in enumerate(_each(clouds), first):
         if frame is None:
             pose = rest_pose(tracker.body.skeleton) if pose is None else pose
-            if search:
-                coarse = coarse_tracker(tracker)
+            if search is not True:
+                frame = first_frame(tracker, surface, cloud, pose, sigma)
+            if frame is None or (search == "auto" and frame.verdict != "good"):
+                coarse = begin_search(number, () if frame is None else frame.reasons, 0.0)
                 pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
-                sigma = 0.03
-            frame, before = first_frame(tracker, cloud, pose, sigma), pose
+                found = first_frame(tracker, surface, cloud, pose, 0.03)
+                frame = found if frame is None else better(found, frame)
+                frame = eqx.tree_at(lambda f: f.searches, frame, 1.0)
+            if known is not None:
+                reached = frame.state, frame.statistics
+                state, statistics = likeliest(tracker, *reached, known(number), pose, cloud, worth)
+                if state is not frame.state:
+                    usual, patience = nothing_usual(surface), Patience()
+                    frame = judge(surface, cloud, state, statistics, usual, patience, frame.searches)
+                    frame = conclude(tracker, frame, pose)
         else:
-            before = frame.state.estimate.pose
+            before, usual = frame.state.estimate.pose, frame.usual
             state, statistics = next_frame(tracker, frame.state, cloud)
-            frame = judge(frame.usual, state, statistics)
-        if known is not None:
-            reached = frame.state, frame.statistics
-            state, statistics = likeliest(tracker, *reached, known(number), before, cloud, worth)
-            frame = frame if state is frame.state else judge(frame.usual, state, statistics)
-        if doubtful(frame):
-            _LOG.info("searching for a better pose of frame %d", number)
-            coarse = coarse_tracker(tracker) if coarse is None else coarse
-            found = recover(tracker, coarse, frame, before, cloud, jax.random.key(number), up)
-            if known is not None and found.pose is not frame.pose:
-                # what a search ends with may be worse than what it began with
-                likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
-                found = found if likelier is found.pose else frame
-            frame = found
+            if known is not None:
+                state, statistics = likeliest(
+                    tracker, state, statistics, known(number), before, cloud, worth
+                )
+            frame = judge(surface, cloud, state, statistics, usual, frame.patience, frame.searches)
+            if wanted(frame):
+                coarse = begin_search(number, frame.reasons, frame.searches)
+                key = jax.random.key(number)
+                found = recover(tracker, surface, coarse, frame, usual, before, cloud, key, up)
+                if known is not None and found.pose is not frame.pose:
+                    # what a search ends with may be worse than what it began with
+                    likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
+                    found = found if likelier is found.pose else frame
+                frame = found
+            frame = conclude(tracker, frame, before)
         yield frame
 
 
@@ -84,32 +125,49 @@ def track(
     *,
     rate: float = 30.0,
     tracker: Tracker | None = None,
-    search: bool = False,
+    search: FirstSearch = "auto",
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
 ) -> Motion:
     """The motion of a body through a sequence of clouds (Kineben, section 3.3).
 
-    **Arguments:** `clouds` from `make_cloud`, one a frame, or stacked over frames; `start` a pose near that of the first
-    frame, or `search=True`; `rate` frames a second; `tracker` for other settings than the
-    usual, made of the same body; `sigma` and `up` as in `track_frames`. Lost frames are named in a warning; `track_frames` tells more about each frame.
+    **Arguments:** `clouds` from `make_cloud`, one a frame, or stacked over frames; `start` a pose near that of the
+    first frame; `rate` frames a second; `tracker` for other settings than the usual, made of the same body; `search`,
+    `sigma` and `up` as in `track_frames`. Frames that are lost or doubtful are named in a warning, with what is wrong
+    in them; `track_frames` gives the verdict on each frame.
 
     **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in
     another unit.
     """
     tracker = make_tracker(body) if tracker is None else tracker
     checked = (_checked(body, number, cloud) for number, cloud in enumerate(_each(clouds)))
-    poses, lost = [], []
-    for number, frame in enumerate(track_frames(tracker, checked, start, search=search, sigma=sigma, up=up)):
+    poses, verdicts = [], []
+    for frame in track_frames(tracker, checked, start, search=search, sigma=sigma, up=up):
         # copies in NumPy: an array of JAX takes a kilobyte beside its numbers
         poses.append(jax.tree.map(np.array, frame.pose))
-        if frame.lost:
-            lost.append(number)
-    if lost:
-        warnings.warn(
-            f"{len(lost)} of {len(poses)} frames are lost: {', '.join(map(str, lost[:20]))}.", stacklevel=2
-        )
+        verdicts.append((frame.verdict, frame.reasons))
+    for sentence in verdict_sentences(verdicts):
+        warnings.warn(f"{sentence}.", stacklevel=3)
     return stack_poses(poses, rate)
+
+
+def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
+    """Say which frames are lost and which are doubtful, and why; without full stops.
+
+    **Arguments:** `verdict` and `reasons` of every `TrackedFrame`.
+    """
+    sentences = []
+    for verdict in ("lost", "doubtful"):
+        numbers = [number for number, (found, _) in enumerate(verdicts) if found == verdict]
+        if not numbers:
+            continue
+        named = ", ".join(map(str, numbers[:NAMED])) + (" and more" if len(numbers) > NAMED else "")
+        counts = Counter(reason for number in numbers for reason in verdicts[number][1])
+        reasons = "; ".join(f"{reason} (in {count})" for reason, count in counts.most_common(REASONS))
+        sentences.append(
+            f"{len(numbers)} of {len(verdicts)} frames are {verdict}: {named}, counted from 0; {reasons}"
+        )
+    return sentences
 
 
 def _each(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:

@@ -37,7 +37,7 @@ class Judgement(eqx.Module):
     @property
     def worst(self) -> float:
         """The largest share of a limit, infinite where there is none."""
-        worst = float(jnp.max(self.shares))
+        worst = float(np.max(np.asarray(self.shares)))
         return worst if np.isfinite(worst) else np.inf
 
     @property

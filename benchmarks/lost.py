@@ -1,0 +1,280 @@
+"""Frames that are right and frames that were made wrong: which of them are flagged.
+
+    python -m benchmarks.lost
+    python -m benchmarks.lost --scenes crane --frames 30
+
+Performers move through CMU takes, whole, seen from the front only, by a camera, and clothed: their surface lies up to 60 mm
+outside of the body's about the thighs and the trunk, and swings. The crane capture is real, in a jacket. A body is tracked
+from the true first pose. At every few frames wrong poses are made from the tracked one (legs or arms swapped, joints folded,
+half a turn about the vertical, and the cloud of another person in another pose and place), and fitted to the cloud as the
+tracker would, so that they end in the nearest pose that explains some of it. What is right is decided by the joints alone:
+a frame without a main joint that is off by more than 60 mm is right, a made one with a joint off by more than 150 mm is wrong,
+and what lies between is not counted. A flag is any verdict but `good`. Run it from the root of the checkout.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import jaxcap as jc
+from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
+from benchmarks._scenes import Noise, Visible, clothes_of, human_motion, scan_frame, shared_folder
+from benchmarks.report import finish, progress
+from jaxcap.demo.picture import View, draw
+from jaxcap.fit.judgement.surface import judged_surface
+from jaxcap.fit.recover import Patience, TrackedFrame, judge, next_frame, settled
+from jaxcap.fit.track import start_state
+from jaxcap.metrics import scan_to_surface
+
+#: largest error of the main joints up to which a frame is right, and beyond which a made one is wrong, millimetres
+RIGHT, WRONG = 60.0, 150.0
+#: steps of the tracker from a made pose
+STEPS = 4
+#: joints that errors are taken at
+MAIN = (
+    "Hips", "LeftLeg", "LeftFoot", "RightLeg", "RightFoot", "Spine1", "Head",
+    "LeftArm", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm", "RightHand",
+)  # fmt: skip
+LIMBS = {"legs": ("UpLeg", "Leg", "Foot"), "arms": ("Arm", "ForeArm", "Hand")}
+FOLDING = ("Arm", "ForeArm", "UpLeg", "Leg")
+#: outliers, noise and numbers of points differ, and so do people
+SCENES: dict[str, tuple[str, str, Visible, bool, Noise]] = {
+    "whole": ("male", "01_01", "whole", False, Noise()),
+    "whole_clothed": ("male", "01_08", "whole", True, Noise()),
+    "front": ("male", "01_05", "front", False, Noise()),
+    "front_clothed": ("male", "01_01", "front", True, Noise()),
+    "camera": ("male", "01_08", "camera", False, Noise()),
+    "held_whole": ("female", "02_05", "whole", False, Noise(3000, 0.01, 20.0, 0.03)),
+    "held_whole_clothed": ("female", "02_07", "whole", True, Noise(8000, 0.002, 5.0, 0.2)),
+    "held_front": ("female", "02_08", "front", False, Noise(5000, 0.005, 10.0, 0.0)),
+    "held_front_clothed": ("female", "02_05", "front", True, Noise(2000, 0.01, 10.0, 0.1)),
+    "held_camera": ("female", "02_07", "camera", False, Noise()),
+}
+
+_posed = eqx.filter_jit(jc.pose_body)
+
+
+class Judged(NamedTuple):
+    """A pose and the verdict on it."""
+
+    kind: str
+    frame: int
+    #: of the main joints, millimetres
+    errors: np.ndarray
+    tracked: TrackedFrame
+    cloud: jc.Cloud
+
+    @property
+    def flagged(self) -> bool:
+        return self.tracked.verdict != "good"
+
+
+def joints_of(body: jc.Body, pose: jc.Pose) -> np.ndarray:
+    return np.asarray(_posed(body, pose).joints, float)
+
+
+def turned_joint(pose: jc.Pose, joint: int, turn: Rotation) -> jc.Pose:
+    """A pose with one joint turned in its parent's frame."""
+    rotations = np.array(pose.rotations)
+    now = Rotation.from_quat(rotations[joint], scalar_first=True)
+    rotations[joint] = (turn * now).as_quat(scalar_first=True)
+    return jc.Pose(pose.translations, jnp.asarray(rotations, pose.rotations.dtype), pose.scale)
+
+
+def reaching(body: jc.Body, pose: jc.Pose, chain: list[int], targets: np.ndarray) -> jc.Pose:
+    """A pose in which the bones of a chain point to where `targets (n, 3)` are."""
+    for joint, child, target in zip(chain[:-1], chain[1:], targets, strict=True):
+        posed = _posed(body, pose)
+        joints, bones = np.asarray(posed.joints, float), np.asarray(posed.transforms.rotations, float)
+        turn, _ = Rotation.align_vectors(target - joints[joint], joints[child] - joints[joint])
+        parent = Rotation.from_matrix(bones[body.skeleton.parents[joint]] / float(pose.scale))
+        pose = turned_joint(pose, joint, parent.inv() * turn * parent)
+    return pose
+
+
+def made_wrong(body: jc.Body, pose: jc.Pose, rng: np.random.Generator) -> dict[str, jc.Pose]:
+    """Wrong poses near a right one."""
+    skeleton, joints = body.skeleton, joints_of(body, pose)
+    wrong = {}
+    for name, limb in LIMBS.items():
+        sides = [[skeleton.index(f"{side}{part}") for part in limb] for side in ("Left", "Right")]
+        swapped = reaching(body, pose, sides[0], joints[sides[1]][1:])
+        wrong[name] = reaching(body, swapped, sides[1], joints[sides[0]][1:])
+    for name in ("folded", "folded_more"):
+        folded = pose
+        for part in rng.choice(FOLDING, 1 if name == "folded" else 3, replace=False):
+            joint = skeleton.index(f"{rng.choice(['Left', 'Right'])}{part}")
+            axis = rng.normal(size=3)
+            angle = np.radians(rng.uniform(80, 170))
+            folded = turned_joint(folded, joint, Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)))
+        wrong[name] = folded
+    middle = np.median(np.asarray(_posed(body, pose).vertices, float), 0)
+    about = turned_joint(pose, 0, Rotation.from_rotvec([0.0, np.pi, 0.0]))
+    shift = (np.array([-1.0, 1.0, -1.0]) * (joints[0] - middle) + middle - joints[0]) / float(pose.scale)
+    places = about.translations.at[0].add(jnp.asarray(shift, about.translations.dtype))
+    wrong["half_turn"] = jc.Pose(places, about.rotations, about.scale)
+    return wrong
+
+
+class Scene:
+    """A body, its clouds and its true joints; frames are tracked and judged one after the other."""
+
+    def __init__(self, body: jc.Body, clouds: list[jc.Cloud], errors, others: list, every: int, seed: int):
+        self.tracker, self.surface = jc.make_tracker(body), judged_surface(body)
+        self.body, self.clouds, self.errors, self.others = body, clouds, errors, others
+        self.every, self.rng = every, np.random.default_rng(seed)
+
+    def fitted(self, pose: jc.Pose, cloud: jc.Cloud, usual) -> TrackedFrame:
+        state = start_state(self.tracker, pose, 0.02)
+        for _ in range(STEPS):
+            state, statistics = next_frame(self.tracker, settled(self.tracker, state), cloud)
+        return judge(self.surface, cloud, state, statistics, usual, Patience())
+
+    def run(self, start: jc.Pose) -> list[Judged]:
+        judged, frames = [], jc.track_frames(self.tracker, self.clouds, start, search=False, sigma=0.05)
+        usual = None
+        for number, (frame, cloud) in enumerate(zip(frames, self.clouds, strict=True)):
+            judged.append(Judged("right", number, self.errors(number, frame.pose), frame, cloud))
+            if number % self.every == self.every - 1:
+                assert usual is not None
+                for kind, pose in made_wrong(self.body, frame.pose, self.rng).items():
+                    made = self.fitted(pose, cloud, usual)
+                    judged.append(Judged(kind, number, self.errors(number, made.pose), made, cloud))
+                if self.others:
+                    other, joints = self.others[number % len(self.others)]
+                    here = joints_of(self.body, frame.pose)[0] - joints[0]
+                    away = self.rng.uniform(-0.5, 0.5, 3) * [1.0, 0.0, 1.0]
+                    shift = here * [1.0, 0.0, 1.0] + away
+                    moved = eqx.tree_at(
+                        lambda c: c.points, other, other.points + jnp.asarray(shift, other.points.dtype)
+                    )
+                    made = self.fitted(frame.pose, moved, usual)
+                    main = [self.body.skeleton.index(name) for name in MAIN]
+                    apart = joints_of(self.body, made.pose)[main] - (joints + shift)[main]
+                    errors = 1000 * np.linalg.norm(apart, axis=1)
+                    judged.append(Judged("other_person", number, errors, made, moved))
+            usual = frame.usual
+        return judged
+
+
+def human_scene(name: str, shared: Path, frames: int, every: int, first: int = 30) -> list[Judged]:
+    sex, take, visible, clothed, noise = SCENES[name]
+    performer, body = jc.human(sex=sex), jc.human(sex=sex, resolution="medium")
+    stranger = jc.human(sex="female" if sex == "male" else "male")
+    motion = human_motion(shared, take, performer)
+    first = max(0, min(first, motion.num_frames - frames))
+    motion = motion.slice(slice(first, first + frames))
+    clothes = clothes_of(performer) if clothed else None
+    rngs = [np.random.default_rng([len(name), frame]) for frame in range(motion.num_frames)]
+    scans = [
+        scan_frame(performer, motion[k], rng, noise, visible, clothes=clothes) for k, rng in enumerate(rngs)
+    ]
+    theirs = human_motion(shared, "02_03" if sex == "male" else "01_11", stranger).slice(slice(0, 120, 17))
+    others = [scan_frame(stranger, theirs[k], rngs[0], noise, visible) for k in range(theirs.num_frames)]
+    main = [body.skeleton.index(joint) for joint in MAIN]
+
+    def errors(number: int, pose: jc.Pose) -> np.ndarray:
+        return 1000 * np.linalg.norm((joints_of(body, pose) - scans[number].joints)[main], axis=1)
+
+    clouds = [scan.cloud for scan in scans]
+    scene = Scene(body, clouds, errors, [(scan.cloud, scan.joints) for scan in others], every, 1)
+    return scene.run(motion[0])
+
+
+def crane_scene(shared: Path, frames: int, every: int) -> list[Judged]:
+    """The real performer; errors are mean distances of the vertices of each part, of which clothes alone are 13 mm."""
+    crane = load_crane(shared)
+    body = rig_crane(crane)
+    parts = np.asarray(body.skin.parts())
+
+    def errors(number: int, pose: jc.Pose) -> np.ndarray:
+        distances = 1000 * true_distances(crane, number, np.asarray(_posed(body, pose).vertices))
+        return np.array([distances[parts == part].mean() for part in np.unique(parts)])
+
+    clouds = [frame_cloud(crane, frame) for frame in range(min(frames, len(crane.frames)))]
+    return Scene(body, clouds, errors, [], every, 2).run(jc.rest_pose(body.skeleton))
+
+
+def counted(judged: list[Judged]) -> dict[str, object]:
+    right = [one for one in judged if one.kind == "right" and one.errors.max() < RIGHT and one.frame > 0]
+    wrong = [one for one in judged if one.kind != "right" and one.errors.max() > WRONG]
+    kinds = sorted({one.kind for one in wrong})
+    of_kind = {kind: [one for one in wrong if one.kind == kind] for kind in kinds}
+    return {
+        "right": len(right),
+        "false_alarms": sum(one.flagged for one in right),
+        "of_these_lost": sum(one.tracked.lost for one in right),
+        "wrong": len(wrong),
+        "flagged": sum(one.flagged for one in wrong),
+        "by_kind": {kind: [sum(one.flagged for one in ones), len(ones)] for kind, ones in of_kind.items()},
+        "first_frame": judged[0].tracked.verdict,
+    }
+
+
+def picture(path: Path, name: str, body: jc.Body, judged: list[Judged]) -> None:
+    """One case of each kind."""
+    views, faces = [], np.asarray(body.faces)
+    for kind in sorted({one.kind for one in judged}):
+        one = [case for case in judged if case.kind == kind][-1]
+        vertices = np.asarray(_posed(body, one.tracked.pose).vertices, float)
+        points = np.asarray(one.cloud.points[one.cloud.weights > 0], float)
+        middle = vertices.mean(0) * [1.0, 0.0, 1.0]
+        title = f"{kind}: {one.tracked.verdict}"
+        distances = scan_to_surface(points, vertices, faces)
+        views.append(View(title, vertices - middle, points - middle, distances))
+    draw(path, views, faces, name)
+    progress(f"picture: {path}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.lost", description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", nargs="+", choices=("crane", *SCENES), default=("crane", *SCENES))
+    parser.add_argument("--frames", type=int, default=175, help="so many frames of each scene")
+    parser.add_argument("--every", type=int, default=12, help="wrong poses are made at one frame in so many")
+    parser.add_argument("--picture", type=Path, help="write a case of each kind in the first scene as a PNG")
+    options = parser.parse_args()
+    shared, scenes, seconds = shared_folder(), {}, {}
+    for name in options.scenes:
+        start = time.perf_counter()
+        if name == "crane":
+            judged = crane_scene(shared, options.frames, options.every)
+        else:
+            judged = human_scene(name, shared, options.frames, options.every)
+        seconds[name] = time.perf_counter() - start
+        scenes[name] = counted(judged)
+        progress(f"{name}: {scenes[name]}, {seconds[name]:.0f} s")
+        for one in judged:
+            wrong = one.kind == "right" and one.errors.max() < RIGHT and one.flagged
+            missed = one.kind != "right" and one.errors.max() > WRONG and not one.flagged
+            if wrong or missed:
+                what = f"{one.tracked.verdict}, {', '.join(one.tracked.reasons)}" if wrong else "missed"
+                progress(f"  {one.kind} {one.frame}: {one.errors.max():.0f} mm, {what}")
+        if options.picture and name == options.scenes[0]:
+            body = rig_crane(load_crane(shared)) if name == "crane" else None
+            body = body or jc.human(sex=SCENES[name][0], resolution="medium")
+            picture(options.picture, name, body, judged)
+
+    def share(over: str, of: str, held: bool) -> float:
+        some = [value for name, value in scenes.items() if name.startswith("held") == held]
+        return 100 * sum(s[over] for s in some) / max(sum(s[of] for s in some), 1)
+
+    figures: dict[str, object] = {"scenes": scenes}
+    limits = {}
+    for held, prefix in ((False, ""), (True, "held_")):
+        if any(name.startswith("held") == held for name in scenes):
+            figures[f"{prefix}false_alarms_percent"] = share("false_alarms", "right", held)
+            figures[f"{prefix}flagged_percent"] = share("flagged", "wrong", held)
+            limits[f"{prefix}false_alarms_percent"] = ("<", 1.0)
+            limits[f"{prefix}flagged_percent"] = (">", 98.0)
+    sizes = {"frames": options.frames, "every": options.every, "right_mm": RIGHT, "wrong_mm": WRONG}
+    finish("lost", figures, limits, sizes, seconds)
+
+
+if __name__ == "__main__":
+    main()
