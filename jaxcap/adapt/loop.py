@@ -144,7 +144,10 @@ def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     first, tracker = task.scanned[:SIZED], make_tracker(state.body)
     clouds = [task.cloud(n) for n in first]
     # the body has changed since these were tracked, and other frames have been fitted to it
-    poses = [frame.pose for frame in track_frames(tracker, clouds, state.motion[first[0]], search=False, sigma=0.03)]
+    poses = [
+        frame.pose
+        for frame in track_frames(tracker, clouds, state.motion[first[0]], search=False, sigma=0.03)
+    ]
     turned = turn_over(tracker, clouds, poses)
     if turned[0] is poses[0]:
         return told(task, state, str(stage), some_of(task.scanned))
@@ -185,7 +188,14 @@ def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose 
     own = state.motion
     worth = TURNED if stage.name == "turn" else 0.0
     frames = track_frames(
-        make_tracker(state.body), clouds, before, search=False, sigma=0.03, first=passed, known=known, worth=worth
+        make_tracker(state.body),
+        clouds,
+        before,
+        search=False,
+        sigma=0.03,
+        first=passed,
+        known=known,
+        worth=worth,
     )
     poses, lost = {n: state.motion[n] for n in there[:passed]}, set(state.lost)
     for done, (n, frame) in enumerate(zip(there[passed:], frames, strict=True), passed + 1):

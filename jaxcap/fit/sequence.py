@@ -100,9 +100,7 @@ def track_frames(
             before, usual = frame.state.estimate.pose, frame.usual
             state, statistics = next_frame(tracker, frame.state, cloud)
             if known is not None:
-                state, statistics = likeliest(
-                    tracker, state, statistics, known(number), before, cloud, worth
-                )
+                state, statistics = likeliest(tracker, state, statistics, known(number), before, cloud, worth)
             frame = judge(surface, cloud, state, statistics, usual, frame.patience, frame.searches)
             if wanted(frame):
                 coarse = begin_search(number, frame.reasons, frame.searches)
