@@ -16,7 +16,6 @@ from ..body.reduce import attach, follow, reduce_body
 from ..fit.initialise import COARSE, COARSE_POINTS, COARSE_VERTICES, anneal_all, initialise, turned_starts
 from ..fit.likeliest import improve, log_likelihood
 from ..fit.parts import make_parts
-from ..fit.recover import DOUBT
 from ..fit.track import Tracker, make_tracker
 from ..observe import Cloud, thin_cloud
 from .similarity import DIRECTIONS, Shape, shape_of, turned_distances
@@ -26,8 +25,8 @@ from .task import Task
 NEAR = 2
 #: the same for a frame that stays worse than the others, each in four directions
 SEARCHED = 6
-#: a frame is worse than the others where its log-likelihood is so many deviations below their median, at least `DOUBT`
-DEVIATIONS = 3.0
+#: a frame is worse than the others where its mean log-likelihood is so many deviations, and so much, below their median
+DEVIATIONS, FALL = 3.0, 0.3
 UP = (0.0, 1.0, 0.0)
 
 
@@ -58,7 +57,7 @@ def are_worse(likelihoods: Float[np.ndarray, "F"]) -> Bool[np.ndarray, "F"]:
     likelihoods = np.where(np.isnan(likelihoods), -np.inf, likelihoods)
     middle = np.median(likelihoods)
     spread = 1.4826 * np.median(np.abs(likelihoods - middle))
-    return ~(likelihoods >= middle - max(DEVIATIONS * spread, DOUBT))
+    return ~(likelihoods >= middle - max(DEVIATIONS * spread, FALL))
 
 
 def visiting_order(shapes: Mapping[int, Shape]) -> list[int]:
