@@ -70,7 +70,7 @@ def results_of(tracker: Tracker, rows: Float[np.ndarray, "N R"]) -> Results:
     shares, tolerances = np.asarray(judgements.shares), np.asarray(judgements.tolerance)
     verdicts = []
     for number, one in enumerate(np.asarray(lost).tolist()):
-        judgement = Judgement(shares[number], tolerances[number], judgements.names)
+        judgement = Judgement(shares[number], tolerances[number, ...], judgements.names)
         verdicts.append((verdict_of(one, judgement), reasons_of(one, judgement)))
     return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), verdicts)
 

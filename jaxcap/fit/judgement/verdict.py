@@ -28,9 +28,9 @@ class Judgement(eqx.Module):
     """A frame compared with the sequence's usual ones: shares of the limits at which a frame is lost."""
 
     #: by region and, last, of the whole body: points that no part explains, and surface without points
-    shares: Float[Array, "2 Q"]
+    shares: Float[Array | np.ndarray, "2 Q"]
     #: one, or more for a first frame, for which nothing is usual
-    tolerance: Float[Array, ""]
+    tolerance: Float[Array | np.ndarray, ""]
     #: of the regions
     names: tuple[str, ...] = eqx.field(static=True)
 
