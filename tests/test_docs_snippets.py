@@ -73,14 +73,14 @@ CLAIMS = {
 @pytest.mark.parametrize("page", [page for page in all_pages() if commands_of(page)])
 def test_commands_of_a_page_are_those_of_the_command_line(page, monkeypatch, capsys):
     """Every verb and option exists and takes such a value; nothing is run."""
-    parsed, real = [], tyro.extras.subcommand_cli_from_dict
+    parsed, real = [], tyro.cli
 
     def parse(*arguments, **options):
         command = real(*arguments, **options)
         parsed.append(type(command).__name__.lower())
         return SimpleNamespace(run=lambda: None)
 
-    monkeypatch.setattr(tyro.extras, "subcommand_cli_from_dict", parse)
+    monkeypatch.setattr(tyro, "cli", parse)
     for words in commands_of(page):
         try:
             main(words)
