@@ -94,7 +94,7 @@ class Solve:
                 write_solved(self.kept, header, solved)
                 try:
                     self.solve(subject, path, frames)
-                except (InputError, KeyboardInterrupt) as stop:
+                except (ValueError, KeyboardInterrupt) as stop:
                     if not solved:
                         self.kept.unlink(missing_ok=True)
                     elif isinstance(stop, KeyboardInterrupt):
