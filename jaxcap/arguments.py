@@ -344,10 +344,14 @@ def _check_joints(where: str, given: dict[str, Any]) -> None:
                 )
 
 
-def _owned_joints(value: Any) -> int | None:
-    skeleton = getattr(getattr(value, "body", value), "skeleton", value)
-    joints = getattr(skeleton, "num_joints", None)
-    return joints if isinstance(joints, int) else None
+def _owned_joints(value: Any, deep: int = 2) -> int | None:
+    """How many joints a skeleton, or what has one, has; None where it has none, or several of different sizes."""
+    joints = getattr(value, "num_joints", None)
+    if isinstance(joints, int):
+        return joints
+    within = vars(value).values() if deep and dataclasses.is_dataclass(value) else ()
+    counts = {count for field in within if (count := _owned_joints(field, deep - 1)) is not None}
+    return counts.pop() if len(counts) == 1 else None
 
 
 def _named(kind: type) -> str:

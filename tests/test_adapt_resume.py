@@ -106,7 +106,7 @@ def test_the_file_of_an_actor_tells_of_its_run_to_the_last_bit(scene, tmp_path):
 def test_a_motion_that_was_written_as_bvh_is_read_again(scene, tmp_path):
     """In a report it counts by where it takes the joints."""
     body = jc.human(resolution="low", joints="tracking")
-    motion = jc.Motion(sample_poses(body.skeleton, 3), 30.0)
+    motion = jc.Motion(sample_poses(body.skeleton, 6), 30.0)
     write_motion(tmp_path / "m.bvh", body.skeleton, motion)
     save_actor(
         tmp_path / "a.npz", finished_state(scene, body=body, motion=motion), {}, {}, tmp_path / "m.bvh"

@@ -122,7 +122,7 @@ def test_worse_frames_are_those_far_below_the_others():
 
 def test_a_frame_keeps_its_pose_where_the_one_before_leads_elsewhere(mixed, monkeypatch):
     """In the wrong order of time the tracker goes astray; with poses that are known none gets worse."""
-    monkeypatch.setattr(sequence, "recover", lambda tracker, coarse, frame, *more: frame)
+    monkeypatch.setattr(sequence, "recover", lambda tracker, surface, coarse, frame, *more: frame)
     task, actor, poses = mixed
     tracker, clouds = make_tracker(actor), [task.cloud(n) for n in task.scanned]
     before = [float(log_likelihood(tracker, pose, cloud)) for pose, cloud in zip(poses, clouds, strict=True)]
@@ -211,7 +211,7 @@ def test_the_closing_lines_name_frames_with_their_reasons(mixed, capsys, tmp_pat
     assert explained_words(state._replace(lost=(), reasons=())) == "all scans explained"
     told = fails(capsys, "adapt", "human", tmp_path, "-o", tmp_path / "a.npz", "--unordered", "--ordered")
     assert "--unordered and --ordered are opposites" in told
-    kept = state_of(checkpoint_of(state))
+    kept = state_of(checkpoint_of(state), tmp_path / "kept")
     assert (kept.lost, kept.reasons) == (state.lost, state.reasons)
 
 

@@ -31,7 +31,7 @@ def ball_chain() -> Body:
     """Three balls of vertices on a chain of ball joints, each vertex fixed to its bone."""
     rng = np.random.default_rng(2)
     skeleton = make_skeleton(
-        "abc", [-1, 0, 1], ["free", "ball", "ball"], [[0, 0, 0], [0, 0.4, 0], [0, 0.8, 0]]
+        list("abc"), [-1, 0, 1], ["free", "ball", "ball"], [[0, 0, 0], [0, 0.4, 0], [0, 0.8, 0]]
     )
     vertices = 0.1 * rng.normal(size=(60, 3)) + np.repeat(np.arange(3), 20)[:, None] * [0, 0.4, 0]
     return Body(

@@ -102,7 +102,11 @@ def test_what_no_prior_is_made_of(poses, meshes):
         (poses, meshes[:, :5], "4 meshes of 5 vertices for 4 poses of a body of 48; register them"),
         (poses, meshes[:3], "3 meshes of 48 vertices for 4 poses"),
         (poses, np.where(np.arange(MESHES)[:, None, None] == 2, np.nan, meshes), "Mesh 2 is not finite"),
-        (jc.Pose(poses.translations[:, :3], poses.rotations[:, :3], poses.scale), meshes, "of 3 joints"),
+        (
+            jc.Pose(poses.translations[:, :3], poses.rotations[:, :3], poses.scale),
+            meshes,
+            "has 3 joints; expected is 9",
+        ),
     ):
         with pytest.raises(ValueError, match=told):
             jc.make_shape_prior(BODY, pose, mesh)
@@ -161,11 +165,11 @@ def test_a_prior_of_another_body_is_refused(tmp_path, pairs, poses, meshes):
     assert load_shape_prior(path, turned) is not None
     whole = dict(np.load(path))
     for name, change, told in (
-        ("vectors", lambda a: a * np.nan, "is not finite"),
+        ("vectors", lambda a: a * np.nan, "not finite"),
         ("vectors", lambda a: a[:3], "must be 3 x 9"),
         ("vectors", lambda a: a[:, :, :2], "must be any x any x 3"),
         ("rotations", lambda a: a[:, :5], "must be 4 x 9 x 4"),
-        ("scale", lambda a: a * np.inf, "is not finite"),
+        ("scale", lambda a: a * np.inf, "not finite"),
     ):
         np.savez(path, **{**whole, f"shape.{name}": change(whole[f"shape.{name}"])})
         with pytest.raises(jc.InputError, match=told):

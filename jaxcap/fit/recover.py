@@ -59,6 +59,8 @@ class TrackedFrame(eqx.Module):
     """One frame of a tracked sequence."""
 
     pose: Pose
+    #: of the last frame that was not lost, this one among them
+    trusted: Pose
     statistics: FrameStatistics
     #: the body does not explain the frame, and its pose is not to be trusted
     lost: bool
@@ -127,7 +129,7 @@ def judge(
     judgement, renewed = _compare(surface, usual, pose, cloud)
     lost = judgement.verdict == "lost" or not _finite(pose)
     return TrackedFrame(
-        pose, statistics, lost, judgement, state, usual if lost else renewed, patience, searches
+        pose, pose, statistics, lost, judgement, state, usual if lost else renewed, patience, searches
     )
 
 
@@ -138,7 +140,7 @@ def _compare(surface: JudgedSurface, usual: Usual, pose: Pose, cloud: Cloud) -> 
 
 
 def conclude(tracker: Tracker, frame: TrackedFrame, before: Pose) -> TrackedFrame:
-    """Settle what the next frame starts from: the pose `before` where the body is not in the cloud at all."""
+    """Settle what the next frame starts from: the last trusted pose, `before`, where the body is not in the cloud at all."""
     patience = frame.patience.after(frame.verdict == "good")
     pose, state = frame.pose, frame.state
     if frame.lost:
@@ -146,7 +148,10 @@ def conclude(tracker: Tracker, frame: TrackedFrame, before: Pose) -> TrackedFram
         if not finite or not float(frame.statistics.outlier_share) < GONE:
             state = start_state(tracker, before, FIRST_SIGMA)
         pose = pose if finite else before
-    return eqx.tree_at(lambda f: (f.pose, f.state, f.patience), frame, (pose, state, patience))
+    trusted = before if frame.lost else pose
+    return eqx.tree_at(
+        lambda f: (f.pose, f.trusted, f.state, f.patience), frame, (pose, trusted, state, patience)
+    )
 
 
 def wanted(frame: TrackedFrame) -> bool:
@@ -173,7 +178,7 @@ def recover(
 ) -> TrackedFrame:
     """Search for a frame, which was compared with `usual`, from many starts (Kineben, section 6, "global refinement").
 
-    Starts are neighbours of the frame's own pose and of the one `before`, whole and limb by limb, and the latter
+    Starts are neighbours of the frame's own pose and of the last trusted one, `before`, whole and limb by limb, and the latter
     moved to the cloud's middle and turned about `up`, for a body that jumped. The pose that is found is taken where
     it is likelier and leaves less that is wrong.
     """

@@ -19,7 +19,7 @@ from .initialise import coarse_tracker, initialise
 from .judgement.surface import judged_surface
 from .judgement.usual import nothing_usual
 from .likeliest import likelier_pose, likeliest
-from .recover import Patience, TrackedFrame, better, conclude, first_frame, judge, next_frame, recover, wanted
+from .recover import Patience, TrackedFrame, better, conclude, first_frame, judge, next_frame, recover, settled, wanted
 from .track import Tracker, make_tracker
 
 _LOG = logging.getLogger(__name__)
@@ -97,21 +97,25 @@ def track_frames(
                     frame = judge(surface, cloud, state, statistics, usual, patience, frame.searches)
                     frame = conclude(tracker, frame, pose)
         else:
-            before, usual = frame.state.estimate.pose, frame.usual
+            before, trusted, usual = frame.state.estimate.pose, frame.trusted, frame.usual
             state, statistics = next_frame(tracker, frame.state, cloud)
-            if known is not None:
-                state, statistics = likeliest(tracker, state, statistics, known(number), before, cloud, worth)
+            # a lost frame may have led away
+            others = [*([trusted] if frame.lost else []), *(known(number) if known is not None else [])]
+            if others:
+                state, statistics = likeliest(tracker, state, statistics, others, before, cloud, worth)
+            if frame.lost:
+                state = settled(tracker, state)
             frame = judge(surface, cloud, state, statistics, usual, frame.patience, frame.searches)
             if wanted(frame):
                 coarse = begin_search(number, frame.reasons, frame.searches)
                 key = jax.random.key(number)
-                found = recover(tracker, surface, coarse, frame, usual, before, cloud, key, up)
+                found = recover(tracker, surface, coarse, frame, usual, trusted, cloud, key, up)
                 if known is not None and found.pose is not frame.pose:
                     # what a search ends with may be worse than what it began with
                     likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
                     found = found if likelier is found.pose else frame
                 frame = found
-            frame = conclude(tracker, frame, before)
+            frame = conclude(tracker, frame, trusted)
         yield frame
 
 
