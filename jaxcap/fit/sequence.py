@@ -19,7 +19,18 @@ from .initialise import coarse_tracker, initialise
 from .judgement.surface import judged_surface
 from .judgement.usual import nothing_usual
 from .likeliest import likelier_pose, likeliest
-from .recover import Patience, TrackedFrame, better, conclude, first_frame, judge, next_frame, recover, settled, wanted
+from .recover import (
+    Patience,
+    TrackedFrame,
+    better,
+    conclude,
+    first_frame,
+    judge,
+    next_frame,
+    recover,
+    settled,
+    wanted,
+)
 from .track import Tracker, make_tracker
 
 _LOG = logging.getLogger(__name__)

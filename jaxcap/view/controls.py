@@ -51,7 +51,7 @@ class Controls:
             )  # fmt: skip
             self._play = gui.add_button(PLAY, disabled=self._frame.disabled, hint="key P")
             steps = gui.add_button_group(
-                "Step", (BACK, NEXT), disabled=self._frame.disabled, hint="one frame: keys B and N"
+                "Step", (BACK, NEXT), visible=not self._frame.disabled, hint="one frame: keys B and N"
             )
             self._speed = gui.add_dropdown(
                 "Speed", tuple(f"{speed:g} x" for speed in SPEEDS), initial_value="1 x"
@@ -105,7 +105,9 @@ class Controls:
         now = time.monotonic()
         self.timeline.grow(frames, now)
         self._frame.max, self._frame.disabled = max(frames - 1, 1), frames < 2
-        self._play.disabled = self._steps.disabled = frames < 2
+        self._play.disabled = frames < 2
+        # groups of buttons cannot be disabled
+        self._steps.visible = frames >= 2
         if self.newest:
             self.timeline.seek(frames - 1, now)
 
