@@ -99,4 +99,4 @@ def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
     usual = nothing_usual(surface)
     judgement = Judgement(usual.level, number, surface.names)
     state = start_state(tracker, pose)
-    return TrackedFrame(pose, pose, statistics, False, judgement, state, usual, Patience(), 0.0)
+    return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, Patience(), 0.0)

@@ -59,15 +59,15 @@ class TrackedFrame(eqx.Module):
     """One frame of a tracked sequence."""
 
     pose: Pose
-    #: of the last frame that was not lost, this one among them
-    trusted: Pose
     statistics: FrameStatistics
     #: the body does not explain the frame, and its pose is not to be trusted
     lost: bool
     #: what is wrong, by part, compared with the frames before
     judgement: Judgement
-    #: what the next frame starts from, with the three fields below; all that is needed to go on after a stop
+    #: what the next frame starts from, with the four fields below; all that is needed to go on after a stop
     state: TrackState
+    #: pose of the last frame that was not lost, this one among them
+    trusted: Pose
     #: what the good frames so far show to be normal
     usual: Usual
     patience: Patience
@@ -129,7 +129,7 @@ def judge(
     judgement, renewed = _compare(surface, usual, pose, cloud)
     lost = judgement.verdict == "lost" or not _finite(pose)
     return TrackedFrame(
-        pose, pose, statistics, lost, judgement, state, usual if lost else renewed, patience, searches
+        pose, statistics, lost, judgement, state, pose, usual if lost else renewed, patience, searches
     )
 
 
