@@ -100,7 +100,12 @@ PLACES = [
     Place("convert.Convert", {"source": FILE, "target": "out.bvh", "overwrite": True}, MOTIONS),
     Place("convert.Convert", {"source": FILE, "target": "out.trc", "overwrite": True}, (*MOTIONS, *MARKERS)),
     Place("convert.Convert", {"source": FILE, "target": "out.skl", "overwrite": True}, SKELETONS),
-    Place("convert.Convert", {"source": FILE, "target": "out.ply", "overwrite": True}, CLOUDS),
+    # one at a time
+    Place(
+        "convert.Convert",
+        {"source": FILE, "target": "out.ply", "overwrite": True},
+        tuple(name for name in CLOUDS if "." in name),
+    ),
     Place(
         "convert.Convert", {"source": FILE, "target": "out.npz", "as_": "body", "overwrite": True}, ALL_BODIES
     ),

@@ -53,12 +53,13 @@ def find_way(source: Path, target: Path) -> Way:
         return "markers"
     if here in SKELETON_READERS and there in SKELETON_WRITERS:
         return "skeleton"
-    if source.is_dir() or here in FOREIGN or identify(source) is None:
+    if source.is_dir() or not here or here in FOREIGN or identify(source) is None:
         raise wrong_kind(
             source, "something to convert", (*MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, *SUFFIXES)
         )
+    into = f"'{there}' files" if there else "a file without a suffix"
     raise InputError(
-        f"{source}: '{here}' files cannot become '{there}' files; motions are read from {', '.join(MOTION_READERS)} and "
+        f"{source}: '{here}' files cannot become {into}; motions are read from {', '.join(MOTION_READERS)} and "
         f"written as {', '.join(MOTION_WRITERS)}, their joint centres as {', '.join(MARKER_WRITERS)}, skeletons as .skl, "
         f"bodies as {', '.join(BODY_WRITERS)} and with --as body as .npz, meshes as {', '.join(MESH_WRITTEN)}."
     )
