@@ -245,9 +245,11 @@ class CloudFrames(Sequence[Cloud]):
     def __getitem__(self, index):
         if isinstance(index, slice):
             return [self[frame] for frame in range(len(self))[index]]
+        # an array of JAX has an element at any index; iteration ends by an IndexError
+        frame = range(len(self))[index]
         if isinstance(self._frames, Cloud):
-            return jax.tree.map(lambda leaf: leaf[index], self._frames)
-        return as_cloud(self._frames[index], index)
+            return jax.tree.map(lambda leaf: leaf[frame], self._frames)
+        return as_cloud(self._frames[frame], frame)
 
 
 def as_cloud(frame: "Cloud | Scan", number: int = 0) -> Cloud:
