@@ -31,26 +31,44 @@ class _Head(NamedTuple):
 
 
 def array_names(path: str | Path) -> list[str]:
-    """The names of the arrays of an `.npz` file. Raises `InputError` where it is not one."""
-    with _opened(path) as file:
-        return list(_members(file, path))
+    """Return the names of the arrays of an `.npz` file. Raises `InputError` where it is not one."""
+    with open_archive(path) as archive:
+        return list(archive.members)
 
 
 def kind_of(path: str | Path) -> str:
-    """The format that an `.npz` file says it has; none is empty. Raises `InputError` where it is not an `.npz` file."""
+    """Return the format that an `.npz` file says it has; none is empty. Raises `InputError` where it is not an `.npz`
+    file."""
     return str(load_arrays(path, lambda name: name == "format").get("format", ""))
 
 
 def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
     """Read the arrays of any `.npz` file whose names are `wanted`, all where not given.
 
-    The heads of these are checked before one is inflated, and the others are not looked at.
-
-    **Raises:** `InputError` where the file is not one or is damaged, and where a wanted array holds pickled objects or
-    something else than numbers and text, or the arrays inflate beyond what a file of its size can hold.
+    **Raises:** `InputError` where the file is not one, and as `Archive.load` does.
     """
-    with _opened(path) as file:
-        chosen = {name: info for name, info in _members(file, path).items() if wanted(name)}
+    with open_archive(path) as archive:
+        return archive.load(wanted)
+
+
+class Archive(NamedTuple):
+    """An `.npz` file that is open, of which no array is read yet."""
+
+    path: str | Path
+    file: zipfile.ZipFile
+    #: by the names of their arrays
+    members: dict[str, zipfile.ZipInfo]
+
+    def load(self, wanted: Callable[[str], bool]) -> dict[str, np.ndarray]:
+        """Read the arrays whose names are `wanted`.
+
+        The heads of these are checked before one is inflated, and the others are not looked at.
+
+        **Raises:** `InputError` where the file is damaged, and where a wanted array holds pickled objects or something
+        else than numbers and text, or the arrays inflate beyond what a file of its size can hold.
+        """
+        path, file = self.path, self.file
+        chosen = {name: info for name, info in self.members.items() if wanted(name)}
         heads = {name: _head(file, info, f"{path}: the array '{name}'") for name, info in chosen.items()}
         taken = sum(math.prod(head.shape) * max(head.dtype.itemsize, 8) for head in heads.values())
         size = os.path.getsize(path)
@@ -66,8 +84,11 @@ def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: T
 
 
 @contextlib.contextmanager
-def _opened(path: str | Path) -> Iterator[zipfile.ZipFile]:
-    """An open archive, in which every error of the library that reads it is one of the file."""
+def open_archive(path: str | Path) -> Iterator[Archive]:
+    """Open an `.npz` file; every error of the library that reads it becomes one of the file.
+
+    **Raises:** `InputError` where the file is not one or cannot be read.
+    """
     try:
         with open(path, "rb") as raw:
             start = raw.read(6)
@@ -78,7 +99,7 @@ def _opened(path: str | Path) -> Iterator[zipfile.ZipFile]:
             if not start.startswith(b"PK"):
                 raise InputError(f"{path}: this is not an .npz file; give one.")
             with zipfile.ZipFile(raw) as file:
-                yield file
+                yield Archive(path, file, _members(file, path))
     except InputError:
         raise
     except FileNotFoundError:

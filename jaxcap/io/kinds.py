@@ -53,8 +53,8 @@ WORDS = {
 }
 #: by the format's name in an `.npz`
 _FORMATS = ("body", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
-#: of all files that are an `.npz`
-_NPZ = (*_FORMATS, "amass", "joints", "clouds", "arrays", "damaged")
+#: what a file of arrays may end in
+_ARCHIVES = (".npz", ".partial")
 _SUFFIXES = {
     ".bvh": "bvh",
     ".asf": "asf",
@@ -89,7 +89,7 @@ def identify(path: str | Path) -> str | None:
         return "statistics"
     if suffix in GLTF:
         return "skinned" if has_skin(path) else "mesh"
-    if suffix in (".npz", ".partial"):
+    if suffix in _ARCHIVES:
         return _npz(path)
     return _json(path) if suffix == ".json" else _SUFFIXES.get(suffix)
 
@@ -145,8 +145,8 @@ def check_kind(path: str | Path, kind: str, suffixes: Sequence[str]) -> None:
 def check_npz(path: str | Path, wanted: str) -> None:
     """Check that a file is not clearly something else than an `.npz`. Raises `InputError`."""
     path = Path(path)
-    kind = identify(path)
-    if path.is_dir() or path.suffix.lower() in FOREIGN or (kind is not None and kind not in _NPZ):
+    suffix = path.suffix.lower()
+    if path.is_dir() or suffix in FOREIGN or (suffix not in _ARCHIVES and identify(path) is not None):
         raise wrong_kind(path, wanted, (".npz",))
 
 

@@ -13,7 +13,7 @@ from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ..errors import InputError
-from .archive import load_arrays
+from .archive import open_archive
 from .atomic import replacing
 from .door import reads
 from .kinds import WORDS, check_npz, wrong_arrays
@@ -241,13 +241,16 @@ def load_kind(
     **Raises:** `InputError` where it is another format, or of another version.
     """
     check_npz(path, WORDS[kinds[0].removeprefix("jaxcap ")])
-    marks = load_arrays(path, lambda name: name in ("format", "version"))
-    if str(marks.get("format", "")) not in kinds:
-        raise wrong_arrays(path, f"not a '{kinds[0]}'")
-    version = get_array(marks, "version", path, (), "whole").item() if "version" in marks else 0
-    if version != VERSION:
-        raise InputError(f"{path}: this file has version {version}; this program reads version {VERSION}.")
-    return marks | load_arrays(path, lambda name: name not in marks and wanted(name))
+    with open_archive(path) as archive:
+        marks = archive.load(lambda name: name in ("format", "version"))
+        if str(marks.get("format", "")) not in kinds:
+            raise wrong_arrays(path, f"not a '{kinds[0]}'")
+        version = get_array(marks, "version", path, (), "whole").item() if "version" in marks else 0
+        if version != VERSION:
+            raise InputError(
+                f"{path}: this file has version {version}; this program reads version {VERSION}."
+            )
+        return marks | archive.load(lambda name: name not in marks and wanted(name))
 
 
 #: what arrays hold: their types, and words for these
