@@ -162,13 +162,13 @@ def test_equations_that_rounding_makes_singular_are_damped_until_they_are_solved
 
 @pytest.mark.float32
 def test_equations_that_nothing_solves_are_told(rng):
-    eps = float(jnp.finfo(jnp.result_type(float)).eps)
-    problem, start = dependent(rng, eps**-1.5), jnp.zeros(60)
+    """Columns whose squares overflow have no factors, whatever the processor's rounding."""
+    size = float(jnp.sqrt(jnp.finfo(jnp.result_type(float)).max))
+    matrix = size * jnp.asarray(rng.normal(size=(200, 60)))
+    problem, start = Linear(matrix, jnp.asarray(rng.normal(size=200)), jnp.ones(60)), jnp.zeros(60)
     for solver in (LevenbergMarquardt(linear_solver=ScaledCholesky()), GaussNewton()):
         found = least_squares(problem, solver, start, 64)
-        left = np.linalg.norm(problem.residual(found.value)) / np.linalg.norm(problem.target)
-        # on some processors rounding leaves every pivot positive, and the equations are solved after all
-        assert found.result == optx.RESULTS.singular or left < 100 * eps
+        assert found.result == optx.RESULTS.singular
 
 
 def every_term(rng) -> Sum:
