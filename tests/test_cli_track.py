@@ -15,6 +15,7 @@ from cli import FRAMES, PYTHON, fails, runs, write_inputs
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
 from jaxcap.cli import track as track_module
+from jaxcap.fit import sequence
 from jaxcap.fit.sequence import Search, track_frames
 from jaxcap.io.bvh import read_bvh
 from jaxcap.io.journal import Journal
@@ -110,20 +111,25 @@ def test_frames_are_chosen(inputs, tmp_path, capsys):
     assert load_motion(tmp_path / "out" / "motion.npz").num_frames == 3
 
 
-def test_files_as_a_shell_makes_of_a_glob(inputs, finished, tmp_path, capsys):
+def test_files_as_a_shell_makes_of_a_glob(inputs, tmp_path, capsys, monkeypatch):
     """Not in the order of their numbers; track and evaluate take them as the quoted glob."""
+    # clouds without normals leave a coarse body doubtful, and searches are slow
+    monkeypatch.setattr(sequence, "wanted", lambda frame: False)
     with np.load(inputs / "clouds.npz") as file:
         for number, points in enumerate(file["points"], 8):
             write_mesh(tmp_path / f"c_{number}.ply", Mesh(points, np.zeros((0, 3), int), None))
     body, quoted, files = inputs / "body.npz", tmp_path / "*.ply", sorted(tmp_path.glob("*.ply"))
     assert files[0].name == "c_10.ply"
-    once = ("--initialise", "never", "--last", 0)
-    runs(capsys, "track", body, quoted, "-o", tmp_path / "quoted", *once)
-    runs(capsys, "track", body, *files, "-o", tmp_path / "files", *once)
+    some = ("--initialise", "never", "--last", 3)
+    runs(capsys, "track", body, quoted, "-o", tmp_path / "quoted", *some)
+    runs(capsys, "track", body, *files, "-o", tmp_path / "files", *some)
     assert same_motion(tmp_path / "files", tmp_path / "quoted")
     with open(tmp_path / "files" / "statistics.csv", newline="") as file:
-        assert [row["cloud"] for row in csv.DictReader(file)] == ["c_8.ply"]
-    told = [runs(capsys, "evaluate", body, finished / "motion.npz", *clouds) for clouds in ((quoted,), files)]
+        assert [row["cloud"] for row in csv.DictReader(file)] == [f"c_{n}.ply" for n in range(8, 12)]
+    told = [
+        runs(capsys, "evaluate", body, tmp_path / "files" / "motion.npz", *clouds, "--last", 3)
+        for clouds in ((quoted,), files)
+    ]
     assert told[0] == told[1]
     line = fails(capsys, "track", body, *files, inputs / "clouds.npz", "-o", tmp_path / "none")
     assert "clouds.npz: an .npz is a sequence by itself" in line

@@ -11,7 +11,7 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import deform_all
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.cli.frame_rows import pack, record_width, row_template, whose_poses
+from jaxcap.cli.frame_rows import pack, row_template, row_width, whose_poses
 from jaxcap.fit.track import make_tracker
 from jaxcap.io.clouds import NO_FACES, Scans
 from jaxcap.io.journal import begin_journal
@@ -186,7 +186,9 @@ def test_a_running_track_appears_frame_by_frame(chromium, tmp_path, motion, pose
         return pack(dataclasses.replace(row_template(tracker), pose=motion[frame]), 0.1)
 
     server = open_server(0)
-    with begin_journal(tmp_path / "journal", whose_poses(body.skeleton), record_width(tracker)) as journal:
+    with begin_journal(
+        tmp_path / "journal", whose_poses(body.skeleton), row_width(row_template(tracker))
+    ) as journal:
         followers = serve_contents(server, Contents(takes=[follow_run(tmp_path, body)]))
         page = chromium(address(server))
         wait_for_vertex(page, SURFACE, 0, body.vertices[0])
@@ -202,10 +204,12 @@ def test_a_running_track_appears_frame_by_frame(chromium, tmp_path, motion, pose
         assert followers[0].told == ""
     # begun anew with another body: a window that stands still tells it
     other = {**whose_poses(body.skeleton), "joints": ["a"]}
-    with begin_journal(tmp_path / "journal", other, record_width(tracker)) as journal:
+    with begin_journal(tmp_path / "journal", other, row_width(row_template(tracker))) as journal:
         journal.append(record(6))
         page.get_by_text("this run is of another body").wait_for()
-    with begin_journal(tmp_path / "journal", whose_poses(body.skeleton), record_width(tracker)) as journal:
+    with begin_journal(
+        tmp_path / "journal", whose_poses(body.skeleton), row_width(row_template(tracker))
+    ) as journal:
         journal.append(record(7))
         wait_for_vertex(page, SURFACE, 0, posed[7, 0])
         page.get_by_text("this run is of another body").wait_for(state="hidden")

@@ -10,7 +10,7 @@ from helpers import chain_body, chain_skeleton, random_pose
 from jaxcap.body.body import Body, deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
-from jaxcap.cli.frame_rows import pack, record_width, row_template, whose_poses
+from jaxcap.cli.frame_rows import pack, row_template, row_width, whose_poses
 from jaxcap.errors import InputError
 from jaxcap.fit.track import make_tracker
 from jaxcap.geometry.camera import look_at
@@ -220,7 +220,7 @@ def test_a_journal_tells_the_poses(tmp_path, body, motion):
     tracker, whose = make_tracker(body), whose_poses(body.skeleton)
     follower = RunFollower(follow_run(tmp_path, body))
     assert not follower.look()
-    with begin_journal(tmp_path / "journal", {"a": 1, **whose}, record_width(tracker)) as journal:
+    with begin_journal(tmp_path / "journal", {"a": 1, **whose}, row_width(row_template(tracker))) as journal:
         assert not follower.look()
         for frame in range(3):
             journal.append(_record(tracker, motion, frame))
@@ -237,7 +237,7 @@ def test_a_journal_tells_the_poses(tmp_path, body, motion):
     for shown, frame in ((2, 2), (3, 4)):
         np.testing.assert_allclose(follower.take.motion.frame(shown).joints, joints[frame], atol=1e-5)
     # begun anew, and with another body
-    begin_journal(tmp_path / "journal", {"a": 2, **whose}, record_width(tracker)).close()
+    begin_journal(tmp_path / "journal", {"a": 2, **whose}, row_width(row_template(tracker))).close()
     with resume_journal(tmp_path / "journal", {"a": 2, **whose}) as journal:
         journal.append(_record(tracker, motion, 7))
     assert follower.look() and len(follower.take.motion) == 1
@@ -250,11 +250,11 @@ def test_a_journal_tells_the_poses(tmp_path, body, motion):
 def test_what_is_wrong_with_a_run_is_told_until_it_is_mended(tmp_path, body, motion, monkeypatch):
     monkeypatch.setattr(live, "OFTEN", 0.01)
     tracker, whose = make_tracker(body), whose_poses(body.skeleton)
-    with begin_journal(tmp_path / "journal", whose, record_width(tracker)) as journal:
+    with begin_journal(tmp_path / "journal", whose, row_width(row_template(tracker))) as journal:
         journal.append(_record(tracker, motion, 0))
     follower = RunFollower(follow_run(tmp_path, body))
     other = {**whose, "joints": ["a"]}
-    with begin_journal(tmp_path / "journal", other, record_width(tracker)) as journal:
+    with begin_journal(tmp_path / "journal", other, row_width(row_template(tracker))) as journal:
         journal.append(_record(tracker, motion, 0))
     for _ in range(2):
         with pytest.raises(InputError, match="another body"):
@@ -265,7 +265,7 @@ def test_what_is_wrong_with_a_run_is_told_until_it_is_mended(tmp_path, body, mot
     with monkeypatch.context() as broken:
         broken.setattr(live, "read_header", lambda path: 1 / 0)
         _until(lambda: "could not be read (ZeroDivisionError" in follower.told)
-    with begin_journal(tmp_path / "journal", whose, record_width(tracker)) as journal:
+    with begin_journal(tmp_path / "journal", whose, row_width(row_template(tracker))) as journal:
         for frame in range(2):
             journal.append(_record(tracker, motion, frame))
     _until(lambda: follower.told == "" and len(follower.take.motion) == 2)
@@ -281,7 +281,9 @@ def _until(happened) -> None:
 
 def test_an_unfinished_run_asks_for_its_body(tmp_path, body, motion):
     tracker = make_tracker(body)
-    with begin_journal(tmp_path / "journal", whose_poses(body.skeleton), record_width(tracker)) as journal:
+    with begin_journal(
+        tmp_path / "journal", whose_poses(body.skeleton), row_width(row_template(tracker))
+    ) as journal:
         journal.append(_record(tracker, motion, 0))
     with pytest.raises(InputError, match="--body"):
         load([str(tmp_path)])

@@ -21,7 +21,7 @@ from ..io.atomic import replacing, write_text
 from ..io.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe import make_cloud
-from .frame_rows import pack, results_of
+from .frame_rows import pack, results_of, row_template
 from .options import Flag, OptionalCount, arg
 from .results import FILES, check_folder, make_writable, write_results
 from .say import progress, say, table, warn
@@ -81,7 +81,7 @@ class Demo:
         )
         tracker = make_tracker(body)
         steps = progress(timed(track_frames(tracker, clouds)), len(clouds))
-        results = results_of(tracker, np.stack([pack(frame, took) for frame, took in steps]))
+        results = results_of(row_template(tracker), np.stack([pack(frame, took) for frame, took in steps]))
         names, seconds = [f"scan {number}" for number in range(len(clouds))], results.seconds
         write_results(self.out, body.skeleton, results, truth.rate, names)
         motion = Motion(results.poses, truth.rate)

@@ -57,9 +57,9 @@ class Results(NamedTuple):
     verdicts: list[tuple[str, tuple[str, ...]]]
 
 
-def results_of(tracker: Tracker, rows: Float[np.ndarray, "N R"]) -> Results:
-    """The results of rows that `pack` made, or of their first `results_width` columns."""
-    leaves, tree = jax.tree.flatten(_results_in(row_template(tracker)))
+def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Results:
+    """Return the results in rows that `pack` made, or in their first `results_width` columns."""
+    leaves, tree = jax.tree.flatten(_results_in(template))
     arrays, at = [], POSE_AT
     for leaf in leaves:
         size = np.size(leaf)
@@ -75,23 +75,26 @@ def results_of(tracker: Tracker, rows: Float[np.ndarray, "N R"]) -> Results:
     return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), verdicts)
 
 
-def results_width(tracker: Tracker) -> int:
-    """How many numbers of a row are results."""
-    return POSE_AT + sum(np.size(leaf) for leaf in jax.tree.leaves(_results_in(row_template(tracker))))
+def results_width(template: TrackedFrame) -> int:
+    """Count the numbers of a row that are results."""
+    return POSE_AT + sum(np.size(leaf) for leaf in jax.tree.leaves(_results_in(template)))
 
 
 def _results_in(frame: TrackedFrame) -> tuple[Pose, FrameStatistics, bool, Judgement]:
     return frame.pose, frame.statistics, frame.lost, frame.judgement
 
 
-def record_width(tracker: Tracker) -> int:
-    """How many numbers a row has."""
-    return len(pack(row_template(tracker), 0.0))
+def row_width(template: TrackedFrame) -> int:
+    """Count the numbers of a row."""
+    return len(pack(template, 0.0))
 
 
 def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
-    """A frame with the shapes and types of all frames of a run; `like` is a pose of the precision that the run was
-    begun with, the body's where not given."""
+    """Make a frame with the shapes and types of all frames of a run.
+
+    `like` is a pose of the precision that the run was begun with, the body's where not given. Samples the body's
+    surface, so make it once.
+    """
     pose = rest_pose(tracker.body.skeleton) if like is None else like
     number = jnp.zeros((), pose.rotations.dtype)
     statistics = FrameStatistics(number, number, number, number)

@@ -19,7 +19,7 @@ from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
 from ..io.limits import read_limits
 from ..io.lock import run_lock
-from .frame_rows import pack, record_width, results_of, results_width, row_template, unpack, whose_poses
+from .frame_rows import pack, results_of, results_width, row_template, row_width, unpack, whose_poses
 from .heartbeat import doing
 from .options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
 from .results import check_folder, fingerprint, make_writable, write_results
@@ -99,15 +99,17 @@ class Track:
     def track(self, tracker: Tracker, scans: Scans, header: dict[str, object]) -> None:
         """Track all frames that are left, and write the results, alone in the folder."""
         path, body = check_folder(self.out, JOURNAL, self.resume, self.overwrite), tracker.body
+        template = row_template(tracker)
         going_on = self.resume and path.is_file()
         journal = (
-            resume_journal(path, header) if going_on else begin_journal(path, header, record_width(tracker))
+            resume_journal(path, header) if going_on else begin_journal(path, header, row_width(template))
         )
         with journal:
-            self.follow(tracker, scans, journal)
+            last = None if journal.last is None else unpack(template, journal.last)[0]
+            self.follow(tracker, scans, journal, last)
         doing("writing the results")
-        rows = journal.read(slice(results_width(tracker)))[: len(scans)]
-        results = results_of(tracker, rows)
+        rows = journal.read(slice(results_width(template)))[: len(scans)]
+        results = results_of(template, rows)
         write_results(self.out, body.skeleton, results, self.rate, scans.names)
         say(
             f"{len(rows)} frames in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
@@ -157,9 +159,9 @@ class Track:
         terms = tuple(self.limit_weight * JointLimits(part) for part in limits)
         return make_tracker(body, mixture, terms, iterations=self.iterations)
 
-    def follow(self, tracker: Tracker, scans: Scans, journal: Journal) -> None:
-        """Track all frames that the journal does not have, into it; fewer after Ctrl-C."""
-        steps = self.steps(tracker, scans, journal)
+    def follow(self, tracker: Tracker, scans: Scans, journal: Journal, last: TrackedFrame | None) -> None:
+        """Track all frames behind the `last` of the journal, into it; fewer after Ctrl-C."""
+        steps = self.steps(tracker, scans, journal.count, last)
         try:
             for frame, took in progress(steps, len(scans), min(journal.count, len(scans))):
                 journal.append(pack(frame, took))
@@ -171,14 +173,15 @@ class Track:
             kept = f" The {journal.count} frames before it are kept; mend it and give --resume to go on."
             raise InputError(f"{error}{kept}") from None
 
-    def steps(self, tracker: Tracker, scans: Scans, journal: Journal) -> Iterator[tuple[TrackedFrame, float]]:
-        """The frames behind those of the journal, each with the seconds it took."""
-        begin = journal.count
+    def steps(
+        self, tracker: Tracker, scans: Scans, begin: int, last: TrackedFrame | None
+    ) -> Iterator[tuple[TrackedFrame, float]]:
+        """Yield the frames from `begin` on, each with the seconds it took."""
         return timed(
             track_frames(
                 tracker,
                 iter(Clouds(scans, tracker.body, self.up)[begin:]),
-                None if journal.last is None else unpack(row_template(tracker), journal.last)[0],
+                last,
                 search=SEARCHES[self.initialise],
                 sigma=self.sigma0,
                 first=begin,
