@@ -108,7 +108,7 @@ def scan_frame(
 
 
 def clothes_of(body: jc.Body, thickness: float = 0.06) -> Float[np.ndarray, "V"]:
-    """How far clothes about the thighs and the trunk lie outside of each vertex, metres; smooth along the surface."""
+    """Return how far clothes about the thighs and the trunk lie outside each vertex, metres, smoothed along the surface."""
     covered = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "Spine", "LeftUpLeg", "RightUpLeg")
     cloth = np.isin(np.asarray(body.skeleton.names), covered)[np.asarray(body.skin.parts())].astype(float)
     corners = np.asarray(body.faces)

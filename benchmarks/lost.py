@@ -156,8 +156,8 @@ class Scene:
                     )
                     made = self.fitted(frame.pose, moved, usual)
                     main = [self.body.skeleton.index(name) for name in MAIN]
-                    apart = joints_of(self.body, made.pose)[main] - (joints + shift)[main]
-                    errors = 1000 * np.linalg.norm(apart, axis=1)
+                    differences = joints_of(self.body, made.pose)[main] - (joints + shift)[main]
+                    errors = 1000 * np.linalg.norm(differences, axis=1)
                     judged.append(Judged("other_person", number, errors, made, moved))
             usual = frame.usual
         return judged
@@ -188,7 +188,7 @@ def human_scene(name: str, shared: Path, frames: int, every: int, first: int = 3
 
 
 def crane_scene(shared: Path, frames: int, every: int) -> list[Judged]:
-    """The real performer; errors are mean distances of the vertices of each part, of which clothes alone are 13 mm."""
+    """Track the crane performer; the error of a part is the mean distance of its vertices, of which clothes alone are 13 mm."""
     crane = load_crane(shared)
     body = rig_crane(crane)
     parts = np.asarray(body.skin.parts())
@@ -218,7 +218,7 @@ def counted(judged: list[Judged]) -> dict[str, object]:
 
 
 def picture(path: Path, name: str, body: jc.Body, judged: list[Judged]) -> None:
-    """One case of each kind."""
+    """Draw one case of each kind."""
     views, faces = [], np.asarray(body.faces)
     for kind in sorted({one.kind for one in judged}):
         one = [case for case in judged if case.kind == kind][-1]

@@ -345,7 +345,7 @@ def _check_joints(where: str, given: dict[str, Any]) -> None:
 
 
 def _owned_joints(value: Any, deep: int = 2) -> int | None:
-    """How many joints a skeleton, or what has one, has; None where it has none, or several of different sizes."""
+    """Return the number of joints of a skeleton or of what has one; None where there is none, or where several differ."""
     joints = getattr(value, "num_joints", None)
     if isinstance(joints, int):
         return joints

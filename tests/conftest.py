@@ -46,8 +46,8 @@ SHARED = Path(os.environ.get("JAXCAP_SHARED") or CHECKOUT.parent / "shared")
 #: what a worker needs at most, and the size from which the cache is begun anew, in bytes
 WORKER_MEMORY, CACHE_SIZE = 4 << 30, 2 << 30
 #: a flag of XLA that halves the time of compiling and costs little speed, and what tells whether it is known
-COMPILE_SOON = "--xla_cpu_use_fusion_emitters=false"
-KNOWS_FLAGS = "import jax; jax.devices()"
+FAST_COMPILING = "--xla_cpu_use_fusion_emitters=false"
+START_XLA = "import jax; jax.devices()"
 #: pieces of memory that a process may map, and those from which compiled functions are forgotten
 MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000
@@ -71,10 +71,10 @@ def pytest_configure(config):
         or config.getoption("markexpr") != "not slow"
     ):
         return
-    wanted = {**os.environ, "XLA_FLAGS": COMPILE_SOON}
+    wanted = {**os.environ, "XLA_FLAGS": FAST_COMPILING}
     # a version of XLA that has no such flags dies of them
-    if not subprocess.run([sys.executable, "-c", KNOWS_FLAGS], env=wanted, capture_output=True).returncode:
-        os.environ["XLA_FLAGS"] = COMPILE_SOON
+    if not subprocess.run([sys.executable, "-c", START_XLA], env=wanted, capture_output=True).returncode:
+        os.environ["XLA_FLAGS"] = FAST_COMPILING
 
 
 def pytest_sessionstart(session):

@@ -26,7 +26,7 @@ NEAR = 2
 #: the same for a frame that stays worse than the others, each in four directions
 SEARCHED = 6
 #: a frame is worse than the others where its mean log-likelihood is so many deviations, and so much, below their median
-DEVIATIONS, FALL = 3.0, 0.3
+DEVIATIONS, BELOW_MEDIAN = 3.0, 0.3
 UP = (0.0, 1.0, 0.0)
 
 
@@ -57,7 +57,7 @@ def are_worse(likelihoods: Float[np.ndarray, "F"]) -> Bool[np.ndarray, "F"]:
     likelihoods = np.where(np.isnan(likelihoods), -np.inf, likelihoods)
     middle = np.median(likelihoods)
     spread = 1.4826 * np.median(np.abs(likelihoods - middle))
-    return ~(likelihoods >= middle - max(DEVIATIONS * spread, FALL))
+    return ~(likelihoods >= middle - max(DEVIATIONS * spread, BELOW_MEDIAN))
 
 
 def visiting_order(shapes: Mapping[int, Shape]) -> list[int]:

@@ -27,23 +27,24 @@ def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
     """The world transform of every bone, `T_j = T_parent . Translate(t_j) . Rot(q_j about c_j)`
     (Kineben, eq. 1; Adaptation, section 3.1), and last the pose's scale.
 
-    Chains double in every round, over all joints at once, so that a tree of `n` levels takes
-    `log2 n` batched products; few operations compile fast.
+    Composes by pointer doubling: a tree of `n` levels takes `log2 n` products batched over all
+    joints, and few operations compile fast.
     """
-    turns = rotation.to_matrix(pose.rotations)
+    rotations = rotation.to_matrix(pose.rotations)
     centres = skeleton.centres
-    moves = pose.translations + centres - jnp.einsum("jab,jb->ja", turns, centres)
-    # the joint that the chain of each hangs on; the row after the last joint is the world
+    translations = pose.translations + centres - jnp.einsum("jab,jb->ja", rotations, centres)
+    # each joint's transform is relative to its ancestor here; the row after the last joint is the world
     world = skeleton.num_joints
-    above = np.array([*skeleton.parents, world])
-    above[above < 0] = world
-    turns = jnp.concatenate([turns, jnp.eye(3, dtype=turns.dtype)[None]])
-    moves = jnp.concatenate([moves, jnp.zeros((1, 3), moves.dtype)])
-    while np.any(above < world):
-        upper = turns[above]
-        turns, moves = upper @ turns, jnp.einsum("jab,jb->ja", upper, moves) + moves[above]
-        above = above[above]
-    return Transforms(pose.scale * turns[:world], pose.scale * moves[:world])
+    ancestors = np.array([*skeleton.parents, world])
+    ancestors[ancestors < 0] = world
+    rotations = jnp.concatenate([rotations, jnp.eye(3, dtype=rotations.dtype)[None]])
+    translations = jnp.concatenate([translations, jnp.zeros((1, 3), translations.dtype)])
+    while np.any(ancestors < world):
+        upper = rotations[ancestors]
+        translations = jnp.einsum("jab,jb->ja", upper, translations) + translations[ancestors]
+        rotations = upper @ rotations
+        ancestors = ancestors[ancestors]
+    return Transforms(pose.scale * rotations[:world], pose.scale * translations[:world])
 
 
 def joint_positions(skeleton: Skeleton, transforms: Transforms) -> Float[Array, "J 3"]:

@@ -20,7 +20,7 @@ TILE = 32
 #: Pairs of a tile and a block that one step of the culled search takes.
 CHUNK = 256
 #: Vertices of a block in one elementwise pass; all of them compile far longer and run little faster.
-PASS = 8
+UNROLLED = 8
 #: Share of pairs in reach above which going through all of them, in one pass, is faster.
 FEW = 0.3
 
@@ -90,16 +90,16 @@ def _sweep(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array, "*#pairs 6 
 
     def step(i, found):
         best, slot = found
-        some = lax.dynamic_slice_in_dim(blocks, i * PASS, PASS, -1)
-        for s in range(PASS):
+        some = lax.dynamic_slice_in_dim(blocks, i * UNROLLED, UNROLLED, -1)
+        for s in range(UNROLLED):
             vx, vy, vz, ux, uy, uz = (some[..., i, s, None] for i in range(6))
             squared = (x - vx) ** 2 + (y - vy) ** 2 + (z - vz) ** 2
             better = (squared < best) & (nx * ux + ny * uy + nz * uz > limit)
             best = jnp.where(better, squared, best)
-            slot = jnp.where(better, i * PASS + s, slot)
+            slot = jnp.where(better, i * UNROLLED + s, slot)
         return best, slot
 
-    return lax.fori_loop(0, BLOCK // PASS, step, (best, slot))
+    return lax.fori_loop(0, BLOCK // UNROLLED, step, (best, slot))
 
 
 def _sweep_near(tiles, blocks, near):

@@ -15,7 +15,7 @@ GLOSS, NARROW = 0.10, 18
 #: of a mesh with fewer triangles each is drawn as four, so that light runs smoothly over it
 COARSE = 9_000
 #: of a shadow, and where the light of shadows goes to, metres for a metre down
-SHADE, FALL = "#e2e6ec", np.array([0.22, -1.0, -0.32])
+SHADOW, SHADOW_DIRECTION = "#e2e6ec", np.array([0.22, -1.0, -0.32])
 
 
 def view_axes(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3 3"]:
@@ -96,10 +96,10 @@ def draw_shadow(
 
     vertices = np.asarray(vertices, float)
     height = vertices[:, 1] - (vertices[:, 1].min() if floor is None else floor)
-    seen = (vertices + np.maximum(height, 0.0)[:, None] * FALL) @ view.T
+    seen = (vertices + np.maximum(height, 0.0)[:, None] * SHADOW_DIRECTION) @ view.T
     plot.add_collection(
         PolyCollection(
-            list(seen[np.asarray(faces)][..., :2]), facecolors=SHADE, edgecolors=SHADE, linewidths=0.6,
+            list(seen[np.asarray(faces)][..., :2]), facecolors=SHADOW, edgecolors=SHADOW, linewidths=0.6,
             rasterized=True, zorder=1,
         )
     )  # fmt: skip
