@@ -1,5 +1,7 @@
 """Rigs of other programs: the names that their files give joints, and what is otherwise about their joints."""
 
+import numpy as np
+
 from benchmarks._rigs import (
     Z_UP,
     Rig,

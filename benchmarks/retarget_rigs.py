@@ -6,7 +6,9 @@
 Each rig has the names of one program, and what its files bring with them: joints more or fewer, twist joints, another rest pose, joint frames of its own, another
 size, unit and vertical. The take is written on it as BVH, read again, and retargeted by names and tree alone. Rotations of shoulders, elbows, wrists,
 hips, knees and ankles are compared with the direct retarget of the same take in every frame. A rig is right where all limbs match and the worst is within
-two degrees; wrists and ankles whose rest pose the rig's file does not show are reported separately (`ends`); it is refused where `UnmatchedJoints` says so; anything else is wrong. Rigs of `HELD_OUT` were added when those before them were right.
+two degrees; wrists and ankles whose rest pose the rig's file does not show are reported separately (`ends`); it is refused where
+`UnmatchedJoints` says so; anything else is wrong. Rigs of `HELD_OUT` were added when those before them were right. The limbs of every rig are
+found once more without names, by the tree alone.
 Run it from the root of the checkout.
 """
 
@@ -23,6 +25,8 @@ from benchmarks._foreign_rigs import HELD_OUT, LACKING, TUNED
 from benchmarks._rigs import Rig, acting, make_rig
 from benchmarks._scenes import CAPTURED, RATE, cmu_motion, shared_folder
 from benchmarks.report import finish, progress
+from jaxcap.edit.matching.limbs import find_limbs
+from jaxcap.edit.matching.names import read_name
 from jaxcap.edit.matching.reference import posed
 from jaxcap.io.registry import read_motion
 
@@ -102,6 +106,20 @@ def measure(
     }
 
 
+def by_tree_alone(skeleton: jc.Skeleton) -> str:
+    """Find the limbs of a skeleton whose names are taken away: right, refused or wrong, against those found by names."""
+    named = find_limbs(skeleton, [read_name(name) for name in skeleton.names])
+    alone = find_limbs(skeleton, [read_name(f"joint{row}") for row in range(skeleton.num_joints)])
+    wanted, found = ([{limb.joints for limb in kind} for kind in limbs] for limbs in (named, alone))
+    if found == wanted:
+        return "right"
+    return (
+        "refused"
+        if all(not here or here == there for here, there in zip(found, wanted, strict=True))
+        else "wrong"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.retarget_rigs", description=str(__doc__).splitlines()[0]
@@ -113,14 +131,17 @@ def main() -> None:
     options = parser.parse_args()
     shared, human = shared_folder(), jc.human(resolution="low")
     start, rows = time.perf_counter(), {}
+    alone: list[str] = []
     for take in options.takes:
         motion, skeleton = cmu_motion(shared, take)
         motion = motion.slice(slice(None, None, round(CAPTURED / RATE))).slice(slice(options.frames))
         plan = jc.edit.plan_retarget(skeleton, human.skeleton, None, motion)
         direct = jc.retarget(motion, skeleton, human.skeleton, plan=plan)
         acted = acting(skeleton, motion)
+        alone.append(by_tree_alone(skeleton))
         with tempfile.TemporaryDirectory() as folder:
             for name in options.rigs:
+                alone.append(by_tree_alone(make_rig(acted, rigs[name])[0]))
                 row = rows[take, name] = measure(
                     rigs[name], take, acted, direct, plan.ratio, human, Path(folder)
                 )
@@ -149,11 +170,13 @@ def main() -> None:
         "silent": sum(len(row["silent"]) for row in matched),  # pyright: ignore[reportArgumentType]
         "schemes_right": len({name.split()[1] for name in right} - set(LACKING)),
         "held_out_right": len({name.split()[1] for name in right} & held),
+        **{f"without_names_{outcome}": alone.count(outcome) for outcome in ("right", "refused", "wrong")},
         "degrees": {f"{take} {name}": row.get("degrees", "refused") for (take, name), row in rows.items()},
     }
     limits = {
         "wrong": ("==", 0),
         "silent": ("==", 0),
+        "without_names_wrong": ("==", 0),
         "worst_degrees": ("<=", 2.0),
         "worst_ratio_percent": ("<=", 0.5),
         "schemes_right": (">=", min(6, len(set(options.rigs) - set(LACKING)))),

@@ -6,9 +6,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from stick_person import PERSON, build
 
+from jaxcap.body.human import human
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
+from jaxcap.edit.matching.limbs import find_limbs
 from jaxcap.edit.matching.match import match_joints
 from jaxcap.edit.matching.matches import UnmatchedJoints
 from jaxcap.edit.matching.names import read_name
@@ -172,6 +174,16 @@ def test_a_table_of_names_is_checked():
         match_joints(source, target, {**table, "Elbow": None})
     with pytest.raises(ValueError, match="'Pelvis' and 'Head' of the source are both given for 'Hips'"):
         match_joints(source, target, {**table, "Head": "Hips"})
+
+
+@pytest.mark.parametrize("joints", ["full", "tracking"])
+def test_limbs_of_a_human_without_names_are_those_that_its_names_say(joints):
+    skeleton = human(resolution="low", joints=joints).skeleton
+    named = find_limbs(skeleton, [read_name(name) for name in skeleton.names])
+    alone = find_limbs(skeleton, [read_name(f"joint{row}") for row in range(skeleton.num_joints)])
+    for wanted, found in zip(named, alone, strict=True):
+        assert len(found) == 2
+        assert {limb.joints for limb in found} == {limb.joints for limb in wanted}
 
 
 def test_two_equal_chains_are_no_arms():

@@ -16,11 +16,12 @@ from .names import ARM, LEG, JointName, Side
 #: points for a name that says the part, that likely says it, that may say it, and that says another
 SAYS, LIKELY, MAY_SAY, DENIES = 3.0, 2.5, 1.5, -4.0
 #: points for a helper, and for a joint that is passed over
-HELPER, PASSED = -3.0, -0.5
-#: how unlike the two bones of a limb may be without loss, as a logarithm, and what more of it costs
-UNLIKE, COST = 0.3, 4.0
+HELPER, PASSED = -3.0, -1.0
+#: how much longer the upper and the lower bone of a limb may be than the other without loss, as logarithms, and what more
+#: of it costs: of a person's limbs the lower bone is hardly ever the longer one
+UPPER, LOWER, COST = 0.4, 0.1, 4.0
 #: a limb needs so many points by its names where it has no twin, and a pair so many each where no name says anything
-ALONE, UNNAMED = 5.0, -1.0
+ALONE, UNNAMED = 5.0, -1.2
 #: by so many points more than all others the limbs of a body without names have to be likely
 SURE = 0.3
 #: joints from the first of a limb to its last, at most
@@ -146,7 +147,8 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
             beyond = min(max(0.0, reach[last] / (upper + lower) - 0.5), 0.5)
             skipped = passed(above, first, middle, kind[0]) + passed(above, middle, last, kind[1])
             score = named + PASSED * skipped - COST * beyond
-            score -= COST * max(0.0, abs(np.log(upper / lower)) - UNLIKE)
+            ratio = np.log(upper / lower)
+            score -= COST * max(0.0, ratio - UPPER, -ratio - LOWER)
             found.append(Limb((first, middle, last), next(iter(sides), None), named, float(score)))
     if not found:
         return []

@@ -1,6 +1,6 @@
 """Match the joints of two skeletons."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -83,7 +83,13 @@ def _named(source: Skeleton, target: Skeleton, names: Mapping[str, str | None]) 
 
 def _carried(person: Person, pairs: Mapping[int, int]) -> Person:
     """The person of the target in the source, by the joints that match."""
-    own = lambda joint: pairs.get(joint, -1)  # noqa: E731
+
+    def own(joint: int) -> int:
+        return pairs.get(joint, -1)
+
+    def chain(joints: Iterable[int]) -> tuple[int, ...]:
+        return tuple(own(joint) for joint in joints if own(joint) >= 0)
+
     limbs = {key: own(joint) for key, joint in person.parts.items()}
     parts = {}
     for kind, names in (("leg", LEG), ("arm", ARM)):
@@ -93,7 +99,6 @@ def _carried(person: Person, pairs: Mapping[int, int]) -> Person:
                 parts |= {
                     (side, part): limbs[side, part] for part in kept if limbs.get((side, part), -1) >= 0
                 }
-    chain = lambda joints: tuple(own(joint) for joint in joints if own(joint) >= 0)  # noqa: E731
     return Person(
         own(person.pelvis), chain(person.spine), chain(person.neck), own(person.head), parts, {}, ()
     )
