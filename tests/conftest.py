@@ -12,9 +12,11 @@ from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("MPLBACKEND", "Agg")
-# compiled once for all processes, those of the command line's tests among them; the default is for larger programs
+# the cores are the workers'
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# compiled once for all processes, those of the command line's tests among them, single operations too
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", f"{Path(__file__).resolve().parents[1]}/.pytest_cache/jax")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 import hypothesis
 import jax

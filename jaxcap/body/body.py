@@ -1,5 +1,7 @@
 """A body: a skeleton, a surface, and a skin that binds the one to the other."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -43,6 +45,7 @@ class Posed(eqx.Module):
 
 
 @checked
+@partial(jax.jit, inline=True)
 def pose_body(body: Body, pose: Pose) -> Posed:
     """Put a body into a pose. What the caller does not use is not computed under `jit`."""
     transforms = forward_kinematics(body.skeleton, pose)

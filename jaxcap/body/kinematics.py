@@ -1,5 +1,7 @@
 """Forward kinematics, batched over all joints of a tree."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,6 +25,7 @@ class Transforms(eqx.Module):
 
 
 @checked
+@partial(jax.jit, inline=True)
 def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
     """The world transform of every bone, `T_j = T_parent . Translate(t_j) . Rot(q_j about c_j)`
     (Kineben, eq. 1; Adaptation, section 3.1), and last the pose's scale.
@@ -47,11 +50,13 @@ def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
     return Transforms(pose.scale * rotations[:world], pose.scale * translations[:world])
 
 
+@partial(jax.jit, inline=True)
 def joint_positions(skeleton: Skeleton, transforms: Transforms) -> Float[Array, "J 3"]:
     """World positions of the joint centres, metres."""
     return jnp.einsum("jab,jb->ja", transforms.rotations, skeleton.centres) + transforms.translations
 
 
+@partial(jax.jit, inline=True)
 def world_axes(
     skeleton: Skeleton, pose: Pose, transforms: Transforms
 ) -> tuple[Float[Array, "J 3 3"], Float[Array, "J 3 3"]]:

@@ -1,6 +1,7 @@
 """One frame's configuration of a skeleton, and how a tangent vector changes it."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -92,6 +93,7 @@ def concatenate_poses(parts: Sequence[Pose]) -> Pose:
     )
 
 
+@partial(jax.jit, inline=True)
 def shift_roots(skeleton: Skeleton, poses: Pose, shifts: Float[np.ndarray | Array, "*frames 3"]) -> Pose:
     """A pose, or each of a stack, moved in the world as a whole by its own `shifts`, metres."""
     roots = np.flatnonzero(np.array(skeleton.parents) < 0)
@@ -102,6 +104,7 @@ def shift_roots(skeleton: Skeleton, poses: Pose, shifts: Float[np.ndarray | Arra
 
 
 @checked
+@partial(jax.jit, inline=True)
 def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:
     """Move a pose along a tangent vector `d`, metres and radians, laid out by `dof_layout`.
 
@@ -122,6 +125,7 @@ def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:
 
 
 @checked
+@partial(jax.jit, inline=True)
 def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
     """The tangent `d` with `retract(a, d) = b`, where the joints' kinds allow `b`."""
     layout = dof_layout(skeleton)
@@ -141,6 +145,7 @@ def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
 
 
 @checked
+@partial(jax.jit, inline=True)
 def project(skeleton: Skeleton, pose: Pose) -> Pose:
     """The pose nearest to `pose` among those that the joints' kinds allow: a fixed joint
     does not turn, a revolute one turns about its axis only, and so on."""
@@ -156,17 +161,20 @@ def project(skeleton: Skeleton, pose: Pose) -> Pose:
     return Pose(jnp.where(slides, pose.translations, 0.0), rotation.normalise(rotations), pose.scale)
 
 
+@partial(jax.jit, inline=True)
 def revolute_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J"]:
     """Turn of every joint about its first axis, in `[-pi, pi]`; for revolute joints, the angle."""
     return rotation.angle_about(pose.rotations, skeleton.axes[:, 0])
 
 
+@partial(jax.jit, inline=True)
 def universal_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 2"]:
     """The two angles of universal joints, with `R = Rot(axis 0, first) Rot(axis 1, second)`; rows of
     other joints have no meaning."""
     return rotation.angles_about(pose.rotations, skeleton.axes[:, 0], skeleton.axes[:, 1])
 
 
+@partial(jax.jit, inline=True)
 def own_vectors(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 3"]:
     """Every joint's turn from rest as a rotation vector in the joint's own frame, radians."""
     return rotation.rotate(rotation.conjugate(skeleton.orientations), rotation.log(pose.rotations))

@@ -2,9 +2,10 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from ..body.pose import Pose, shift_roots
 from ..body.skeleton import Skeleton
@@ -47,7 +48,12 @@ def move(skeleton: Skeleton, planar: list[Planar] | Planar, poses: Pose) -> Pose
     dtype = poses.rotations.dtype
     headings = jnp.asarray([one.heading for one in each], dtype)
     shifts = jnp.asarray([[one.shift[0], 0.0, one.shift[1]] for one in each], dtype).reshape(-1, 3)
-    turns = rotation.exp(headings[:, None] * jnp.asarray([0.0, 1.0, 0.0], dtype))
+    return _moved(skeleton, headings, shifts, poses)
+
+
+@jax.jit
+def _moved(skeleton: Skeleton, headings: Float[Array, "F"], shifts: Float[Array, "F 3"], poses: Pose) -> Pose:
+    turns = rotation.exp(headings[:, None] * jnp.asarray([0.0, 1.0, 0.0], headings.dtype))
     translations, rotations = poses.translations, poses.rotations
     for root in np.flatnonzero(np.array(skeleton.parents) < 0):
         centre = skeleton.centres[root]

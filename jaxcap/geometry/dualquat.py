@@ -9,6 +9,9 @@ What is blended is left unnormalised: `apply` and `to_rigid` divide by the squar
 the real part, so that no square root stands in the way of a derivative.
 """
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -22,22 +25,26 @@ def identity(dtype=None) -> Float[Array, "8"]:
     return jnp.zeros(8, dtype).at[0].set(1.0)
 
 
+@partial(jax.jit, inline=True)
 def from_rigid(q: rotation.Quaternion, t: rotation.Vector) -> DualQuaternion:
     """The motion `x -> R x + t`, metres, of a unit quaternion and a shift."""
     return jnp.concatenate([q, rotation.multiply(_imaginary(t) / 2.0, q)], -1)
 
 
+@partial(jax.jit, inline=True)
 def about_centre(q: rotation.Quaternion, centre: rotation.Vector) -> DualQuaternion:
     """The turn by the unit quaternion `q` about `centre`, metres."""
     return from_rigid(q, centre - rotation.rotate(q, centre))
 
 
+@partial(jax.jit, inline=True)
 def from_twist(twist: Float[Array, "*shape 6"]) -> DualQuaternion:
     """The rate at rest of a motion along the field `x -> a x x + b`, with `twist = (a, b)`: a motion
     `d` that is carried along has the rate `from_twist(twist) d`."""
     return jnp.concatenate([_imaginary(twist[..., :3]), _imaginary(twist[..., 3:])], -1) / 2.0
 
 
+@partial(jax.jit, inline=True)
 def multiply(a: DualQuaternion, b: DualQuaternion) -> DualQuaternion:
     """The motion `b` followed by `a` (eq. A.2 with quaternions for numbers)."""
     real = rotation.multiply(a[..., :4], b[..., :4])
@@ -45,11 +52,13 @@ def multiply(a: DualQuaternion, b: DualQuaternion) -> DualQuaternion:
     return jnp.concatenate([real, dual], -1)
 
 
+@partial(jax.jit, inline=True)
 def conjugate(d: DualQuaternion) -> DualQuaternion:
     """The inverse motion of a unit dual quaternion."""
     return jnp.concatenate([rotation.conjugate(d[..., :4]), rotation.conjugate(d[..., 4:])], -1)
 
 
+@partial(jax.jit, inline=True)
 def apply(d: DualQuaternion, x: rotation.Vector) -> rotation.Vector:
     """Move the point `x` by the motion that `d` is a multiple of, `d` of unit length or not.
 
@@ -60,6 +69,7 @@ def apply(d: DualQuaternion, x: rotation.Vector) -> rotation.Vector:
     return x + 2.0 * _displacement(d, x) / _squared(d)
 
 
+@partial(jax.jit, inline=True)
 def pull_back(
     d: Float[Array, "V 8"], x: Float[Array, "V 3"], directions: Float[Array, "V R 3"]
 ) -> Float[Array, "V R 8"]:
@@ -87,6 +97,7 @@ def pull_back(
     return n[:, :, None] * jnp.stack([dot(m, lever) - along * a0, *by_v0, -mv, *by_ve], -1)
 
 
+@partial(jax.jit, inline=True)
 def to_rigid(d: DualQuaternion) -> tuple[rotation.Quaternion, rotation.Vector]:
     """Unit quaternion and shift of the motion that `d` is a multiple of."""
     a0, v0, ae, ve = d[..., :1], d[..., 1:4], d[..., 4:5], d[..., 5:]
@@ -94,6 +105,7 @@ def to_rigid(d: DualQuaternion) -> tuple[rotation.Quaternion, rotation.Vector]:
     return d[..., :4] / jnp.sqrt(squared), 2.0 * (a0 * ve - ae * v0 + jnp.cross(v0, ve)) / squared
 
 
+@partial(jax.jit, inline=True)
 def normalise(d: DualQuaternion) -> DualQuaternion:
     """`d` divided by its dual norm (eq. 3.17): real part of unit length, dual part
     perpendicular to it."""
@@ -103,6 +115,7 @@ def normalise(d: DualQuaternion) -> DualQuaternion:
     return jnp.concatenate([real, dual - along * real], -1) / jnp.sqrt(squared)
 
 
+@partial(jax.jit, inline=True)
 def align(weights: Float[Array, "V N"], motions: Float[Array, "N 8"]) -> Float[Array, "V N"]:
     """Weights with the sign that brings each motion to the hemisphere of the one with the row's
     largest weight, so that blends go the shorter way (Adaptation, "Note on Anti-Podality").

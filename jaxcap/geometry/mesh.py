@@ -1,5 +1,8 @@
 """Triangle meshes as arrays: normals and areas."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -11,6 +14,7 @@ def face_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Flo
     return jnp.cross(b - a, c - a)
 
 
+@partial(jax.jit, inline=True)
 def vertex_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Float[Array, "V 3"]:
     """Unit normals at the vertices, each triangle counted by its area.
 

@@ -8,6 +8,9 @@ Around a removable singularity both branches of a `where` are kept finite ("doub
 where"), so that values and derivatives of every order are finite there.
 """
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -21,6 +24,7 @@ def identity(dtype=None) -> Float[Array, "4"]:
     return jnp.array([1.0, 0.0, 0.0, 0.0], dtype)
 
 
+@partial(jax.jit, inline=True)
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     """The rotation `b` followed by `a` (Hamilton product `a b`)."""
     aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
@@ -28,17 +32,20 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     return jnp.concatenate([w, aw * bv + bw * av + jnp.cross(av, bv)], -1)
 
 
+@partial(jax.jit, inline=True)
 def conjugate(q: Quaternion) -> Quaternion:
     """The inverse rotation of a unit quaternion."""
     return q * jnp.array([1.0, -1.0, -1.0, -1.0], q.dtype)
 
 
+@partial(jax.jit, inline=True)
 def normalise(q: Quaternion) -> Quaternion:
     """`q` at unit length, with `w >= 0`: the shortest of the two arcs."""
     q = q / jnp.sqrt(jnp.sum(q * q, -1, keepdims=True))
     return jnp.where(q[..., :1] < 0, -q, q)
 
 
+@partial(jax.jit, inline=True)
 def rotate(q: Quaternion, x: Vector) -> Vector:
     """Turn the vector `x` by `q`."""
     w, v = q[..., :1], q[..., 1:]
@@ -46,6 +53,7 @@ def rotate(q: Quaternion, x: Vector) -> Vector:
     return x + w * t + jnp.cross(v, t)
 
 
+@partial(jax.jit, inline=True)
 def exp(w: Vector) -> Quaternion:
     """Rotation about `w` by `|w|` radians; smooth at `w = 0`.
 
@@ -60,6 +68,7 @@ def exp(w: Vector) -> Quaternion:
     return jnp.concatenate([cosine, half_sinc * w], -1)
 
 
+@partial(jax.jit, inline=True)
 def log(q: Quaternion) -> Vector:
     """Rotation vector of `q`, at most pi radians long; the inverse of `exp`.
 
@@ -79,12 +88,14 @@ def log(q: Quaternion) -> Vector:
     return jnp.where(small, near, far) * v
 
 
+@partial(jax.jit, inline=True)
 def about_axis(axis: Vector, angle: Float[Array, "*shape"]) -> Quaternion:
     """Rotation about a unit `axis` by `angle` radians."""
     half = jnp.asarray(angle)[..., None] / 2.0
     return jnp.concatenate([jnp.cos(half), jnp.sin(half) * axis], -1)
 
 
+@partial(jax.jit, inline=True)
 def angle_about(q: Quaternion, axis: Vector) -> Float[Array, "*shape"]:
     """Angle of the twist of `q` about a unit `axis`, in `[-pi, pi]` radians.
 
@@ -96,6 +107,7 @@ def angle_about(q: Quaternion, axis: Vector) -> Float[Array, "*shape"]:
     return 2.0 * jnp.arctan2(jnp.where(undefined, 0.0, sign * s), jnp.where(undefined, 1.0, sign * w))
 
 
+@partial(jax.jit, inline=True)
 def angles_about(q: Quaternion, first: Vector, second: Vector) -> Float[Array, "*shape 2"]:
     """The two angles of `q = Rot(first, a) Rot(second, b)` about unit axes, in `[-pi, pi]` radians.
 
@@ -112,6 +124,7 @@ def angles_about(q: Quaternion, first: Vector, second: Vector) -> Float[Array, "
     return jnp.stack([a, angle_about(multiply(about_axis(first, -a), q), second)], -1)
 
 
+@partial(jax.jit, inline=True)
 def swing_twist(q: Quaternion, axis: Vector) -> tuple[Quaternion, Quaternion]:
     """Split `q = swing * twist`: the twist turns about `axis`, the swing about a
     perpendicular of it (Adaptation, section 3.1).
@@ -122,6 +135,7 @@ def swing_twist(q: Quaternion, axis: Vector) -> tuple[Quaternion, Quaternion]:
     return multiply(q, conjugate(twist)), twist
 
 
+@partial(jax.jit, inline=True)
 def shortest_arc(a: Vector, b: Vector) -> Quaternion:
     """The smallest rotation that turns unit vector `a` onto unit vector `b`.
 
@@ -136,6 +150,7 @@ def shortest_arc(a: Vector, b: Vector) -> Quaternion:
     return normalise(jnp.concatenate([jnp.where(opposite, 0.0, w), v], -1))
 
 
+@partial(jax.jit, inline=True)
 def to_matrix(q: Quaternion) -> Matrix:
     """The 3 x 3 rotation matrix of a unit quaternion."""
     w, x, y, z = (q[..., i] for i in range(4))
@@ -147,6 +162,7 @@ def to_matrix(q: Quaternion) -> Matrix:
     return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
+@partial(jax.jit, inline=True)
 def from_matrix(r: Matrix) -> Quaternion:
     """The quaternion of a rotation matrix (Shepperd 1978: the largest of the four
     components is taken first, so that none is lost to cancellation)."""
@@ -169,6 +185,7 @@ def from_matrix(r: Matrix) -> Quaternion:
     return normalise(jnp.take_along_axis(candidates, best, -2)[..., 0, :])
 
 
+@partial(jax.jit, inline=True)
 def skew(w: Vector) -> Matrix:
     """The matrix `[w]x` of the cross product: `skew(w) @ x = w x x` (Kineben, eq. 33)."""
     x, y, z = w[..., 0], w[..., 1], w[..., 2]
@@ -176,6 +193,7 @@ def skew(w: Vector) -> Matrix:
     return jnp.stack([jnp.stack(row, -1) for row in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
 
 
+@partial(jax.jit, inline=True)
 def right_jacobian(w: Vector) -> Matrix:
     """`Jr(w)` with `exp(w + d) = exp(w) exp(Jr(w) d)` to first order in `d`."""
     squared = jnp.sum(w * w, -1)[..., None, None]
@@ -187,11 +205,13 @@ def right_jacobian(w: Vector) -> Matrix:
     return jnp.eye(3, dtype=w.dtype) - a * cross + b * (cross @ cross)
 
 
+@partial(jax.jit, inline=True)
 def slerp(a: Quaternion, b: Quaternion, t: Float[Array, "*shape"]) -> Quaternion:
     """The rotation a share `t` of the way from `a` to `b` along the shortest arc."""
     return multiply(a, exp(jnp.asarray(t)[..., None] * log(multiply(conjugate(a), b))))
 
 
+@partial(jax.jit, inline=True)
 def distance(a: Quaternion, b: Quaternion) -> Float[Array, "*shape"]:
     """Angle between two rotations, in `[0, pi]` radians."""
     relative = multiply(conjugate(a), b)
