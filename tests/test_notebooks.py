@@ -60,7 +60,10 @@ def test_a_notebook_runs(name):
         assert len(apart) == 2
         assert max(apart) < 1e-12
     if name == "batch":
-        assert float(done.stdout.split("difference of a quaternion:")[1].split()[0]) < 1e-3
+        # rounding differs between programs, and may decide which of two vertices is nearest
+        assert int(re.findall(r"agree to 1e-5: (\d+) of 16", done.stdout)[0]) >= 13
+        alone, together = map(float, re.findall(r"joints: (\S+) mm alone, (\S+) mm together", done.stdout)[0])
+        assert abs(alone - together) < 0.2
 
 
 @pytest.mark.parametrize("name", NAMES)
