@@ -22,9 +22,7 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.report.render import draw_surface, frame, turned
-
-VIEW = turned(np.eye(3), 25)
+from jaxcap.report.plots import BLUE, chart, distance_bar, draw_person, draw_scan, frame_together, say
 
 # %% [markdown]
 # The actor: a woman, small and heavier than the template, seen by four cameras with 3 mm of noise.
@@ -86,18 +84,42 @@ print(
 )
 
 # %%
-figure, plots = plt.subplots(1, 4, figsize=(8.0, 3.4))
-bodies = (("template", template), ("its size", states[0].body), ("adapted", last.body), ("actor", actor))
-for plot, (name, body) in zip(plots, bodies, strict=True):
-    draw_surface(plot, np.asarray(body.vertices, float), np.asarray(body.faces), VIEW)
-    frame(plot, np.array([-0.6, -0.9]), np.array([0.6, 1.0]), name)
+bodies = {"the template": template, "its size": states[0].body, "adapted": last.body, "the actor": actor}
+figure, plots = plt.subplots(1, 4, figsize=(9.0, 4.0))
+figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.92, wspace=0.0)
+seen = []
+for plot, body in zip(plots, bodies.values(), strict=True):
+    # all on one floor
+    surface = np.asarray(body.vertices, float) - [0.0, float(body.vertices[:, 1].min()), 0.0]
+    seen.append(draw_person(plot, surface, np.asarray(body.faces)))
+frame_together(plots, seen, list(bodies))
+plt.show()
+
+# %% [markdown]
+# The scans on the bodies: their distance after the first stage, and in the end.
+
+# %%
+figure, plots = plt.subplots(1, 4, figsize=(9.0, 4.4))
+figure.subplots_adjust(left=0.0, right=1.0, top=0.92, wspace=0.0)
+seen, titles = [], []
+for column, (name, state, number) in enumerate(
+    (name, state, number) for number in (0, 3) for name, state in (("its size", states[0]), ("adapted", last))
+):
+    surface = np.asarray(jc.pose_body(state.body, state.motion[number]).vertices, float)
+    seen.append(draw_person(plots[column], surface, np.asarray(state.body.faces)))
+    draw_scan(plots[column], scans[number].points, surface, np.asarray(state.body.faces), far=0.03)
+    titles.append(f"{name}, scan {number}")
+frame_together(plots, seen, titles)
+distance_bar(figure, 0.03)
 plt.show()
 
 # %%
-figure, plot = plt.subplots(figsize=(6.0, 2.6))
-plot.plot([value for _, value in last.history], marker="o")
-plot.set_xticks(
-    range(len(last.history)), [name for name, _ in last.history], rotation=30, ha="right", fontsize=8
-)
-plot.set(ylabel="pairs, mm", ylim=(0, None))
+names, values = zip(*last.history, strict=True)
+figure, plot = plt.subplots(figsize=(7.0, 3.2))
+plot.plot(values, color=BLUE, marker="o", ms=4)
+plot.set_xticks(range(len(names)), names, rotation=30, ha="right")
+plot.set_ylim(0, None)
+for stage in (0, len(values) - 1):
+    say(plot, f"{values[stage]:.1f} mm", (stage, values[stage]), BLUE, xytext=(-2, 8))
+chart(plot, "Proportions bring most; pairs that are found anew may cost a little for once", up="pairs, mm")
 plt.show()

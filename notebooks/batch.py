@@ -29,7 +29,19 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import jaxcap as jc
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.report.render import draw_surface, frame, turned
+from jaxcap.report.plots import (
+    AMBER,
+    BLUE,
+    GREEN,
+    QUIET,
+    RED,
+    chart,
+    distance_bar,
+    draw_person,
+    draw_scan,
+    frame_together,
+    say,
+)
 
 jax.devices()
 
@@ -120,20 +132,43 @@ print("largest difference of a quaternion:", float(jnp.abs(together.rotations - 
 # Which quarter a device had, and how far joints were off before and after.
 
 # %%
-figure, plot = plt.subplots(figsize=(6.0, 2.6))
-colours = plt.get_cmap("tab10")(np.arange(BATCH) // (BATCH // 4))
-plot.bar(np.arange(BATCH), apart(starts), color=colours, alpha=0.3)
-plot.bar(np.arange(BATCH), apart(together), color=colours)
-plot.set(xlabel="cloud; a colour is a device", ylabel="joints, mm")
+number, before, after = np.arange(BATCH), apart(starts), apart(together)
+colours = np.repeat([BLUE, GREEN, AMBER, RED], BATCH // 4)
+figure, plot = plt.subplots(figsize=(7.0, 3.2))
+plot.vlines(number, after, before, color="#dde3ea", linewidth=5)
+plot.scatter(number, before, s=26, color=QUIET, zorder=3)
+plot.scatter(number, after, s=34, color=colours, zorder=3)
+plot.set(yscale="log", xticks=number)
+for device in range(4):
+    first = device * BATCH // 4
+    say(
+        plot,
+        f"device {device}",
+        (first, 0.0),
+        colours[first],
+        xycoords=("data", "axes fraction"),
+        xytext=(-4, 6),
+    )
+say(plot, "start", (0, before[0]), QUIET, xytext=(-6, 7))
+chart(
+    plot,
+    "Each device brings its four bodies from decimetres to millimetres",
+    "cloud",
+    "mean error of joints, mm",
+)
 plt.show()
 
 # %%
-figure, plots = plt.subplots(1, 4, figsize=(8.0, 2.6))
-view = turned(np.eye(3), 25)
-for column, number in enumerate(range(0, BATCH, BATCH // 4)):
-    vertices = jc.pose_body(body, one_of(together, number)).vertices
-    seen = draw_surface(plots[column], np.asarray(vertices, float), np.asarray(body.faces), view)
-    frame(plots[column], seen.min(0)[:2], seen.max(0)[:2], f"cloud {number}, device {column}")
+chosen = range(0, BATCH, BATCH // 4)
+figure, plots = plt.subplots(1, 4, figsize=(9.0, 3.4))
+figure.subplots_adjust(left=0.0, right=1.0, top=0.92, wspace=0.0)
+seen = []
+for plot, number in zip(plots, chosen, strict=True):
+    surface = np.asarray(jc.pose_body(body, one_of(together, number)).vertices, float)
+    seen.append(draw_person(plot, surface, np.asarray(body.faces)))
+    draw_scan(plot, np.asarray(clouds.points[number], float), surface, np.asarray(body.faces))
+frame_together(plots, seen, [f"cloud {number}, device {device}" for device, number in enumerate(chosen)])
+distance_bar(figure)
 plt.show()
 
 # %% [markdown]

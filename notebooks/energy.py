@@ -21,32 +21,33 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from jaxtyping import Array, Float, Int
+import trimesh
+from jaxtyping import Array, Float
 
 import jaxcap as jc
 from jaxcap.body.anatomy import rest_deviations
-from jaxcap.report.render import draw_surface, frame, turned
+from jaxcap.report.plots import BLUE, chart, draw_person, frame_together, say
+from jaxcap.report.render import raised, turned
 
-VIEW = turned(np.eye(3), 35)
+VIEW = raised(turned(np.eye(3), 40.0), 10.0)
 body = jc.human(resolution="low", joints="tracking")
 skeleton = body.skeleton
 rest = jc.rest_pose(skeleton)
 
 # %% [markdown]
-# Two energies of our own: feet that stay on the floor, and a head that looks at a place. Data are fields, the residual is one
-# method. It reads what it needs of the posed body; nothing is computed twice, and what no energy reads not at all.
+# Two energies of our own: balance, so that the middle of the body stays over the feet, and a head that looks at a place. Data are
+# fields, the residual is one method. It reads what it needs of the posed body; nothing is computed twice, and what no energy reads
+# not at all.
+
 
 # %%
-FLOOR = -0.82
+class Balance(jc.AbstractEnergy):
+    """How far the middle of the body is from being above a place, metres along x and z."""
 
+    above: Float[Array, "3"]
 
-class OnFloor(jc.AbstractEnergy):
-    """Height of chosen vertices over the floor, metres."""
-
-    vertices: Int[Array, "C"]
-
-    def residual(self, posed: jc.Posed) -> Float[Array, "C"]:
-        return posed.vertices[self.vertices, 1] - FLOOR
+    def residual(self, posed: jc.Posed) -> Float[Array, "2"]:
+        return (posed.vertices.mean(0) - self.above)[jnp.array([0, 2])]
 
 
 class LookAt(jc.AbstractEnergy):
@@ -62,12 +63,14 @@ class LookAt(jc.AbstractEnergy):
 
 
 # %% [markdown]
-# The right hand reaches for a ball beside the knee, feet stay where they are, the head looks at the ball, and joints would rather
-# bend as people's do.
+# The right hand reaches for a ball in front of the hip, both soles stay where they are, the body stays above them, the head looks at
+# the ball, and joints would rather bend as people's do.
 
 # %%
-ball = jnp.array([-0.35, -0.42, 0.45])
-soles = jnp.argsort(body.vertices[:, 1])[:40]
+ball = jnp.array([-0.28, 0.03, 0.52])
+FLOOR = float(body.vertices[:, 1].min())
+soles = jnp.flatnonzero(body.vertices[:, 1] < FLOOR + 0.02)
+feet = body.vertices[soles]
 hand, head = skeleton.index("RightHand"), skeleton.index("Head")
 
 
@@ -75,9 +78,10 @@ def wish(ball):
     reach = jc.joint_landmarks(
         jnp.zeros((skeleton.num_joints, 3)).at[hand].set(ball), jnp.eye(skeleton.num_joints)[hand]
     )
-    stand = jc.VertexLandmarks(soles, body.vertices[soles], jnp.ones(len(soles)))
+    stand = jc.VertexLandmarks(soles, feet, jnp.ones(len(soles)))
+    balance = Balance(feet.mean(0))
     natural = jc.RestPrior(jnp.asarray(rest_deviations(skeleton, 0.5)))
-    return 100.0 * reach + 10.0 * stand + 10.0 * OnFloor(soles) + 0.3 * LookAt(head, ball) + 0.01 * natural
+    return 100.0 * reach + 10.0 * stand + 50.0 * balance + 0.1 * LookAt(head, ball) + 0.01 * natural
 
 
 solution = jc.solve(wish(ball), body, rest)
@@ -86,16 +90,21 @@ print(f"{int(solution.num_steps)} steps")
 
 
 # %%
-def show(plot, pose, title):
+def show(plot, pose):
     surface = np.asarray(jc.pose_body(body, pose).vertices, float)
-    draw_surface(plot, surface, np.asarray(body.faces), VIEW)
-    frame(plot, np.array([-0.7, -0.9]), np.array([0.7, 0.95]), title)
-    plot.scatter(*(VIEW @ np.asarray(ball))[:2], s=60, color="#d7263d", zorder=5)
+    faces = np.asarray(body.faces)
+    seen = draw_person(plot, surface, faces, VIEW, floor=FLOOR)
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    draw_person(
+        plot, sphere.vertices + np.asarray(ball), sphere.faces, VIEW, np.array([0.84, 0.2, 0.26]), FLOOR
+    )
+    return seen
 
 
-figure, plots = plt.subplots(1, 2, figsize=(6.0, 3.8))
-show(plots[0], rest, "rest")
-show(plots[1], solution.pose, "reaching, standing, looking")
+figure, plots = plt.subplots(1, 2, figsize=(7.0, 4.6))
+figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.93, wspace=0.0)
+seen = [show(plot, pose) for plot, pose in zip(plots, (rest, solution.pose), strict=True)]
+frame_together(plots, seen, ["at rest", "reaching for the ball, standing, looking at it"])
 plt.show()
 
 # %% [markdown]
@@ -104,9 +113,13 @@ plt.show()
 # Weights multiply energies, not residuals. The history of the sum shows the damped steps.
 
 # %%
-figure, plot = plt.subplots(figsize=(5.0, 2.4))
-plot.semilogy(np.asarray(solution.history), marker="o")
-plot.set(xlabel="step", ylabel="E")
+history = np.asarray(solution.history)
+history = history[np.isfinite(history)]
+figure, plot = plt.subplots(figsize=(7.0, 2.8))
+plot.semilogy(history, color=BLUE, marker="o", ms=4)
+chart(plot, "Every step lowers the energy; most of it goes in the first ones", "step", "E")
+say(plot, f"{history[0]:.3g}", (0, history[0]), BLUE)
+say(plot, f"{history[-1]:.3g}", (len(history) - 1, history[-1]), BLUE, xytext=(0, 7), ha="right")
 plt.show()
 
 # %% [markdown]

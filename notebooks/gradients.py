@@ -38,6 +38,7 @@ from jaxcap.body.jacobian import (
 from jaxcap.body.kinematics import world_axes
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.geometry import rotation
+from jaxcap.report.plots import BLUE, GREEN, RED, chart, say
 
 # %% [markdown]
 # A chain with every kind of joint, and a surface of a few hundred points around it, each fixed to a bone.
@@ -112,15 +113,19 @@ def difference(step, dtype):
 
 
 steps = np.logspace(-9, -0.5, 24)
-figure, plot = plt.subplots(figsize=(6.0, 3.2))
-for dtype, colour in ((jnp.float64, "#1f4e79"), (jnp.float32, "#d7263d")):
+figure, plot = plt.subplots(figsize=(7.0, 3.6))
+for dtype, colour in ((jnp.float64, BLUE), (jnp.float32, RED)):
     errors = [float(jnp.abs(difference(step, dtype) - autodiff).max()) for step in steps]
-    plot.loglog(
-        steps, errors, marker="o", ms=3, color=colour, label=f"differences, places in {dtype.__name__}"
-    )
-plot.axhline(max(float(np.abs(closed - autodiff).max()), 1e-17), color="#2e9e4f", label="closed form")
-plot.set(xlabel="step, metres and radians", ylabel="largest distance from autodiff", ylim=(1e-22, 1e3))
-plot.legend(frameon=False, fontsize=8)
+    plot.loglog(steps, errors, marker="o", ms=3.5, color=colour)
+    say(plot, f"differences, places in {dtype.__name__}", (steps[2], errors[2]), colour, xytext=(4, 8))
+exact = max(float(np.abs(closed - autodiff).max()), 1e-17)
+plot.axhline(exact, color=GREEN, linewidth=2)
+say(plot, "closed form, no step at all", (steps[0], exact), GREEN, xytext=(0, 6))
+plot.set_ylim(exact / 30, 1e3)
+chart(
+    plot, "No step is right for differences: too long bends, too short rounds", "step, metres and radians",
+    "largest distance from autodiff",
+)  # fmt: skip
 plt.show()
 
 # %% [markdown]

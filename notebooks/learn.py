@@ -24,10 +24,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxcap as jc
-from jaxcap.report.render import distinct_colours, draw_surface, frame, turned
+from jaxcap.report.plots import (
+    BLUE,
+    PERSON,
+    SKIN,
+    chart,
+    distance_bar,
+    distance_colours,
+    draw_person,
+    frame_together,
+    say,
+)
+from jaxcap.report.render import INK, distinct_colours, draw_shadow, draw_surface
 from jaxcap.report.scores import score_meshes
-
-VIEW = turned(np.eye(3), 20)
 
 # %% [markdown]
 # Meshes of your own come from `jc.read_meshes("meshes/*.obj", unit="mm")`. Here the embedded human strikes ten random poses; nothing of its
@@ -39,10 +48,14 @@ poses = jc.sample_poses(human.skeleton, count=10)
 vertices = jax.lax.map(lambda pose: jc.pose_body(human, pose).vertices, poses)
 meshes = jc.MeshSequence(vertices, human.faces)
 
-figure, plots = plt.subplots(1, 6, figsize=(9.0, 2.2))
-for plot, mesh in zip(plots, np.asarray(meshes.vertices[:6], float), strict=True):
-    seen = draw_surface(plot, mesh, np.asarray(meshes.faces), VIEW)
-    frame(plot, seen.min(0)[:2], seen.max(0)[:2])
+figure, plots = plt.subplots(1, 6, figsize=(9.0, 2.6))
+figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.9, wspace=0.0)
+faces = np.asarray(meshes.faces)
+seen = [
+    draw_person(plot, mesh - mesh.mean(0), faces)
+    for plot, mesh in zip(plots, np.asarray(meshes.vertices[:6], float), strict=True)
+]
+frame_together(plots, seen, [f"mesh {number}" for number in range(6)])
 plt.show()
 
 # %% [markdown]
@@ -58,13 +71,13 @@ print(f"{learned.body.skeleton.num_joints - 1} joints, {len(learned.pairs)} pair
 # The objective falls from step to step, and never rises.
 
 # %%
-figure, plot = plt.subplots(figsize=(6.0, 2.6))
-values = [value for _, value in learned.history]
-plot.plot(values, marker="o", ms=3)
-plot.set_xticks(
-    range(len(values)), [step for step, _ in learned.history], rotation=60, ha="right", fontsize=7
-)
-plot.set(ylabel="Q, m²", yscale="log")
+steps, values = zip(*learned.history, strict=True)
+figure, plot = plt.subplots(figsize=(7.0, 3.2))
+plot.semilogy(values, color=BLUE, marker="o", ms=4)
+plot.set_xticks(range(len(steps)), steps, rotation=50, ha="right")
+for step in (0, len(values) - 1):
+    say(plot, f"{values[step]:.2g}", (step, values[step]), BLUE, xytext=(0, 8))
+chart(plot, "No step raises the objective", up="Q, m²")
 plt.show()
 
 # %% [markdown]
@@ -73,21 +86,20 @@ plt.show()
 # %%
 body = learned.body
 parts, parents = np.asarray(body.skin.parts()), body.skeleton.parents
-figure, plot = plt.subplots(figsize=(3.6, 4.2))
-seen = draw_surface(
-    plot,
-    np.asarray(body.vertices, float),
-    np.asarray(body.faces),
-    VIEW,
-    distinct_colours(body.skeleton.num_joints)[parts],
-    opacity=0.6,
-)
-centres = np.asarray(body.skeleton.centres) @ VIEW.T
+surface = np.asarray(body.vertices, float)
+figure, plots = plt.subplots(1, 2, figsize=(6.4, 4.6))
+figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.93, wspace=0.0)
+seen = [
+    draw_person(plots[0], surface, faces, colours=distinct_colours(body.skeleton.num_joints)[parts]),
+    draw_shadow(plots[1], surface, faces, PERSON),
+]
+draw_surface(plots[1], surface, faces, PERSON, SKIN, opacity=0.35)
+centres = np.asarray(body.skeleton.centres) @ PERSON.T
 for joint, parent in enumerate(parents):
     if parent > 0:
-        plot.plot(*centres[[parent, joint], :2].T, color="#1f2933", lw=1.5)
-plot.scatter(*centres[1:, :2].T, s=14, color="#1f2933", zorder=5)
-frame(plot, seen.min(0)[:2], seen.max(0)[:2], f"{body.skeleton.num_joints - 1} joints")
+        plots[1].plot(*centres[[parent, joint], :2].T, color=INK, lw=2.0, solid_capstyle="round", zorder=4)
+plots[1].scatter(*centres[1:, :2].T, s=26, color="white", edgecolors=INK, linewidths=1.2, zorder=5)
+frame_together(plots, seen, ["parts", f"{body.skeleton.num_joints - 1} joints"])
 plt.show()
 
 # %% [markdown]
@@ -102,14 +114,21 @@ for name, motion, some in (("training", learned.motion, train), ("held out", fit
     print(f"{name}: mean {1000 * scores.mean:.1f} mm, vertices {1000 * scores.rmse:.1f} mm")
 
 # %%
-figure, plots = plt.subplots(2, 2, figsize=(4.2, 4.6))
-for column in range(2):
-    mesh = np.asarray(rest[column], float)
-    found = np.asarray(jc.pose_body(body, fit.motion[column]).vertices, float)
-    heat = plt.get_cmap("YlOrRd")(np.clip(np.linalg.norm(found - mesh, axis=1) / 0.03, 0, 1))[:, :3]
-    for row, (shape, colours) in enumerate(((mesh, np.array([0.8, 0.79, 0.76])), (found, heat))):
-        seen = draw_surface(plots[row, column], shape, np.asarray(meshes.faces), VIEW, colours)
-        frame(plots[row, column], seen.min(0)[:2], seen.max(0)[:2], ("held out", "fitted; dark is 3 cm")[row])
+FAR = 0.03
+figure, plots = plt.subplots(1, 4, figsize=(9.0, 3.8))
+figure.subplots_adjust(left=0.0, right=1.0, top=0.92, wspace=0.0)
+seen = []
+for number in range(2):
+    mesh = np.asarray(rest[number], float)
+    found = np.asarray(jc.pose_body(body, fit.motion[number]).vertices, float)
+    heat = distance_colours()(np.linalg.norm(found - mesh, axis=1) / FAR)[:, :3]
+    for column, (shape, colours) in enumerate(((mesh, SKIN), (found, heat))):
+        plot = plots[2 * number + column]
+        seen.append(draw_person(plot, shape - mesh.mean(0), faces, colours=colours))
+frame_together(
+    plots, seen, [f"{what}, mesh {number}" for number in range(2) for what in ("held out", "fitted")]
+)
+distance_bar(figure, FAR, "distance from fitted vertex to true one, mm")
 plt.show()
 
 # %% [markdown]

@@ -26,6 +26,8 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.geometry import rotation
+from jaxcap.report.plots import BLUE, RED, chart
+from jaxcap.report.render import INK, distinct_colours, frame
 
 # %% [markdown]
 # A trunk with two arms, four markers on each segment, in random motion; a millimetre of noise, a tenth of the frames of some markers are missing,
@@ -62,9 +64,15 @@ frames = jc.make_markers(places[:, order], [f"m{number:02d}" for number in range
 frames.places.shape, f"{float(frames.seen.mean()):.1%} seen"
 
 # %%
-figure, plot = plt.subplots(figsize=(6.0, 2.4))
-plot.imshow(np.asarray(frames.seen).T, aspect="auto", cmap="Blues", interpolation="nearest")
-plot.set(xlabel="frame", ylabel="marker", title="what was seen")
+seen = np.asarray(frames.seen)
+figure, plot = plt.subplots(figsize=(7.0, 3.2))
+for marker in range(seen.shape[1]):
+    edges = np.flatnonzero(np.diff(np.pad(seen[:, marker].astype(int), 1)))
+    plot.hlines([marker] * (len(edges) // 2), edges[::2], edges[1::2] - 1, color=BLUE, linewidth=5)
+    for begin, end in zip(edges[1:-1:2], edges[2::2], strict=True):
+        plot.hlines(marker, begin, end - 1, color=RED, linewidth=1.5)
+plot.set_yticks(range(0, 20, 5), [frames.labels[marker] for marker in range(0, 20, 5)])
+chart(plot, "Six markers are missing for 24 frames each (thin and red)", "frame")
 plt.show()
 
 # %% [markdown]
@@ -106,17 +114,32 @@ print(f"{len(solution.lost)} frames solved, {int(solution.lost.sum())} lost")
 print(f"markers in gaps come back within {np.median(off[hidden]):.1f} mm at the median")
 
 # %%
-figure, plots = plt.subplots(1, 3, figsize=(8.0, 2.8), sharex=True, sharey=True)
+figure, plots = plt.subplots(1, 3, figsize=(9.0, 3.0))
+figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.9, wspace=0.0)
 joints = np.asarray(jc.joint_frames(calibrated.subject.skeleton, solution.motion).places)
 parents = calibrated.subject.skeleton.parents
-colours = plt.get_cmap("tab10")(np.asarray(calibrated.subject.bones))
+bones = np.asarray(calibrated.subject.bones)
+colours = distinct_colours(len(parents))
 for plot, number in zip(plots, (20, 110, 210), strict=True):
     middle = joints[number].mean(0)
-    plot.scatter(*(np.asarray(whole.places)[number] - middle)[:, :2].T, s=12, c=colours)
+    here, markers_here = joints[number] - middle, np.asarray(whole.places)[number] - middle
+    for marker, bone in enumerate(bones):
+        line = np.stack([here[bone], markers_here[marker]])
+        plot.plot(*line[:, :2].T, color=colours[bone], lw=0.8, alpha=0.6, zorder=1)
     for joint, parent in enumerate(parents):
         if parent >= 0:
-            plot.plot(*(joints[number, [parent, joint]] - middle)[:, :2].T, color="#1f2933", marker="o", ms=3)
-    plot.set(aspect="equal", title=f"frame {number}")
+            plot.plot(*here[[parent, joint], :2].T, color=INK, lw=3.0, solid_capstyle="round", zorder=2)
+    found_again = hidden[number]
+    plot.scatter(*markers_here[:, :2].T, s=34, c=colours[bones], zorder=3)
+    plot.scatter(
+        *markers_here[found_again, :2].T, s=95, facecolors="none", edgecolors=RED, linewidths=1.4, zorder=4
+    )
+    plot.scatter(*here[:, :2].T, s=30, c="white", edgecolors=INK, linewidths=1.2, zorder=5)
+    count = int(found_again.sum())
+    frame(
+        plot, np.array([-0.9, -0.75]), np.array([0.9, 0.75]),
+        f"frame {number}" + (f": ring, {count} filled" if count else ""),
+    )  # fmt: skip
 plt.show()
 
 # %% [markdown]

@@ -25,9 +25,19 @@ import numpy as np
 import jaxcap as jc
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.metrics import joint_errors
-from jaxcap.report.render import draw_surface, frame, turned
-
-VIEW = turned(np.eye(3), 25)
+from jaxcap.report.plots import (
+    AMBER,
+    BLUE,
+    PERSON,
+    RED,
+    chart,
+    distance_bar,
+    draw_person,
+    draw_scan,
+    frame_together,
+    say,
+)
+from jaxcap.report.render import draw_shadow
 
 # %% [markdown]
 # A person walks on the spot and waves, and four cameras see it: each measures depths with 4 mm of noise, a twentieth of the
@@ -56,17 +66,27 @@ motion = jc.track(body, clouds)
 motion
 
 # %% [markdown]
-# What came in, and what came out.
+# What came in, near points dark, and what came out under it: each point has the colour of its distance to the fitted surface.
 
 # %%
-figure, plots = plt.subplots(1, 6, figsize=(9.0, 3.0))
-for column, number in enumerate((0, 14, 28)):
-    seen = scans[number].points @ VIEW.T
-    plots[2 * column].scatter(*seen[np.argsort(seen[:, 2])].T[:2], s=0.6, c="#1f4e79", linewidths=0)
+faces, shown = np.asarray(body.faces), (0, 14, 28)
+figure, plots = plt.subplots(2, 3, figsize=(9.0, 7.4))
+figure.subplots_adjust(left=0.0, right=1.0, top=0.95, wspace=0.0, hspace=0.06)
+seen = []
+for column, number in enumerate(shown):
+    above, below = plots[:, column]
     surface = np.asarray(jc.pose_body(body, motion[number]).vertices, float)
-    draw_surface(plots[2 * column + 1], surface, np.asarray(body.faces), VIEW)
-    for plot in plots[2 * column : 2 * column + 2]:
-        frame(plot, np.array([-0.75, -0.85]), np.array([0.75, 1.1]), f"frame {number}")
+    seen.append(draw_shadow(above, surface, faces, PERSON))
+    points = scans[number].points @ PERSON.T
+    points = points[np.argsort(points[:, 2])]
+    above.scatter(*points[:, :2].T, c=points[:, 2], cmap="Blues", vmin=-0.6, s=2.2, linewidths=0, zorder=2)
+    seen.append(draw_person(below, surface, faces))
+    draw_scan(below, scans[number].points, surface, faces)
+titles = [f"the scan of frame {number}" for number in shown] + [
+    f"tracked, frame {number}" for number in shown
+]
+frame_together(plots.ravel(), seen, titles)
+distance_bar(figure)
 plt.show()
 
 # %% [markdown]
@@ -92,17 +112,18 @@ stream = list(jc.track_frames(tracker, broken))
 [number for number, tracked in enumerate(stream) if tracked.lost]
 
 # %%
-figure, plot = plt.subplots(figsize=(6.0, 2.4))
-plot.plot(
-    [float(tracked.statistics.mean_distance) * 1000 for tracked in stream],
-    marker="o",
-    label="mean distance, mm",
-)
-plot.plot(
-    [float(tracked.statistics.outlier_share) * 100 for tracked in stream], marker="s", label="outliers, %"
-)
-plot.set(xlabel="frame", yscale="log")
-plot.legend(frameon=False)
+distances = [float(tracked.statistics.mean_distance) * 1000 for tracked in stream]
+outliers = [float(tracked.statistics.outlier_share) * 100 for tracked in stream]
+figure, plot = plt.subplots(figsize=(7.0, 3.0))
+for lost in (number for number, tracked in enumerate(stream) if tracked.lost):
+    plot.axvspan(lost - 0.5, lost + 0.5, color="#fbe3e6", linewidth=0)
+    say(plot, "lost: noise, no scan", (lost + 0.5, max(distances)), RED, xytext=(5, -8))
+plot.plot(distances, color=BLUE, marker="o", ms=4)
+plot.plot(outliers, color=AMBER, marker="o", ms=4)
+say(plot, "mean distance, mm", (0, distances[0]), BLUE)
+say(plot, "outliers, %", (0, outliers[0]), AMBER)
+plot.set_yscale("log")
+chart(plot, "One frame of noise stands out and harms no other", "frame")
 plt.show()
 
 # %% [markdown]
