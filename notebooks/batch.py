@@ -124,7 +124,9 @@ together, _ = jax.block_until_ready(spread(shared_starts, shared_clouds))
 print(together.rotations.sharding)
 differences = jnp.abs(together.rotations - alone.rotations).max((1, 2))
 print(f"poses that agree to 1e-5: {int((differences < 1e-5).sum())} of {BATCH}")
-print(f"mean error of the joints: {apart(alone).mean():.2f} mm alone, {apart(together).mean():.2f} mm together")
+print(
+    f"mean error of the joints: {apart(alone).mean():.2f} mm alone, {apart(together).mean():.2f} mm together"
+)
 
 # %% [markdown]
 # The results are the same but for rounding, which differs between two compiled programs. Where it decides which of two vertices is the
