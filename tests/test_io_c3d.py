@@ -15,18 +15,14 @@ from hypothesis import strategies as st
 
 import jaxcap as jc
 from jaxcap.errors import InputError
-from jaxcap.io import c3d_child, c3d_process
+from jaxcap.io import c3d_child, c3d_process, process_limits
 from jaxcap.io.c3d import read_c3d, write_c3d
 from jaxcap.io.registry import read_marker_file
 
 #: limits as the program sets them for itself, with a second of CPU
 LIMITED = f"""
-import importlib.util
-spec = importlib.util.spec_from_file_location("program", {c3d_process.__file__!r})
-program = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(program)
-program.SECONDS = 1
-program._limit(0)
+import runpy
+runpy.run_path({process_limits.__file__!r})["limit"](1, {c3d_process.MEMORY})
 """
 NAMES = ["LKNE", "RKNE", "LANK", "RANK"]
 

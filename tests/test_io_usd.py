@@ -13,6 +13,7 @@ from jaxcap.body.body import deform_all
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import Skeleton
 from jaxcap.errors import InputError
+from jaxcap.io import usd_child
 from jaxcap.io.usd import write_usd
 from jaxcap.io.usd_reader import read_usd_body
 
@@ -254,3 +255,20 @@ def test_layers_outside_of_the_folder_are_not_read(tmp_path, rng, arc):
     np.testing.assert_allclose(again.vertices, body.vertices, atol=1e-6)
     with pytest.raises(InputError, match="it names '../body.usda', which is outside of its folder"):
         read_usd_body(tmp_path / "in" / "outside.usda")
+
+
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [
+        ("import os; os.abort()", "OpenUSD crashes with it, SIGABRT"),
+        ("import sys; sys.exit('bad')", "OpenUSD ends with it, bad"),
+        ("import time; time.sleep(60)", "OpenUSD does not end within 2 s"),
+    ],
+)
+def test_a_file_that_brings_openusd_down_is_refused(tmp_path, monkeypatch, program, told):
+    write_usd(tmp_path / "body.usdc", chain_body("linear"))
+    (tmp_path / "program.py").write_text(program)
+    monkeypatch.setattr(usd_child, "_PROGRAM", tmp_path / "program.py")
+    monkeypatch.setattr(usd_child, "_WAIT", 2 if "sleep" in program else 60)
+    with pytest.raises(InputError, match=f"not a whole USD file .{told}.; export it again"):
+        read_usd_body(tmp_path / "body.usdc")

@@ -5,9 +5,9 @@ imports nothing of jaxcap. It writes a line of JSON to stdout, then points `(3, 
 own format. `FOLDERS` are those of NumPy and ezc3d.
 """
 
-import contextlib
 import json
 import os
+import runpy
 import sys
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +25,9 @@ def main(path: str, folders: list[str]) -> None:
     import ezc3d
     import numpy as np
 
-    _limit(os.path.getsize(path))
+    limits = runpy.run_path(os.path.join(os.path.dirname(__file__), "process_limits.py"))
+    size = os.path.getsize(path)
+    limits["limit"](int(SECONDS + SECONDS_PER_BYTE * size), MEMORY + MEMORY_PER_BYTE * size)
     try:
         loaded = _load(ezc3d, path)
         points = np.asarray(loaded["data"]["points"], float)[:3]
@@ -61,25 +63,6 @@ def _load(ezc3d: Any, path: str) -> Any:
 def _words(value: object) -> list[str]:
     """A parameter's words; none where it has numbers."""
     return [word for word in value if isinstance(word, str)] if isinstance(value, list) else []
-
-
-def _limit(size: int) -> None:
-    """Limit memory and time, where the system can; leave no dump, and show no window, of a crash."""
-    if os.name == "nt":
-        import ctypes
-
-        ctypes.windll.kernel32.SetErrorMode(3)  # pyright: ignore[reportAttributeAccessIssue]
-        return
-    import resource
-
-    seconds = int(SECONDS + SECONDS_PER_BYTE * size)
-    memory = MEMORY + MEMORY_PER_BYTE * size
-    # at the first limit of CPU comes SIGXCPU, which says why, at the second SIGKILL
-    limits = {"RLIMIT_CORE": (0, 0), "RLIMIT_CPU": (seconds, seconds + 5), "RLIMIT_AS": (memory, memory)}
-    for name, limit in limits.items():
-        # macOS knows RLIMIT_AS and refuses it
-        with contextlib.suppress(OSError, ValueError):
-            resource.setrlimit(getattr(resource, name), limit)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from .meshes import triangulate
 from .surface import Surface, as_shares, joined
 from .text import LARGEST, check_rate, shortened
 from .usd import SUFFIXES as WRITTEN
+from .usd_child import check_usd
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdSkel
@@ -52,6 +53,7 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
             f"{path}: USD is read by the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
         ) from None
     _check_text(path)
+    check_usd(path)
     try:
         _check_layers(path)
         return _Skinned(path, Usd.Stage.Open(str(path))).read()
