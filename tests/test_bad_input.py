@@ -2,6 +2,8 @@
 
 import os
 import re
+import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
 from jaxcap.fit.check import check_cloud, check_extent
-from jaxcap.io.bvh import write_bvh
+from jaxcap.io.bvh import read_bvh, write_bvh
+from jaxcap.io.gltf_document import read_head
 from jaxcap.io.lock import run_lock
 from jaxcap.io.npz import save_body, save_motion
 from jaxcap.observe import make_cloud
@@ -297,3 +300,26 @@ def test_units_that_a_scan_may_be_in_are_named(share, factor, likely):
     seen = np.linspace([0.0, 0.0, 0.1], [0.1, share * height, 0.1], 200)
     with pytest.raises(InputError, match=re.escape(likely)):
         check_extent(body, factor * seen, "the cloud")
+
+
+def test_a_line_of_very_many_words_takes_little_memory(tmp_path):
+    """Each word is kept with its place in the line, and not with the rest of the line."""
+    path = tmp_path / "long.bvh"
+    channels = " ".join(["Xposition"] * 20_000)
+    path.write_text(f"HIERARCHY\nROOT a\n{{\nOFFSET 0 0 0\nCHANNELS 6 {channels}\n}}\nMOTION\n")
+    tracemalloc.start()
+    with pytest.raises(InputError, match="stands twice"):
+        read_bvh(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6
+
+
+def test_a_head_that_promises_more_than_is_there(tmp_path):
+    path = tmp_path / "body.glb"
+    path.write_bytes(struct.pack("<4s4I", b"glTF", 2, 20, 2**32 - 1, 0x4E4F534A) + b"{}")
+    tracemalloc.start()
+    assert read_head(path) == {}
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1e6

@@ -95,9 +95,11 @@ def read_asf(path: str | Path) -> Asf:
         elif len(bone.get("axis", (0, []))[1]) > 3:
             order = bone["axis"][1][3].lower()
         where = f"{path}:{bone.get('axis', bone['first'])[0]}"
-        turned = np.array(parse_floats(angles, where, f"the axis of '{name}'")) * turn
+        turned = np.array(parse_floats(angles, where, f"the axis of '{shortened(name)}'")) * turn
         if sorted(order) != ["x", "y", "z"] or len(turned) != 3:
-            raise InputError(f"{where}: the axis of '{name}' needs three angles and an order such as XYZ.")
+            raise InputError(
+                f"{where}: the axis of '{shortened(name)}' needs three angles and an order such as XYZ."
+            )
         frames[name] = Rotation.from_euler(order, turned).as_matrix()
         if "limits" in bone:
             words = " ".join(bone["limits"][1]).replace("(", " ").replace(")", " ").split()
@@ -105,7 +107,7 @@ def read_asf(path: str | Path) -> Asf:
             pairs = np.clip(pairs, -2 * np.pi, 2 * np.pi)
             if len(pairs) != 2 * len(dofs[name]):
                 raise InputError(
-                    f"{path}:{bone['limits'][0]}: '{name}' has {len(dofs[name])} dofs but {len(pairs) / 2:g} limits."
+                    f"{path}:{bone['limits'][0]}: '{shortened(name)}' has {len(dofs[name])} dofs but {len(pairs) / 2:g} limits."
                 )
             limits[name] = np.sort(pairs.reshape(-1, 2), 1)
     order = _root_first(parents)
@@ -120,7 +122,9 @@ def read_asf(path: str | Path) -> Asf:
         direction = np.array(_vector(bone, "direction", name, path))
         size = np.linalg.norm(direction)
         if size < 1e-9:
-            raise InputError(f"{path}:{bone['direction'][0]}: the direction of '{name}' is (0, 0, 0).")
+            raise InputError(
+                f"{path}:{bone['direction'][0]}: the direction of '{shortened(name)}' is (0, 0, 0)."
+            )
         lengths[name] = _vector(bone, "length", name, path, 1)[0] * metres
         ends[name] = ends[above] + direction / size * lengths[name]
         rotations = len([dof for dof in dofs[name] if dof[0] == "r"])
@@ -192,7 +196,7 @@ def _bones(lines: list[tuple[int, str]], path) -> dict[str, dict]:
                 raise InputError(f"{path}:{number}: a bone ends here that has no name.")
             name = fields["name"][1][0]
             if name in bones or name == "root":
-                raise InputError(f"{path}:{fields['name'][0]}: the bone '{name}' stands twice.")
+                raise InputError(f"{path}:{fields['name'][0]}: the bone '{shortened(name)}' stands twice.")
             bones[name], block = fields, None
         elif block is None:
             raise InputError(f"{path}:{number}: '{shortened(line)}' stands outside of 'begin' and 'end'.")
@@ -210,7 +214,7 @@ def _dofs(name: str, bone: dict, path) -> tuple[str, ...]:
     for word in words:
         if word not in allowed or words.count(word) > 1:
             raise InputError(
-                f"{path}:{number}: the dof '{shortened(word)}' of '{name}' is not supported; use {', '.join(allowed)} once each."
+                f"{path}:{number}: the dof '{shortened(word)}' of '{shortened(name)}' is not supported; use {', '.join(allowed)} once each."
             )
     return words
 
@@ -226,11 +230,15 @@ def _bounds(words: list[str], where: str, name: str) -> list[float]:
 
 def _vector(bone: dict, key: str, name: str, path, count: int = 3) -> list[float]:
     if key not in bone:
-        raise InputError(f"{path}:{bone['first'][0]}: '{name}' has no {key}; give it {count} numbers.")
+        raise InputError(
+            f"{path}:{bone['first'][0]}: '{shortened(name)}' has no {key}; give it {count} numbers."
+        )
     number, words = bone[key]
-    values = parse_floats(words[:count], f"{path}:{number}", f"the {key} of '{name}'")
+    values = parse_floats(words[:count], f"{path}:{number}", f"the {key} of '{shortened(name)}'")
     if len(values) != count:
-        raise InputError(f"{path}:{number}: the {key} of '{name}' has {len(values)} numbers; give {count}.")
+        raise InputError(
+            f"{path}:{number}: the {key} of '{shortened(name)}' has {len(values)} numbers; give {count}."
+        )
     return values
 
 
@@ -243,21 +251,21 @@ def _hierarchy(lines: list[tuple[int, str]], bones: dict, path) -> dict[str, str
             continue
         for name in words:
             if name not in bones:
-                raise InputError(f"{path}:{number}: the bone '{name}' is not in ':bonedata'.")
+                raise InputError(f"{path}:{number}: the bone '{shortened(name)}' is not in ':bonedata'.")
         for child in words[1:]:
             if child in parents or child == "root":
-                raise InputError(f"{path}:{number}: the bone '{child}' is given a parent twice.")
+                raise InputError(f"{path}:{number}: the bone '{shortened(child)}' is given a parent twice.")
             parents[child] = words[0]
     for name in bones:
         if name != "root" and name not in parents:
             raise InputError(
-                f"{path}:{bones[name]['first'][0]}: the bone '{name}' has no place in ':hierarchy'."
+                f"{path}:{bones[name]['first'][0]}: the bone '{shortened(name)}' has no place in ':hierarchy'."
             )
     reached = set(_root_first(parents))
     for name in parents:
         if name not in reached:
             raise InputError(
-                f"{path}:{bones[name]['first'][0]}: the bone '{name}' hangs on itself, not on the root."
+                f"{path}:{bones[name]['first'][0]}: the bone '{shortened(name)}' hangs on itself, not on the root."
             )
     return parents
 

@@ -82,7 +82,7 @@ class _Hierarchy:
     def __init__(self, lines: list[tuple[int, str]], path):
         self.path = path
         self.words = [
-            (n, m[0], line[m.end() :]) for n, line in lines for m in re.finditer(r"[{}]|[^\s{}]+", line)
+            (n, m[0], line, m.end()) for n, line in lines for m in re.finditer(r"[{}]|[^\s{}]+", line)
         ]
         self.at = 0
         #: of every joint the line of its name
@@ -132,11 +132,11 @@ class _Hierarchy:
         while self.peek().lower() in ("offset", "channels"):
             _, word = self.take("OFFSET")
             if word.lower() == "offset":
-                offset = self.floats(3, f"the OFFSET of '{name}'")
+                offset = self.floats(3, f"the OFFSET of '{shortened(name)}'")
             else:
                 channels = self.channels(name)
         if not offset:
-            raise InputError(f"{self.path}:{line}: the joint '{name}' has no OFFSET.")
+            raise InputError(f"{self.path}:{line}: the joint '{shortened(name)}' has no OFFSET.")
         found.append(_Joint(name, parent, line, offset, channels))
         return len(found) - 1
 
@@ -158,28 +158,28 @@ class _Hierarchy:
 
     def channels(self, name: str) -> list[tuple[str, str]]:
         number, word = self.take("the number of CHANNELS")
-        count = parse_int(word, f"{self.path}:{number}", f"the number of CHANNELS of '{name}'")
+        count = parse_int(word, f"{self.path}:{number}", f"the number of CHANNELS of '{shortened(name)}'")
         channels: list[tuple[str, str]] = []
         for _ in range(count):
             number, word = self.take("a channel")
             match = _CHANNEL.match(word)
             if not match:
                 raise InputError(
-                    f"{self.path}:{number}: '{shortened(word)}' is not a channel; joint '{name}' promises {count} of "
+                    f"{self.path}:{number}: '{shortened(word)}' is not a channel; joint '{shortened(name)}' promises {count} of "
                     "Xposition, Yposition, Zposition, Xrotation, Yrotation, Zrotation."
                 )
             channel = (match[2].lower(), match[1].lower())
             if channel in channels:
                 raise InputError(
-                    f"{self.path}:{number}: the channel '{word}' of joint '{name}' stands twice."
+                    f"{self.path}:{number}: the channel '{word}' of joint '{shortened(name)}' stands twice."
                 )
             channels.append(channel)
         return channels
 
     def name(self) -> tuple[str, int]:
         """The rest of the line, or up to a brace: names may hold blanks."""
-        number, _, rest = self.words[self.at - 1]
-        name = re.split(r"[{}]", rest)[0].strip()
+        number, _, line, end = self.words[self.at - 1]
+        name = re.split(r"[{}]", line[end:])[0].strip()
         if not name:
             raise InputError(f"{self.path}:{number}: a joint has no name.")
         while (

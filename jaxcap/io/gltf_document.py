@@ -27,6 +27,8 @@ def read_head(path: str | Path) -> dict[str, Any]:
             else:
                 magic, _, _, length, _ = struct.unpack("<4s4I", stream.read(20))
                 # of another kind of file nothing is read
+                # and never more than is there
+                length = min(length, Path(path).stat().st_size)
                 head = parse_json(stream.read(length), path) if magic == b"glTF" else {}
     except (OSError, ValueError, struct.error):
         return {}
