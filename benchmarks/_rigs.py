@@ -87,7 +87,10 @@ def without(*names: str) -> Callable[[Acting], Acting]:
             above = parents[acted.index(name)]
             parents = [above if parent == name else parent for parent in parents]
         kept = [row for row, name in enumerate(acted.names) if name not in names]
-        pick = lambda items: [items[row] for row in kept]  # noqa: E731
+
+        def pick(items):
+            return [items[row] for row in kept]
+
         return acted._replace(
             names=pick(acted.names),
             parents=pick(parents),

@@ -188,7 +188,7 @@ def human_scene(name: str, shared: Path, frames: int, every: int, first: int = 3
 
 
 def crane_scene(shared: Path, frames: int, every: int) -> list[Judged]:
-    """Track the crane performer; the error of a part is the mean distance of its vertices, of which clothes alone are 13 mm."""
+    """Track the crane performer. The error of a part is the mean distance of its vertices; 13 mm of it are due to clothes."""
     crane = load_crane(shared)
     body = rig_crane(crane)
     parts = np.asarray(body.skin.parts())

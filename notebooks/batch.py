@@ -88,13 +88,13 @@ def joints_of(poses):
     return jax.lax.map(lambda pose: jc.pose_body(body, pose).joints, poses)
 
 
-def apart(some):
-    """Mean error of the joints of each, millimetres."""
+def joint_errors(some):
+    """Return the mean error of the joints of each pose, millimetres."""
     return 1000 * np.linalg.norm(joints_of(some) - joints_of(truth), axis=-1).mean(1)
 
 
 print(
-    f"joints are {apart(starts).mean():.0f} mm off to begin with, {np.median(apart(alone)):.1f} mm at the median in the end"
+    f"joints are {joint_errors(starts).mean():.0f} mm off to begin with, {np.median(joint_errors(alone)):.1f} mm at the median in the end"
 )
 
 # %% [markdown]
@@ -125,19 +125,20 @@ print(together.rotations.sharding)
 differences = jnp.abs(together.rotations - alone.rotations).max((1, 2))
 print(f"poses that agree to 1e-5: {int((differences < 1e-5).sum())} of {BATCH}")
 print(
-    f"mean error of the joints: {apart(alone).mean():.2f} mm alone, {apart(together).mean():.2f} mm together"
+    f"mean error of the joints: {joint_errors(alone).mean():.2f} mm alone, {joint_errors(together).mean():.2f} mm together"
 )
 
 # %% [markdown]
-# The results are the same but for rounding, which differs between two compiled programs. Where it decides which of two vertices is the
-# nearest to a point, a pose may end a few millimetres beside the other one, as good as that. Four devices that are one processor share its cores, so nothing is gained here beyond cores that were idle; on
-# a machine with four accelerators a batch takes the time of its quarter.
+# The results are the same but for rounding, which differs between two compiled programs. Where it changes which vertex is
+# nearest to a point, a pose may converge to another minimum, a few millimetres away. Four devices that are one processor share
+# its cores, so nothing is gained here beyond cores that were idle; on a machine with four accelerators a batch takes the time
+# of its quarter.
 
 # %% [markdown]
 # Which quarter a device had, and how far joints were off before and after.
 
 # %%
-number, before, after = np.arange(BATCH), apart(starts), apart(together)
+number, before, after = np.arange(BATCH), joint_errors(starts), joint_errors(together)
 colours = np.repeat([BLUE, GREEN, AMBER, RED], BATCH // 4)
 figure, plot = plt.subplots(figsize=(7.0, 3.2))
 plot.vlines(number, after, before, color="#dde3ea", linewidth=5)

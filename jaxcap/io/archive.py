@@ -52,7 +52,7 @@ def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: T
 
 
 class Archive(NamedTuple):
-    """An `.npz` file that is open, of which no array is read yet."""
+    """Hold an open `.npz` file; its arrays are read on demand."""
 
     path: str | Path
     file: zipfile.ZipFile

@@ -53,7 +53,7 @@ class Ended(Exception):
 
 
 def _ending(library: str, code: int, said: bytes) -> str:
-    """How a process ended that ended badly."""
+    """Describe how a process failed, in a few words."""
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         if name == "SIGXCPU":

@@ -1,4 +1,4 @@
-"""Whether OpenUSD comes to its end with a file, seen in a process of its own."""
+"""Test in a separate process whether OpenUSD can read a file without crashing."""
 
 from pathlib import Path
 
