@@ -49,6 +49,7 @@ def test_track_that_searches(tmp_path):
         inputs / "body.npz",
         inputs / "clouds.npz",
         "--initialise",
+        "always",
         "--last",
         1,
         "-o",
