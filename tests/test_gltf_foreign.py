@@ -6,6 +6,7 @@ import numpy as np
 import pygltflib
 import pytest
 from helpers import chain_body, random_pose
+from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 from test_gltf import Viewer, _pose_body
 
@@ -150,6 +151,44 @@ def test_a_body_of_another_program(chain, tmp_path):
         both = [np.asarray(_pose_body(whole, motion[frame]).vertices)[used] for whole in (body, aside)]
         apart = np.linalg.norm(np.concatenate(both)[:, None] - found[None], axis=2)
         assert max(apart.min(1).max(), apart.min(0).max()) < 1e-4
+
+
+def test_spline_keys_are_sampled_as_scipy_does(chain, tmp_path, rng):
+    """Slopes of a key differ before and behind it, which SciPy is asked of each piece."""
+    _, _, path = chain
+    new = Rewriter(path)
+    animation, root = new.file.animations[0], new.file.skins[0].joints[0]
+    for channel in animation.channels:
+        sampler = animation.samplers[channel.sampler]
+        values, times = (new.old.array(number).astype(float) for number in (sampler.output, sampler.input))
+        slopes = rng.normal(size=(2, *values.shape))
+        keys = np.stack([slopes[0], values, slopes[1]], 1).astype("<f4")
+        kind = "VEC3" if values.shape[1] == 3 else "VEC4"
+        sampler.output, sampler.interpolation = (
+            new.add(keys.reshape(-1, values.shape[1]), kind),
+            "CUBICSPLINE",
+        )
+        if channel.target.node == root and channel.target.path == "translation":
+            known = times.reshape(-1), keys.astype(float)
+    new.save(tmp_path / "spline.glb")
+
+    moved = read_gltf_body(tmp_path / "spline.glb", rate=200.0)[1]
+    times, keys = known
+    clock = times[0] + np.arange(len(moved)) / 200.0
+    expected = np.zeros((len(clock), 3))
+    for k in range(len(times) - 1):
+        piece = CubicHermiteSpline(times[k : k + 2], keys[k : k + 2, 1], [keys[k, 2], keys[k + 1, 0]])
+        here = (clock >= times[k]) & (clock <= times[k + 1] + 1e-6)
+        expected[here] = piece(clock[here])
+    assert len(clock) == 17
+    np.testing.assert_allclose(
+        moved.poses.translations[:, 0] - moved.poses.translations[0, 0], expected - expected[0], atol=1e-5
+    )
+    file = pygltflib.GLTF2().load(str(tmp_path / "spline.glb"))
+    file.animations[0].samplers[0].interpolation = "LINEAR"
+    file.save_binary(str(tmp_path / "short.glb"))
+    with pytest.raises(InputError, match="3 times and 9 values; expected are 1 for each"):
+        read_gltf_body(tmp_path / "short.glb")
 
 
 def test_what_is_not_read_is_said(chain, tmp_path):

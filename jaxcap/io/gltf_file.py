@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import PPoly
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..errors import InputError
@@ -186,17 +187,22 @@ class GltfFile:
     ) -> Float[np.ndarray, "F N"]:
         """What a node's `name` is at all times of the clock."""
         how = sampler.word("interpolation", "LINEAR")
-        if how == "CUBICSPLINE":
-            raise InputError(f"{self.path}: the animation has spline keys; bake it to linear ones.")
         where, place = f"{sampler.where}.output", sampler.index("output", len(self._accessors))
-        numbers = self.array(place, len(_REST[name]), where)
-        if len(numbers) != len(times):
+        numbers, of_each = self.array(place, len(_REST[name]), where), 3 if how == "CUBICSPLINE" else 1
+        if len(numbers) != of_each * len(times):
             raise InputError(
-                f"{sampler.where} has {len(times)} times and {len(numbers)} values; it must have as many."
+                f"{sampler.where} has {len(times)} times and {len(numbers)} values; expected are {of_each} for each."
             )
+        keys = numbers.reshape(len(times), of_each, -1)
+        numbers = keys[:, of_each // 2]
         if name == "rotation":
             self._check_turns(numbers, where)
         inside = np.clip(clock, times[0], times[-1])
+        if len(times) > 1 and of_each == 3:
+            curve = _spline(times, keys)(inside)
+            if name == "rotation":
+                self._check_turns(curve, where)
+            return curve
         if len(times) == 1:
             return np.tile(numbers, (len(clock), 1))
         if how == "STEP":
@@ -212,3 +218,12 @@ class GltfFile:
             raise InputError(
                 f"{where} has a quaternion of no length, in row {int(long.argmin())}; write a rotation there."
             )
+
+
+def _spline(times: Float[np.ndarray, "K"], keys: Float[np.ndarray, "K 3 N"]) -> PPoly:
+    """The cubic through keys, each of a slope before it, a value, and a slope behind it (glTF 2.0, appendix C.5)."""
+    long = np.diff(times)[:, None]
+    (begin, out), (into, end) = keys[:-1, 1:].swapaxes(0, 1), keys[1:, :2].swapaxes(0, 1)
+    mean = (end - begin) / long
+    cubic, square = (out + into - 2 * mean) / long**2, (3 * mean - 2 * out - into) / long
+    return PPoly(np.stack([cubic, square, out, begin]), times)

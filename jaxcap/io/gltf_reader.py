@@ -32,7 +32,7 @@ def read_gltf(
     Scale may change above the roots alone and be the same along all axes.
 
     **Raises:** `InputError` where the file is not a whole one, has no skin or no such clip, or has what a
-    `Skeleton` and its `Pose` cannot hold: sheared, sparse, compressed or spline-keyed transforms.
+    `Skeleton` and its `Pose` cannot hold: sheared, sparse or compressed transforms.
     """
     file = GltfFile(path, clip)
     bound = _bind(file)
