@@ -119,7 +119,8 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
     `name` for messages.
 
     **Raises:** `InputError` with one sentence for another shape, no frames, no markers, labels too many,
-    too few, empty or twice the same, a place that is infinite, and a rate that is not above zero.
+    too few, empty or twice the same, a place that is infinite, places that cannot be in metres, and a rate that is
+    not above zero.
     """
     labels = tuple(str(label) for label in labels)
     single = getattr(places, "dtype", None) == np.float32
@@ -147,6 +148,9 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
             "marker is not seen."
         )
     seen = np.asarray(~np.isnan(places).any(2))
+    # of each frame about its own middle, for people walk far
+    shown = np.where(seen[..., None], places, np.nan)[seen.any(1)]
+    check_metres("make_markers", "places", (shown - np.nanmedian(shown, 1, keepdims=True))[seen[seen.any(1)]])
     return MarkerFrames(np.where(seen[..., None], places, 0), seen, labels, float(rate))
 
 

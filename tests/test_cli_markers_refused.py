@@ -74,7 +74,7 @@ def test_a_folder_is_no_file(capsys, tmp_path):
 
 
 def test_a_refusal_names_the_option(capsys, subject, tmp_path):
-    far = write(tmp_path / "far.csv", 1000 * PLACES)
+    far = write(tmp_path / "far.csv", unit="mm")
     two = write(tmp_path / "two.c3d", labels=[f"{'Anna' if i < 12 else 'Ben'}:{label}" for i, label in enumerate(LABELS)])  # fmt: skip
     fit, solve = ("markers", "fit", "-o", tmp_path / "s.npz"), ("markers", "solve", subject)
     for command in ((*fit, far), (*solve, far, "-o", tmp_path / "o.bvh")):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..errors import InputError
-from ..observe import MarkerFrames, make_markers
+from ..observe import MarkerFrames
 from .text import LARGEST, UNITS, check_rate, unit_scale
 
 #: metres between which the longest side of the markers of one frame has to be
@@ -189,7 +189,8 @@ def make_file(
             f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
         )
     check_rate(rate, str(where))
-    frames = make_markers(np.where(lost[..., None], np.nan, places * scale), names, rate, name=str(where))
+    # whether a person fits this unit is `check_extent`'s to say, which knows of more units
+    frames = MarkerFrames(np.where(lost[..., None], 0.0, places * scale), ~lost, tuple(names), float(rate))
     said = unit if isinstance(unit, str) else f"{unit:g} m"
     return MarkerFile(frames, scale, said, first_frame, others or {}, (*told, *changed))
 
