@@ -214,7 +214,7 @@ def test_takes_that_tell_nothing(capsys, scene, folder, tmp_path, rng):
     assert "'Anna' (12 markers) and 'Ben' (12 markers)" in refused(
         write(tmp_path / "c.c3d", scene.places[:20], both)
     )
-    jc.write_markers(tmp_path / "d.csv", take(1000 * scene.places[:20]))
+    jc.write_markers(tmp_path / "d.csv", take(scene.places[:20]), unit="mm")
     assert "looks like millimetres: give --unit mm" in refused(tmp_path / "d.csv")
     (tmp_path / "e.c3d").write_bytes((folder / "rom.c3d").read_bytes()[:-5000])
     assert "cut short" in refused(tmp_path / "e.c3d")

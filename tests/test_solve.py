@@ -28,7 +28,7 @@ from jaxcap.fit.solve import solve
 BODY = chain_body()
 SKELETON = BODY.skeleton
 ALL = jnp.arange(len(BODY.vertices))
-TIGHT = {"rtol": 1e-15, "atol": 1e-11}
+TIGHT = {"rtol": 1e-14, "atol": 1e-11}
 LM, GN = LevenbergMarquardt(**TIGHT), GaussNewton(damping=1e-13, **TIGHT)
 TRACES: list[int] = []
 
