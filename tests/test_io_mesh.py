@@ -84,6 +84,19 @@ def test_a_ply_cloud_keeps_its_normals(tmp_path):
     np.testing.assert_array_equal(mesh.normals, [[0, 0, 1], [0, 1, 0]])
 
 
+def test_points_are_written_with_normals_and_not_as_triangles(tmp_path, rng):
+    normals = rng.normal(size=(20, 3))
+    cloud = Mesh(
+        rng.random((20, 3)), np.zeros((0, 3), int), normals / np.linalg.norm(normals, axis=1)[:, None]
+    )
+    write_mesh(tmp_path / "cloud.ply", cloud)
+    back = read_mesh(tmp_path / "cloud.ply")
+    np.testing.assert_allclose(back.vertices, cloud.vertices, atol=1e-6)
+    np.testing.assert_allclose(back.normals, cloud.normals, atol=1e-6)
+    with pytest.raises(InputError, match="holds triangles alone, and there are none; use .ply"):
+        write_mesh(tmp_path / "cloud.stl", cloud)
+
+
 def test_obj_counts_back_and_passes_over_the_rest(tmp_path):
     (tmp_path / "a.obj").write_text(
         "mtllib x.mtl\nv 0 0 0\nv 1 0 0\nvn 0 0 1\nv 1 1 0 0.5 0.5 0.5\nv 0 1 0\nf 1//1 2//1 3//1 4//1\nf -4/1 -3/2 -2/3\n"

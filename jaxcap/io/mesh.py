@@ -73,9 +73,11 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
 
 @checked
 def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
-    """Write a mesh in the format of the path's suffix, vertices in their order.
+    """Write a mesh, or points without faces, in the format of the path's suffix, vertices in their order.
 
-    **Raises:** `InputError` where the suffix is not known or the file cannot be written.
+    Normals are kept in `.ply`, and of a mesh in `.glb`.
+
+    **Raises:** `InputError` where the suffix is not known, it cannot hold points, or the file cannot be written.
     """
     path = Path(path)
     vertices, faces = np.asarray(mesh.vertices, float) / unit_scale(unit), np.asarray(mesh.faces)
@@ -90,12 +92,15 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
     elif suffix in (".ply", ".stl", ".glb"):
         import trimesh
 
-        solid = trimesh.Trimesh(vertices, faces, vertex_normals=mesh.normals, process=False)
-        data = (
-            solid.export(file_type=suffix[1:])
-            if len(faces)
-            else trimesh.PointCloud(vertices).export(file_type=suffix[1:])
+        if suffix == ".stl" and not len(faces):
+            raise InputError(f"{path}: .stl holds triangles alone, and there are none; use .ply for points.")
+        # clouds of trimesh have no normals
+        solid = (
+            trimesh.Trimesh(vertices, faces, vertex_normals=mesh.normals, process=False)
+            if len(faces) or suffix == ".ply"
+            else trimesh.PointCloud(vertices)
         )
+        data = solid.export(file_type=suffix[1:])
         with replacing(path) as beside:
             beside.write_bytes(data if isinstance(data, bytes) else str(data).encode())
     else:
