@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..arguments import check_fields, check_length, check_metres, checked
+from ..arguments import check_fields, check_length, checked
 from ..errors import InputError
 
 #: How many numbers move a joint of each kind, as (translations, rotations).
@@ -144,7 +144,7 @@ def make_skeleton(
     `axes (J, 2, 3)`, x and y where not given.
 
     **Raises:** `ValueError` with one sentence when names repeat, a parent or a kind is
-    unknown, the tree has a cycle, a number is not finite, or the centres cannot be in metres.
+    unknown, the tree has a cycle, or a number is not finite.
     """
     names, parents, kinds = list(names), [int(p) for p in parents], list(kinds)
     count = len(names)
@@ -173,7 +173,6 @@ def make_skeleton(
     for name, centre in zip(names, centres, strict=True):
         if not np.isfinite(centre).all():
             raise ValueError(f"The centre of joint '{name}' is {centre.tolist()}; give three finite numbers.")
-    check_metres("make_skeleton", "centres", centres)
     long = np.linalg.norm(orientations, axis=-1)
     if not (np.isfinite(long) & (long > 0)).all():
         wrong = int(np.argmin(np.isfinite(long) & (long > 0)))
