@@ -169,7 +169,8 @@ def test_on_a_terminal_words_pass(quick, monkeypatch):
 def test_ctrl_c_while_it_imports():
     """In the middle of the imports of JAX there is one line, no traceback, and the exit code of Ctrl-C."""
     program = [PYTHON, "-X", "importtime", "-c", MAIN, "track", "human", "none", "-o", "none"]
-    with subprocess.Popen(program, stderr=subprocess.PIPE, text=True) as running:
+    # of so small a pipe that the program waits to be read, and cannot end before it is stopped
+    with subprocess.Popen(program, stderr=subprocess.PIPE, text=True, pipesize=4096) as running:
         assert running.stderr is not None
         for line in running.stderr:
             if line.rstrip().endswith("jax._src.dtypes"):
