@@ -18,10 +18,20 @@ def write_csv(path: str | Path, rows: Sequence[Mapping[str, object]]) -> None:
     write_text(path, text.getvalue())
 
 
-def write_json(path: str | Path, content: object) -> None:
-    """Anything that JSON can say; a number that is not finite becomes null. Raises `InputError`
-    where the file cannot be written."""
-    write_text(path, json.dumps(_finite(content), indent=1, allow_nan=False) + "\n")
+def write_json(path: str | Path, content: Mapping[str, object]) -> None:
+    """Anything that JSON can say, a line for each row of a table; a number that is not finite becomes null.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    entries = (f"{json.dumps(str(name))}: {_written(_finite(value))}" for name, value in content.items())
+    write_text(path, "{\n " + ",\n ".join(entries) + "\n}\n")
+
+
+def _written(content) -> str:
+    if content and isinstance(content, list) and all(isinstance(row, dict) for row in content):
+        # without indentation Python's encoder is five times faster
+        return "[\n  " + ",\n  ".join(json.dumps(row, allow_nan=False) for row in content) + "\n ]"
+    return json.dumps(content, indent=1, allow_nan=False).replace("\n", "\n ")
 
 
 def _finite(content):
