@@ -150,7 +150,8 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
     seen = np.asarray(~np.isnan(places).any(2))
     # of each frame about its own middle, for people walk far
     shown = np.where(seen[..., None], places, np.nan)[seen.any(1)]
-    check_metres("make_markers", "places", (shown - np.nanmedian(shown, 1, keepdims=True))[seen[seen.any(1)]])
+    shown = shown - np.nanmedian(shown, 1, keepdims=True)
+    check_metres("make_markers", "places", shown[~np.isnan(shown).any(2)])
     return MarkerFrames(np.where(seen[..., None], places, 0), seen, labels, float(rate))
 
 

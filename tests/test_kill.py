@@ -76,7 +76,7 @@ def killed_and_resumed(start, words, out: Path, seed: int) -> None:
     cut.mkdir()
     for number in range(KILLS):
         running = start(*words(cut), *(["--resume"] if number else []))
-        time.sleep(rng.uniform(0.2, 0.9) * taken)
+        time.sleep(rng.uniform(0.2, 1.0) * taken)
         if running.poll() is not None:
             break
         running.send_signal(signal.SIGKILL)
