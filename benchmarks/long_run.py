@@ -5,8 +5,9 @@
 
 `jaxcap track` runs in a process of its own and is watched from outside: its journal says how many frames are done, the
 operating system its memory and processor time. The last block of frames is held to the second one, in processor time,
-since other programs take their share of the clock; seconds by the clock stand beside. From the last frame to the end of the
-process results are written. The clouds are files, of which those a period of the motion apart are one on the disk.
+since other programs take their share of the clock; seconds by the clock stand beside. A processor that is shared is not
+always as fast: a fixed piece of work is timed beside the run all along, and the ratio is of times in units of it (as measured:
+`raw_processor_ratio`). From the last frame to the end of the process results are written. The clouds are files, of which those a period of the motion apart are one on the disk.
 Run it from the root of the checkout; Linux only.
 """
 
@@ -28,6 +29,8 @@ from jaxcap.io.journal import read_header
 
 #: seconds between two looks, and between two words
 LOOK, SPEAK = 0.05, 15.0
+#: looks from one timing of the fixed work to the next
+REFER = 10
 
 
 class Look(NamedTuple):
@@ -39,6 +42,8 @@ class Look(NamedTuple):
     processor: float
     #: resident, bytes
     memory: float
+    #: the fixed work when it was last timed, seconds of the processor
+    reference: float
 
 
 class Watched(NamedTuple):
@@ -49,7 +54,17 @@ class Watched(NamedTuple):
     code: int
 
 
-def look_at(process: int, journal: Path, start: float) -> Look:
+def fixed_work() -> float:
+    """Seconds of the processor that a fixed piece of work of some milliseconds takes: products of matrices and Python."""
+    matrix = np.full((96, 96), 1e-3)
+    start = time.thread_time()
+    for _ in range(40):
+        matrix = matrix @ matrix + 1e-3
+        sum(number * number for number in range(500))
+    return time.thread_time() - start
+
+
+def look_at(process: int, journal: Path, start: float, reference: float) -> Look:
     """One look at a running process and its journal."""
     frames = 0
     if journal.is_file():
@@ -59,7 +74,7 @@ def look_at(process: int, journal: Path, start: float) -> Look:
     ticks = os.sysconf("SC_CLK_TCK")
     pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     processor = (int(fields[11]) + int(fields[12])) / ticks
-    return Look(time.perf_counter() - start, frames, processor, pages * os.sysconf("SC_PAGE_SIZE"))
+    return Look(time.perf_counter() - start, frames, processor, pages * os.sysconf("SC_PAGE_SIZE"), reference)
 
 
 def _begin(journal: Path) -> int:
@@ -70,12 +85,14 @@ def _begin(journal: Path) -> int:
 
 def watch(command: list[str], journal: Path) -> Watched:
     """Run a command and look at it until it ends."""
-    start, looks, said = time.perf_counter(), [], 0.0
+    start, looks, said, reference = time.perf_counter(), [], 0.0, fixed_work()
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
         while running.poll() is None:
             time.sleep(LOOK)
             try:
-                look = look_at(running.pid, journal, start)
+                if len(looks) % REFER == 0:
+                    reference = fixed_work()
+                look = look_at(running.pid, journal, start, reference)
             except (OSError, IndexError, jc.InputError):
                 # it has ended, or not written its journal's head
                 continue
@@ -88,14 +105,29 @@ def watch(command: list[str], journal: Path) -> Watched:
     return Watched(looks, time.perf_counter() - start, running.returncode)
 
 
-def block_figures(looks: list[Look], first: int, last: int) -> tuple[float, float, float]:
-    """Seconds by the clock and of the processor for a frame of a block, and the largest memory in it, bytes."""
+class Block(NamedTuple):
+    """A block of frames: seconds for a frame, by the clock and of the processor; the largest memory, bytes; the median time
+    of the fixed work, seconds."""
+
+    clock: float
+    processor: float
+    memory: float
+    reference: float
+
+
+def block_figures(looks: list[Look], first: int, last: int) -> Block:
+    """What was seen of the frames from `first` to `last`."""
     done = np.array([look.frames for look in looks])
     edges = np.interp([first, last], done, [look.seconds for look in looks])
     work = np.interp([first, last], done, [look.processor for look in looks])
     # what is written after the last frame is not of its block
-    memory = max(look.memory for look in looks if first <= look.frames < last)
-    return float(np.diff(edges)[0]) / (last - first), float(np.diff(work)[0]) / (last - first), memory
+    within = [look for look in looks if first <= look.frames < last]
+    return Block(
+        float(np.diff(edges)[0]) / (last - first),
+        float(np.diff(work)[0]) / (last - first),
+        max(look.memory for look in within),
+        float(np.median([look.reference for look in within])),
+    )
 
 
 def main() -> None:
@@ -124,15 +156,18 @@ def main() -> None:
     first = next((look.seconds for look in run.looks if look.frames > 0), run.end)
     frames_between = options.frames - 2 * options.block
     figures = {
-        "processor_ratio": last[1] / second[1],
-        "memory_ratio": last[2] / second[2],
-        "clock_ratio": last[0] / second[0],
+        "processor_ratio": (last.processor / last.reference) / (second.processor / second.reference),
+        "memory_ratio": last.memory / second.memory,
+        "raw_processor_ratio": last.processor / second.processor,
+        "clock_ratio": last.clock / second.clock,
+        "reference_ratio": last.reference / second.reference,
         "finished_after_s": run.end - at_end.seconds,
         "finished_after_processor_s": run.looks[-1].processor - at_end.processor,
-        "frame_ms": 1000 * last[0],
-        "frame_processor_ms": 1000 * last[1],
-        "memory_mb": last[2] / 1e6,
-        "memory_of_100000_mb": (second[2] + (last[2] - second[2]) / frames_between * 100_000) / 1e6,
+        "frame_ms": 1000 * last.clock,
+        "frame_processor_ms": 1000 * last.processor,
+        "memory_mb": last.memory / 1e6,
+        "memory_of_100000_mb": (second.memory + (last.memory - second.memory) / frames_between * 100_000)
+        / 1e6,
         "peak_mb": max(look.memory for look in run.looks) / 1e6,
         "whole": whole,
     }

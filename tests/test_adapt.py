@@ -357,7 +357,7 @@ def test_the_command_line_adapts_and_goes_on(scene, tmp_path, capsys):
     assert len(jc.load_motion(tmp_path / "actor-motion.npz")) == len(clouds)
     assert not (tmp_path / "actor.npz.partial").exists()
     assert "there already" in fails(capsys, *words)
-    assert "this run is finished" in fails(capsys, *words, "--resume")
+    assert "nothing is left to do" in runs(capsys, *words, "--resume")
 
 
 def test_what_is_refused(tmp_path, capsys):

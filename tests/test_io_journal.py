@@ -35,12 +35,12 @@ def same(a, b) -> bool:
 
 def test_records_come_back_to_the_last_bit(tmp_path, records):
     write(tmp_path / "journal", records)
-    with resume_journal(tmp_path / "journal", HEADER) as journal:
+    with resume_journal(tmp_path / "journal", HEADER, 7) as journal:
         assert same(journal.read(), records)
         assert same(journal.last, records[-1])
         journal.append(records[0])
         assert same(journal.read(slice(2, 4)), np.concatenate([records, records[:1]])[:, 2:4])
-    with resume_journal(tmp_path / "journal", HEADER) as journal:
+    with resume_journal(tmp_path / "journal", HEADER, 7) as journal:
         assert journal.count == len(records) + 1
         assert same(journal.last, records[0])
     assert read_header(tmp_path / "journal") == {**HEADER, "width": 7}
@@ -55,7 +55,7 @@ def test_any_end_leaves_the_whole_records(tmp_path, records):
     for end in range(start, len(data)):
         path.write_bytes(data[:end])
         whole = (end - start) // size
-        with resume_journal(path, HEADER) as journal:
+        with resume_journal(path, HEADER, 7) as journal:
             assert same(journal.read(), records[:whole])
             for record in records[whole:]:
                 journal.append(record)
@@ -67,7 +67,7 @@ def test_damaged_record_ends_what_counts(tmp_path, records):
     data = bytearray(write(path, records))
     data[-3 * 60 + 20] ^= 1
     path.write_bytes(data)
-    with resume_journal(path, HEADER) as journal:
+    with resume_journal(path, HEADER, 7) as journal:
         assert same(journal.read(), records[:2])
 
 
@@ -95,7 +95,7 @@ def test_a_full_disk_names_the_journal(tmp_path, records):
         "import resource, sys, numpy as np\n"
         "from jaxcap.io.journal import resume_journal\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 90}, resource.RLIM_INFINITY))\n"
-        f"with resume_journal({str(path)!r}, {HEADER!r}) as journal:\n"
+        f"with resume_journal({str(path)!r}, {HEADER!r}, 7) as journal:\n"
         "    journal.append(np.arange(7.0))\n"
         "    journal.append(np.arange(7.0))\n"
     )
@@ -103,7 +103,7 @@ def test_a_full_disk_names_the_journal(tmp_path, records):
     last = done.stderr.strip().splitlines()[-1]
     assert f"{path}: record 1 cannot be written (File too large); free some space there" in last
     assert path.stat().st_size == size + 90
-    with resume_journal(path, HEADER) as journal:
+    with resume_journal(path, HEADER, 7) as journal:
         assert same(journal.read(), np.arange(7.0)[None])
         journal.append(records[0])
     assert same(read_records(path), np.stack([np.arange(7.0), records[0]]))
@@ -115,7 +115,7 @@ def test_what_is_no_journal(tmp_path, records):
     for content in (b"", b"JAXCAPJ1", data[:30], b"x" + data[1:], b"JAXCAPJ1\4\0\0\0null"):
         path.write_bytes(content)
         with pytest.raises(InputError, match="not the journal"):
-            resume_journal(path, HEADER)
+            resume_journal(path, HEADER, 7)
         assert path.read_bytes() == content
 
 
@@ -124,7 +124,9 @@ def test_another_header_is_told_by_name(tmp_path, records):
     data = write(path, records)
     for changed, words in (({"up": "z"}, "up y, not z"), ({"vertices": 30}, "vertices None, not 30")):
         with pytest.raises(InputError, match=words):
-            resume_journal(path, {**HEADER, **changed})
+            resume_journal(path, {**HEADER, **changed}, 7)
+    with pytest.raises(InputError, match="another version of jaxcap, with 7 numbers"):
+        resume_journal(path, HEADER, 9)
     assert path.read_bytes() == data
 
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.human import human
@@ -14,6 +15,7 @@ from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.fit.judgement.evidence import _seen_by, gather_evidence
+from jaxcap.fit.judgement.inside import within_others
 from jaxcap.fit.judgement.surface import _even_samples, judged_surface, region_name
 from jaxcap.fit.judgement.usual import nothing_usual, renew, sensors_of, usual_of
 from jaxcap.fit.judgement.verdict import judge_evidence
@@ -152,6 +154,41 @@ def test_clothes_are_usual_once_they_were_seen(rng):
         again = judged(usual, poses[2], clothed(poses[2]))
         assert again.verdict == "good", (again.shares, again.reasons)
         assert judged(usual, turned(poses[2], RightArm=1.0), clothed(poses[2])).verdict == "lost"
+
+
+@pytest.mark.parametrize("distance", [0.5, 0.8, 1.1])
+def test_a_ball_within_another_by_its_area(distance):
+    """Of two equal balls each has a cap within the other, of the area 2 pi R h."""
+    steps = np.arange(800) + 0.5
+    polar, around = np.arccos(1 - 2 * steps / 800), np.pi * (1 + 5**0.5) * steps
+    ball = np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)], 1)
+    points = np.concatenate([0.5 * ball, 0.5 * ball + [distance, 0.0, 0.0]])
+    regions, areas = np.repeat([0, 1], 800), np.full(1600, np.pi / 800)
+    arguments = [jnp.asarray(a) for a in (points, np.tile(ball, (2, 1)), areas, regions)]
+    within = np.asarray(within_others(*arguments, jnp.asarray(1.0 - np.eye(2)), 0.02))
+    cap = np.pi * max(0.5 - distance / 2, 0.0)
+    assert areas @ within / 2 == pytest.approx(cap, rel=0.05, abs=1e-3)
+    assert not within[np.linalg.norm(points - points[800:].mean(0), axis=1)[regions == 0].argmax()]
+    # a region is not within itself, nor in what it hangs on
+    assert not np.asarray(within_others(*arguments, jnp.zeros((2, 2)), 0.02)).any()
+
+
+def test_legs_through_each_other_are_told_where_every_point_is_explained(rng):
+    """A cloud of the very pose, in which one leg runs through the other."""
+    layout, change = dof_layout(SKELETON), np.zeros(SKELETON.num_dofs)
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        # about the line of sight: to the other leg's place
+        joint = SKELETON.index(f"{side}UpLeg")
+        own = Rotation.from_quat(np.asarray(SKELETON.orientations)[joint], scalar_first=True)
+        change[np.asarray(layout.rotations[joint])] = own.inv().apply([0.0, 0.0, -0.25 * sign])
+    crossed = retract(SKELETON, REST, jnp.asarray(change))
+    for pose, verdicts in ((REST, ("good",)), (crossed, ("doubtful", "lost"))):
+        evidence = gather_evidence(SURFACE, pose, scan(pose, rng), NOBODY)
+        judgement = judge_evidence(SURFACE, NOTHING, evidence)
+        assert judgement.verdict in verdicts, judgement.shares
+    assert {"left leg within another part of the body", "right leg within another part of the body"} == set(
+        judgement.reasons
+    )
 
 
 def test_a_camera_sees_what_its_depth_buffer_says():

@@ -230,7 +230,7 @@ def test_a_journal_tells_the_poses(tmp_path, body, motion):
         with open(journal.path, "ab") as file:
             file.write(whole[:100])
         assert not follower.look() and len(read_records(journal.path)) == 3
-    with resume_journal(tmp_path / "journal", {"a": 1, **whose}) as journal:
+    with resume_journal(tmp_path / "journal", {"a": 1, **whose}, row_width(row_template(tracker))) as journal:
         journal.append(_record(tracker, motion, 4))
         follower.look()
     joints = np.asarray(joint_paths(body.skeleton, motion.poses))
@@ -238,7 +238,7 @@ def test_a_journal_tells_the_poses(tmp_path, body, motion):
         np.testing.assert_allclose(follower.take.motion.frame(shown).joints, joints[frame], atol=1e-5)
     # begun anew, and with another body
     begin_journal(tmp_path / "journal", {"a": 2, **whose}, row_width(row_template(tracker))).close()
-    with resume_journal(tmp_path / "journal", {"a": 2, **whose}) as journal:
+    with resume_journal(tmp_path / "journal", {"a": 2, **whose}, row_width(row_template(tracker))) as journal:
         journal.append(_record(tracker, motion, 7))
     assert follower.look() and len(follower.take.motion) == 1
     with pytest.raises(InputError, match="another body"):

@@ -44,6 +44,7 @@ from .options import (
     arg,
     clouds_words,
 )
+from .outputs import nothing_left
 from .rounds import Rounds
 from .say import say, warn
 from .sources import Clouds, load_body
@@ -139,8 +140,15 @@ class Adapt:
 
     def run(self) -> None:
         self.check()
+        if self.resume and nothing_left(self.results, self.kept):
+            return
         with run_lock(self.out, self.motion_path):
             self.adapt_all()
+
+    @property
+    def results(self) -> list[Path]:
+        """All files that the run writes."""
+        return [path for path in (self.out, self.motion_path, self.report) if path is not None]
 
     def adapt_all(self) -> None:
         """Read, adapt, write and report, with no other run that writes the same files."""
@@ -269,7 +277,7 @@ class Adapt:
             raise InputError("--unordered and --ordered are opposites; give one of them, or none.")
         if self.aperture and self.cameras is None:
             raise InputError("--aperture is of cameras; name them by --cameras.")
-        check_results(self.out, self.motion_path, self.report, self.kept, self.resume, self.overwrite)
+        check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
     def task(self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()) -> Task:
         """What is to be done, with what is known beforehand, and cameras and first pose read. Raises `InputError`."""

@@ -24,13 +24,10 @@ from .results import make_writable
 NEEDS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "terms")
 
 
-def check_results(
-    out: Path, motion: Path, report: Path | None, kept: Path, resume: bool, overwrite: bool
-) -> None:
+def check_results(out: Path, motion: Path, report: Path | None, resume: bool, overwrite: bool) -> None:
     """That body, motion and report can be written, in folders that are made where they are not there.
 
-    **Raises:** `InputError` for other kinds of files, results in the way, a finished run to be gone on with that no report
-    is wanted of, and folders that cannot be written to.
+    **Raises:** `InputError` for other kinds of files, results in the way, and folders that cannot be written to.
     """
     if out.suffix.lower() != ".npz":
         raise InputError(f"{out}: bodies are written as .npz; give a name that ends in it.")
@@ -46,10 +43,6 @@ def check_results(
     if motion.resolve() == out.resolve():
         raise InputError(f"{out}: body and motion cannot be one file; give --motion another name.")
     check_absent(every, overwrite or resume)
-    if resume and report is None and out.is_file() and not kept.is_file():
-        raise InputError(
-            f"{out}: this run is finished; --report tells of it, and --overwrite begins it anew."
-        )
     for path in every:
         make_writable(path.absolute().parent)
 

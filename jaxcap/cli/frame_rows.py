@@ -13,7 +13,7 @@ from ..body.skeleton import Skeleton
 from ..fit.em import FrameStatistics
 from ..fit.judgement.surface import judged_surface
 from ..fit.judgement.usual import nothing_usual
-from ..fit.judgement.verdict import Judgement
+from ..fit.judgement.verdict import DOUBT, Judgement
 from ..fit.recover import Patience, TrackedFrame, reasons_of, verdict_of
 from ..fit.track import Tracker, start_state
 
@@ -67,11 +67,17 @@ def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Result
         arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
         at += size
     poses, statistics, lost, judgements = jax.tree.unflatten(tree, arrays)
-    shares, tolerances = np.asarray(judgements.shares), np.asarray(judgements.tolerance)
-    verdicts = []
-    for number, one in enumerate(np.asarray(lost).tolist()):
+    shares, tolerances, lost = (
+        np.asarray(array) for array in (judgements.shares, judgements.tolerance, lost)
+    )
+    verdicts: list[tuple[str, tuple[str, ...]]] = [("good", ())] * len(rows)
+    # most frames are good: the others alone are looked at one by one
+    for number in np.flatnonzero(lost | ~(shares.max((1, 2)) < DOUBT)):
         judgement = Judgement(shares[number], tolerances[number, ...], judgements.names)
-        verdicts.append((verdict_of(one, judgement), reasons_of(one, judgement)))
+        verdicts[number] = (
+            verdict_of(bool(lost[number]), judgement),
+            reasons_of(bool(lost[number]), judgement),
+        )
     return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), verdicts)
 
 

@@ -25,7 +25,7 @@ from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
 from .heartbeat import doing
 from .motions import load_skeleton
 from .options import SKELETON_WORDS, Flag, OptionalCount, OptionalFile, Unit, arg
-from .outputs import check_npz, make_folder
+from .outputs import check_npz, make_folder, nothing_left
 from .rounds import Rounds
 from .say import say, warn
 from .scoring import mesh_hashes, score_motion, tell_scores
@@ -88,6 +88,8 @@ class Learn:
         motion_path = self.motion or self.out.with_name(f"{self.out.stem}-motion.npz")
         kept = self.out.with_name(f"{self.out.name}.partial")
         # a run that was killed while it wrote its results goes on with its last round
+        if self.resume and nothing_left((self.out, motion_path), kept):
+            return
         replace = self.overwrite or (self.resume and kept.is_file())
         check_npz(self.out, replace, "a body")
         check_npz(motion_path, replace)
@@ -114,7 +116,6 @@ class Learn:
         doing("writing the body and checking it")
         save_body(self.out, learned.body)
         save_motion(motion_path, learned.motion, learned.body.skeleton)
-        kept.unlink(missing_ok=True)
         body = learned.body
         bones, joints = body.skeleton.num_joints, sum(parent >= 0 for parent in body.skeleton.parents)
         between = "that hang on nothing" if self.free_bones else f"with {joints} joints between them"
@@ -122,6 +123,7 @@ class Learn:
         for told in check_learned(body, learned.motion):
             warn(told)
         self.score(learned, sequence, names, train, held)
+        kept.unlink(missing_ok=True)
 
     def check(self) -> None:
         """That options are in their ranges and go together. Raises `InputError`."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..io.registry import MOTION_WRITERS
+from .say import say
 
 
 def check_absent(paths: Iterable[Path], overwrite: bool) -> None:
@@ -44,6 +45,15 @@ def check_npz(path: Path, overwrite: bool, what: str = "a motion") -> None:
     if path.suffix.lower() != ".npz":
         raise InputError(f"{path}: {what} is written as .npz; give a name that ends so.")
     check_new(path, overwrite)
+
+
+def nothing_left(results: Iterable[Path], kept: Path) -> bool:
+    """Whether a run that is to go on has all its `results`, and says so; `kept` is the file of an unfinished one."""
+    results = list(results)
+    if kept.exists() or not all(path.is_file() for path in results):
+        return False
+    say(f"{results[0]}: this run is finished, and nothing is left to do; --overwrite begins it anew")
+    return True
 
 
 def make_folder(folder: Path) -> None:

@@ -102,7 +102,9 @@ class Track:
         template = row_template(tracker)
         going_on = self.resume and path.is_file()
         journal = (
-            resume_journal(path, header) if going_on else begin_journal(path, header, row_width(template))
+            resume_journal(path, header, row_width(template))
+            if going_on
+            else begin_journal(path, header, row_width(template))
         )
         with journal:
             last = None if journal.last is None else unpack(template, journal.last)[0]

@@ -124,12 +124,17 @@ def judge(
     patience: Patience,
     searches: float = 0.0,
 ) -> TrackedFrame:
-    """Compare a frame with what is `usual`, and learn from it unless it is lost."""
+    """Compare a frame with what is `usual`, and learn from it where it is good.
+
+    Frames that are doubtful would make their faults usual, one after the other. The first that is not lost has nothing to
+    be compared with, and is learned from.
+    """
     pose = state.estimate.pose
     judgement, renewed = _compare(surface, usual, pose, cloud)
     lost = judgement.verdict == "lost" or not _finite(pose)
+    teaches = not lost and (judgement.verdict == "good" or float(usual.frames) == 0)
     return TrackedFrame(
-        pose, statistics, lost, judgement, state, pose, usual if lost else renewed, patience, searches
+        pose, statistics, lost, judgement, state, pose, renewed if teaches else usual, patience, searches
     )
 
 

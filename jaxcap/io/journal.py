@@ -105,16 +105,21 @@ def read_header(path: str | Path) -> dict[str, object]:
         return header
 
 
-def resume_journal(path: str | Path, header: Mapping[str, object]) -> Journal:
-    """Open a journal behind its last whole record.
+def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -> Journal:
+    """Open a journal of records of `width` numbers behind its last whole one.
 
-    **Raises:** `InputError` where the file is no journal, or was begun with another `header`:
-    the first difference is named.
+    **Raises:** `InputError` where the file is no journal, or was begun with another `header`, of which the first difference
+    is named, or by another version whose records are of other numbers.
     """
     path = Path(path)
     with _opened(path) as (file, there, start):
-        width = int(str(there.pop("width")))
+        begun = int(str(there.pop("width")))
         check_same_run(path, there, header)
+        if begun != width:
+            raise InputError(
+                f"{path}: this run was begun by another version of jaxcap, with {begun} numbers for each frame where there "
+                f"are {width} now; finish it with that version, or give --overwrite to begin anew."
+            )
         count, last = 0, None
         for block in _blocks(file, width):
             count, last = count + len(block), block[-1].copy()

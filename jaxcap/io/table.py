@@ -23,15 +23,22 @@ def write_json(path: str | Path, content: Mapping[str, object]) -> None:
 
     **Raises:** `InputError` where the file cannot be written.
     """
-    entries = (f"{json.dumps(str(name))}: {_written(_finite(value))}" for name, value in content.items())
+    entries = (f"{json.dumps(str(name))}: {_written(value)}" for name, value in content.items())
     write_text(path, "{\n " + ",\n ".join(entries) + "\n}\n")
 
 
 def _written(content) -> str:
     if content and isinstance(content, list) and all(isinstance(row, dict) for row in content):
         # without indentation Python's encoder is five times faster
-        return "[\n  " + ",\n  ".join(json.dumps(row, allow_nan=False) for row in content) + "\n ]"
-    return json.dumps(content, indent=1, allow_nan=False).replace("\n", "\n ")
+        return "[\n  " + ",\n  ".join(_dumped(row) for row in content) + "\n ]"
+    return _dumped(content, indent=1).replace("\n", "\n ")
+
+
+def _dumped(content, indent: int | None = None) -> str:
+    try:
+        return json.dumps(content, indent=indent, allow_nan=False)
+    except ValueError:
+        return json.dumps(_finite(content), indent=indent, allow_nan=False)
 
 
 def _finite(content):

@@ -18,7 +18,7 @@ from ...observe import MarkerFrames
 from ...report.markers import held_residuals, report_markers, score_markers, total_residuals
 from ..heartbeat import doing
 from ..options import Flag, OptionalUnit, Up, arg
-from ..outputs import check_parent, make_folder
+from ..outputs import check_parent, make_folder, nothing_left
 from ..say import say, table, warn
 from .found import strays
 from .solved import digest, read_solved, write_solved
@@ -76,6 +76,9 @@ class Solve:
 
     def run(self) -> None:
         self.check()
+        if self.resume and nothing_left(self.results, self.kept):
+            return
+        check_new(self.results, self.overwrite or (self.resume and self.kept.is_file()))
         subject = load_subject(self.subject)
         header = {**self.settings(), "subject": digest(self.subject)}
         solved = read_solved(self.kept, header) if self.resume else {}
@@ -154,15 +157,18 @@ class Solve:
             check_parent(self.out)
         check_points(self.joints, "joint centres")
         check_points(self.filled, "markers")
-        results = [file for path in self.trials for file in (*self.motions(path), *self.named(self.joints, path),
-                                                             *self.named(self.filled, path))]  # fmt: skip
         if self.resume and self.overwrite:
             raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
         if self.kept.exists() and not (self.resume or self.overwrite):
             raise InputError(
                 f"{self.kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
             )
-        check_new(results, self.overwrite or (self.resume and self.kept.is_file()))
+
+    @property
+    def results(self) -> list[Path]:
+        """All files of motions and points that the run writes."""
+        return [file for path in self.trials for file in (*self.motions(path), *self.named(self.joints, path),
+                                                          *self.named(self.filled, path))]  # fmt: skip
 
     def motions(self, trial: str) -> tuple[Path, ...]:
         """The files of a trial's motion."""

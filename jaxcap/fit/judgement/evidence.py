@@ -1,4 +1,4 @@
-"""Evidence for and against a pose in a cloud: points that no part explains, and surface without points."""
+"""Evidence against a pose in a cloud: points without surface, surface without points, and a body that runs through itself."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,8 @@ from ...body.body import pose_body
 from ...body.pose import Pose
 from ...geometry.camera import Camera, in_picture, project
 from ...observe import Cloud
-from .surface import JudgedSurface
+from .inside import within_others
+from .surface import FEW, NEAREST, JudgedSurface
 
 #: points of a cloud that are looked at
 POINTS = 1536
@@ -45,6 +46,8 @@ class Evidence(eqx.Module):
     unexplained: Float[Array, "*frames R"]
     #: share of the body's area that the sensors ought to see of each region and that has no points
     empty: Float[Array, "*frames R"]
+    #: share of the body's area that is of each region and lies within another part
+    inside: Float[Array, "*frames R"]
     #: share of the surface shown by each direction that has points
     coverage: Float[Array, "*frames D"]
 
@@ -53,7 +56,9 @@ class Evidence(eqx.Module):
 def gather_evidence(
     surface: JudgedSurface, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
 ) -> Evidence:
-    """Measure where a pose and a cloud disagree, from a thinned cloud and the samples of the surface.
+    """Measure where a pose and a cloud disagree, and where the body runs through itself.
+
+    All is measured from a thinned cloud and the samples of the surface.
 
     **Arguments:** `sensors` are the cameras where they are known. Otherwise `DIRECTIONS` that are spread over the
     sphere stand for those that may be there: the array holds one for each direction that sensors look from
@@ -97,9 +102,20 @@ def gather_evidence(
         facing = (cosine > GRAZING) & there[:, None]
         # a sensor is only about where a direction is: what any of its neighbours cannot see may be hidden
         expected = jnp.any(facing, 0) & ~jnp.any(facing & ~clear, 0)
+    few = slice(None, None, FEW)
+    square = FEW * surface.area * pose.scale**2
+    inside = surface.outside * within_others(
+        vertices[few],
+        normals[few],
+        square * surface.areas[few],
+        surface.regions[few],
+        surface.apart,
+        NEAREST * size,
+    )
     areas = surface.areas[:, None] * (surface.regions[:, None] == jnp.arange(count))
     return Evidence(
         unexplained=jnp.zeros(count, amount.dtype).at[region].add(amount),
+        inside=FEW * inside @ areas[few],
         empty=(expected & ~covered).astype(areas.dtype) @ areas,
         coverage=share,
     )

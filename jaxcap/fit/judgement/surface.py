@@ -1,15 +1,21 @@
 """The surface of a body as it is judged: samples that stand for equal areas, in regions with names."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import Body
 from ...geometry.order import spatial_order
+from .inside import within_others
 
 #: samples of a surface, about 4 cm from each other on a person
 SAMPLES = 1536
+#: every so manieth sample is looked at for others that it lies within, and half the distance of these, as a share of the
+#: body's size
+FEW, NEAREST = 2, 0.016
 #: parts with less of the whole area are judged together with the part that they hang on
 LEAST_AREA = 0.012
 #: regions of the joints of a human skeleton as a sentence names them, without their side
@@ -35,6 +41,12 @@ class JudgedSurface(eqx.Module):
     areas: Float[Array, "S"]
     #: region of each sample
     regions: Int[Array, "S"]
+    #: one for regions that do not hang together, which ought not to lie within each other, and zero for the others
+    apart: Float[Array, "R R"]
+    #: how far every `FEW`th sample lies outside of the regions apart from its own at rest, from zero to one
+    outside: Float[Array, "W"]
+    #: of the surface at rest, square metres
+    area: Float[Array, ""]
     #: longest side of the box around the body at rest, metres
     size: Float[Array, ""]
     #: of the regions, for sentences; several regions may have one name
@@ -52,9 +64,10 @@ def judged_surface(body: Body) -> JudgedSurface:
     nearest = np.take_along_axis(corners, shares.argmax(1)[:, None], 1)[:, 0]
     bones = parts[nearest]
     regions, joints = _regions(body, bones)
+    names = tuple(region_name(body.skeleton.names[joint]) for joint in joints)
     dtype = body.vertices.dtype
     triangles = vertices[corners]
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = _area_normals(triangles)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = np.einsum("sk,ska->sa", shares, triangles)
     samples = Body(
@@ -63,14 +76,26 @@ def judged_surface(body: Body) -> JudgedSurface:
         jnp.asarray(points, dtype),
         jnp.zeros((0, 3), body.faces.dtype),
     )
+    size, area = (
+        np.ptp(vertices, axis=0).max(),
+        0.5 * np.linalg.norm(_area_normals(vertices[faces]), axis=1).sum(),
+    )
+    apart = jnp.asarray(~_hang_together(body.skeleton.parents, joints, names), dtype)
+    few = slice(None, None, FEW)
+    at_rest = (jnp.asarray(points[few] - points.mean(0), dtype), jnp.asarray(normals[few], dtype))
+    areas = jnp.full(len(bones[few]), area / len(bones[few]), dtype)
+    within = within_others(*at_rest, areas, jnp.asarray(regions[few]), apart, NEAREST * float(size))
     return JudgedSurface(
         body=samples,
         normals=jnp.asarray(normals, dtype),
         bones=jnp.asarray(bones),
         areas=jnp.full(len(bones), 1.0 / len(bones), dtype),
         regions=jnp.asarray(regions),
-        size=jnp.asarray(np.ptp(vertices, axis=0).max(), dtype),
-        names=tuple(region_name(body.skeleton.names[joint]) for joint in joints),
+        apart=apart,
+        outside=1.0 - within,
+        area=jnp.asarray(area, dtype),
+        size=jnp.asarray(size, dtype),
+        names=names,
     )
 
 
@@ -89,15 +114,36 @@ def _even_samples(
 ) -> tuple[Int[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
     """Corners and barycentric shares of points at equal steps of area, over the triangles along Morton's curve."""
     triangles = vertices[faces]
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     order = np.asarray(spatial_order(triangles.mean(1)))
-    passed = np.cumsum(np.linalg.norm(across, axis=1)[order])
+    passed = np.cumsum(np.linalg.norm(_area_normals(triangles), axis=1)[order])
     steps = np.searchsorted(passed, (np.arange(SAMPLES) + 0.5) / SAMPLES * passed[-1])
     # places within the triangles by the sequence of Roberts, which leaves no gaps
     first, second = ((np.arange(SAMPLES) * np.array([[0.7548776662], [0.5698402910]])) + 0.5) % 1.0
     outside = first + second > 1
     first, second = np.where(outside, 1 - first, first), np.where(outside, 1 - second, second)
     return faces[order[steps]], np.stack([1 - first - second, first, second], 1)
+
+
+def _area_normals(triangles: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
+    """Normals as long as twice the areas."""
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def _hang_together(
+    parents: Sequence[int], joints: Sequence[int], names: Sequence[str]
+) -> Bool[np.ndarray, "R R"]:
+    """Which regions, named by `joints`, hang together: each with itself and with the limb that it hangs on, as the bends of
+    skin between them may fold into each other."""
+    together = np.eye(len(joints), dtype=bool)
+    for region, joint in enumerate(joints):
+        above = parents[joint]
+        while above >= 0 and above not in joints:
+            above = parents[above]
+        if above >= 0:
+            limb = np.array([name == names[joints.index(above)] for name in names])
+            together[region] |= limb
+            together[:, region] |= limb
+    return together
 
 
 def _regions(body: Body, bones: Int[np.ndarray, "S"]) -> tuple[Int[np.ndarray, "S"], list[int]]:

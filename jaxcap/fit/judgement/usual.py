@@ -13,6 +13,8 @@ RATE = 0.03
 CLIP = 3.0
 #: deviation before the sequence has shown its own, shares of the cloud and of the body's area; and the least one
 DEVIATION, LEAST = 0.002, 0.0005
+#: values for each region
+ROWS = 3
 
 
 class Usual(eqx.Module):
@@ -20,23 +22,24 @@ class Usual(eqx.Module):
 
     #: how many frames they are of
     frames: Float[Array, ""]
-    level: Float[Array, "2 Q"]
-    deviation: Float[Array, "2 Q"]
+    level: Float[Array, "3 Q"]
+    deviation: Float[Array, "3 Q"]
     #: share of the surface shown by each direction that has points
     coverage: Float[Array, "D"]
 
 
 def nothing_usual(surface: JudgedSurface, directions: int = DIRECTIONS) -> Usual:
     """The statistics before the first frame; `directions` is the number of cameras where these are known."""
-    level = jnp.zeros((2, len(surface.names) + 1), surface.areas.dtype)
+    level = jnp.zeros((ROWS, len(surface.names) + 1), surface.areas.dtype)
     none = jnp.zeros((), level.dtype)
     return Usual(none, level, jnp.full_like(level, DEVIATION), jnp.zeros(directions, level.dtype))
 
 
-def observed(evidence: Evidence) -> Float[Array, "*frames 2 Q"]:
-    """Values that are judged, for each of the R regions and, last, for the whole body (Q = R + 1): the share of the
-    cloud's points that is unexplained, and the share of the body's area that ought to be seen and is empty."""
-    values = jnp.stack([evidence.unexplained, evidence.empty], -2)
+def observed(evidence: Evidence) -> Float[Array, "*frames 3 Q"]:
+    """Values that are judged, for each of the R regions and, last, for the whole body (Q = R + 1), in rows: the shares of
+    the cloud's points that are unexplained, and of the body's area that ought to be seen and is empty, and that lies within
+    another part."""
+    values = jnp.stack([evidence.unexplained, evidence.empty, evidence.inside], -2)
     return jnp.concatenate([values, jnp.sum(values, -1, keepdims=True)], -1)
 
 

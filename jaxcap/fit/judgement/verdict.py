@@ -9,9 +9,14 @@ from .evidence import POINTS, Evidence
 from .surface import JudgedSurface
 from .usual import Usual, observed
 
-#: excesses over the usual at which a frame is lost, in one region and of the whole body: shares of the cloud's points
-#: that no part explains, and of the body's area that a sensor sees and that is empty
-LIMITS = ((0.005, 0.012), (0.016, 0.03))
+#: excesses over the usual at which a frame is lost, in one region and of the whole body, of the rows of `observed`
+LIMITS = ((0.005, 0.012), (0.016, 0.03), (0.02, 0.03))
+#: the rows in words, for a limb
+WORDS = (
+    "unexplained points near the {}",
+    "{} where a camera sees nothing",
+    "{} within another part of the body",
+)
 #: what is added to the limits for each unit of the usual level: where much is unexplained more of it changes
 RELATIVE = 0.25
 #: standard deviations of a share of so many points that are added to the limits (Poisson)
@@ -27,8 +32,8 @@ FIRST = 10.0
 class Judgement(eqx.Module):
     """A frame compared with the sequence's usual ones: shares of the limits at which a frame is lost."""
 
-    #: by region and, last, of the whole body: points that no part explains, and surface without points
-    shares: Float[Array | np.ndarray, "2 Q"]
+    #: of each row of `observed`, by region and, last, of the whole body
+    shares: Float[Array | np.ndarray, "3 Q"]
     #: one, or more for a first frame, for which nothing is usual
     tolerance: Float[Array | np.ndarray, ""]
     #: of the regions
@@ -51,8 +56,7 @@ class Judgement(eqx.Module):
     def reasons(self) -> tuple[str, ...]:
         """What is wrong and where, without a full stop, the worst first; empty where the verdict is good."""
         found: dict[str, float] = {}
-        words = "unexplained points near the {}", "{} where a camera sees nothing"
-        for row, what in zip(np.asarray(self.shares, float), words, strict=True):
+        for row, what in zip(np.asarray(self.shares, float), WORDS, strict=True):
             regions = row[:-1]
             # a whole body over its limit is named by the regions with most of it
             named = (regions >= DOUBT) | ((row[-1] >= DOUBT) & (regions >= 0.5 * regions.max()))
