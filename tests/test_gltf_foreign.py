@@ -219,3 +219,23 @@ def test_what_is_not_read_is_said(chain, tmp_path):
         with pytest.raises(InputError, match=sentence):
             read_gltf_body(tmp_path / "changed.glb")
     assert isinstance(read_gltf_body(path)[1], Motion)
+
+
+def test_a_second_figure_is_left_out_with_a_word(chain, tmp_path):
+    """Two figures in one file: the joints, skin and mesh of the first once more."""
+    body, _, path = chain
+    new = Rewriter(path)
+    file, skin = new.file, new.file.skins[0]
+    first = len(file.nodes)
+    for joint in skin.joints:
+        old = file.nodes[joint]
+        file.nodes.append(pygltflib.Node(name=f"other {old.name}", translation=old.translation))
+    others = list(range(first, len(file.nodes)))
+    file.skins.append(pygltflib.Skin(joints=others, inverseBindMatrices=skin.inverseBindMatrices))
+    file.nodes.append(pygltflib.Node(name="Twin", mesh=0, skin=1))
+    file.nodes[others[0]].children = others[1:]
+    file.scenes[0].nodes += [others[0], len(file.nodes) - 1]
+    new.save(tmp_path / "two.glb")
+    with pytest.warns(UserWarning, match=r"two.glb: Twin left out: the skin shares no joint"):
+        back, _ = read_gltf_body(tmp_path / "two.glb")
+    assert len(back.faces) == len(body.faces)

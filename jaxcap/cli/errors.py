@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import warnings
 from collections.abc import Iterator
 
 from ..errors import is_sentence
@@ -12,7 +13,9 @@ WRONG, STOPPED = 2, 130
 
 @contextlib.contextmanager
 def told() -> Iterator[None]:
-    """Errors a user can mend end in one line on stderr and exit code 2, Ctrl-C in 130."""
+    """Errors a user can mend end in one line on stderr and exit code 2, Ctrl-C in 130; warnings are lines, too."""
+    show = warnings.showwarning
+    warnings.showwarning = _tell_warning
     try:
         yield
     except BrokenPipeError:
@@ -27,3 +30,9 @@ def told() -> Iterator[None]:
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"\njaxcap: {' '.join(str(stop).split()) or 'stopped'}\n")
         raise SystemExit(STOPPED) from None
+    finally:
+        warnings.showwarning = show
+
+
+def _tell_warning(message: Warning | str, *_) -> None:
+    sys.stderr.write(f"jaxcap: {' '.join(str(message).split())}\n")

@@ -46,7 +46,8 @@ def read_gltf_body(
     """The body of a file's first skin, which blends linearly, and an animation; skeleton and `clip` as in `read_gltf`.
 
     All meshes that this skin moves are the surface, or those of other skins of the same joints; morph targets and meshes that
-    hang on a joint without a skin are left out. Vertices that were split along the seams of textures are one again.
+    hang on a joint without a skin are left out. Vertices that were split along the seams of textures are one again. Meshes of skins without a joint of the first
+    one, as of a second figure, are left out with a warning.
 
     **Raises:** `InputError` as `read_gltf`, and where the surface is no triangles, or a vertex follows no joint.
     """

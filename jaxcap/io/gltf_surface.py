@@ -1,5 +1,6 @@
 """The surface that a skin of a glTF file moves, and which joints each vertex follows."""
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,9 +22,13 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
     **Raises:** `InputError` where there is none, one is not of triangles, or a vertex follows no joint.
     """
     parts: list[Surface] = []
+    others: list[str] = []
     for node in file.nodes:
         mesh, skin = node.index("mesh", len(file.meshes)), node.index("skin", len(file.skins))
-        if mesh is None or skin is None or not set(skin_joints(file, skin)) & set(joints):
+        if mesh is None or skin is None:
+            continue
+        if not set(skin_joints(file, skin)) & set(joints):
+            others.append(node.word("name") or f"mesh {mesh}")
             continue
         move = _between_skins(file, skin, joints)
         for primitive in file.meshes[mesh].parts("primitives"):
@@ -31,6 +36,12 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
             parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
     if not parts:
         raise InputError(f"{file.path}: no mesh of this file follows its joints; read it as a skeleton.")
+    if others:
+        warnings.warn(
+            f"{file.path}: {', '.join(others)} left out: the skin shares no joint with the first one of the file. To read "
+            "another figure, export it by itself.",
+            stacklevel=2,
+        )
     return sewn(joined(parts))
 
 
