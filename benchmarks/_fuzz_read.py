@@ -27,7 +27,7 @@ from jaxcap.io.colours import read_colours
 from jaxcap.io.constraints import read_constraints
 from jaxcap.io.cst import read_cst
 from jaxcap.io.gltf_reader import read_gltf
-from jaxcap.io.journal import read_records, resume_journal
+from jaxcap.io.journal import read_header, read_records, resume_journal
 from jaxcap.io.limits import load_limits, read_limits
 from jaxcap.io.marker_corrections import read_corrections
 from jaxcap.io.mesh import read_mesh
@@ -143,7 +143,8 @@ def numbers(value: Any, where: str = "") -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _journal(path: Path) -> np.ndarray:
-    with resume_journal(path, HEADER):
+    width = int(str(read_header(path)["width"]))
+    with resume_journal(path, HEADER, width):
         return read_records(path)
 
 

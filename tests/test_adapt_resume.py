@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from adapt_scene import make_scene, write_folder, write_scan
-from cli import fails, runs
+from cli import fails, runs, tree
 
 import jaxcap as jc
 from jaxcap.adapt.loop import AdaptState, Settings, plan
@@ -124,7 +124,9 @@ def test_a_run_that_has_ended(scene, folder, capsys):
     jc.save_motion(run.motion_path, state.motion, state.body.skeleton)
     save_actor(out, state, {}, header_of(run, scene), run.motion_path)
     asked = words(folder, out, "--smoothness", 0, "--resume")
-    assert "a.npz: this run is finished; --report tells of it" in fails(capsys, *asked)
+    before = tree(folder)
+    assert "a.npz: this run is finished, and nothing is left to do" in runs(capsys, *asked)
+    assert tree(folder) == before
     told = fails(capsys, *asked, "--report", folder / "a.html", "--rate", 25)
     assert "this run was begun with rate 30.0, not 25.0" in told
     # one that was stopped before anything was kept begins
