@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import version
 
 import pytest
 from cli import PYTHON, fails
@@ -41,6 +42,14 @@ def test_help_needs_neither_jax_nor_numpy(words):
     )
     done = subprocess.run([PYTHON, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_program_is_a_module_too():
+    """Where the folder of installed programs is not on the path, `python -m jaxcap` is the same program."""
+    done = subprocess.run(
+        [PYTHON, "-m", "jaxcap", "--version"], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, f"jaxcap {version('jaxcap')}\n"), done.stderr
 
 
 def test_every_verb_is_where_the_table_has_it():

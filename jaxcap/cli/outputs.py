@@ -52,7 +52,10 @@ def nothing_left(results: Iterable[Path], kept: Path) -> bool:
     results = list(results)
     if kept.exists() or not all(path.is_file() for path in results):
         return False
-    say(f"{results[0]}: this run is finished, and nothing is left to do; --overwrite begins it anew")
+    say(
+        f"{results[0]}: this run is finished, and nothing is left to do; whether its options and files were those given now "
+        "is not looked at, and --overwrite begins it anew"
+    )
     return True
 
 
