@@ -1,5 +1,7 @@
 """Bodies of other programs: what glTF allows and `write_gltf` never makes."""
 
+import warnings
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +16,8 @@ from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.edit.linear.influences import limit_influences
 from jaxcap.errors import InputError
 from jaxcap.io.gltf import write_gltf
-from jaxcap.io.gltf_reader import read_gltf_body
+from jaxcap.io.gltf_clock import grid_steps
+from jaxcap.io.gltf_reader import read_gltf, read_gltf_body
 
 #: from the space of the file, centimetres and z up, into the world
 TURN = Rotation.from_euler("x", -90, degrees=True)
@@ -236,6 +239,74 @@ def test_a_second_figure_is_left_out_with_a_word(chain, tmp_path):
     file.nodes[others[0]].children = others[1:]
     file.scenes[0].nodes += [others[0], len(file.nodes) - 1]
     new.save(tmp_path / "two.glb")
-    with pytest.warns(UserWarning, match=r"two.glb: Twin left out: the skin shares no joint"):
+    with pytest.warns(UserWarning, match=r"two.glb: left out: other figures, .* \(Twin\)"):
         back, _ = read_gltf_body(tmp_path / "two.glb")
     assert len(back.faces) == len(body.faces)
+
+
+def test_what_else_a_file_holds_is_told(chain, tmp_path):
+    """A hat on a joint, and a shape key."""
+    _, _, path = chain
+    new = Rewriter(path)
+    file = new.file
+    file.nodes.append(pygltflib.Node(name="Hat", mesh=0))
+    file.nodes[file.skins[0].joints[0]].children.append(len(file.nodes) - 1)
+    mesh = next(node for node in file.nodes if node.skin is not None)
+    mesh.name = "Face"
+    primitive = file.meshes[mesh.mesh].primitives[0]
+    primitive.targets = [pygltflib.Attributes(POSITION=primitive.attributes.POSITION)]
+    new.save(tmp_path / "more.glb")
+    with pytest.warns(UserWarning, match=r"more.glb: left out: .*\(Hat\); .*\(Face\)\.$"):
+        read_gltf_body(tmp_path / "more.glb")
+    # what hangs on a skeleton is asked for with a body only
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_gltf(tmp_path / "more.glb")
+
+
+def moving_two(chain, tmp_path, finger: np.ndarray):
+    """A file whose root has keys at 0 and 4 s, and whose second joint has them at times of its own."""
+    new = Rewriter(chain[2])
+    file = new.file
+    joints, animation = file.skins[0].joints, file.animations[0]
+    turns = Rotation.from_rotvec(0.5 * np.outer(finger / 4.0, [0, 0, 1.0])).as_quat()
+    animation.samplers = [
+        pygltflib.AnimationSampler(input=new.add(np.array([0, 4.0], "<f4"), "SCALAR"),
+                                   output=new.add(np.array([[0, 0, 0], [0, 0, 2.0]], "<f4"), "VEC3")),
+        pygltflib.AnimationSampler(input=new.add(finger.astype("<f4"), "SCALAR"),
+                                   output=new.add(turns.astype("<f4"), "VEC4")),
+    ]  # fmt: skip
+    animation.channels = [
+        pygltflib.AnimationChannel(sampler=number, target=pygltflib.AnimationChannelTarget(node=node, path=path))
+        for number, (node, path) in enumerate(((joints[0], "translation"), (joints[1], "rotation")))
+    ]  # fmt: skip
+    new.save(tmp_path / "two.glb")
+    return tmp_path / "two.glb"
+
+
+def test_a_motion_lasts_from_the_first_key_of_any_joint_to_the_last(chain, tmp_path):
+    """The joint with most keys stands still after a second, while the body walks on."""
+    path = moving_two(chain, tmp_path, np.arange(26) / 25)
+    _, motion = read_gltf(path)
+    assert (len(motion), motion.rate) == (101, pytest.approx(25.0))
+    way = np.asarray(motion.poses.translations)[:, 0]
+    steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    np.testing.assert_allclose(steps, 0.02, atol=1e-5)
+    # a rate that divides no key
+    assert len(read_gltf(path, rate=7.0)[1]) == 29
+
+
+def test_keys_on_no_grid_are_sampled_with_a_word(chain, tmp_path, rng):
+    path = moving_two(chain, tmp_path, np.sort(rng.uniform(0, 3, 20)))
+    with pytest.warns(UserWarning, match=r"two.glb: the keys .* on no grid .* 30 frames a second"):
+        motion = read_gltf(path)[1]
+    assert (len(motion), motion.rate) == (121, pytest.approx(30.0))
+
+
+@pytest.mark.parametrize("rate", [24.0, 25.0, 29.97, 60.0, 120.0])
+def test_the_grid_of_keys_is_found(rng, rate):
+    """Where few of its times have keys, in single precision; the ends and two neighbours among them."""
+    kept = np.unique([0, 7, 8, 900, *rng.integers(0, 900, 12)])
+    times = (np.float32(2.0) + (kept / rate).astype("<f4")).astype(float)
+    assert grid_steps(times) == 900
+    assert grid_steps(times[:1]) == 0

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..errors import InputError
 from .archive import PACKED, ROOM
 from .clip import clip_names, clip_number
+from .gltf_clock import first_and_last, frames_of
 from .gltf_document import no_skin, read_document
 from .gltf_parts import Part
 from .gltf_scene import WIDTHS, tree
@@ -130,15 +131,7 @@ class GltfFile:
         animation = self.animations[self.clip]
         samplers = animation.parts("samplers")
         keys = [self._times(sampler) for sampler in samplers]
-        if not keys:
-            raise InputError(f"{animation.where} has no samplers; export it with keys.")
-        clock = max(keys, key=len)
-        if rate is not None:
-            self.spend(int(min((clock[-1] - clock[0]) * rate, 2**40)), "the animation at this rate")
-            clock = np.arange(clock[0], clock[-1] + 0.5 / rate, 1.0 / rate)
-        elif len(clock) > 1:
-            clock = np.linspace(clock[0], clock[-1], len(clock))
-        moving: dict[int, Stand] = {}
+        used: list[tuple[str, int, int]] = []
         for channel in animation.parts("channels"):
             target = channel.part("target")
             name, node = target.word("path"), target.index("node", len(self.nodes))
@@ -147,6 +140,17 @@ class GltfFile:
             place = channel.index("sampler", len(samplers))
             if place is None:
                 raise channel.wrong("sampler", "the number of one")
+            used.append((name, node, place))
+        # an animation of shapes alone lasts as long as these
+        times = [keys[place] for _, _, place in used] or keys
+        if not times:
+            raise InputError(f"{animation.where} has no samplers; export it with keys.")
+        count = frames_of(times, rate, self.path)
+        self.spend(count, "the animation at this rate")
+        first, last = first_and_last(times)
+        clock = np.linspace(first, last, count) if rate is None else first + np.arange(count) / rate
+        moving: dict[int, Stand] = {}
+        for name, node, place in used:
             self.spend(len(clock) * len(_REST[name]), "the animation")
             stand = moving.setdefault(node, self.still(node))
             stand[name] = self._sampled(samplers[place], keys[place], name, clock)

@@ -13,7 +13,8 @@ from .bound import Bound, Joints, bind, body_of, motion_of, placing
 from .door import reads
 from .gltf_file import GltfFile
 from .gltf_parts import Part
-from .gltf_surface import inverse_binds, read_surface, skin_joints
+from .gltf_surface import inverse_binds, left_out, read_surface, skin_joints
+from .left_out import warn_left_out
 from .text import LARGEST
 
 _HINGES = ("revolute", "universal")
@@ -28,7 +29,9 @@ def read_gltf(
 
     Rest is where the inverse bind matrices have the joints, in metres and as upright as what stands above the roots
     makes it; the joints' frames there are their orientations. Kinds and axes are those that `write_gltf` notes, else
-    roots are free and other joints turn freely. Times are sampled at `rate`, the one of the keys where it is not given.
+    roots are free and other joints turn freely. Times are sampled at `rate`, from the first key of any node to the last; where
+    it is not given, at the coarsest rate that has all keys, and with a warning at 30 frames a second where none has. Other
+    figures of the file are left out with a warning.
     Scale may change above the roots alone and be the same along all axes.
 
     **Raises:** `InputError` where the file is not a whole one, has no skin or no such clip, or has what a
@@ -36,6 +39,7 @@ def read_gltf(
     """
     file = GltfFile(path, clip)
     bound = _bind(file)
+    warn_left_out(file.path, left_out(file, skin_joints(file, 0), surface=False))
     return bound.skeleton, _motion(file, bound, rate)
 
 
@@ -45,15 +49,17 @@ def read_gltf_body(
 ) -> tuple[Body, Motion | None]:
     """The body of a file's first skin, which blends linearly, and an animation; skeleton and `clip` as in `read_gltf`.
 
-    All meshes that this skin moves are the surface, or those of other skins of the same joints; morph targets and meshes that
-    hang on a joint without a skin are left out. Vertices that were split along the seams of textures are one again. Meshes of skins without a joint of the first
-    one, as of a second figure, are left out with a warning.
+    All meshes that this skin moves are the surface, or those of other skins of the same joints. Vertices that were split along
+    the seams of textures are one again. Shape keys (morph targets), meshes that hang on a joint without a skin, and those of a
+    second figure, whose skin has no joint of the first one, are left out with a warning.
 
     **Raises:** `InputError` as `read_gltf`, and where the surface is no triangles, or a vertex follows no joint.
     """
     file = GltfFile(path, clip)
     bound = _bind(file)
-    return body_of(file.path, bound, read_surface(file, _nodes(file, bound))), _motion(file, bound, rate)
+    surface = read_surface(file, _nodes(file, bound))
+    warn_left_out(file.path, left_out(file, skin_joints(file, 0), surface=True))
+    return body_of(file.path, bound, surface), _motion(file, bound, rate)
 
 
 def _bind(file: GltfFile) -> Bound:

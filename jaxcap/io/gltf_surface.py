@@ -1,6 +1,5 @@
 """The surface that a skin of a glTF file moves, and which joints each vertex follows."""
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ from ..errors import InputError
 from .bound import inverted
 from .gltf_file import GltfFile
 from .gltf_parts import Part
+from .left_out import FIGURES, RIGID, SHAPES
 from .surface import Surface, as_shares, joined, sewn
 
 #: triangles, and points where there are no faces
@@ -22,27 +22,52 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
     **Raises:** `InputError` where there is none, one is not of triangles, or a vertex follows no joint.
     """
     parts: list[Surface] = []
-    others: list[str] = []
-    for node in file.nodes:
-        mesh, skin = node.index("mesh", len(file.meshes)), node.index("skin", len(file.skins))
-        if mesh is None or skin is None:
-            continue
-        if not set(skin_joints(file, skin)) & set(joints):
-            others.append(node.word("name") or f"mesh {mesh}")
+    skins = {skin: skin_joints(file, skin) for skin in sharing(file, joints)}
+    for _, mesh, skin in skinned(file):
+        if skin not in skins:
             continue
         move = _between_skins(file, skin, joints)
         for primitive in file.meshes[mesh].parts("primitives"):
-            part = _part(file, primitive, skin_joints(file, skin), joints)
+            part = _part(file, primitive, skins[skin], joints)
             parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
     if not parts:
         raise InputError(f"{file.path}: no mesh of this file follows its joints; read it as a skeleton.")
-    if others:
-        warnings.warn(
-            f"{file.path}: {', '.join(others)} left out: the skin shares no joint with the first one of the file. To read "
-            "another figure, export it by itself.",
-            stacklevel=2,
-        )
     return sewn(joined(parts))
+
+
+def sharing(file: GltfFile, joints: Sequence[int]) -> tuple[int, ...]:
+    """The skins in use that have one of some joints. Raises `InputError`."""
+    wanted = set(joints)
+    used = dict.fromkeys(skin for _, _, skin in skinned(file))
+    return tuple(skin for skin in used if not wanted.isdisjoint(skin_joints(file, skin)))
+
+
+def skinned(file: GltfFile) -> list[tuple[Part, int, int]]:
+    """The nodes with a mesh and a skin, and the numbers of these. Raises `InputError`."""
+    found = [
+        (node, node.index("mesh", len(file.meshes)), node.index("skin", len(file.skins)))
+        for node in file.nodes
+    ]
+    return [(node, mesh, skin) for node, mesh, skin in found if mesh is not None and skin is not None]
+
+
+def left_out(file: GltfFile, joints: Sequence[int], surface: bool) -> dict[str, list[str]]:
+    """What is not read of a file beside the figure of some joints, by kind; that of its `surface` where it is read."""
+
+    def name(node: Part, mesh: int) -> str:
+        return node.word("name") or file.meshes[mesh].word("name") or f"mesh {mesh}"
+
+    own, with_skin = set(sharing(file, joints)), skinned(file)
+    found = {FIGURES: [name(node, mesh) for node, mesh, skin in with_skin if skin not in own]}
+    if surface:
+        meshes = ((node, node.index("mesh", len(file.meshes))) for node in file.nodes if "skin" not in node)
+        found[RIGID] = [name(node, mesh) for node, mesh in meshes if mesh is not None]
+        found[SHAPES] = [
+            name(node, mesh)
+            for node, mesh, skin in with_skin
+            if skin in own and any("targets" in part for part in file.meshes[mesh].parts("primitives"))
+        ]
+    return found
 
 
 def skin_joints(file: GltfFile, skin: int) -> list[int]:

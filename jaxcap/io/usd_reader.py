@@ -17,6 +17,7 @@ from .bound import Joints, bind, body_of, inverted, motion_of, placing
 from .door import reads
 from .gltf_document import no_skin
 from .inside import is_inside, outside
+from .left_out import FIGURES, RIGID, SHAPES, warn_left_out
 from .mesh import check_faces, check_points
 from .meshes import triangulate
 from .surface import Surface, as_shares, joined
@@ -36,7 +37,8 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
     """The body of a file's first skeleton, which blends linearly, and its animation, a frame of the file's own rate each.
 
     Rest is where the bind transforms have the joints, in metres, y up; their frames there are the joints' orientations. Roots are
-    free and other joints turn freely, as UsdSkel knows no kinds. Blend shapes are left out.
+    free and other joints turn freely, as UsdSkel knows no kinds. Blend shapes, meshes that follow no joint and other figures
+    are left out with a warning.
 
     **Raises:** `InputError` where usd-core is not installed, the file is not a whole one, has no skinned skeleton, or has what a
     `Skeleton` and its `Pose` cannot hold: joints that are sheared or scaled by themselves.
@@ -115,6 +117,7 @@ class _Skinned:
         if not bindings:
             raise no_skin(path)
         self.skeleton, self.targets = bindings[0].GetSkeleton(), bindings[0].GetSkinningTargets()
+        warn_left_out(path, self.left_out(predicate, bindings[1:]))
         self.query = cache.GetSkelQuery(self.skeleton)
         if not self.query or not len(self.query.GetJointOrder()):
             raise InputError(f"{path}: the skeleton of this file has no joints.")
@@ -156,6 +159,20 @@ class _Skinned:
         frames, rate = self.frames(len(order))
         motion = motion_of(self.path, bound, frames[:, list(bound.order)], rate) if len(frames) else None
         return body_of(self.path, bound, surface), motion
+
+    def left_out(self, predicate: "Usd.PrimFlagsPredicate", others: list) -> dict[str, list[str]]:
+        """What is not read beside the first figure, by kind."""
+        from pxr import Usd, UsdGeom, UsdSkel
+
+        own = {target.GetPrim().GetPath() for target in self.targets}
+        theirs = {target.GetPrim().GetPath() for other in others for target in other.GetSkinningTargets()}
+        meshes = [prim for prim in Usd.PrimRange.Stage(self.stage, predicate) if prim.IsA(UsdGeom.Mesh)]
+        mine = [prim for prim in meshes if prim.GetPath() in own]
+        return {
+            FIGURES: [other.GetSkeleton().GetPrim().GetName() for other in others],
+            RIGID: [prim.GetName() for prim in meshes if prim.GetPath() not in own | theirs],
+            SHAPES: [prim.GetName() for prim in mine if UsdSkel.BindingAPI(prim).GetBlendShapesAttr().Get()],
+        }
 
     def above(self, time: "Usd.TimeCode") -> Float[np.ndarray, "4 4"]:
         """From the skeleton's space into the world."""
