@@ -1,5 +1,6 @@
 """Files that appear whole, whoever else writes them, and one run at a time for an output."""
 
+import errno
 import os
 import stat
 import subprocess
@@ -140,6 +141,33 @@ def test_second_run_is_refused_until_the_first_dies(tmp_path, holder):
     with run_lock(tmp_path):
         assert os.listdir(tmp_path) == [".jaxcap.lock"]
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows removes no temporary folders")
+def test_what_another_program_is_writing_stays(tmp_path):
+    """A run in a folder begins while a file is written there, without a lock of the folder."""
+    (tmp_path / ".b.npz.abcdefgh.unfinished").mkdir()
+    with replacing(tmp_path / "a.npz") as temporary:
+        with run_lock(tmp_path):
+            assert set(os.listdir(tmp_path)) == {".jaxcap.lock", temporary.parent.name}
+        temporary.write_text("whole")
+    assert (os.listdir(tmp_path), (tmp_path / "a.npz").read_text()) == (["a.npz"], "whole")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other locks")
+def test_a_file_system_without_locks(tmp_path, monkeypatch):
+    """The run goes on with a word, and removes nothing."""
+    import fcntl
+
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", no_locks)
+    left = tmp_path / ".b.npz.abcdefgh.unfinished"
+    left.mkdir()
+    with pytest.warns(UserWarning, match="has no locks; let no second run"), run_lock(tmp_path):
+        write_text(tmp_path / "a.txt", "text")
+    assert sorted(os.listdir(tmp_path)) == [left.name, "a.txt"]
 
 
 def test_locks_of_files(tmp_path, holder):

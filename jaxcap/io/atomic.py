@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import InputError
+from .file_lock import lock_folder
 
 #: no space on the device, no more for this user, no larger files
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -27,10 +28,15 @@ def replacing(path: str | Path) -> Iterator[Path]:
     **Raises:** `InputError` where the folder cannot be written to, or is full: an earlier file at `path` is not changed.
     """
     path = Path(path)
-    folder = None
+    folder = lock = None
     try:
-        # a name may be as long as the file system allows, so only its beginning is repeated
-        folder = tempfile.mkdtemp(_ENDING, f".{path.name[:64]}.", path.parent)
+        while True:
+            # a name may be as long as the file system allows, so only its beginning is repeated
+            folder = tempfile.mkdtemp(_ENDING, f".{path.name[:64]}.", path.parent)
+            # so that `remove_unfinished` knows that it is in use
+            lock = lock_folder(folder)
+            if os.path.isdir(folder):
+                break
         temporary = Path(folder) / path.name
         yield temporary
         os.replace(temporary, path)
@@ -40,18 +46,22 @@ def replacing(path: str | Path) -> Iterator[Path]:
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
 
 
 def remove_unfinished(path: str | Path) -> None:
     """Remove temporary files that killed programs left of `path`, or of all files in it where it is a folder.
 
-    Only for a caller that no other program writes this path at the same time as, such as the owner of its `RunLock`.
+    Those that a program is still writing are locked and stay, and where folders cannot be locked all do.
     """
     path = Path(path)
     folder, begin = (path, ".") if path.is_dir() else (path.parent, f".{path.name[:64]}.")
     for there in folder.glob(f".*{_ENDING}"):
-        if there.name.startswith(begin) and not there.is_symlink():
+        lock = lock_folder(there) if there.name.startswith(begin) else None
+        if lock is not None:
             shutil.rmtree(there, ignore_errors=True)
+            os.close(lock)
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -1,21 +1,18 @@
 """One run at a time for an output: a lock that ends with its process, however that ends."""
 
 import contextlib
-import errno
 import os
 import socket
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import InputError
 from .atomic import remove_unfinished
+from .file_lock import is_at, lock_open_file
 
-#: where a file system knows no locks, such as some network drives: the run goes on without one
-_WITHOUT = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 #: the lock file of a folder of results
 FOLDER_LOCK = ".jaxcap.lock"
-#: the byte that Windows locks, behind the text, which others have to be able to read
-_FAR = 1 << 30
 
 
 @contextlib.contextmanager
@@ -24,7 +21,8 @@ def run_lock(*outputs: str | Path) -> Iterator[None]:
 
     A lock is a small file, `.jaxcap.lock` in a folder or `.NAME.lock` next to a file, that the operating system locks for
     this process (`flock`; on Windows `locking`). It is free when the process ends, also by SIGKILL, and the file is removed
-    when the block ends. Temporary files that killed runs left of the outputs are removed.
+    when the block ends. Temporary files that killed runs left of the outputs are removed, and those of
+    programs that run are not.
 
     **Raises:** `InputError` where another run has one of them, with its process number; or where a folder cannot be
     written to.
@@ -63,8 +61,14 @@ def _take(path: Path, output: Path) -> int:
     try:
         while True:
             file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
-            free = _lock_file(file)
-            if free and _is_at(file, path):
+            free = lock_open_file(file)
+            if free is None:
+                warnings.warn(
+                    f"{output}: this file system has no locks; let no second run write here before this one ends.",
+                    stacklevel=2,
+                )
+                return file
+            if free and is_at(file, path):
                 return file
             owner = b"" if free else os.read(file, 200)
             os.close(file)
@@ -76,37 +80,6 @@ def _take(path: Path, output: Path) -> int:
         raise InputError(
             f"{path}: the lock of this run cannot be made ({error.strerror or error}); give a path in a writable folder."
         ) from None
-
-
-def _lock_file(file: int) -> bool:
-    """Lock an open file without waiting; False where another process, or another part of this one, has the lock."""
-    try:
-        if os.name == "nt":
-            import msvcrt
-
-            os.lseek(file, _FAR, os.SEEK_SET)
-            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue]
-            os.lseek(file, 0, os.SEEK_SET)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno in _WITHOUT:
-            return True
-        if error.errno in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
-            return False
-        os.close(file)
-        raise
-    return True
-
-
-def _is_at(file: int, path: Path) -> bool:
-    """Whether an open file is still the one at a path, and was not removed by a run that ended."""
-    try:
-        return os.path.samestat(os.fstat(file), os.stat(path, follow_symlinks=False))
-    except FileNotFoundError:
-        return False
 
 
 def _name(owner: bytes) -> str:

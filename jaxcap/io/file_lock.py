@@ -1,0 +1,58 @@
+"""Locks of open files and folders that the operating system holds for this process and frees when it ends."""
+
+import errno
+import os
+from pathlib import Path
+
+#: where a file system knows no locks, such as some network drives
+_WITHOUT = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+#: the byte that Windows locks, behind the text, which others have to be able to read
+_FAR = 1 << 30
+
+
+def lock_open_file(file: int) -> bool | None:
+    """Lock an open file without waiting.
+
+    False where another process, or another part of this one, has the lock; None where the file system knows no locks.
+    """
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            os.lseek(file, _FAR, os.SEEK_SET)
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue]
+            os.lseek(file, 0, os.SEEK_SET)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _WITHOUT:
+            return None
+        if error.errno in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
+            return False
+        os.close(file)
+        raise
+    return True
+
+
+def is_at(file: int, path: str | Path) -> bool:
+    """Whether an open file is still the one at a path, and was not removed by a run that ended."""
+    try:
+        return os.path.samestat(os.fstat(file), os.stat(path, follow_symlinks=False))
+    except FileNotFoundError:
+        return False
+
+
+def lock_folder(folder: str | Path) -> int | None:
+    """Open and lock a folder; None where it is gone, another process has it, or folders cannot be locked, as on Windows."""
+    if os.name == "nt":
+        return None
+    try:
+        file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:
+        return None
+    if lock_open_file(file) and is_at(file, folder):
+        return file
+    os.close(file)
+    return None
