@@ -67,8 +67,12 @@ def test_damaged_record_ends_what_counts(tmp_path, records):
     data = bytearray(write(path, records))
     data[-3 * 60 + 20] ^= 1
     path.write_bytes(data)
-    with resume_journal(path, HEADER, 7) as journal:
+    with (
+        pytest.warns(UserWarning, match=r"record 2, .* the 2 behind it are made anew; journal.damaged"),
+        resume_journal(path, HEADER, 7) as journal,
+    ):
         assert same(journal.read(), records[:2])
+    assert (tmp_path / "journal.damaged").read_bytes() == data
 
 
 def test_records_are_read_in_blocks(tmp_path, monkeypatch, records):

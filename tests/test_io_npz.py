@@ -111,6 +111,11 @@ def rewrite(path, drop=(), **changes):
             lambda p: rewrite(p, vertices=np.array([[np.nan] * 3] * 5)),
             "'vertices' has numbers that are not finite, first in vertex 0",
         ),
+        (
+            lambda p: rewrite(p, **{"skin.weights": np.tile([1.5, -0.5, 0.0], (5, 1))}),
+            "follows bone 1 .* -0.5, below zero",
+        ),
+        (lambda p: rewrite(p, **{"skin.weights": np.zeros((5, 3))}), "weights of vertex 0 add up to 0;"),
         (lambda p: (p.unlink(), p.mkdir()), "this is a folder, where a body is expected"),
         (lambda p: p.unlink(), "no such file"),
     ],
@@ -143,6 +148,30 @@ def test_a_wrong_motion_is_told(tmp_path, changes, said):
     rewrite(path, **changes)
     with pytest.raises(InputError, match=said):
         load_motion(path)
+
+
+def test_a_motion_of_a_skeleton_that_stands_otherwise_is_refused(tmp_path):
+    """The same names, with arms down: rotations mean other poses there."""
+    still = Motion(Pose(jnp.zeros((2, 2, 3)), jnp.tile(jnp.array([1.0, 0, 0, 0]), (2, 2, 1)), jnp.ones(2)))
+    out, down = (
+        make_skeleton(["shoulder", "hand"], [-1, 0], ["free", "ball"], [[0.0, 0, 0], hand])
+        for hand in ([0.5, 0, 0], [0, -0.5, 0])
+    )
+    save_motion(tmp_path / "m.npz", still, out)
+    assert len(load_motion(tmp_path / "m.npz", out)) == 2
+    with pytest.raises(InputError, match=r"from 'shoulder' to 'hand' points 90 degrees .* edit retarget"):
+        load_motion(tmp_path / "m.npz", down)
+
+
+def test_who_reads_a_tracked_motion_is_told_of_its_lost_frames(tmp_path):
+    still = Motion(Pose(jnp.zeros((3, 2, 3)), jnp.tile(jnp.array([1.0, 0, 0, 0]), (3, 2, 1)), jnp.ones(3)))
+    save_motion(tmp_path / "m.npz", still, None, ["good", "lost", "doubtful"])
+    with pytest.warns(
+        UserWarning, match=r"m.npz: .* 1 of 3 frames are lost \(1, .* 1 of 3 frames are doubtful \(2,"
+    ):
+        assert len(load_motion(tmp_path / "m.npz")) == 3
+    save_motion(tmp_path / "m.npz", still, None, ["good"] * 3)
+    load_motion(tmp_path / "m.npz")
 
 
 def test_what_cannot_be_written_leaves_nothing(bodies, tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers import chain_skeleton
 
-from jaxcap.body.skeleton import KINDS, dof_layout, make_skeleton, rest_distance, same_joints
+from jaxcap.body.skeleton import KINDS, dof_layout, make_skeleton, rest_difference, rest_distance, same_joints
 
 
 def random_tree(rng, count: int):
@@ -116,3 +116,25 @@ def test_skeletons_are_alike_by_their_joints_and_apart_by_where_these_stand():
     assert abs(rest_distance(one, longer) - 0.03) < 1e-12
     assert not same_joints(one, make_skeleton(("hip", "knee"), (-1, -1), ("free", "free"), one.centres))
     assert not same_joints(one, make_skeleton(("hip", "heel"), (-1, 0), ("free", "ball"), one.centres))
+
+
+@pytest.mark.parametrize(
+    ("arm", "hangs", "said"),
+    [
+        ([0.6, 0, 0], 1, None),
+        # of another person, and a little lower
+        ([0.5, -0.1, 0.0], 1, None),
+        ([0.2, -0.4, 0.0], 1, "bone from 'shoulder' to 'hand' points 90 degrees elsewhere"),
+        ([0.6, 0, 0], 0, "'hand' hangs on shoulder, not on hip"),
+    ],
+)
+def test_poses_mean_the_same_where_bones_point_the_same_way(arm, hangs, said):
+    """A joint as near as 2 mm to its parent points anywhere."""
+
+    def person(near, hand, on):
+        centres = [[0.0, 0, 0], [0.2, 0, 0], near, hand]
+        names = ("hip", "shoulder", "strap", "hand")
+        return make_skeleton(names, (-1, 0, 0, on), ("free", "ball", "ball", "ball"), centres)
+
+    found = rest_difference(person([0, 0.002, 0], [0.6, 0, 0], 1), person([0.002, 0, 0], arm, hangs))
+    assert found is None if said is None else said in str(found)

@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 from ..arguments import check_fields, check_length, checked
 from ..errors import InputError
 
+#: degrees that bones of one rest may differ by, and the share of a skeleton's size below which they are not compared
+TURNED, SHORT = 20.0, 0.03
 #: How many numbers move a joint of each kind, as (translations, rotations).
 KINDS: dict[str, tuple[int, int]] = {
     "fixed": (0, 0),
@@ -204,6 +206,38 @@ def rest_distance(one: Skeleton, other: Skeleton) -> float:
     """How far a joint of one skeleton is at most from the same joint of the other at rest, metres."""
     apart = np.asarray(one.centres, float) - np.asarray(other.centres, float)
     return float(np.linalg.norm(apart, axis=1).max())
+
+
+def rest_difference(one: Skeleton, other: Skeleton) -> str | None:
+    """Say where two skeletons with the same names differ such that a pose of one would mean another in the other.
+
+    A joint hangs on another one, or a bone points elsewhere at rest by more than `TURNED` degrees, as where one stands with
+    its arms out and the other with them down; None where neither does. Bones may be longer. The words follow "whose".
+    """
+    for name, parent, there in zip(one.names, one.parents, other.parents, strict=True):
+        if parent != there:
+            hangs = [
+                names[p] if p >= 0 else "nothing" for names, p in ((one.names, parent), (other.names, there))
+            ]
+            return f"'{name}' hangs on {hangs[0]}, not on {hangs[1]}"
+    bones = [joint for joint, parent in enumerate(one.parents) if parent >= 0]
+    above = [one.parents[joint] for joint in bones]
+    centres = [np.asarray(skeleton.centres, float) for skeleton in (one, other)]
+    long = [there[bones] - there[above] for there in centres]
+    length = [np.linalg.norm(bone, axis=1) for bone in long]
+    # the direction of a short one is chance
+    counts = np.all(
+        [some > SHORT * np.ptp(there, 0).max() for some, there in zip(length, centres, strict=True)], 0
+    )
+    cosine = np.sum(long[0] * long[1], 1) / np.where(counts, length[0] * length[1], 1.0)
+    turned = np.degrees(np.arccos(np.clip(cosine, -1, 1))) * counts
+    if not turned.max(initial=0.0) > TURNED:
+        return None
+    worst = int(turned.argmax())
+    return (
+        f"bone from '{one.names[above[worst]]}' to '{one.names[bones[worst]]}' points {turned[worst]:.0f} degrees elsewhere "
+        "at rest"
+    )
 
 
 def _parents_first(names: list[str], parents: list[int]) -> list[int]:

@@ -1,5 +1,7 @@
 """A tracked frame as a row of numbers, which a run that was stopped goes on from."""
 
+import zlib
+from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,8 +19,8 @@ from ..fit.judgement.verdict import DOUBT, Judgement
 from ..fit.recover import Patience, TrackedFrame, reasons_of, verdict_of
 from ..fit.track import Tracker, start_state
 
-#: numbers of a row in front of its pose
-POSE_AT = 1
+#: column of a row that tells its cloud, and numbers of a row in front of its pose
+CLOUD_AT, POSE_AT = 1, 2
 
 
 def whose_poses(skeleton: Skeleton) -> dict[str, object]:
@@ -26,10 +28,15 @@ def whose_poses(skeleton: Skeleton) -> dict[str, object]:
     return {"joints": list(skeleton.names), "pose at": POSE_AT}
 
 
-def pack(frame: TrackedFrame, seconds: float) -> Float[np.ndarray, "R"]:
-    """A frame as one row of numbers, exact in both precisions."""
+def cloud_sum(name: str) -> float:
+    """A number that tells clouds apart, by the name of their file without its folder."""
+    return float(zlib.crc32(Path(name).name.encode("utf-8", "surrogateescape")))
+
+
+def pack(frame: TrackedFrame, seconds: float, cloud: str = "") -> Float[np.ndarray, "R"]:
+    """A frame as one row of numbers, exact in both precisions; `cloud` is its cloud's name."""
     return np.concatenate(
-        [[seconds], *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(frame))]
+        [[seconds, cloud_sum(cloud)], *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(frame))]
     )
 
 

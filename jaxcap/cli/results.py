@@ -14,9 +14,10 @@ from ..errors import InputError
 from ..fit.track import Tracker
 from ..io.bvh import write_bvh
 from ..io.clouds import Scans
+from ..io.journal import Journal
 from ..io.npz import save_motion
 from ..io.table import write_csv, write_json
-from .frame_rows import Results
+from .frame_rows import CLOUD_AT, Results, cloud_sum
 
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
@@ -58,7 +59,7 @@ def make_writable(folder: Path) -> None:
 
 def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
     """What tells that inputs are the same: hashes of the body with its limits and of the first
-    cloud. Clouds further on may be mended or added before a run goes on."""
+    cloud. Clouds further on may be mended or added before a run goes on, behind those that are solved (`check_same_clouds`)."""
     body = hashlib.sha256()
     for leaf in jax.tree.leaves(tracker):
         body.update(np.asarray(leaf).tobytes())
@@ -70,13 +71,27 @@ def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
     }
 
 
+def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:
+    """That the frames of a run that goes on are those of the first clouds that are there now.
+
+    **Raises:** `InputError` with the first that is another one, as where files were added in front of others.
+    """
+    solved = journal.read(slice(CLOUD_AT, CLOUD_AT + 1))[:, 0]
+    for number, (name, was) in enumerate(zip(names, solved, strict=False)):
+        if cloud_sum(name) != was:
+            raise InputError(
+                f"{journal.path}: frame {number} of this run was not {Path(name).name}, which is the cloud of that number "
+                f"now; resume it with the {len(solved)} clouds that it has solved first, or overwrite it."
+            )
+
+
 def write_results(
     folder: Path, skeleton: Skeleton, results: Results, rate: float, names: Sequence[str]
 ) -> None:
     """Write motion and statistics of the frames of a run; `names` are those of the clouds."""
     motion = Motion(results.poses, rate)
     write_bvh(folder / "motion.bvh", skeleton, motion)
-    save_motion(folder / "motion.npz", motion, skeleton)
+    save_motion(folder / "motion.npz", motion, skeleton, [verdict for verdict, _ in results.verdicts])
     statistics = results.statistics
     columns = {
         # of a mean point, per metre^3: what expectation maximisation makes small
@@ -84,7 +99,7 @@ def write_results(
         "sigma": statistics.sigma,
         "outlier_share": statistics.outlier_share,
         "mean_distance": statistics.mean_distance,
-        "state": np.array(["converged" if verdict == "good" else verdict for verdict, _ in results.verdicts]),
+        "state": np.array([verdict for verdict, _ in results.verdicts]),
         "reasons": np.array(["; ".join(reasons) for _, reasons in results.verdicts]),
         "seconds": results.seconds,
     }

@@ -22,7 +22,7 @@ from ..io.lock import run_lock
 from .frame_rows import pack, results_of, results_width, row_template, row_width, unpack, whose_poses
 from .heartbeat import doing
 from .options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
-from .results import check_folder, fingerprint, make_writable, write_results
+from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
 from .say import progress, say, warn
 from .sources import Clouds, load_body, load_cloud
 from .timed import timed
@@ -107,6 +107,7 @@ class Track:
             else begin_journal(path, header, row_width(template))
         )
         with journal:
+            check_same_clouds(journal, scans.names)
             last = None if journal.last is None else unpack(template, journal.last)[0]
             self.follow(tracker, scans, journal, last)
         doing("writing the results")
@@ -119,6 +120,11 @@ class Track:
         )
         for sentence in verdict_sentences(results.verdicts):
             warn(sentence)
+        if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
+            raise InputError(
+                f"{self.out}: the body was found in none of the {len(rows)} frames; what is written there shows none of them. "
+                "Are the unit, what is up, and the body those of the capture?"
+            )
         if len(rows) < len(scans):
             raise KeyboardInterrupt(
                 f"stopped after {len(rows)} of {len(scans)} frames, which are written; --resume goes on"
@@ -166,7 +172,7 @@ class Track:
         steps = self.steps(tracker, scans, journal.count, last)
         try:
             for frame, took in progress(steps, len(scans), min(journal.count, len(scans))):
-                journal.append(pack(frame, took))
+                journal.append(pack(frame, took, scans.names[journal.count]))
         except KeyboardInterrupt:
             if not journal.count:
                 journal.path.unlink()

@@ -10,7 +10,9 @@ written anew. Records are read in blocks: memory does not grow with their number
 """
 
 import json
+import shutil
 import struct
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -108,6 +110,8 @@ def read_header(path: str | Path) -> dict[str, object]:
 def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -> Journal:
     """Open a journal of records of `width` numbers behind its last whole one.
 
+    A torn last record is written anew. Where one in front of others is damaged, a warning says so, and a copy is kept.
+
     **Raises:** `InputError` where the file is no journal, or was begun with another `header`, of which the first difference
     is named, or by another version whose records are of other numbers.
     """
@@ -123,6 +127,18 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
         count, last = 0, None
         for block in _blocks(file, width):
             count, last = count + len(block), block[-1].copy()
+        file.seek(0, 2)
+        behind = (file.tell() - start) // _size(width) - count
+    # the last record may be torn by the end of the program; one in front of others was damaged since
+    if behind > 1:
+        kept = path.with_name(f"{path.name}.damaged")
+        with replacing(kept) as temporary:
+            shutil.copyfile(path, temporary)
+        warnings.warn(
+            f"{path}: record {count}, counted from 0, is damaged, so that this and the {behind - 1} behind it are made anew; "
+            f"{kept.name} beside it is what was there.",
+            stacklevel=2,
+        )
     return Journal(path, width, start, count, last)
 
 

@@ -1,6 +1,7 @@
 """Bodies and motions as `.npz`: plain arrays with a format name and a version, never pickled."""
 
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,7 +11,7 @@ import numpy as np
 from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose
-from ..body.skeleton import Skeleton, make_skeleton
+from ..body.skeleton import Skeleton, make_skeleton, rest_difference
 from ..body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ..errors import InputError
 from .archive import open_archive
@@ -23,6 +24,10 @@ VERSION = 1
 
 #: a quaternion that is no longer is no rotation
 LEAST = 1e-6
+#: by how much the weights of a vertex may miss one
+SHARE = 1e-3
+#: frames that are named of each verdict
+NAMED = 10
 _SKELETON = ("names", "parents", "kinds", "centres", "orientations", "axes")
 #: what the arrays beside a body are called in front
 LIMITS = "limits."
@@ -110,8 +115,27 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
             raise InputError(
                 f"{path}: the skin names bone {wrong}, but the skeleton has {joints}: 0 to {joints - 1}."
             )
+        if not whole:
+            _check_shares(values, path, rest=name != "weights")
         fields.append(jnp.asarray(values))
     return Body(skeleton, cls(*fields), jnp.asarray(vertices), jnp.asarray(faces))
+
+
+def _check_shares(weights: np.ndarray, path: str | Path, rest: bool) -> None:
+    """That weights are shares of whole vertices, whose `rest` may follow the base. Raises `InputError`."""
+    if (weights < -SHARE).any():
+        vertex, bone = divmod(int(weights.argmin()), weights.shape[1])
+        raise InputError(
+            f"{path}: vertex {vertex} follows bone {bone} with the weight {weights.min():g}, below zero; write shares that add "
+            "up to one."
+        )
+    apart = weights.sum(1) - 1.0
+    wrong = (apart > SHARE) | ((apart < -SHARE) & (not rest))
+    if wrong.any():
+        vertex = int(wrong.argmax())
+        raise InputError(
+            f"{path}: the weights of vertex {vertex} add up to {weights[vertex].sum():g}; write shares that add up to one."
+        )
 
 
 def load_limits(path: str | Path) -> dict[str, np.ndarray]:
@@ -120,13 +144,18 @@ def load_limits(path: str | Path) -> dict[str, np.ndarray]:
 
 
 @checked
-def save_motion(path: str | Path, motion: Motion, skeleton: Skeleton | None = None) -> None:
+def save_motion(
+    path: str | Path, motion: Motion, skeleton: Skeleton | None = None, verdicts: Sequence[str] = ()
+) -> None:
     """Write a motion; with its skeleton, the file says whose it is.
+
+    **Arguments:** `verdicts` are those of tracked frames, `good`, `doubtful` or `lost`, of which who reads the file is told.
 
     **Raises:** `InputError` where the file cannot be written.
     """
     names = {} if skeleton is None else skeleton_arrays(skeleton)
-    save_arrays(path, "jaxcap motion", {**motion_arrays(motion), **names})
+    told = {"verdicts": np.array(verdicts, dtype=str)} if len(verdicts) else {}
+    save_arrays(path, "jaxcap motion", {**motion_arrays(motion), **names, **told})
 
 
 def motion_arrays(motion: Motion) -> dict[str, Any]:
@@ -141,11 +170,15 @@ def motion_arrays(motion: Motion) -> dict[str, Any]:
 def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     """Read a motion that `save_motion` wrote.
 
+    Warns of frames that the tracker which made the motion called doubtful or lost.
+
     **Raises:** `InputError` where the file is not one or is damaged, or where `skeleton` is
-    given and has other joints.
+    given and has other joints, or stands otherwise at rest (`rest_difference`), where rotations mean something else.
     """
     arrays = load_kind(path, "jaxcap motion")
     motion = motion_of(arrays, path)
+    if "verdicts" in arrays:
+        _tell_verdicts(get_array(arrays, "verdicts", path, (len(motion),), "text"), path)
     if skeleton is not None:
         own = get_array(arrays, "names", path, (None,), "text") if "names" in arrays else skeleton.names
         names, joints = tuple(str(name) for name in own), motion.poses.rotations.shape[1]
@@ -154,7 +187,27 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
                 f"{path}: this motion is of the {joints} joints {', '.join(names)}, not of the skeleton's "
                 f"{', '.join(skeleton.names)}; give it to that one by `jaxcap edit retarget`."
             )
+        if "parents" in arrays:
+            other = rest_difference(skeleton_of(arrays, path), skeleton)
+            if other is not None:
+                raise InputError(
+                    f"{path}: this motion is of a skeleton whose {other}; give it to this one by `jaxcap edit retarget`."
+                )
     return motion
+
+
+def _tell_verdicts(verdicts: np.ndarray, path: str | Path) -> None:
+    told = []
+    for verdict in ("lost", "doubtful"):
+        numbers = np.flatnonzero(verdicts == verdict)
+        if len(numbers):
+            named = ", ".join(map(str, numbers[:NAMED])) + (" and more" if len(numbers) > NAMED else "")
+            told.append(f"{len(numbers)} of {len(verdicts)} frames are {verdict} ({named}, counted from 0)")
+    if told:
+        warnings.warn(
+            f"{path}: where this motion was tracked {' and '.join(told)}; statistics.csv beside it says why.",
+            stacklevel=3,
+        )
 
 
 def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
