@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,10 @@ def outcome(format: str, path: Path) -> tuple[str, str]:
 
 def _outcome(reader: Callable[[Path], Any], path: Path) -> tuple[str, str]:
     try:
-        found = reader(path)
+        # a warning is as good as a sentence, also where a run of tests makes errors of warnings
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = reader(path)
         for where, values in numbers(found):
             if not np.isfinite(values).all():
                 return "not finite", where

@@ -196,6 +196,15 @@ def test_several_files_are_what_a_glob_of_them_is(folder):
         read_clouds(sorted(folder.iterdir()), last=9)
 
 
+def test_times_of_a_clock_in_names_are_not_missing_numbers(tmp_path):
+    """Nor do they come in another order than that of their numbers."""
+    times = (998, 1031, 1065, 1098, 1300)
+    for time in times:
+        write_mesh(tmp_path / f"scan_{time}.ply", Mesh(np.full((4, 3), float(time)), np.zeros((0, 3), int)))
+    found = read_clouds(tmp_path / "*.ply")
+    assert [scan.points[0, 0] for scan in found] == list(times)
+
+
 def test_what_is_no_file_among_several(folder):
     files = sorted(folder.iterdir())
     (folder / "a").mkdir()

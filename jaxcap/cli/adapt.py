@@ -140,10 +140,9 @@ class Adapt:
 
     def run(self) -> None:
         self.check()
-        if self.resume and nothing_left(self.results, self.kept):
-            return
         with run_lock(self.out, self.motion_path):
-            self.adapt_all()
+            if not (self.resume and nothing_left(self.results, self.kept)):
+                self.adapt_all()
 
     @property
     def results(self) -> list[Path]:

@@ -25,7 +25,7 @@ from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
 from .heartbeat import doing
 from .motions import load_skeleton
 from .options import SKELETON_WORDS, Flag, OptionalCount, OptionalFile, Unit, arg
-from .outputs import check_npz, make_folder, nothing_left
+from .outputs import check_npz, check_parent, make_folder, nothing_left
 from .rounds import Rounds
 from .say import say, warn
 from .scoring import mesh_hashes, score_motion, tell_scores
@@ -87,13 +87,15 @@ class Learn:
         self.check()
         motion_path = self.motion or self.out.with_name(f"{self.out.stem}-motion.npz")
         kept = self.out.with_name(f"{self.out.name}.partial")
-        # a run that was killed while it wrote its results goes on with its last round
-        if self.resume and nothing_left((self.out, motion_path), kept):
-            return
-        replace = self.overwrite or (self.resume and kept.is_file())
-        check_npz(self.out, replace, "a body")
-        check_npz(motion_path, replace)
+        for path in (self.out, motion_path):
+            check_parent(path)
         with run_lock(self.out, motion_path):
+            # a run that was killed while it wrote its results goes on with its last round
+            if self.resume and nothing_left((self.out, motion_path), kept):
+                return
+            replace = self.overwrite or (self.resume and kept.is_file())
+            check_npz(self.out, replace, "a body")
+            check_npz(motion_path, replace)
             self.learn_all(motion_path, kept)
 
     def learn_all(self, motion_path: Path, kept: Path) -> None:
@@ -161,6 +163,7 @@ class Learn:
             "keep_joints",
             "free_bones",
             "unit",
+            "rate",
             "hold_out",
         )
         skeleton = None if self.skeleton is None else skeleton_digest(self.skeleton)

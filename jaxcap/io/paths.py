@@ -6,8 +6,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from ..errors import InputError
 from .kinds import wrong_kind
 from .mesh import SUFFIXES
@@ -142,14 +140,20 @@ def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
 
 
 def _whole(paths: list[Path]) -> list[Path]:
-    """The same paths, where names that differ in one number leave none out."""
+    """The same paths, where names that differ in one number leave none out.
+
+    Where a gap between numbers is no multiple of the least one they do not count frames, as times of a clock do not.
+    """
     parts = [re.match(r"(.*?)(\d+)(\D*)$", path.name) for path in paths]
     if len(paths) < 3 or not all(parts) or len({(m[1], m[3]) for m in parts if m}) > 1:
         return paths
     numbers = [int(m[2]) for m in parts if m]
-    step = min(np.diff(numbers))
+    gaps = [after - here for here, after in itertools.pairwise(numbers)]
+    step = min(gaps)
+    if step <= 0 or any(gap % step for gap in gaps):
+        return paths
     for path, here, after in zip(paths, numbers, numbers[1:], strict=False):
-        if step > 0 and after - here != step:
+        if after - here != step:
             raise InputError(
                 f"{path}: number {here + step} is missing after this file; the next one is {after}."
             )

@@ -27,24 +27,43 @@ def main(path: str, folders: list[str]) -> None:
     limits["limit"](int(SECONDS + SECONDS_PER_BYTE * size), MEMORY + MEMORY_PER_BYTE * size)
     try:
         layer = Sdf.Layer.FindOrOpen(path)
-        # the reader refuses what lies elsewhere, and it is not opened here either
-        folder = os.path.dirname(os.path.realpath(path)) + os.sep
-        names = layer.GetCompositionAssetDependencies() if layer else ()
-        files = [layer.ComputeAbsolutePath(name).partition("[")[0] for name in names]
-        if layer and all((os.path.realpath(file) + os.sep).startswith(folder) for file in files):
-            _touch(Usd, UsdSkel, Usd.Stage.Open(layer))
+        if layer and _inside(Sdf, path, layer):
+            _touch(Usd, UsdSkel, Tf, Usd.Stage.Open(layer))
     except (Tf.ErrorException, UnicodeDecodeError):
         pass
 
 
-def _touch(Usd: Any, UsdSkel: Any, stage: Any) -> None:
-    """Get the value of every attribute at every time, and what moves surfaces."""
+def _inside(Sdf: Any, path: str, first: Any) -> bool:
+    """Whether all layers lie in the folder of the file, or of what it is a link to: the reader refuses what lies elsewhere, and
+    it is not opened here either."""
+    folders = {
+        os.path.realpath(os.path.dirname(found)) for found in (os.path.abspath(path), os.path.realpath(path))
+    }
+    layers, seen = [first], set()
+    while layers:
+        layer = layers.pop()
+        for name in layer.GetCompositionAssetDependencies() if layer else ():
+            found = layer.ComputeAbsolutePath(name)
+            real = os.path.realpath(found.partition("[")[0])
+            if not any(os.path.commonpath([real, folder]) == folder for folder in folders):
+                return False
+            if found not in seen:
+                seen.add(found)
+                layers.append(Sdf.Layer.FindOrOpen(found))
+    return True
+
+
+def _touch(Usd: Any, UsdSkel: Any, Tf: Any, stage: Any) -> None:
+    """Get the value of every attribute at every time, and what moves surfaces; an error of one leaves the others to be seen."""
     predicate, cache = Usd.TraverseInstanceProxies(), UsdSkel.Cache()
     for prim in Usd.PrimRange.Stage(stage, predicate):
         for attribute in prim.GetAttributes():
-            attribute.Get()
-            for time in attribute.GetTimeSamples():
-                attribute.Get(time)
+            try:
+                attribute.Get()
+                for time in attribute.GetTimeSamples():
+                    attribute.Get(time)
+            except (Tf.ErrorException, UnicodeDecodeError):
+                continue
         if prim.IsA(UsdSkel.Root):
             root = UsdSkel.Root(prim)
             cache.Populate(root, predicate)

@@ -81,15 +81,20 @@ class Solve:
         check_new(self.results, self.overwrite or (self.resume and self.kept.is_file()))
         subject = load_subject(self.subject)
         header = {**self.settings(), "subject": digest(self.subject)}
-        solved = read_solved(self.kept, header) if self.resume else {}
         doing("reading the trials")
-        # a trial that is wrong is told before any has results
+        # a trial that is wrong is told before any has results; one that changes from now on is solved as it is now
+        digests = {path: digest(path) for path in self.trials}
         trials = [read_take(path, self.unit, self.performer, self.up, self.pieces, "--performer") for path in self.trials]  # fmt: skip
         if self.into_folder:
             make_folder(self.out)
         with run_lock(*((self.out,) if self.into_folder else (self.out, *self.joints, *self.filled))):
+            # another run may have ended since
+            check_new(self.results, self.overwrite or (self.resume and self.kept.is_file()))
+            solved = read_solved(self.kept, header) if self.resume else {}
             for path, frames in zip(self.trials, trials, strict=True):
-                if solved.get(path) == digest(path):
+                if solved.get(path) == digests[path] and all(
+                    file.is_file() for file in self.results_of(path)
+                ):
                     say(f"{path}: solved before")
                     continue
                 doing(f"solving {path}")
@@ -104,7 +109,7 @@ class Solve:
                         told = f"{len(solved)} of {len(self.trials)} trials are solved; --resume goes on"
                         raise KeyboardInterrupt(f"stopped; {told}") from None
                     raise
-                solved[path] = digest(path)
+                solved[path] = digests[path]
                 write_solved(self.kept, header, solved)
             self.kept.unlink(missing_ok=True)
 
@@ -167,8 +172,11 @@ class Solve:
     @property
     def results(self) -> list[Path]:
         """All files of motions and points that the run writes."""
-        return [file for path in self.trials for file in (*self.motions(path), *self.named(self.joints, path),
-                                                          *self.named(self.filled, path))]  # fmt: skip
+        return [file for path in self.trials for file in self.results_of(path)]
+
+    def results_of(self, trial: str) -> list[Path]:
+        """The files of one trial."""
+        return [*self.motions(trial), *self.named(self.joints, trial), *self.named(self.filled, trial)]
 
     def motions(self, trial: str) -> tuple[Path, ...]:
         """The files of a trial's motion."""
