@@ -175,11 +175,18 @@ def test_on_a_terminal_words_pass(quick, monkeypatch):
     assert text.count("\n") == 1
 
 
+def heeding_ctrl_c() -> None:
+    """Tests that run in the background of a shell are deaf to it, and so would what they start be."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_while_it_imports():
     """In the middle of the imports of JAX there is one line, no traceback, and the exit code of Ctrl-C."""
     program = [PYTHON, "-X", "importtime", "-c", MAIN, "track", "human", "none", "-o", "none"]
     # of so small a pipe that the program waits to be read, and cannot end before it is stopped
-    with subprocess.Popen(program, stderr=subprocess.PIPE, text=True, pipesize=4096) as running:
+    with subprocess.Popen(
+        program, stderr=subprocess.PIPE, text=True, pipesize=4096, preexec_fn=heeding_ctrl_c
+    ) as running:
         assert running.stderr is not None
         for line in running.stderr:
             if line.rstrip().endswith("jax._src.dtypes"):

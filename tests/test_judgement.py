@@ -52,6 +52,14 @@ def scan(pose: Pose, rng, kept=lambda points, normals: np.ones(len(points), bool
     return make_cloud(points + 0.003 * rng.normal(size=points.shape), normals)
 
 
+def learned(frames: int, rng):
+    """What is usual after some right frames."""
+    usual = NOTHING
+    for _ in range(frames):
+        usual = renew(usual, gather_evidence(SURFACE, REST, scan(REST, rng), sensors_of(usual)))
+    return usual
+
+
 def in_front(points, normals):
     return normals[:, 2] > 0
 
@@ -200,3 +208,52 @@ def test_a_camera_sees_what_its_depth_buffer_says():
     # samples are within triangles, and those of which one corner is hidden are on an edge
     assert (ours & ~seen.any(1)).sum() < 0.02 * ours.sum()
     assert (ours & seen.all(1)).sum() > 0.6 * seen.all(1).sum()
+
+
+def test_a_fault_that_grows_slowly_does_not_become_usual(rng):
+    """An arm leaves the points by half a degree a frame; each frame differs from the one before by less than the noise does."""
+    usual, verdicts = learned(5, rng), []
+    for angle in np.radians(np.arange(0, 60, 0.5)):
+        pose, cloud = turned(REST, LeftArm=float(angle)), scan(REST, rng)
+        evidence = gather_evidence(SURFACE, pose, cloud, sensors_of(usual))
+        judgement = judge_evidence(SURFACE, usual, evidence)
+        verdicts.append(judgement.verdict)
+        # the worst that may happen: that all that is not lost is learned from
+        usual = usual if judgement.verdict == "lost" else renew(usual, evidence)
+    assert verdicts[0] == "good"
+    assert "good" not in verdicts[-20:]
+
+
+def test_a_body_that_always_ran_through_itself_is_not_usual(rng):
+    """The legs are in each other from the first frame on."""
+    change = np.zeros(SKELETON.num_dofs)
+    layout = dof_layout(SKELETON)
+    for name, sign in (("LeftUpLeg", -1.0), ("RightUpLeg", 1.0)):
+        change[layout.rotations[SKELETON.index(name)][2]] = 0.35 * sign
+    crossed = retract(SKELETON, REST, jnp.asarray(change))
+    usual = NOTHING
+    for _ in range(4):
+        evidence = gather_evidence(SURFACE, crossed, scan(crossed, rng), sensors_of(usual))
+        judgement = judge_evidence(SURFACE, usual, evidence)
+        usual = renew(usual, evidence)
+    assert float(np.max(evidence.inside)) > 0.02
+    assert judgement.verdict != "good"
+    assert any("leg within another part" in reason for reason in judgement.reasons)
+
+
+def test_parts_without_points_are_told(rng):
+    """A forearm that no camera sees explains nothing and is missed by nothing, and yet its pose is a guess."""
+    usual = learned(3, rng)
+    joints = np.asarray(_pose_body(BODY, REST).joints)
+    elbow = joints[SKELETON.index("LeftForeArm")]
+
+    def shown(points, normals):
+        return points[:, 0] * np.sign(elbow[0]) < abs(elbow[0]) - 0.04
+
+    def unseen(kept):
+        evidence = gather_evidence(SURFACE, REST, scan(REST, rng, kept), sensors_of(usual))
+        return judge_evidence(SURFACE, usual, evidence).unseen
+
+    assert not unseen(lambda points, normals: np.ones(len(points), bool))
+    assert not unseen(in_front)
+    assert set(unseen(shown)) == {"LeftForeArm", "LeftFingerBase"}

@@ -15,8 +15,8 @@ from ..body.skeleton import Skeleton
 from ..fit.em import FrameStatistics
 from ..fit.judgement.surface import judged_surface
 from ..fit.judgement.usual import nothing_usual
-from ..fit.judgement.verdict import DOUBT, Judgement
-from ..fit.recover import Patience, TrackedFrame, reasons_of, verdict_of
+from ..fit.judgement.verdict import DOUBT, UNSEEN, Judgement
+from ..fit.recover import Patience, TrackedFrame, reasons_of, unseen_of, verdict_of
 from ..fit.track import Tracker, start_state
 
 #: column of a row that tells its cloud, and numbers of a row in front of its pose
@@ -62,6 +62,8 @@ class Results(NamedTuple):
     statistics: FrameStatistics
     #: `verdict` and `reasons` of every `TrackedFrame`
     verdicts: list[tuple[str, tuple[str, ...]]]
+    #: `unseen` of every `TrackedFrame`
+    unseen: list[tuple[str, ...]]
 
 
 def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Results:
@@ -74,18 +76,20 @@ def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Result
         arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
         at += size
     poses, statistics, lost, judgements = jax.tree.unflatten(tree, arrays)
-    shares, tolerances, lost = (
-        np.asarray(array) for array in (judgements.shares, judgements.tolerance, lost)
+    shares, tolerances, support, lost = (
+        np.asarray(array) for array in (judgements.shares, judgements.tolerance, judgements.support, lost)
     )
     verdicts: list[tuple[str, tuple[str, ...]]] = [("good", ())] * len(rows)
-    # most frames are good: the others alone are looked at one by one
-    for number in np.flatnonzero(lost | ~(shares.max((1, 2)) < DOUBT)):
-        judgement = Judgement(shares[number], tolerances[number, ...], judgements.names)
-        verdicts[number] = (
-            verdict_of(bool(lost[number]), judgement),
-            reasons_of(bool(lost[number]), judgement),
+    unseen: list[tuple[str, ...]] = [()] * len(rows)
+    # of most frames there is nothing to tell: the others alone are looked at one by one
+    for number in np.flatnonzero(lost | ~(shares.max((1, 2)) < DOUBT) | ~(support.min(1) >= UNSEEN)):
+        there = Judgement(
+            shares[number], tolerances[number, ...], support[number], judgements.names, judgements.parts
         )
-    return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), verdicts)
+        gone = bool(lost[number])
+        verdicts[number] = verdict_of(gone, there), reasons_of(gone, there)
+        unseen[number] = unseen_of(gone, there)
+    return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), verdicts, unseen)
 
 
 def results_width(template: TrackedFrame) -> int:
@@ -113,6 +117,7 @@ def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
     statistics = FrameStatistics(number, number, number, number)
     surface = judged_surface(tracker.body)
     usual = nothing_usual(surface)
-    judgement = Judgement(usual.level, number, surface.names)
+    support = jnp.zeros(len(surface.names), number.dtype)
+    judgement = Judgement(usual.level, number, support, surface.names, surface.joints)
     state = start_state(tracker, pose)
     return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, Patience(), 0.0)

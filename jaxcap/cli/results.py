@@ -101,6 +101,7 @@ def write_results(
         "mean_distance": statistics.mean_distance,
         "state": np.array([verdict for verdict, _ in results.verdicts]),
         "reasons": np.array(["; ".join(reasons) for _, reasons in results.verdicts]),
+        "unseen": np.array(["; ".join(parts) for parts in results.unseen]),
         "seconds": results.seconds,
     }
     rows = [

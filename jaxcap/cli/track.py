@@ -13,7 +13,7 @@ from ..energy.limits import JointLimits
 from ..errors import InputError
 from ..fit.em import make_mixture
 from ..fit.recover import TrackedFrame
-from ..fit.sequence import FirstSearch, Search, track_frames, verdict_sentences
+from ..fit.sequence import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
 from ..fit.track import Tracker, make_tracker
 from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
@@ -118,7 +118,7 @@ class Track:
             f"{len(rows)} frames in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
-        for sentence in verdict_sentences(results.verdicts):
+        for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
             warn(sentence)
         if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
             raise InputError(

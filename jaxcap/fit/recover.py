@@ -84,6 +84,11 @@ class TrackedFrame(eqx.Module):
         """What is wrong and where, such as "unexplained points near the left leg"; empty for a good frame."""
         return reasons_of(self.lost, self.judgement)
 
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Parts without points, by their joints: their pose is a guess, also in a good frame. None are named of a lost frame."""
+        return unseen_of(self.lost, self.judgement)
+
 
 def verdict_of(lost: bool, judgement: Judgement) -> str:
     """Return `good`, `doubtful` or `lost`."""
@@ -95,6 +100,11 @@ def reasons_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
     if lost and not judgement.reasons:
         return ("no finite pose",)
     return judgement.reasons
+
+
+def unseen_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
+    """Name the parts of the body that no points show; none of a lost frame."""
+    return () if lost else judgement.unseen
 
 
 def first_frame(

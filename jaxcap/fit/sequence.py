@@ -147,19 +147,20 @@ def track(
     **Arguments:** `clouds` from `make_cloud`, one a frame, or stacked over frames; `start` a pose near that of the
     first frame; `rate` frames a second; `tracker` for other settings than the usual, made of the same body; `search`,
     `sigma` and `up` as in `track_frames`. Frames that are lost or doubtful are named in a warning, with what is wrong
-    in them; `track_frames` gives the verdict on each frame.
+    in them, and parts of the body that no points show; `track_frames` gives the verdict on each frame.
 
     **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in
     another unit.
     """
     tracker = make_tracker(body) if tracker is None else tracker
     checked = (_checked(body, number, cloud) for number, cloud in enumerate(_each(clouds)))
-    poses, verdicts = [], []
+    poses, verdicts, unseen = [], [], []
     for frame in track_frames(tracker, checked, start, search=search, sigma=sigma, up=up):
         # copies in NumPy: an array of JAX takes a kilobyte beside its numbers
         poses.append(jax.tree.map(np.array, frame.pose))
         verdicts.append((frame.verdict, frame.reasons))
-    for sentence in verdict_sentences(verdicts):
+        unseen.append(frame.unseen)
+    for sentence in (*verdict_sentences(verdicts), *unseen_sentences(unseen)):
         warnings.warn(f"{sentence}.", stacklevel=3)
     return stack_poses(poses, rate)
 
@@ -180,7 +181,28 @@ def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str
         sentences.append(
             f"{len(numbers)} of {len(verdicts)} frames are {verdict}: {named}, counted from 0; {reasons}"
         )
+    if len(verdicts) > 1 and verdicts[0][0] == "doubtful":
+        sentences.append(
+            "later frames are compared with the first one, which is doubtful: a fault that they share with it is not told; look "
+            "at that frame, or give a better first pose"
+        )
     return sentences
+
+
+def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
+    """Say which parts of the body are without points, and in how many frames; without a full stop.
+
+    **Arguments:** `unseen` of every `TrackedFrame`.
+    """
+    counts = Counter(part for parts in unseen for part in parts)
+    if not counts:
+        return []
+    named = ", ".join(f"{part} (in {count})" for part, count in counts.most_common(REASONS))
+    more = f" and {len(counts) - REASONS} other parts" if len(counts) > REASONS else ""
+    return [
+        f"{sum(map(bool, unseen))} of {len(unseen)} frames do not show all of the body: no points are of {named}{more}, whose "
+        "pose there is a guess"
+    ]
 
 
 def _each(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:

@@ -35,6 +35,8 @@ GRAZING, CELL, DEEP = 0.6, 0.035, 0.05
 #: where sensors are not known their directions are those whose coverage, of all that is at least so little turned
 #: towards them, is within `AS_GOOD` of the best one's
 FLAT, AS_GOOD = 0.1, 0.03
+#: in place of no points
+TINY = 1e-9
 #: cells along a side of a depth buffer, which wraps around
 GRID = 64
 
@@ -48,6 +50,8 @@ class Evidence(eqx.Module):
     empty: Float[Array, "*frames R"]
     #: share of the body's area that is of each region and lies within another part
     inside: Float[Array, "*frames R"]
+    #: points that each region explains, as a share of those that its area leads to expect where all is seen alike
+    support: Float[Array, "*frames R"]
     #: share of the surface shown by each direction that has points
     coverage: Float[Array, "*frames D"]
 
@@ -112,11 +116,17 @@ def gather_evidence(
         surface.apart,
         NEAREST * size,
     )
+    explained = (
+        jnp.zeros(count, amount.dtype)
+        .at[surface.regions[jnp.argmin(near, 1)]]
+        .add(weights * (distances < NEAR))
+    )
     areas = surface.areas[:, None] * (surface.regions[:, None] == jnp.arange(count))
     return Evidence(
         unexplained=jnp.zeros(count, amount.dtype).at[region].add(amount),
         inside=FEW * inside @ areas[few],
         empty=(expected & ~covered).astype(areas.dtype) @ areas,
+        support=explained / jnp.maximum(jnp.sum(explained) * jnp.sum(areas, 0), TINY),
         coverage=share,
     )
 

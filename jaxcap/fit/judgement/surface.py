@@ -51,6 +51,8 @@ class JudgedSurface(eqx.Module):
     size: Float[Array, ""]
     #: of the regions, for sentences; several regions may have one name
     names: tuple[str, ...] = eqx.field(static=True)
+    #: the joint that each region begins with
+    joints: tuple[str, ...] = eqx.field(static=True)
 
 
 def judged_surface(body: Body) -> JudgedSurface:
@@ -96,6 +98,7 @@ def judged_surface(body: Body) -> JudgedSurface:
         area=jnp.asarray(area, dtype),
         size=jnp.asarray(size, dtype),
         names=names,
+        joints=tuple(body.skeleton.names[joint] for joint in joints),
     )
 
 

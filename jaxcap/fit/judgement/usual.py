@@ -13,8 +13,10 @@ RATE = 0.03
 CLIP = 3.0
 #: deviation before the sequence has shown its own, shares of the cloud and of the body's area; and the least one
 DEVIATION, LEAST = 0.002, 0.0005
-#: values for each region
-ROWS = 3
+#: values for each region, and which of them is the area within another part
+ROWS, INSIDE = 3, 2
+#: good frames from which on the level is compared with the one at that time, so that a fault that grows slowly is seen
+BASE = 30
 
 
 class Usual(eqx.Module):
@@ -24,6 +26,8 @@ class Usual(eqx.Module):
     frames: Float[Array, ""]
     level: Float[Array, "3 Q"]
     deviation: Float[Array, "3 Q"]
+    #: the level of the first `BASE` good frames
+    base: Float[Array, "3 Q"]
     #: share of the surface shown by each direction that has points
     coverage: Float[Array, "D"]
 
@@ -32,7 +36,7 @@ def nothing_usual(surface: JudgedSurface, directions: int = DIRECTIONS) -> Usual
     """The statistics before the first frame; `directions` is the number of cameras where these are known."""
     level = jnp.zeros((ROWS, len(surface.names) + 1), surface.areas.dtype)
     none = jnp.zeros((), level.dtype)
-    return Usual(none, level, jnp.full_like(level, DEVIATION), jnp.zeros(directions, level.dtype))
+    return Usual(none, level, jnp.full_like(level, DEVIATION), level, jnp.zeros(directions, level.dtype))
 
 
 def observed(evidence: Evidence) -> Float[Array, "*frames 3 Q"]:
@@ -60,10 +64,12 @@ def renew(usual: Usual, evidence: Evidence) -> Usual:
     # the mean absolute deviation of a normal distribution is 0.8 of its standard deviation
     spread = jnp.where(first, usual.deviation, 1.25 * jnp.abs(step))
     slow = jnp.maximum(1.0 / (usual.frames + 3.0), RATE)
+    level = usual.level + rate * step
     return Usual(
         usual.frames + 1.0,
-        usual.level + rate * step,
+        level,
         jnp.maximum(usual.deviation + slow * (spread - usual.deviation), LEAST),
+        jnp.where(usual.frames < BASE, level, usual.base),
         usual.coverage + rate * (evidence.coverage - usual.coverage),
     )
 
@@ -79,4 +85,4 @@ def usual_of(evidence: Evidence) -> Usual:
     # 1.48 of it is the standard deviation of a normal distribution
     deviation = jnp.maximum(1.48 * jnp.median(jnp.abs(values - level), 0), LEAST)
     frames = jnp.full((), float(len(values)), level.dtype)
-    return Usual(frames, level, deviation, jnp.median(evidence.coverage, 0))
+    return Usual(frames, level, deviation, level, jnp.median(evidence.coverage, 0))

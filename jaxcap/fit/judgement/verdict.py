@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from .evidence import POINTS, Evidence
 from .surface import JudgedSurface
-from .usual import Usual, observed
+from .usual import INSIDE, Usual, observed
 
 #: excesses over the usual at which a frame is lost, in one region and of the whole body, of the rows of `observed`
 LIMITS = ((0.005, 0.012), (0.016, 0.03), (0.02, 0.03))
@@ -23,6 +23,11 @@ RELATIVE = 0.25
 SAMPLING = 3.0
 #: deviations of the good frames that an excess has to surpass, too
 DEVIATIONS = 5.0
+#: times of the limits that they are at most in a sequence that varies much, and of which an excess over the sequence's
+#: beginning (`Usual.base`) is held against them
+WIDEST = 2.0
+#: parts with so much less of the points than their share of the surface are not seen
+UNSEEN = 0.1
 #: share of the limits from which on a frame is doubtful
 DOUBT = 0.7
 #: limits of a first frame, of which nothing is usual, are so many times as wide before it is lost
@@ -36,8 +41,21 @@ class Judgement(eqx.Module):
     shares: Float[Array | np.ndarray, "3 Q"]
     #: one, or more for a first frame, for which nothing is usual
     tolerance: Float[Array | np.ndarray, ""]
+    #: points of each region, as a share of those that its area leads to expect
+    support: Float[Array | np.ndarray, "R"]
     #: of the regions
     names: tuple[str, ...] = eqx.field(static=True)
+    #: the joint that each region begins with
+    parts: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Parts of the body that no sensor shows, by their joints: their pose is a guess, whatever the verdict."""
+        return tuple(
+            part
+            for part, support in zip(self.parts, np.asarray(self.support), strict=True)
+            if not support >= UNSEEN
+        )
 
     @property
     def worst(self) -> float:
@@ -71,12 +89,24 @@ def judge_evidence(surface: JudgedSurface, usual: Usual, evidence: Evidence) -> 
     """Compare the evidence of a frame with what is usual.
 
     Before the first frame nothing is usual (`nothing_usual`): absolute limits then make a frame doubtful, and `FIRST`
-    times wider ones lost, as clothes leave as much unexplained as a limb that lies a little wrong.
+    times wider ones lost, as clothes leave as much unexplained as a limb that lies a little wrong. A fault that grows so slowly
+    that it becomes usual is seen against the level of the first frames.
     """
-    limits = jnp.asarray([[row[0]] * len(surface.names) + [row[1]] for row in LIMITS], usual.level.dtype)
-    chance = SAMPLING * jnp.sqrt(jnp.maximum(usual.level, 0.0) / POINTS)
-    limits = limits + jnp.maximum(RELATIVE * usual.level, chance)
-    limits = jnp.maximum(limits, DEVIATIONS * usual.deviation)
-    shares = (observed(evidence) - usual.level) / limits
+    plain = jnp.asarray([[row[0]] * len(surface.names) + [row[1]] for row in LIMITS], usual.level.dtype)
+    # no body runs through itself, however often it did
+    level, base = usual.level.at[INSIDE].set(0.0), usual.base.at[INSIDE].set(0.0)
+    limits = _limits(plain, usual.level)
+    limits = jnp.clip(DEVIATIONS * usual.deviation, limits, WIDEST * limits)
+    value = observed(evidence)
+    shares = jnp.maximum(
+        (value - level) / limits,
+        jnp.where(usual.frames > 0, (value - base) / (WIDEST * _limits(plain, usual.base)), 0.0),
+    )
     tolerance = jnp.where(usual.frames > 0, 1.0, FIRST).astype(limits.dtype)
-    return Judgement(shares, tolerance, surface.names)
+    return Judgement(shares, tolerance, evidence.support, surface.names, surface.joints)
+
+
+def _limits(plain: Float[Array, "3 Q"], level: Float[Array, "3 Q"]) -> Float[Array, "3 Q"]:
+    """Limits of excesses over a level, which has its own share of chance."""
+    chance = SAMPLING * jnp.sqrt(jnp.maximum(level, 0.0) / POINTS)
+    return plain + jnp.maximum(RELATIVE * level, chance)
