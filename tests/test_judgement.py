@@ -17,7 +17,7 @@ from jaxcap.demo.scanner import sample_surface
 from jaxcap.fit.judgement.evidence import _seen_by, gather_evidence
 from jaxcap.fit.judgement.inside import within_others
 from jaxcap.fit.judgement.surface import _even_samples, judged_surface, region_name
-from jaxcap.fit.judgement.usual import nothing_usual, renew, sensors_of, usual_of
+from jaxcap.fit.judgement.usual import nothing_usual, renew, sensors_of, usual_of, warned
 from jaxcap.fit.judgement.verdict import judge_evidence
 from jaxcap.fit.visible import visible_vertices
 from jaxcap.geometry.camera import look_at
@@ -257,3 +257,16 @@ def test_parts_without_points_are_told(rng):
     assert not unseen(lambda points, normals: np.ones(len(points), bool))
     assert not unseen(in_front)
     assert set(unseen(shown)) == {"LeftForeArm", "LeftFingerBase"}
+
+
+def test_a_fault_at_the_limit_does_not_flicker(rng):
+    """After a frame that was not good, one has to lie further within the limits."""
+    usual = learned(3, rng)
+    cloud = scan(turned(REST, LeftArm=0.12), rng)
+    after = [judged(known, REST, cloud) for known in (usual, warned(usual))]
+    np.testing.assert_array_equal(after[0].shares, after[1].shares)
+    doubt = [float(one.doubt) for one in after]
+    assert doubt[1] < doubt[0]
+    between = [dataclasses.replace(one, shares=np.full((3, 18), np.mean(doubt))) for one in after]
+    assert [one.verdict for one in between] == ["good", "doubtful"]
+    assert float(renew(warned(usual), gather_evidence(SURFACE, REST, cloud, NOBODY)).warned) == 0.0

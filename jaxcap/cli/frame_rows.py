@@ -15,7 +15,7 @@ from ..body.skeleton import Skeleton
 from ..fit.em import FrameStatistics
 from ..fit.judgement.surface import judged_surface
 from ..fit.judgement.usual import nothing_usual
-from ..fit.judgement.verdict import DOUBT, UNSEEN, Judgement
+from ..fit.judgement.verdict import UNSEEN, Judgement
 from ..fit.recover import Patience, TrackedFrame, reasons_of, unseen_of, verdict_of
 from ..fit.track import Tracker, start_state
 
@@ -76,16 +76,14 @@ def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Result
         arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
         at += size
     poses, statistics, lost, judgements = jax.tree.unflatten(tree, arrays)
-    shares, tolerances, support, lost = (
-        np.asarray(array) for array in (judgements.shares, judgements.tolerance, judgements.support, lost)
-    )
+    lost = np.asarray(lost)
+    judgements = jax.tree.map(np.asarray, judgements)
     verdicts: list[tuple[str, tuple[str, ...]]] = [("good", ())] * len(rows)
     unseen: list[tuple[str, ...]] = [()] * len(rows)
     # of most frames there is nothing to tell: the others alone are looked at one by one
-    for number in np.flatnonzero(lost | ~(shares.max((1, 2)) < DOUBT) | ~(support.min(1) >= UNSEEN)):
-        there = Judgement(
-            shares[number], tolerances[number, ...], support[number], judgements.names, judgements.parts
-        )
+    plain = (judgements.shares.max((1, 2)) < judgements.doubt) & (judgements.support.min(1) >= UNSEEN)
+    for number in np.flatnonzero(lost | ~plain):
+        there = jax.tree.map(lambda leaf, row=number: leaf[row, ...], judgements)
         gone = bool(lost[number])
         verdicts[number] = verdict_of(gone, there), reasons_of(gone, there)
         unseen[number] = unseen_of(gone, there)
@@ -118,6 +116,6 @@ def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
     surface = judged_surface(tracker.body)
     usual = nothing_usual(surface)
     support = jnp.zeros(len(surface.names), number.dtype)
-    judgement = Judgement(usual.level, number, support, surface.names, surface.joints)
+    judgement = Judgement(usual.level, number, number, support, surface.names, surface.joints)
     state = start_state(tracker, pose)
     return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, Patience(), 0.0)

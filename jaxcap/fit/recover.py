@@ -21,7 +21,7 @@ from .initialise import (
 )
 from .judgement.evidence import gather_evidence
 from .judgement.surface import JudgedSurface
-from .judgement.usual import Usual, nothing_usual, renew, sensors_of
+from .judgement.usual import Usual, nothing_usual, renew, sensors_of, warned
 from .judgement.verdict import Judgement, judge_evidence
 from .track import Tracker, TrackState, start_state, track_frame
 
@@ -143,9 +143,8 @@ def judge(
     judgement, renewed = _compare(surface, usual, pose, cloud)
     lost = judgement.verdict == "lost" or not _finite(pose)
     teaches = not lost and (judgement.verdict == "good" or float(usual.frames) == 0)
-    return TrackedFrame(
-        pose, statistics, lost, judgement, state, pose, renewed if teaches else usual, patience, searches
-    )
+    renewed = renewed if teaches else warned(usual)
+    return TrackedFrame(pose, statistics, lost, judgement, state, pose, renewed, patience, searches)
 
 
 @eqx.filter_jit

@@ -30,13 +30,17 @@ class Usual(eqx.Module):
     base: Float[Array, "3 Q"]
     #: share of the surface shown by each direction that has points
     coverage: Float[Array, "D"]
+    #: one after a frame that was not good, and zero
+    warned: Float[Array, ""]
 
 
 def nothing_usual(surface: JudgedSurface, directions: int = DIRECTIONS) -> Usual:
     """The statistics before the first frame; `directions` is the number of cameras where these are known."""
     level = jnp.zeros((ROWS, len(surface.names) + 1), surface.areas.dtype)
     none = jnp.zeros((), level.dtype)
-    return Usual(none, level, jnp.full_like(level, DEVIATION), level, jnp.zeros(directions, level.dtype))
+    return Usual(
+        none, level, jnp.full_like(level, DEVIATION), level, jnp.zeros(directions, level.dtype), none
+    )
 
 
 def observed(evidence: Evidence) -> Float[Array, "*frames 3 Q"]:
@@ -71,7 +75,14 @@ def renew(usual: Usual, evidence: Evidence) -> Usual:
         jnp.maximum(usual.deviation + slow * (spread - usual.deviation), LEAST),
         jnp.where(usual.frames < BASE, level, usual.base),
         usual.coverage + rate * (evidence.coverage - usual.coverage),
+        jnp.zeros_like(usual.warned),
     )
+
+
+def warned(usual: Usual) -> Usual:
+    """The statistics after a frame that was not judged to be right: nothing is learned from it, and the next one has to be better
+    than at other times to be good."""
+    return eqx.tree_at(lambda u: u.warned, usual, jnp.ones_like(usual.warned))
 
 
 @eqx.filter_jit
@@ -85,4 +96,6 @@ def usual_of(evidence: Evidence) -> Usual:
     # 1.48 of it is the standard deviation of a normal distribution
     deviation = jnp.maximum(1.48 * jnp.median(jnp.abs(values - level), 0), LEAST)
     frames = jnp.full((), float(len(values)), level.dtype)
-    return Usual(frames, level, deviation, level, jnp.median(evidence.coverage, 0))
+    return Usual(
+        frames, level, deviation, level, jnp.median(evidence.coverage, 0), jnp.zeros((), level.dtype)
+    )

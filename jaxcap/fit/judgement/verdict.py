@@ -27,9 +27,10 @@ DEVIATIONS = 5.0
 #: beginning (`Usual.base`) is held against them
 WIDEST = 2.0
 #: parts with so much less of the points than their share of the surface are not seen
-UNSEEN = 0.1
-#: share of the limits from which on a frame is doubtful
-DOUBT = 0.7
+UNSEEN = 0.2
+#: share of the limits from which on a frame is doubtful; and after a frame that was not good, as a fault at the limit does
+#: not go away where noise has it below for a frame
+DOUBT, STILL = 0.7, 0.6
 #: limits of a first frame, of which nothing is usual, are so many times as wide before it is lost
 FIRST = 10.0
 
@@ -41,6 +42,8 @@ class Judgement(eqx.Module):
     shares: Float[Array | np.ndarray, "3 Q"]
     #: one, or more for a first frame, for which nothing is usual
     tolerance: Float[Array | np.ndarray, ""]
+    #: share of a limit from which on the frame is doubtful
+    doubt: Float[Array | np.ndarray, ""]
     #: points of each region, as a share of those that its area leads to expect
     support: Float[Array | np.ndarray, "R"]
     #: of the regions
@@ -68,16 +71,17 @@ class Judgement(eqx.Module):
         """`good`, `doubtful` or `lost`."""
         if not self.worst < float(self.tolerance):
             return "lost"
-        return "good" if self.worst < DOUBT else "doubtful"
+        return "good" if self.worst < float(self.doubt) else "doubtful"
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """What is wrong and where, without a full stop, the worst first; empty where the verdict is good."""
         found: dict[str, float] = {}
+        doubt = float(self.doubt)
         for row, what in zip(np.asarray(self.shares, float), WORDS, strict=True):
             regions = row[:-1]
             # a whole body over its limit is named by the regions with most of it
-            named = (regions >= DOUBT) | ((row[-1] >= DOUBT) & (regions >= 0.5 * regions.max()))
+            named = (regions >= doubt) | ((row[-1] >= doubt) & (regions >= 0.5 * regions.max()))
             for region in np.flatnonzero(named | ~np.isfinite(regions)):
                 reason = what.format(self.names[region])
                 found[reason] = max(found.get(reason, 0.0), regions[region])
@@ -103,7 +107,8 @@ def judge_evidence(surface: JudgedSurface, usual: Usual, evidence: Evidence) -> 
         jnp.where(usual.frames > 0, (value - base) / (WIDEST * _limits(plain, usual.base)), 0.0),
     )
     tolerance = jnp.where(usual.frames > 0, 1.0, FIRST).astype(limits.dtype)
-    return Judgement(shares, tolerance, evidence.support, surface.names, surface.joints)
+    doubt = jnp.where(usual.warned > 0, STILL, DOUBT).astype(limits.dtype)
+    return Judgement(shares, tolerance, doubt, evidence.support, surface.names, surface.joints)
 
 
 def _limits(plain: Float[Array, "3 Q"], level: Float[Array, "3 Q"]) -> Float[Array, "3 Q"]:
