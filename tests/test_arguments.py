@@ -263,6 +263,7 @@ def test_units():
 
 # too few points to judge by
 @pytest.mark.filterwarnings("ignore:. of 2 frames")
+@pytest.mark.filterwarnings("ignore:later frames are compared")
 def test_scans_of_files_are_clouds(monkeypatch):
     """What `read_clouds` gives goes wherever clouds do, and comes to the same."""
     # searches are slow, and are not what this is about
