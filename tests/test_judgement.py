@@ -256,7 +256,7 @@ def test_parts_without_points_are_told(rng):
 
     assert not unseen(lambda points, normals: np.ones(len(points), bool))
     assert not unseen(in_front)
-    assert set(unseen(shown)) == {"LeftForeArm", "LeftFingerBase"}
+    assert set(unseen(shown)) == {"LeftForeArm", "LeftHand"}
 
 
 def test_a_fault_at_the_limit_does_not_flicker(rng):

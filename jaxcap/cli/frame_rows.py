@@ -115,7 +115,7 @@ def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
     statistics = FrameStatistics(number, number, number, number)
     surface = judged_surface(tracker.body)
     usual = nothing_usual(surface)
-    support = jnp.zeros(len(surface.names), number.dtype)
+    support = jnp.zeros(len(surface.joints), number.dtype)
     judgement = Judgement(usual.level, number, number, support, surface.names, surface.joints)
     state = start_state(tracker, pose)
     return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, Patience(), 0.0)

@@ -50,8 +50,9 @@ class Evidence(eqx.Module):
     empty: Float[Array, "*frames R"]
     #: share of the body's area that is of each region and lies within another part
     inside: Float[Array, "*frames R"]
-    #: points that each region explains, as a share of those that its area leads to expect where all is seen alike
-    support: Float[Array, "*frames R"]
+    #: points that each of the P parts that move explains, as a share of those that its area leads to expect where all is seen
+    #: alike
+    support: Float[Array, "*frames P"]
     #: share of the surface shown by each direction that has points
     coverage: Float[Array, "*frames D"]
 
@@ -116,17 +117,15 @@ def gather_evidence(
         surface.apart,
         NEAREST * size,
     )
-    explained = (
-        jnp.zeros(count, amount.dtype)
-        .at[surface.regions[jnp.argmin(near, 1)]]
-        .add(weights * (distances < NEAR))
-    )
+    parts = jnp.asarray(surface.movers)[surface.regions]
+    of_parts = jnp.zeros(len(surface.joints), amount.dtype).at[parts].add(surface.areas)
+    explained = jnp.zeros_like(of_parts).at[parts[jnp.argmin(near, 1)]].add(weights * (distances < NEAR))
     areas = surface.areas[:, None] * (surface.regions[:, None] == jnp.arange(count))
     return Evidence(
         unexplained=jnp.zeros(count, amount.dtype).at[region].add(amount),
         inside=FEW * inside @ areas[few],
         empty=(expected & ~covered).astype(areas.dtype) @ areas,
-        support=explained / jnp.maximum(jnp.sum(explained) * jnp.sum(areas, 0), TINY),
+        support=explained / jnp.maximum(jnp.sum(explained) * of_parts, TINY),
         coverage=share,
     )
 

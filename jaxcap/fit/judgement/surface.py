@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import Body
+from ...body.skeleton import Skeleton
 from ...geometry.order import spatial_order
 from .inside import within_others
 
@@ -51,8 +52,10 @@ class JudgedSurface(eqx.Module):
     size: Float[Array, ""]
     #: of the regions, for sentences; several regions may have one name
     names: tuple[str, ...] = eqx.field(static=True)
-    #: the joint that each region begins with
+    #: the P joints that move regions, those above where a region begins with a fixed one
     joints: tuple[str, ...] = eqx.field(static=True)
+    #: number among these of each region's
+    movers: tuple[int, ...] = eqx.field(static=True)
 
 
 def judged_surface(body: Body) -> JudgedSurface:
@@ -67,6 +70,8 @@ def judged_surface(body: Body) -> JudgedSurface:
     bones = parts[nearest]
     regions, joints = _regions(body, bones)
     names = tuple(region_name(body.skeleton.names[joint]) for joint in joints)
+    movers = [_mover(body.skeleton, joint) for joint in joints]
+    moving = sorted(set(movers))
     dtype = body.vertices.dtype
     triangles = vertices[corners]
     normals = _area_normals(triangles)
@@ -98,8 +103,16 @@ def judged_surface(body: Body) -> JudgedSurface:
         area=jnp.asarray(area, dtype),
         size=jnp.asarray(size, dtype),
         names=names,
-        joints=tuple(body.skeleton.names[joint] for joint in joints),
+        joints=tuple(body.skeleton.names[joint] for joint in moving),
+        movers=tuple(moving.index(joint) for joint in movers),
     )
+
+
+def _mover(skeleton: Skeleton, joint: int) -> int:
+    """The joint itself, or the next one above it that is not fixed."""
+    while skeleton.kinds[joint] == "fixed" and skeleton.parents[joint] >= 0:
+        joint = skeleton.parents[joint]
+    return joint
 
 
 def region_name(joint: str) -> str:

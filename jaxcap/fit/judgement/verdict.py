@@ -44,21 +44,18 @@ class Judgement(eqx.Module):
     tolerance: Float[Array | np.ndarray, ""]
     #: share of a limit from which on the frame is doubtful
     doubt: Float[Array | np.ndarray, ""]
-    #: points of each region, as a share of those that its area leads to expect
-    support: Float[Array | np.ndarray, "R"]
+    #: points of each part, as a share of those that its area leads to expect
+    support: Float[Array | np.ndarray, "P"]
     #: of the regions
     names: tuple[str, ...] = eqx.field(static=True)
-    #: the joint that each region begins with
+    #: of the parts, by the joints that move them
     parts: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def unseen(self) -> tuple[str, ...]:
         """Parts of the body that no sensor shows, by their joints: their pose is a guess, whatever the verdict."""
-        return tuple(
-            part
-            for part, support in zip(self.parts, np.asarray(self.support), strict=True)
-            if not support >= UNSEEN
-        )
+        there = zip(self.parts, np.asarray(self.support), strict=True)
+        return tuple(part for part, support in there if not support >= UNSEEN)
 
     @property
     def worst(self) -> float:
