@@ -27,7 +27,7 @@ DEVIATIONS = 5.0
 #: beginning (`Usual.base`) is held against them
 WIDEST = 2.0
 #: parts with so much less of the points than their share of the surface are not seen
-UNSEEN = 0.2
+UNSEEN = 0.3
 #: share of the limits from which on a frame is doubtful; and after a frame that was not good, as a fault at the limit does
 #: not go away where noise has it below for a frame
 DOUBT, STILL = 0.7, 0.6
