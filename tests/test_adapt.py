@@ -20,13 +20,13 @@ from jaxcap.adapt.equations import (
     vertex_maps,
 )
 from jaxcap.adapt.loop import Settings, Task, adapt_body, plan
-from jaxcap.adapt.modes import Modes, joint_modes, moved
 from jaxcap.adapt.pose import fit_pose, mean_square, pairs_of
 from jaxcap.adapt.shape import adapt_shape, own_shape_prior
 from jaxcap.adapt.shared import Belief, adapt_shared
 from jaxcap.adapt.size import fit_size, resized, size_equation
 from jaxcap.adapt.window import smooth_poses, temporal_energy
 from jaxcap.body.pose import retract
+from jaxcap.body.shape_modes import Modes, joint_modes, moved
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import sample_surface

@@ -8,7 +8,6 @@ from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.equations import pair_energy, stack
-from jaxcap.adapt.modes import joint_modes, moved
 from jaxcap.adapt.shape_prior import own_shape_prior, shape_energy
 from jaxcap.adapt.terms import (
     PairDistances,
@@ -18,6 +17,7 @@ from jaxcap.adapt.terms import (
     symmetry_energy,
 )
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
+from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import Pairs

@@ -11,7 +11,6 @@ from helpers import chain_body, random_pairs, random_pose
 import jaxcap as jc
 from jaxcap.adapt.equations import num_pairs, pair_energy, pair_rows, stack, unstack
 from jaxcap.adapt.meet import stacked_pairs
-from jaxcap.adapt.modes import joint_modes, moved
 from jaxcap.adapt.rounds import adapt_round
 from jaxcap.adapt.shape import adapt_shape
 from jaxcap.adapt.shape_prior import own_shape_prior
@@ -20,6 +19,7 @@ from jaxcap.adapt.summed import Weights
 from jaxcap.adapt.task import AdaptState, Settings, Stage
 from jaxcap.adapt.together import adapt_together
 from jaxcap.body.pose import retract
+from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import length_differences
 from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import make_scan, places_on

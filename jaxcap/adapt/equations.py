@@ -12,10 +12,10 @@ from ..body.body import Body, pose_body
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
+from ..body.shape_modes import Modes
 from ..energy.term import AbstractEnergy, root
 from ..fit.correspond import Pairs, places_on
 from ..fit.problem import linearise
-from .modes import Modes
 
 
 def vertex_maps(body: Body, pose: Pose) -> tuple[Float[Array, "V 3 3"], Float[Array, "V 3"]]:

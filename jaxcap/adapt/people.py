@@ -11,9 +11,9 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.human import human
 from ..body.reduce import Attachment, attach, follow
+from ..body.shape_modes import Modes, moved
 from ..body.variety import human_resolution, people_of_many_shapes
 from ..geometry.closest import nearest_on_surface
-from .modes import Modes, moved
 
 #: ways in which people differ that are told apart, where there are bodies enough
 COUNT = 30

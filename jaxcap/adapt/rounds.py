@@ -9,11 +9,11 @@ from jaxtyping import Array, Float
 from ..body.body import Body
 from ..body.pose import Motion, Pose, stack_poses
 from ..body.sample import unlike_poses
+from ..body.shape_modes import Modes, joint_modes
 from ..fit.correspond import Scan
 from .beside import centres_beside, make_beside
 from .equations import stack, unstack
 from .meet import pose_at, stacked_pairs, told
-from .modes import Modes, joint_modes
 from .people import People, person, traits_like
 from .pose import brought_in
 from .reference import reference, shape_prior_of

@@ -7,11 +7,11 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body
 from ..body.pose import Pose, retract
+from ..body.shape_modes import Modes, bone_differences, moved
 from ..energy.term import AbstractEnergy
 from ..fit.arrow import Arrow, solve_arrow
 from ..fit.correspond import Pairs
 from .equations import num_pairs, shared_equations, with_prior
-from .modes import Modes, bone_differences, moved
 
 #: pairs that are neighbours say the same: so many count as one
 ALIKE = 50.0

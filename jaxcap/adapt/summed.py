@@ -14,10 +14,10 @@ from jaxtyping import Array, Float, Int
 from ..body.body import Body
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
+from ..body.shape_modes import Modes, moved
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs
 from .equations import frame_rows, num_pairs, pair_rows, vertex_maps, with_prior
-from .modes import Modes, moved
 
 
 class Weights(NamedTuple):

@@ -24,10 +24,10 @@ from jaxtyping import Array, Float, Int
 from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Pose, retract
+from ..body.shape_modes import Modes, bone_differences, moved
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs
 from ..geometry.mesh import mesh_edges
-from .modes import Modes, bone_differences, moved
 from .shape import pair_blocks, pair_slots
 from .shape_prior import ShapePrior
 from .shared import ALIKE, Belief

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
@@ -48,7 +49,8 @@ class GaussNewton(AbstractManifoldSolver):
 
     def step(self, fn, y, args: AbstractProblem, options, state: GaussNewtonState, tags):
         del fn, options, tags
-        full, solved = try_damped_step(*args.linearise(y), self.damping * jnp.ones_like(args.scales()))
+        units, unravel = ravel_pytree(args.scales())
+        full, solved = try_damped_step(*args.linearise(y), self.damping * jnp.ones_like(units))
         full = jnp.where(solved, full, 0.0)
 
         def too_high(carry):
@@ -58,10 +60,10 @@ class GaussNewton(AbstractManifoldSolver):
 
         def halve(carry):
             share, _, halvings = carry
-            return share / 2, energy_of(args, args.retract(y, share / 2 * full)), halvings + 1
+            return share / 2, energy_of(args, args.retract(y, unravel(share / 2 * full))), halvings + 1
 
         one = jnp.ones((), full.dtype)
-        start = one, energy_of(args, args.retract(y, full)), jnp.array(0)
+        start = one, energy_of(args, args.retract(y, unravel(full))), jnp.array(0)
         share, energy, _ = jax.lax.while_loop(too_high, halve, start)
         better = energy < state.energy
         step = jnp.where(better, share * full, 0.0)
@@ -74,7 +76,7 @@ class GaussNewton(AbstractManifoldSolver):
             solved=solved,
             history=state.history.at[state.num_steps].set(energy, mode="drop"),
         )
-        return args.retract(y, step), state, None
+        return args.retract(y, unravel(step)), state, None
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags

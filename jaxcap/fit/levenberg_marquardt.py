@@ -17,9 +17,9 @@ from .problem import AbstractProblem
 class SolverState(eqx.Module):
     """What a step hands to the next; `history` holds the energy after each step, NaN beyond."""
 
-    step: Float[Array, "D"]
-    # optimistix nests this class by assignment, which pyright does not follow
-    info: optx.FunctionInfo.ResidualJac  # pyright: ignore[reportInvalidTypeForm]
+    step: PyTree[Array]
+    #: of optimistix, with the Jacobian or the Hessian
+    info: Any
     search_state: PyTree
     num_steps: Int[Array, ""]
     terminate: Bool[Array, ""]
@@ -36,7 +36,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     measure (`AbstractProblem.scales`), for the damping is isotropic.
 
     The linear solver is Cholesky on the normal equations, 5 to 9 times faster here than
-    `lx.QR()`, which may be put in its place where a problem is ill-conditioned. Where equations
+    `lx.QR()`, which may be put in its place where a problem is ill-conditioned. Problems that know their structure
+    take `StructuredCholesky()`. Where equations
     cannot be solved, the damping is raised as after a step that does not help.
     """
 
@@ -58,11 +59,12 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
     def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
         del fn, options, f_struct, aux_struct, tags
-        info = information(args, y)
-        zero = jnp.zeros(info.jac.in_size(), info.residual.dtype)
+        info = args.information(y)
+        zero = jax.tree.map(jnp.zeros_like, args.scales())
+        value = info.as_min()
         search_state = self.search.init(zero, info)
         first, _ = self.descent.step(
-            jnp.ones((), zero.dtype), self.descent.query(zero, info, self.descent.init(zero, info))
+            jnp.ones((), value.dtype), self.descent.query(zero, info, self.descent.init(zero, info))
         )
         return SolverState(
             step=first,
@@ -71,16 +73,16 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             num_steps=jnp.array(0),
             terminate=jnp.array(False),
             result=_outcome(info, jnp.array(True)),
-            history=jnp.full(HISTORY, jnp.nan, zero.dtype),
+            history=jnp.full(HISTORY, jnp.nan, value.dtype),
         )
 
     def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
         del fn, options, tags
-        candidate = args.retract(y, args.scales() * state.step)
-        info_there = information(args, candidate)
+        candidate = args.retract(y, jax.tree.map(jnp.multiply, args.scales(), state.step))
+        info_there = args.information(candidate)
         step_size, accept, _, search_state = self.search.step(
             jnp.array(False),
-            jnp.zeros_like(state.step),
+            jax.tree.map(jnp.zeros_like, state.step),
             state.step,
             state.info,
             info_there,
@@ -96,7 +98,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         step, _ = self.descent.step(step_size, descent_state)
         # the descent has no damping beyond this; one that was too little for a factor will not be enough
         most = step_size <= jnp.finfo(step_size.dtype).eps
-        solvable = jnp.isfinite(state.step).all() | ~most
+        solvable = jnp.isfinite(self.norm(state.step)) | ~most
         state = SolverState(
             step=step,
             info=info,
@@ -123,12 +125,6 @@ def _outcome(info, solvable: Bool[Array, ""]) -> optx.RESULTS:
     # optimistix inherits this result from lineax, which pyright does not follow
     result = optx.RESULTS.where(solvable, good, unsolved)  # pyright: ignore[reportArgumentType]
     return optx.RESULTS.where(jnp.isfinite(info.as_min()), result, bad)
-
-
-def information(problem: AbstractProblem, y) -> optx.FunctionInfo.ResidualJac:  # pyright: ignore[reportInvalidTypeForm]
-    """Residual and Jacobian, by scaled tangents, as optimistix's searches and descents take them."""
-    residual, jacobian = problem.linearise(y)
-    return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian * problem.scales()))
 
 
 def where(condition: Bool[Array, ""], a: PyTree, b: PyTree) -> PyTree:

@@ -1,11 +1,13 @@
 """What is minimised, and how it is linearised on the manifold of poses."""
 
 import abc
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
 from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
@@ -16,13 +18,15 @@ from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
 from ..energy.vertices import AbstractVertexEnergy
 
 Unknown = TypeVar("Unknown")
+#: what `retract` takes: an array `(D,)`, or a pytree of arrays
+Tangent = Any
 
 
 class AbstractProblem(eqx.Module, Generic[Unknown]):
     """A sum of squares over a manifold, for the solvers of this wing.
 
-    A solver sees a point of the manifold only through these three verbs: tangents `d (D,)`
-    are flat arrays, and `y + d` is `retract(y, d)`.
+    A solver sees a point of the manifold only through these verbs: tangents `d` are flat arrays, or pytrees of
+    arrays where the unknowns have a structure, and `y + d` is `retract(y, d)`.
     """
 
     @abc.abstractmethod
@@ -34,13 +38,20 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
         """The residual at `y`, and its Jacobian by `d` of `residual(retract(y, d))` at 0."""
 
     @abc.abstractmethod
-    def retract(self, y: Unknown, d: Float[Array, "D"]) -> Unknown:
+    def retract(self, y: Unknown, d: Tangent) -> Unknown:
         """Move from `y` along the tangent `d`."""
 
     @abc.abstractmethod
-    def scales(self) -> Float[Array, "D"]:
+    def scales(self) -> Tangent:
         """How much of each number of a tangent counts as one unit: brings metres and
         radians to one measure, for dampings that are isotropic."""
+
+    # optimistix nests these classes by assignment, which pyright does not follow
+    def information(self, y: Unknown) -> Any:
+        """Linearise at `y` by scaled tangents, as optimistix's searches and descents take it: residual and Jacobian, or
+        value, gradient and a structured Hessian."""
+        residual, jacobian = self.linearise(y)
+        return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian * self.scales()))  # pyright: ignore[reportReturnType]
 
 
 #: a joint turned by a radian moves what hangs on it by about as many metres

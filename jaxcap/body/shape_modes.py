@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body
-from ..body.skeleton import Skeleton
-from ..body.symmetry import length_differences
+from .body import Body
+from .skeleton import Skeleton
+from .symmetry import length_differences
 
 
 class Modes(eqx.Module):

@@ -1,0 +1,115 @@
+"""Energies of a sequence: those with data of each frame, and those between neighbouring frames."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..arguments import check_fields, checked
+from ..body.body import Posed
+from ..errors import InputError
+from ..geometry.stacking import stack
+from .temporal import second_difference
+from .term import AbstractEnergy, Sum, Weighted, name_of, root, terms_of, weighted
+
+
+class Stacked(AbstractEnergy):
+    """One energy with data of its own for each of F frames: all arrays of `energy` have a leading axis of frames.
+
+    `stack_energies` makes it. Beside it in a sum, any other energy is the same in every frame.
+    """
+
+    energy: AbstractEnergy
+
+    def residual(self, posed: Posed) -> Float[Array, "R"]:
+        raise InputError(
+            f"Stacked: the data of {name_of(self.energy)} are of several frames and one posed body was given; "
+            "solve for the sequence with a SequenceProblem."
+        )
+
+
+@checked
+def stack_energies(energies: Sequence[AbstractEnergy]) -> Stacked:
+    """Stack the energies of single frames, which are of one kind and one shape.
+
+    **Raises:** `InputError` where there are none, and where they differ in kind or shape.
+    """
+    if not energies:
+        raise InputError("stack_energies: no energies were given; give one for each frame.")
+    kinds = [jax.tree.structure(energy) for energy in energies]
+    shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(energy)] for energy in energies]
+    for frame in range(1, len(energies)):
+        if (kinds[frame], shapes[frame]) != (kinds[0], shapes[0]):
+            raise InputError(
+                f"stack_energies: the energy of frame {frame}, {name_of(energies[frame])} with arrays of {shapes[frame]}, differs "
+                f"from that of frame 0, {name_of(energies[0])} with {shapes[0]}; pad what is missing, with weights of zero."
+            )
+    return Stacked(jax.tree.map(lambda *leaves: stack([jnp.asarray(leaf) for leaf in leaves]), *energies))
+
+
+class AbstractNeighbourEnergy(eqx.Module):
+    """A squared residual of a few successive frames, such as of a motion that is to be smooth."""
+
+    def __check_init__(self):
+        check_fields(self)
+
+    @property
+    @abc.abstractmethod
+    def frames(self) -> int:
+        """How many successive frames it sees, two or more."""
+
+    @abc.abstractmethod
+    def residual(self, posed: tuple[Posed, ...], gaps: Float[Array, "W"]) -> Float[Array, "R"]:
+        """The residual of successive posed bodies, `gaps` frames apart: one gap less than there are bodies."""
+
+
+class SmoothTurns(AbstractNeighbourEnergy):
+    """How far the turns of all joints are from the middle of those before and after: the mean over joints of squares, radians
+    squared, times a weight (Adaptation, eqs. 4.9 and 4.10)."""
+
+    weight: Float[Array, ""]
+
+    @property
+    def frames(self):
+        return 3
+
+    def residual(self, posed, gaps):
+        turns = [one.pose.rotations for one in posed]
+        apart = second_difference(turns[0], turns[1], turns[2], gaps[0], gaps[1])
+        return root(self.weight) * apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
+
+
+def split_frames(energy: AbstractEnergy) -> tuple[AbstractEnergy, AbstractEnergy]:
+    """Split an energy into the arrays that each frame has of its own, with `None` elsewhere, and all else."""
+    own = jax.tree.map(
+        lambda node: jax.tree.map(eqx.is_array, node) if isinstance(node, Stacked) else False,
+        energy,
+        is_leaf=_is_stacked,
+    )
+    return eqx.partition(energy, own)
+
+
+def join_frame(own: AbstractEnergy, same: AbstractEnergy) -> AbstractEnergy:
+    """Make the energy of one frame of its arrays and all else, a flat sum."""
+    return Sum(_unwrapped(eqx.combine(own, same)))
+
+
+def num_frames_of(energy: AbstractEnergy) -> set[int]:
+    """Find the numbers of frames that the stacked terms of an energy have."""
+    return {leaf.shape[0] for leaf in jax.tree.leaves(split_frames(energy)[0])}
+
+
+def _is_stacked(node: Any) -> bool:
+    return isinstance(node, Stacked)
+
+
+def _unwrapped(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
+    if isinstance(energy, Sum):
+        return sum((_unwrapped(term) for term in energy.terms), ())
+    if isinstance(energy, Weighted):
+        return terms_of(weighted(energy.weight, Sum(_unwrapped(energy.energy))))
+    return _unwrapped(energy.energy) if isinstance(energy, Stacked) else (energy,)

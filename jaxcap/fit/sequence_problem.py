@@ -1,0 +1,290 @@
+"""Many frames and what they share as one least-squares problem, linearised frame by frame."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from ..body.body import Body, Posed, pose_body, take_vertices
+from ..body.jacobian import vertex_rows
+from ..body.pose import Pose, project, rest_pose, retract
+from ..body.skeleton import dof_layout
+from ..energy.stacked import AbstractNeighbourEnergy, join_frame, split_frames
+from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
+from ..energy.vertices import AbstractVertexEnergy
+from .problem import LEVER, AbstractProblem
+from .solvers.block_arrow import BlockArrow
+from .solvers.block_banded import BlockBanded
+from .unknowns import AbstractUnknown, make_body, split_tangent
+
+
+class SequenceEstimate(eqx.Module):
+    """Poses stacked over frames, and a value for each shared unknown by its name."""
+
+    poses: Pose
+    values: dict[str, Any]
+
+
+#: tangents of all frames `(F, D)`, and of what they share `(S,)`
+SequenceTangent = tuple[Float[Array, "F D"], Float[Array, "S"]]
+
+
+class SequenceProblem(AbstractProblem[SequenceEstimate]):
+    """Find the poses of F frames, and what they share, that make a sum of energies least.
+
+    - `frames` is summed over all frames. Terms within `Stacked` have data of their own for each frame; any other term is
+      the same in every frame.
+    - `between` are energies of successive frames, `times (F,)` apart.
+    - `shared` are energies of the body itself, evaluated at its rest pose.
+    - `unknowns` by name: what changes `body` in all frames at once. Without any, only poses are unknown.
+
+    Normal equations are block-arrow, and block-banded among the frames where these meet: time and memory grow with the
+    number of frames. Nothing of the size frames by rows by unknowns is kept.
+    """
+
+    body: Body
+    frames: AbstractEnergy
+    times: Float[Array, "F"]
+    unknowns: dict[str, AbstractUnknown] = eqx.field(default_factory=dict)
+    between: tuple[AbstractNeighbourEnergy, ...] = ()
+    shared: tuple[AbstractEnergy, ...] = ()
+
+    @property
+    def num_frames(self) -> int:
+        return self.times.shape[0]
+
+    @property
+    def num_shared(self) -> int:
+        """S, how many numbers the frames share."""
+        return sum(unknown.size(self.body) for unknown in self.unknowns.values())
+
+    def body_at(self, values: dict[str, Any], d: Float[Array, "S"] | None = None) -> Body:
+        """Make the body of shared values, moved along a tangent where one is given."""
+        if d is not None:
+            values = self._moved(values, d)
+        return make_body(self.body, self.unknowns, values)
+
+    def start(self, poses: Pose) -> SequenceEstimate:
+        """Start from poses, projected onto what the joints' kinds allow, and the body as it is."""
+        project_all = jax.vmap(project, (None, 0))
+        values = {name: unknown.start(self.body) for name, unknown in self.unknowns.items()}
+        return SequenceEstimate(project_all(self.body.skeleton, poses), values)
+
+    def retract(self, y: SequenceEstimate, d: SequenceTangent) -> SequenceEstimate:
+        # kinds and axes of joints are those of the body, whatever is shared
+        poses = jax.vmap(retract, (None, 0, 0))(self.body.skeleton, y.poses, d[0])
+        return SequenceEstimate(poses, self._moved(y.values, d[1]))
+
+    def scales(self) -> SequenceTangent:
+        body, dtype = self.body, self.body.vertices.dtype
+        layout = dof_layout(body.skeleton)
+        own = jnp.ones(body.skeleton.num_dofs + 1, dtype).at[layout.translations].set(LEVER)[:-1]
+        shared = [self.unknowns[name].scales(body) for name in sorted(self.unknowns)]
+        shared = jnp.concatenate([jnp.zeros(0, dtype), *shared])
+        return jnp.broadcast_to(own, (self.num_frames, len(own))), shared
+
+    def value(self, y: SequenceEstimate) -> Float[Array, ""]:
+        """Compute `|r|^2 / 2`, frame after frame."""
+        body = self.body_at(y.values)
+        own, same = split_frames(self.frames)
+
+        def of_frame(total, frame):
+            pose, arrays = frame
+            r = join_frame(arrays, same).residual(pose_body(body, pose))
+            return total + 0.5 * (r @ r), None
+
+        # made again in reverse mode: what all frames leave is too much to keep
+        zero = jnp.zeros((), body.vertices.dtype)
+        total, _ = jax.lax.scan(jax.checkpoint(of_frame), zero, (y.poses, own))
+        for term in self.between:
+            r = jax.lax.map(
+                lambda window, term=term: _neighbour_residual(term, body, *window),
+                self._windows(term, y.poses),
+            )
+            total = total + 0.5 * jnp.sum(r**2)
+        for r in self._shared_residuals(body):
+            total = total + 0.5 * (r @ r)
+        return total
+
+    def residual(self, y: SequenceEstimate) -> Float[Array, "R"]:
+        """Write out all residuals: of the frames, between them, and of what is shared."""
+        body = self.body_at(y.values)
+        own, same = split_frames(self.frames)
+        rows = [
+            jax.vmap(lambda pose, arrays: join_frame(arrays, same).residual(pose_body(body, pose)))(
+                y.poses, own
+            )
+        ]
+        for term in self.between:
+            windows = self._windows(term, y.poses)
+            rows.append(
+                jax.vmap(lambda *window, term=term: _neighbour_residual(term, body, *window))(*windows)
+            )
+        return jnp.concatenate([r.reshape(-1) for r in rows] + self._shared_residuals(body))
+
+    def linearise(self, y: SequenceEstimate):
+        """Write out the residual and a dense Jacobian by `[x, s]`: for small problems and checks."""
+        frames, dofs = self.num_frames, self.body.skeleton.num_dofs
+
+        def moved(d):
+            return self.residual(
+                self.retract(y, (d[: frames * dofs].reshape(frames, dofs), d[frames * dofs :]))
+            )
+
+        zero = jnp.zeros(frames * dofs + self.num_shared, self.body.vertices.dtype)
+        return moved(zero), jax.jacfwd(moved)(zero)
+
+    def information(self, y: SequenceEstimate):
+        value, gradient, hessian = self.normal_equations(y)
+        x, s = self.scales()
+        hessian = BlockArrow(
+            BlockBanded(hessian.frames.blocks * x[0][:, None] * x[0]),
+            hessian.coupling * x[0][:, None] * s,
+            hessian.shared * s[:, None] * s,
+        )
+        scaled = x * gradient[0], s * gradient[1]
+        return optx.FunctionInfo.EvalGradHessian(value, scaled, hessian)  # pyright: ignore[reportCallIssue, reportReturnType]
+
+    def normal_equations(self, y: SequenceEstimate) -> tuple[Float[Array, ""], SequenceTangent, BlockArrow]:
+        """Sum `|r|^2 / 2`, `J^T r` and `J^T J` one frame at a time."""
+        own, same = split_frames(self.frames)
+        dofs, count, dtype = self.body.skeleton.num_dofs, self.num_shared, self.body.vertices.dtype
+
+        def add(total, rows, residual):
+            value, side, matrix = total
+            common = rows[:, -count:] if count else rows[:, :0]
+            return value + 0.5 * (residual @ residual), side + common.T @ residual, matrix + common.T @ common
+
+        def of_frame(total, frame):
+            pose, arrays = frame
+            residual, rows = self._frame_rows(y.values, pose, join_frame(arrays, same))
+            mine, common = rows[:, :dofs], rows[:, dofs:]
+            return add(total, rows, residual), (mine.T @ mine, mine.T @ common, mine.T @ residual)
+
+        none = jnp.zeros((), dtype), jnp.zeros(count, dtype), jnp.zeros((count, count), dtype)
+        with jax.default_matmul_precision("highest"):
+            total, (own_blocks, coupling, sides) = jax.lax.scan(of_frame, none, (y.poses, own))
+            width = max([1, *(term.frames for term in self.between)])
+            blocks = jnp.zeros((self.num_frames, width, dofs, dofs), dtype).at[:, 0].set(own_blocks)
+            for term in self.between:
+                banded = self._between_equations(term, y)
+                number = term.frames
+                windows = self.num_frames - number + 1
+                for later in range(number):
+                    here = slice(later, later + windows)
+                    sides = sides.at[here].add(banded.sides[:, later])
+                    coupling = coupling.at[here].add(banded.coupling[:, later])
+                    for before in range(later + 1):
+                        blocks = blocks.at[here, before].add(banded.blocks[:, later, later - before])
+                total = jax.tree.map(jnp.add, total, banded.total)
+            body_rows, residuals = self._shared_rows(y.values)
+            value, side, shared = add(total, body_rows, residuals)
+        return value, (sides, side), BlockArrow(BlockBanded(blocks), coupling, shared)
+
+    def _moved(self, values: dict[str, Any], d: Float[Array, "S"]) -> dict[str, Any]:
+        parts = split_tangent(self.body, self.unknowns, d)
+        return {name: unknown.retract(values[name], parts[name]) for name, unknown in self.unknowns.items()}
+
+    def _frame_rows(
+        self, values, pose: Pose, energy: AbstractEnergy
+    ) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
+        """The residual of a frame with its Jacobian by `[d, s]`. Terms over vertices use the skin's own Jacobian by the pose,
+        and only their own vertices by what is shared."""
+        terms = terms_of(energy)
+        others = tuple(term for term in terms if not isinstance(bare(term), AbstractVertexEnergy))
+        dofs, count = self.body.skeleton.num_dofs, self.num_shared
+        zero = jnp.zeros(dofs + count, self.body.vertices.dtype)
+
+        def moved(d):
+            body = self.body_at(values, d[dofs:])
+            posed = pose_body(body, retract(body.skeleton, pose, d[:dofs]))
+            residuals = tuple(term.residual(posed) for term in others)
+            return residuals, residuals
+
+        jacobians, residuals = jax.jacfwd(moved, has_aux=True)(zero) if others else ((), ())
+        posed = pose_body(self.body_at(values), pose)
+        found = list(zip(residuals, jacobians, strict=True)) + [
+            (term.residual(posed), self._vertex_term_rows(values, posed, term))
+            for term in terms
+            if isinstance(bare(term), AbstractVertexEnergy)
+        ]
+        return jnp.concatenate([r for r, _ in found]), jnp.concatenate([rows for _, rows in found])
+
+    def _vertex_term_rows(self, values, posed: Posed, term: AbstractEnergy) -> Float[Array, "R N"]:
+        if isinstance(term, Weighted):
+            return root(term.weight) * self._vertex_term_rows(values, posed, term.energy)
+        assert isinstance(term, AbstractVertexEnergy)
+        vertices, directions = term.slopes()
+        rows = vertex_rows(posed, vertices, directions)
+
+        def along(d):
+            body = take_vertices(self.body_at(values, d), vertices)
+            return jnp.einsum("cra,ca->cr", directions, pose_body(body, posed.pose).vertices)
+
+        if self.num_shared:
+            shared = jax.jacfwd(along)(jnp.zeros(self.num_shared, rows.dtype))
+            rows = jnp.concatenate([rows, shared], 2)
+        return rows.reshape(-1, rows.shape[2])
+
+    def _windows(self, term: AbstractNeighbourEnergy, poses: Pose):
+        number, windows = term.frames, self.num_frames - term.frames + 1
+        stacked = jax.tree.map(
+            lambda leaf: jnp.stack([leaf[i : i + windows] for i in range(number)], 1), poses
+        )
+        gaps = jnp.diff(self.times)
+        return stacked, jnp.stack([gaps[i : i + windows] for i in range(number - 1)], 1)
+
+    def _between_equations(self, term: AbstractNeighbourEnergy, y: SequenceEstimate) -> "_WindowEquations":
+        number, dofs, count = term.frames, self.body.skeleton.num_dofs, self.num_shared
+
+        def of_window(total, window):
+            poses, gaps = window
+
+            def moved(d):
+                body = self.body_at(y.values, d[number * dofs :])
+                steps = d[: number * dofs].reshape(number, dofs)
+                there = jax.vmap(retract, (None, 0, 0))(body.skeleton, poses, steps)
+                r = _neighbour_residual(term, body, there, gaps)
+                return r, r
+
+            zero = jnp.zeros(number * dofs + count, self.body.vertices.dtype)
+            rows, r = jax.jacfwd(moved, has_aux=True)(zero)
+            mine, common = rows[:, : number * dofs].reshape(len(r), number, dofs), rows[:, number * dofs :]
+            value, side, matrix = total
+            total = value + 0.5 * (r @ r), side + common.T @ r, matrix + common.T @ common
+            blocks = jnp.einsum("rai,rbj->abij", mine, mine)
+            return total, (blocks, jnp.einsum("rai,rs->ais", mine, common), jnp.einsum("rai,r->ai", mine, r))
+
+        dtype = self.body.vertices.dtype
+        none = jnp.zeros((), dtype), jnp.zeros(count, dtype), jnp.zeros((count, count), dtype)
+        total, (blocks, coupling, sides) = jax.lax.scan(of_window, none, self._windows(term, y.poses))
+        return _WindowEquations(total, blocks, coupling, sides)
+
+    def _shared_residuals(self, body: Body) -> list[Float[Array, "R"]]:
+        posed = pose_body(body, rest_pose(body.skeleton))
+        return [term.residual(posed) for term in self.shared]
+
+    def _shared_rows(self, values) -> tuple[Float[Array, "R S"], Float[Array, "R"]]:
+        def moved(d):
+            r = jnp.concatenate([jnp.zeros(0, d.dtype), *self._shared_residuals(self.body_at(values, d))])
+            return r, r
+
+        return jax.jacfwd(moved, has_aux=True)(jnp.zeros(self.num_shared, self.body.vertices.dtype))
+
+
+class _WindowEquations(eqx.Module):
+    """Normal equations of the windows of one energy, of `n` frames each."""
+
+    #: value, right side and matrix of what is shared
+    total: tuple[Float[Array, ""], Float[Array, "S"], Float[Array, "S S"]]
+    blocks: Float[Array, "K n n D D"]
+    coupling: Float[Array, "K n D S"]
+    sides: Float[Array, "K n D"]
+
+
+def _neighbour_residual(term: AbstractNeighbourEnergy, body: Body, poses: Pose, gaps: Float[Array, "W"]):
+    each = [jax.tree.map(lambda leaf, i=i: leaf[i], poses) for i in range(term.frames)]
+    return term.residual(tuple(pose_body(body, pose) for pose in each), gaps)

@@ -1,0 +1,156 @@
+"""Solve for all frames of a sequence and what they share, and differentiate through the solution."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jax.scipy.sparse.linalg import cg
+from jaxtyping import Array, Bool, Float, Int
+
+from ..arguments import checked
+from ..body.body import Body
+from ..body.pose import Motion, Pose
+from ..energy.check import check_numbers, explained
+from ..energy.stacked import join_frame, num_frames_of, split_frames
+from ..errors import InputError
+from .levenberg_marquardt import LevenbergMarquardt
+from .manifold import AbstractManifoldSolver
+from .sequence_problem import SequenceEstimate, SequenceProblem, SequenceTangent
+from .solvers.structured import StructuredCholesky
+
+#: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end
+DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE = 200, 1e-12
+#: the share of the energy that a Newton step may still gain at a solution whose derivative is trusted
+STATIONARY = 1e-6
+
+
+class SequenceSolution(eqx.Module):
+    """The outcome of `solve_sequence`."""
+
+    body: Body
+    poses: Pose
+    #: value of each shared unknown by its name
+    values: dict[str, Any]
+    #: `|r|^2` at the solution
+    energy: Float[Array, ""]
+    #: `|r|^2` after each step, NaN beyond the last
+    history: Float[Array, "H"]
+    num_steps: Int[Array, ""]
+    #: `RESULTS.successful`, or why the solver stopped before it converged
+    result: optx.RESULTS
+    #: whether the solver converged and hardly anything is left to gain, so that derivatives by the implicit function theorem hold
+    trustworthy: Bool[Array, ""]
+
+
+@checked
+def solve_sequence(
+    problem: SequenceProblem,
+    start: Pose | Motion | SequenceEstimate,
+    solver: AbstractManifoldSolver | None = None,
+    max_steps: int = 64,
+) -> SequenceSolution:
+    """Find the poses of all frames, and the shared unknowns, that make the energies of a problem least.
+
+    **Arguments:** `start` poses stacked over frames, from which shared unknowns start at the body as it is, or an estimate;
+    `solver` is `LevenbergMarquardt(linear_solver=StructuredCholesky())` where not given; `max_steps` bounds its steps.
+
+    `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to every array of the problem: data,
+    weights, priors and the body. Nothing is raised where the solver fails: see `SequenceSolution.result`, and `trustworthy`
+    before a derivative is used.
+
+    **Raises:** `InputError` for frames that do not go together, and for energies whose arrays do not fit the body.
+    """
+    start = start.poses if isinstance(start, Motion) else start
+    poses = start.poses if isinstance(start, SequenceEstimate) else start
+    _check(problem, poses)
+    solver = LevenbergMarquardt(linear_solver=StructuredCholesky()) if solver is None else solver
+    start = start if isinstance(start, SequenceEstimate) else problem.start(start)
+    estimate, (history, num_steps, result) = _minimum(problem, start, solver, max_steps)
+    energy, trustworthy = _quality(problem, estimate, result)
+    body = problem.body_at(estimate.values)
+    return SequenceSolution(
+        body, estimate.poses, estimate.values, energy, history, num_steps, result, trustworthy
+    )
+
+
+def _check(problem: SequenceProblem, poses: Pose) -> None:
+    given = {"poses": poses.scale.shape[0] if poses.scale.ndim else 1, "times": problem.num_frames}
+    counts = num_frames_of(problem.frames)
+    if len({*given.values(), *counts}) > 1:
+        words = ", ".join(f"`{name}` are of {count}" for name, count in given.items())
+        stacked = " and ".join(map(str, sorted(counts))) or "no"
+        raise InputError(
+            f"SequenceProblem: {words} frames, and stacked energies of {stacked}; expected is one number."
+        )
+    widest = max([1, *(term.frames for term in problem.between)])
+    if widest > problem.num_frames:
+        raise InputError(
+            f"SequenceProblem: {problem.num_frames} frames were given, and an energy between frames sees {widest}; "
+            "give more frames, or leave that energy out."
+        )
+    own, same = split_frames(problem.frames)
+    first = join_frame(jax.tree.map(lambda leaf: leaf[0], own), same)
+    check_numbers(first, problem.body)
+    with explained(first, problem.body):
+        jax.eval_shape(problem.value, problem.start(poses))
+
+
+@eqx.filter_jit
+def _quality(
+    problem: SequenceProblem, y: SequenceEstimate, result
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """The energy, and whether what a Newton step would gain is a small share of it."""
+    value, gradient, hessian = problem.normal_equations(jax.lax.stop_gradient(y))
+    step = hessian.factorise().solve(gradient)
+    left = 0.5 * sum(jnp.vdot(a, b) for a, b in zip(gradient, step, strict=True))
+    small = left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
+    return 2.0 * problem.value(y), jax.lax.stop_gradient(small & (result == optx.RESULTS.successful))
+
+
+def _evaluate(y: SequenceEstimate, problem: SequenceProblem) -> Float[Array, ""]:
+    return problem.value(y)
+
+
+@eqx.filter_custom_jvp
+def _minimum(problem, start, solver, max_steps):
+    return _descend(problem, start, solver, max_steps)
+
+
+@eqx.filter_jit
+def _descend(problem, start, solver, max_steps):
+    solution = optx.least_squares(_evaluate, solver, start, args=problem, max_steps=max_steps, throw=False)
+    return solution.value, (solution.stats["history"], solution.stats["num_steps"], solution.result)
+
+
+@_minimum.def_jvp
+def _implicit(primals, tangents):
+    """At a minimum the gradient `g(d; p)` by the tangent vanishes for every value of the parameters `p`, so that
+    `d' = -(dg/dd)^-1 (dg/dp) p'`, with the whole Hessian: conjugate gradients on its products, with the factor of the
+    Gauss-Newton equations as preconditioner."""
+    problem, start, solver, max_steps = primals
+    y, stats = _minimum(problem, start, solver, max_steps)
+    zero = jax.tree.map(jnp.zeros_like, problem.scales())
+    factor = jax.lax.stop_gradient(problem.normal_equations(y)[2]).factorise()
+    _, change = eqx.filter_jvp(lambda p: _gradient(p, y, zero), (problem,), (tangents[0],))
+
+    def curvature(d: SequenceTangent) -> SequenceTangent:
+        return jax.jvp(lambda d: _gradient(problem, y, d), (zero,), (d,))[1]
+
+    def solve(curvature, side: SequenceTangent) -> SequenceTangent:
+        return cg(curvature, side, tol=DERIVATIVE_TOLERANCE, maxiter=DERIVATIVE_STEPS, M=factor.solve)[0]  # pyright: ignore[reportArgumentType]
+
+    step = jax.lax.custom_linear_solve(curvature, change, solve, symmetric=True)
+    step = jax.tree.map(jnp.negative, step)
+    _, tangent = eqx.filter_jvp(lambda p, d: _moved(p, y, d), (problem, zero), (tangents[0], step))
+    return (y, stats), (tangent, jax.tree.map(lambda _: None, stats))
+
+
+def _moved(problem: SequenceProblem, y: SequenceEstimate, d: SequenceTangent) -> SequenceEstimate:
+    """Along `d` on the manifold that the joints' own axes span, which may be parameters."""
+    return problem.retract(SequenceEstimate(problem.start(y.poses).poses, y.values), d)
+
+
+def _gradient(problem: SequenceProblem, y: SequenceEstimate, d: SequenceTangent) -> SequenceTangent:
+    return jax.grad(lambda d: problem.value(_moved(problem, y, d)))(d)

@@ -1,0 +1,80 @@
+"""Normal equations of many frames that share some unknowns.
+
+Every frame has its own unknowns `x_f`, all share `s`. Without what frames have to do with each other the equations are
+
+    [ A_1           B_1 ] [x_1]   [g_1]
+    [      A_2      B_2 ] [x_2] = [g_2]
+    [ B_1^T  B_2^T  C   ] [ s ]   [ h ]
+
+and the frames are eliminated by the Schur complement `C - sum_f B_f^T A_f^-1 B_f`. Where neighbouring frames meet, `A` is
+block-banded, and the same holds with its factor.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .block_banded import BandedFactor, BlockBanded
+from .cholesky import CholeskyFactor, factorise
+from .structured import AbstractFactor, AbstractStructured
+
+#: what is unknown: the numbers of each frame, and those that all share
+Unknowns = tuple[Float[Array, "F D"], Float[Array, "S"]]
+
+
+class Equalities(eqx.Module):
+    """Linear equations `rows s = values` that the shared unknowns keep exactly; they may depend on each other."""
+
+    rows: Float[Array, "C S"]
+    values: Float[Array, "C"]
+
+
+class BlockArrow(AbstractStructured):
+    """A symmetric matrix over `(x (F, D), s (S,))`; S may be zero."""
+
+    frames: BlockBanded
+    coupling: Float[Array, "F D S"]
+    shared: Float[Array, "S S"]
+
+    def mv(self, vector: Unknowns) -> Unknowns:
+        x, s = vector
+        with jax.default_matmul_precision("highest"):
+            across = jnp.einsum("fds,fd->s", self.coupling, x)
+            return self.frames.mv(x) + self.coupling @ s, self.shared @ s + across
+
+    def in_structure(self):
+        return self.frames.in_structure(), jax.ShapeDtypeStruct(self.shared.shape[:1], self.shared.dtype)
+
+    def diagonal(self) -> Unknowns:
+        return self.frames.diagonal(), jnp.diagonal(self.shared)
+
+    def add_diagonal(self, amounts: Unknowns) -> "BlockArrow":
+        x, s = amounts
+        return BlockArrow(self.frames.add_diagonal(x), self.coupling, self.shared + jnp.diag(s))
+
+    def factorise(self) -> "ArrowFactor":
+        frames = self.frames.factorise()
+        columns = frames.forward(self.coupling)
+        flat = columns.reshape(-1, columns.shape[2])
+        with jax.default_matmul_precision("highest"):
+            return ArrowFactor(frames, columns, factorise(self.shared - flat.T @ flat))
+
+
+class ArrowFactor(AbstractFactor):
+    """The frames' factor `L`, `L^-1 B`, and the factor of the Schur complement."""
+
+    frames: BandedFactor
+    columns: Float[Array, "F D S"]
+    shared: CholeskyFactor
+
+    def solve(self, side: Unknowns, equalities: Equalities | None = None) -> Unknowns:
+        """Solve for all unknowns; with equalities, for the least of `y^T A y / 2 - side^T y` that keeps them."""
+        with jax.default_matmul_precision("highest"):
+            known = self.frames.forward(side[0][:, :, None])[:, :, 0]
+            s = self.shared.solve(side[1] - jnp.einsum("fds,fd->s", self.columns, known))
+            if equalities is not None and len(equalities.rows):
+                rows = equalities.rows
+                answers = self.shared.solve(rows.T)
+                s = s - answers @ jnp.linalg.lstsq(rows @ answers, rows @ s - equalities.values)[0]
+            return self.frames.backward((known - self.columns @ s)[:, :, None])[:, :, 0], s

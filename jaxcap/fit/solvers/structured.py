@@ -1,0 +1,125 @@
+"""Matrices of normal equations that know their structure, and the solver that asks them for it.
+
+They are operators of lineax, so that optimistix's descents and searches take them as the Hessian of
+`optx.FunctionInfo.EvalGradHessian`.
+"""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, PyTree
+
+
+class AbstractFactor(eqx.Module):
+    """A matrix made ready for solving."""
+
+    @abc.abstractmethod
+    def solve(self, side: Any) -> Any:
+        """Solve `A x = side`; not numbers where `A` is not positive definite."""
+
+
+class AbstractStructured(lx.AbstractLinearOperator):
+    """A symmetric positive semidefinite matrix over unknowns that are a pytree of arrays."""
+
+    @abc.abstractmethod
+    def diagonal(self) -> PyTree[Array]:
+        """Its diagonal, in the shape of the unknowns."""
+
+    @abc.abstractmethod
+    def add_diagonal(self, amounts: PyTree[Array]) -> "AbstractStructured":
+        """Add amounts, in the shape of the unknowns, to the diagonal."""
+
+    @abc.abstractmethod
+    def factorise(self) -> AbstractFactor:
+        """Factor the matrix in time linear in the number of frames."""
+
+    def as_matrix(self) -> Float[Array, "N N"]:
+        """Write out all of the matrix, for tests and small problems."""
+        zero = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), self.in_structure())
+        flat, unravel = ravel_pytree(zero)
+        columns = jax.vmap(lambda x: ravel_pytree(self.mv(unravel(x)))[0])(
+            jnp.eye(len(flat), dtype=flat.dtype)
+        )
+        return columns.T
+
+    def transpose(self):
+        return self
+
+    def out_structure(self):
+        return self.in_structure()
+
+
+class StructuredCholesky(lx.AbstractLinearSolver):
+    """Solve with an `AbstractStructured` matrix by its own factorisation.
+
+    The matrix may come with the damping that `optx.DampedNewtonDescent` puts on it. Where it is not positive
+    definite the result is `RESULTS.singular` and the solution is not a number.
+    """
+
+    def init(self, operator, options) -> AbstractFactor:
+        del options
+        matrix, damping = split_damping(operator)
+        return matrix.add_diagonal(
+            jax.tree.map(lambda leaf: jnp.full_like(leaf, damping), matrix.diagonal())
+        ).factorise()
+
+    def compute(self, state: AbstractFactor, vector, options):
+        del options
+        solution = state.solve(vector)
+        finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(solution)]).all()
+        return solution, lx.RESULTS.where(finite, lx.RESULTS.successful, lx.RESULTS.singular), {}
+
+    def transpose(self, state, options):
+        return state, options
+
+    def conj(self, state, options):
+        return state, options
+
+    def assume_full_rank(self):
+        return True
+
+
+def split_damping(operator: lx.AbstractLinearOperator) -> tuple[AbstractStructured, Float[Array, ""]]:
+    """Find the structured matrix inside sums with multiples of the identity, and what these add up to.
+
+    **Raises:** `TypeError` for any other operator.
+    """
+    if isinstance(operator, AbstractStructured):
+        return operator, jnp.zeros((), jax.tree.leaves(operator.in_structure())[0].dtype)
+    if isinstance(operator, lx.TaggedLinearOperator):
+        return split_damping(operator.operator)
+    if isinstance(operator, lx.AddLinearOperator):
+        matrix, damping = split_damping(operator.operator1)
+        return matrix, damping + _multiple(operator.operator2)
+    raise TypeError(
+        f"A {type(operator).__name__} has no structure to solve by; give a matrix of normal equations."
+    )
+
+
+def _multiple(operator: lx.AbstractLinearOperator):
+    if isinstance(operator, lx.IdentityLinearOperator):
+        return 1.0
+    if isinstance(operator, lx.MulLinearOperator):
+        return operator.scalar * _multiple(operator.operator)
+    raise TypeError(f"A {type(operator).__name__} is no multiple of the identity.")
+
+
+for _question in (lx.is_symmetric, lx.is_positive_semidefinite):
+    _question.register(AbstractStructured)(lambda operator: True)
+for _question in (
+    lx.is_diagonal, lx.is_tridiagonal, lx.has_unit_diagonal, lx.is_lower_triangular, lx.is_upper_triangular,
+    lx.is_negative_semidefinite,
+):  # fmt: skip
+    _question.register(AbstractStructured)(lambda operator: False)
+for _same in (lx.linearise, lx.materialise, lx.conj):
+    _same.register(AbstractStructured)(lambda operator: operator)
+
+
+@lx.diagonal.register(AbstractStructured)
+def _(operator):
+    return ravel_pytree(operator.diagonal())[0]

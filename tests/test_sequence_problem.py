@@ -1,0 +1,202 @@
+"""Sequences with shared unknowns against dense problems, and their derivatives against central differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+from helpers import chain_body, random_pose
+from jax.flatten_util import ravel_pytree
+
+from jaxcap.body.body import Posed, pose_body
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.energy.landmarks import VertexLandmarks
+from jaxcap.energy.prior import RestPrior
+from jaxcap.energy.stacked import SmoothTurns, Stacked, stack_energies
+from jaxcap.energy.term import AbstractEnergy
+from jaxcap.errors import InputError
+from jaxcap.fit.gauss_newton import GaussNewton
+from jaxcap.fit.levenberg_marquardt import LevenbergMarquardt
+from jaxcap.fit.sequence_problem import SequenceProblem
+from jaxcap.fit.solve_sequence import solve_sequence
+from jaxcap.fit.solvers.structured import StructuredCholesky
+from jaxcap.fit.unknowns import JointCentres, RestVertices, Size
+
+BODY = chain_body()
+FRAMES = 5
+TIGHT = LevenbergMarquardt(rtol=1e-15, atol=1e-11, linear_solver=StructuredCholesky())
+
+
+class NearHeight(AbstractEnergy):
+    """Some vertices that are to be at a height: a user's own term."""
+
+    vertices: jax.Array
+    height: jax.Array
+
+    def residual(self, posed: Posed):
+        return posed.vertices[self.vertices, 1] - self.height
+
+
+def stacked(poses: list[Pose]) -> Pose:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Noisy landmarks of a chain that is 10 % larger, with a joint elsewhere, in five poses."""
+    rng = np.random.default_rng(3)
+    poses = [random_pose(BODY.skeleton, rng, 0.4) for _ in range(FRAMES)]
+    unknowns = {"size": Size(), "centres": JointCentres(joints=(1, 2))}
+    truth = {"size": jnp.asarray(0.1), "centres": jnp.asarray(0.02 * rng.normal(size=(2, 3)))}
+    body = SequenceProblem(
+        BODY, RestPrior(jnp.ones((BODY.skeleton.num_joints, 3))), jnp.arange(5.0), unknowns
+    ).body_at(truth)
+    marks = []
+    for pose in poses:
+        places = pose_body(body, pose).vertices
+        places = places + 0.003 * rng.normal(size=places.shape)
+        weights = jnp.asarray(rng.uniform(0.5, 1.5, len(places)))
+        marks.append(VertexLandmarks(jnp.arange(len(places)), places, weights))
+    frames = stack_energies(marks) + 0.01 * NearHeight(jnp.array([0, 3]), jnp.asarray(0.1))
+    between = (SmoothTurns(jnp.asarray(0.003)),)
+    problem = SequenceProblem(
+        BODY,
+        frames,
+        jnp.asarray([0.0, 1, 2, 4, 5]),
+        unknowns,
+        between,
+        (0.01 * NearHeight(jnp.array([1]), jnp.asarray(0.0)),),
+    )
+    return problem, stacked(poses), truth
+
+
+solve_ = eqx.filter_jit(solve_sequence)
+
+
+def test_normal_equations_are_those_of_the_dense_rows(scene):
+    problem, poses, _ = scene
+    y = problem.start(poses)
+    residual, jacobian = problem.linearise(y)
+    value, gradient, hessian = eqx.filter_jit(problem.normal_equations)(y)
+    np.testing.assert_allclose(value, 0.5 * residual @ residual, rtol=1e-12)
+    np.testing.assert_allclose(problem.value(y), value, rtol=1e-12)
+    np.testing.assert_allclose(ravel_pytree(gradient)[0], jacobian.T @ residual, atol=1e-10)
+    np.testing.assert_allclose(hessian.as_matrix(), jacobian.T @ jacobian, atol=1e-9)
+    x = jax.tree.map(lambda leaf: jnp.cos(jnp.arange(leaf.size * 1.0)).reshape(leaf.shape), gradient)
+    damped = hessian.add_diagonal(jax.tree.map(lambda d: 0.01 * jnp.ones_like(d), hessian.diagonal()))
+    expected = np.linalg.solve(
+        np.asarray(jacobian.T @ jacobian) + 0.01 * np.eye(jacobian.shape[1]), ravel_pytree(x)[0]
+    )
+    np.testing.assert_allclose(ravel_pytree(damped.factorise().solve(x))[0], expected, rtol=1e-7, atol=1e-9)
+
+
+def test_minimum_is_that_of_a_dense_solver(scene):
+    problem, poses, truth = scene
+    found = solve_(problem, problem.start(poses), TIGHT)
+    dense = solve_(problem, problem.start(poses), GaussNewton(damping=1e-12, rtol=1e-15, atol=1e-11))
+    assert found.result == optx.RESULTS.successful and found.trustworthy
+    np.testing.assert_allclose(found.energy, dense.energy, rtol=1e-8)
+    np.testing.assert_allclose(ravel_pytree(found.values)[0], ravel_pytree(dense.values)[0], atol=1e-7)
+    assert abs(float(found.values["size"] - truth["size"])) < 0.01
+    assert not solve_(problem, problem.start(poses), TIGHT, 1).trustworthy
+
+
+def test_a_term_of_ones_own_moves_what_it_should(scene):
+    problem, poses, _ = scene
+    low = solve_(problem, poses, TIGHT)
+    high = solve_(
+        eqx.tree_at(lambda p: p.frames.terms[1].energy.height, problem, jnp.asarray(0.5)), poses, TIGHT
+    )
+    rise = jax.vmap(lambda body, pose: pose_body(body, pose).vertices[jnp.array([0, 3]), 1], (None, 0))
+    assert (rise(high.body, high.poses).mean() - rise(low.body, low.poses).mean()) > 1e-4
+
+
+def test_derivatives_by_weights_data_and_body_against_differences(scene):
+    problem, poses, _ = scene
+    start = problem.start(poses)
+
+    @eqx.filter_jit
+    def value(numbers):
+        weight, datum, gap, corner = numbers
+        there = eqx.tree_at(
+            lambda p: (
+                p.frames.terms[1].weight,
+                p.frames.terms[0].energy.targets,
+                p.between[0].weight,
+                p.body.vertices,
+            ),
+            problem,
+            (
+                weight,
+                problem.frames.terms[0].energy.targets.at[2, 1, 0].add(datum),
+                gap,
+                problem.body.vertices.at[4, 1].add(corner),
+            ),
+        )
+        solution = solve_sequence(there, start, TIGHT)
+        return jnp.stack(
+            [
+                solution.values["size"],
+                solution.values["centres"][0, 1],
+                solution.poses.rotations[1, 1, 0],
+                10 * solution.energy,
+            ]
+        )
+
+    numbers = jnp.asarray([0.01, 0.0, 0.003, 0.0])
+    forward = jax.jacfwd(value)(numbers)
+    reverse = jax.jacrev(value)(numbers)
+    step = jnp.asarray([1e-5, 1e-5, 3e-5, 1e-5])
+    differences = [
+        (value(numbers + h) - value(numbers - h)) / (2 * h[i]) for i, h in enumerate(jnp.diag(step))
+    ]
+    scale = np.abs(forward).max(0)
+    np.testing.assert_allclose(np.asarray(forward) / scale, np.stack(differences, 1) / scale, atol=1e-5)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-7, atol=1e-9 * scale.max())
+
+
+def test_rest_vertices_are_found(scene):
+    _, poses, _ = scene
+    shifted = eqx.tree_at(
+        lambda b: b.vertices, BODY, BODY.vertices.at[3].add(jnp.asarray([0.01, -0.02, 0.03]))
+    )
+    marks = [
+        VertexLandmarks(
+            jnp.arange(len(BODY.vertices)), pose_body(shifted, pose).vertices, jnp.ones(len(BODY.vertices))
+        )
+        for pose in [jax.tree.map(lambda leaf, i=i: leaf[i], poses) for i in range(FRAMES)]
+    ]
+    # without noise, from rest
+    asked = SequenceProblem(
+        BODY, stack_energies(marks), jnp.arange(5.0), {"rest": RestVertices(vertices=(3,))}
+    )
+    found = solve_(asked, stacked([rest_pose(BODY.skeleton)] * FRAMES), TIGHT)
+    np.testing.assert_allclose(found.values["rest"], [[0.01, -0.02, 0.03]], atol=1e-6)
+
+
+def test_what_does_not_go_together_is_a_sentence(scene):
+    problem, poses, _ = scene
+    with pytest.raises(
+        InputError, match="`poses` are of 4, `times` are of 5 frames, and stacked energies of 5"
+    ):
+        solve_sequence(problem, jax.tree.map(lambda leaf: leaf[:4], poses))
+    few = jax.tree.map(lambda leaf: leaf[:2], poses)
+    with pytest.raises(InputError, match="2 frames were given, and an energy between frames sees 3"):
+        solve_sequence(
+            SequenceProblem(
+                BODY, RestPrior(jnp.ones((BODY.skeleton.num_joints, 3))), jnp.arange(2.0), {}, problem.between
+            ),
+            few,
+        )
+    with pytest.raises(InputError, match="`solver` is a Dogleg; expected is an AbstractManifoldSolver"):
+        solve_sequence(problem, poses, optx.Dogleg(1e-3, 1e-3))
+    with pytest.raises(InputError, match="differs from that of frame 0"):
+        stack_energies(
+            [RestPrior(jnp.ones((BODY.skeleton.num_joints, 3))), NearHeight(jnp.array([1]), jnp.asarray(0.0))]
+        )
+    with pytest.raises(InputError, match="give one for each frame"):
+        stack_energies([])
+    with pytest.raises(InputError, match="the data of VertexLandmarks are of several frames"):
+        problem.frames.terms[0].residual(pose_body(BODY, rest_pose(BODY.skeleton)))
+    assert isinstance(problem.frames.terms[0], Stacked)
