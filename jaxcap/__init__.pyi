@@ -107,10 +107,7 @@ from .fit.correspond import make_scan as make_scan
 from .fit.correspond import places_on as places_on
 from .fit.em import Mixture as Mixture
 from .fit.em import make_mixture as make_mixture
-from .fit.gauss_newton import GaussNewton as GaussNewton
 from .fit.initialise import initialise as initialise
-from .fit.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
-from .fit.manifold import AbstractManifoldSolver as AbstractManifoldSolver
 from .fit.parts import make_parts as make_parts
 from .fit.posterior import posterior as posterior
 from .fit.priority import OrderedSolution as OrderedSolution
@@ -123,6 +120,9 @@ from .fit.sequence import track as track
 from .fit.sequence import track_frames as track_frames
 from .fit.solve import Solution as Solution
 from .fit.solve import solve as solve
+from .fit.solvers.gauss_newton import GaussNewton as GaussNewton
+from .fit.solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+from .fit.solvers.manifold import AbstractManifoldSolver as AbstractManifoldSolver
 from .fit.track import Tracker as Tracker
 from .fit.track import make_tracker as make_tracker
 from .fit.track import start_state as start_state

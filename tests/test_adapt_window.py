@@ -14,8 +14,8 @@ from jaxcap.adapt.window import smooth_poses, temporal_energy, window_energy, wi
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.body.pose_boxes import PoseBoxes, box_chart, make_pose_boxes, no_boxes
 from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.boxed import solve_boxed
 from jaxcap.fit.problem import linearise
+from jaxcap.fit.solvers.boxes import solve_boxed
 from jaxcap.geometry import rotation
 
 BODY = chain_body()

@@ -4,7 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.arrow import Arrow, damped, solve_arrow
+from jaxcap.fit.solvers.block_arrow import BlockArrow, Equalities
+from jaxcap.fit.solvers.block_banded import BlockBanded
+from jaxcap.fit.solvers.structured import damped
 
 
 def random_rows(rng, frames=4, dofs=5, shared=3, count=11):
@@ -14,14 +16,18 @@ def random_rows(rng, frames=4, dofs=5, shared=3, count=11):
     ]
 
 
-def arrow_of(own, common, residual) -> Arrow:
-    return Arrow(
-        jnp.einsum("fri,frj->fij", own, own),
-        jnp.einsum("fri,frs->fis", own, common),
-        jnp.einsum("frs,frt->st", common, common),
-        jnp.einsum("fri,fr->fi", own, residual),
-        jnp.einsum("frs,fr->s", common, residual),
-    )
+def arrow_of(own, common, residual):
+    """The matrix, and the right side."""
+    frames = BlockBanded(jnp.einsum("fri,frj->fij", own, own)[:, None])
+    coupling, shared = jnp.einsum("fri,frs->fis", own, common), jnp.einsum("frs,frt->st", common, common)
+    side = jnp.einsum("fri,fr->fi", own, residual), jnp.einsum("frs,fr->s", common, residual)
+    return BlockArrow(frames, coupling, shared), side
+
+
+def solved(own, common, residual, equalities=None, damping=None):
+    arrow, side = arrow_of(own, common, residual)
+    arrow = arrow if damping is None else damped(arrow, jnp.asarray(damping))
+    return arrow.factorise().solve(side, equalities)
 
 
 def dense_of(own, common):
@@ -36,7 +42,7 @@ def dense_of(own, common):
 
 def test_schur_is_dense_least_squares(rng):
     own, common, residual = random_rows(rng)
-    by_frame, shared = solve_arrow(arrow_of(own, common, residual), jnp.zeros((0, 3)), jnp.zeros(0))
+    by_frame, shared = solved(own, common, residual)
     expected = np.linalg.lstsq(dense_of(own, common), residual.ravel(), rcond=None)[0]
     np.testing.assert_allclose(np.append(by_frame.ravel(), shared), expected, rtol=1e-9, atol=1e-11)
 
@@ -44,7 +50,7 @@ def test_schur_is_dense_least_squares(rng):
 def test_constraints_hold_and_the_rest_is_least(rng):
     own, common, residual = random_rows(rng)
     rows, violation = rng.normal(size=(2, 3)), rng.normal(size=2)
-    by_frame, shared = solve_arrow(arrow_of(own, common, residual), jnp.asarray(rows), jnp.asarray(violation))
+    by_frame, shared = solved(own, common, residual, Equalities(jnp.asarray(rows), jnp.asarray(violation)))
     np.testing.assert_allclose(rows @ shared, violation, atol=1e-10)
     # Karush-Kuhn-Tucker, dense
     wide = dense_of(own, common)
@@ -59,7 +65,7 @@ def test_constraints_hold_and_the_rest_is_least(rng):
 
 def test_nothing_shared(rng):
     own, common, residual = random_rows(rng, shared=0)
-    by_frame, shared = solve_arrow(arrow_of(own, common, residual), jnp.zeros((0, 0)), jnp.zeros(0))
+    by_frame, shared = solved(own, common, residual)
     assert shared.shape == (0,)
     for frame in range(len(own)):
         expected = np.linalg.lstsq(own[frame], residual[frame], rcond=None)[0]
@@ -70,8 +76,7 @@ def test_nothing_shared(rng):
 def test_damping_makes_unknowns_without_data_stay(rng, damping):
     own, common, residual = random_rows(rng)
     own[:, :, 1], common[:, :, 2] = 0.0, 0.0
-    arrow = damped(arrow_of(own, common, residual), jnp.asarray(damping))
-    by_frame, shared = solve_arrow(arrow, jnp.zeros((0, 3)), jnp.zeros(0))
+    by_frame, shared = solved(own, common, residual, damping=damping)
     assert np.isfinite(by_frame).all() and np.isfinite(shared).all()
     np.testing.assert_allclose(by_frame[:, 1], 0.0, atol=1e-12)
     np.testing.assert_allclose(shared[2], 0.0, atol=1e-12)

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.banded import Banded, banded_equations, solve_banded
-from jaxcap.fit.boxed import solve_boxed
+from jaxcap.fit.solvers.block_banded import BlockBanded, banded_equations
+from jaxcap.fit.solvers.boxes import solve_boxed
 
 SHAPES = [(1, 0, 3), (6, 1, 4), (11, 2, 5), (7, 3, 1), (2, 2, 3)]
 
-solve, boxed = jax.jit(solve_banded), jax.jit(solve_boxed)
+solve, boxed = jax.jit(lambda banded, sides: banded.solve(sides)), jax.jit(solve_boxed)
 
 
 def random_rows(rng, frames, width, dofs):
@@ -23,7 +23,7 @@ def random_rows(rng, frames, width, dofs):
 def random_banded(rng, frames, width, dofs):
     """Equations that rows of more frames leave, cut to those in the middle: what lies before the first is not zero."""
     banded, sides = banded_equations(*map(jnp.asarray, random_rows(rng, frames, width, dofs)))
-    return Banded(banded.blocks[width : width + frames]), sides[width : width + frames]
+    return BlockBanded(banded.blocks[width : width + frames]), sides[width : width + frames]
 
 
 def dense_of(banded) -> np.ndarray:
@@ -44,7 +44,7 @@ def test_solution_is_that_of_the_dense_matrix(rng, frames, width, dofs):
     expected = np.linalg.solve(matrix, np.ravel(sides)).reshape(frames, dofs)
     np.testing.assert_allclose(solve(banded, sides), expected, rtol=1e-9, atol=1e-11)
     x = rng.normal(size=(frames, dofs))
-    for product, dense in ((banded.product, matrix), (banded.magnitudes, np.abs(matrix))):
+    for product, dense in ((banded.mv, matrix), (banded.magnitudes, np.abs(matrix))):
         np.testing.assert_allclose(
             np.ravel(product(jnp.asarray(x))), dense @ x.ravel(), rtol=1e-12, atol=1e-12
         )
@@ -70,7 +70,7 @@ def test_derivatives_of_a_solution_against_differences(rng):
     @jax.jit
     def value(slopes, apart):
         traces.append(slopes)
-        return jnp.sum(weights * jnp.sin(solve_banded(*banded_equations(slopes, apart))))
+        return jnp.sum(weights * jnp.sin(solve(*banded_equations(slopes, apart))))
 
     h = 1e-6
     ends = [float(value(slopes + s * h * ways[0], apart + s * h * ways[1])) for s in (1, -1)]
@@ -90,7 +90,7 @@ def test_single_precision_bears_stiffness_and_numbers_that_are_all_but_one(rng):
     slopes[..., 3] = slopes[..., 2] + 1e-5 * slopes[..., 3]
     units = 10.0 ** rng.uniform(-3, 3, size=4)
     banded, _ = banded_equations(jnp.asarray(slopes * units), jnp.zeros(slopes.shape[0::2]))
-    stiff = Banded(banded.blocks.astype(jnp.float32))
+    stiff = BlockBanded(banded.blocks.astype(jnp.float32))
     matrix = dense_of(stiff)
     x = rng.normal(size=matrix.shape[:1]) / np.tile(units, len(matrix) // 4)
     sides = (matrix @ x).reshape(-1, 4)
@@ -118,7 +118,7 @@ def test_bounds_are_kept_as_with_the_dense_matrix(rng):
     dense = boxed(dense_of(banded), *(jnp.asarray(np.ravel(part)) for part in (sides, low, high)))
     np.testing.assert_allclose(np.ravel(found), dense, atol=1e-10)
     # Karush-Kuhn-Tucker: some at their bounds, drawn outwards; no slope by the others
-    slope = np.asarray(banded.product(jnp.asarray(found)) - sides)
+    slope = np.asarray(banded.mv(jnp.asarray(found)) - sides)
     at = np.where(found == low, -1, np.where(found == high, 1, 0))
     assert (at < 0).any() and (at > 0).any() and (at == 0).any()
     assert (at * slope <= 0).all()

@@ -17,8 +17,8 @@ from jaxcap.body.pose_boxes import box_chart, move_within, no_boxes, turning_joi
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.boxed import solve_boxed
 from jaxcap.fit.correspond import Matching, make_scan
+from jaxcap.fit.solvers.boxes import solve_boxed
 from jaxcap.geometry import rotation
 
 SKELETON = chain_skeleton()

@@ -18,7 +18,7 @@ from jaxcap.edit.ik import session as ik
 from jaxcap.edit.ik import solve as inverse_kinematics
 from jaxcap.edit.ik.constraints import Constraint, make_constraints
 from jaxcap.edit.ik.solve import METRES, SOLVERS, IkOptions, solve_ik
-from jaxcap.fit.scaled_cholesky import ScaledCholesky
+from jaxcap.fit.solvers.cholesky import EquilibratedCholesky
 from jaxcap.geometry import rotation
 
 _pose_body = eqx.filter_jit(pose_body)
@@ -352,7 +352,7 @@ def test_very_different_stiffness_is_solved_in_single_precision(rng):
     jacobian = rng.normal(size=(60, 12)) * np.repeat([1.0, 3e3], 6)
     right = rng.normal(size=60)
     operator = lx.MatrixLinearOperator(jnp.asarray(jacobian, jnp.float32))
-    found = lx.linear_solve(operator, jnp.asarray(right, jnp.float32), ScaledCholesky(), throw=False)
+    found = lx.linear_solve(operator, jnp.asarray(right, jnp.float32), EquilibratedCholesky(), throw=False)
     best = np.linalg.lstsq(jacobian, right)[0]
     np.testing.assert_allclose(
         np.asarray(found.value) * np.repeat([1.0, 3e3], 6), best * np.repeat([1.0, 3e3], 6), atol=1e-4

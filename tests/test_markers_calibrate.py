@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.arrow import Arrow, solve_arrow
+from jaxcap.fit.solvers.block_arrow import BlockArrow
+from jaxcap.fit.solvers.block_banded import BlockBanded
 from jaxcap.geometry import rotation
 from jaxcap.markers.calibrate import calibrate
 from jaxcap.markers.eliminate import RIDGE, eliminate
@@ -49,14 +50,12 @@ def test_the_reduced_step_is_the_dense_one(rng, kinds):
     # and that of the block-arrow equations of the library
     blocks = [slice(f * dofs, (f + 1) * dofs) for f in range(frames)]
     last = slice(frames * dofs, None)
-    arrow = Arrow(
-        jnp.asarray([gram[b, b] for b in blocks]),
-        jnp.asarray([gram[b, last] for b in blocks]),
-        jnp.asarray(gram[last, last]),
-        jnp.asarray([side[b] for b in blocks]),
-        jnp.asarray(side[last]),
+    frames_matrix = BlockBanded(jnp.asarray([[gram[b, b]] for b in blocks]))
+    arrow = BlockArrow(
+        frames_matrix, jnp.asarray([gram[b, last] for b in blocks]), jnp.asarray(gram[last, last])
     )
-    by_frame, s = solve_arrow(arrow, jnp.zeros((0, size)), jnp.zeros(0))
+    sides = jnp.asarray([side[b] for b in blocks]), jnp.asarray(side[last])
+    by_frame, s = arrow.factorise().solve(sides)
     np.testing.assert_allclose(poses, by_frame, atol=1e-9)
     np.testing.assert_allclose(shared, s, atol=1e-9)
     dropped = np.linalg.norm(residual) ** 2 - np.linalg.norm(dense @ step + residual.ravel()) ** 2

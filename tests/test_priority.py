@@ -20,11 +20,11 @@ from jaxcap.energy.landmarks import BoneLandmarks, JointLandmarks
 from jaxcap.energy.limits import JointLimits
 from jaxcap.energy.prior import PosePrior
 from jaxcap.energy.term import AbstractEnergy
-from jaxcap.fit.hierarchy import Damping, Rows, constrained, descend
-from jaxcap.fit.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.priority import priority_step, solve_in_order
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solve import solve
+from jaxcap.fit.solvers.hierarchy import Damping, Rows, constrained, descend
+from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton

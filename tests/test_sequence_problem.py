@@ -16,10 +16,10 @@ from jaxcap.energy.prior import RestPrior
 from jaxcap.energy.stacked import SmoothTurns, Stacked, stack_energies
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.errors import InputError
-from jaxcap.fit.gauss_newton import GaussNewton
-from jaxcap.fit.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.sequence_problem import SequenceProblem
 from jaxcap.fit.solve_sequence import solve_sequence
+from jaxcap.fit.solvers.gauss_newton import GaussNewton
+from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.solvers.structured import StructuredCholesky
 from jaxcap.fit.unknowns import JointCentres, RestVertices, Size
 

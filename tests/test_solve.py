@@ -19,11 +19,11 @@ from jaxcap.energy.moments import rigid_moments
 from jaxcap.energy.points import PointToPlane, PointToPoint
 from jaxcap.energy.prior import PosePrior, RestPrior
 from jaxcap.energy.term import Sum
-from jaxcap.fit.gauss_newton import GaussNewton, damped_step
-from jaxcap.fit.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.problem import AbstractProblem, linearise
-from jaxcap.fit.scaled_cholesky import ScaledCholesky
 from jaxcap.fit.solve import solve
+from jaxcap.fit.solvers.cholesky import EquilibratedCholesky
+from jaxcap.fit.solvers.gauss_newton import GaussNewton, damped_step
+from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 
 BODY = chain_body()
 SKELETON = BODY.skeleton
@@ -151,9 +151,9 @@ def test_equations_that_rounding_makes_singular_are_damped_until_they_are_solved
     eps = float(jnp.finfo(jnp.result_type(float)).eps)
     problem, start = dependent(rng, eps**-0.5), jnp.zeros(60)
     operator = lx.MatrixLinearOperator(problem.matrix)
-    once = lx.linear_solve(operator, problem.target, ScaledCholesky(), throw=False)
+    once = lx.linear_solve(operator, problem.target, EquilibratedCholesky(), throw=False)
     assert once.result == lx.RESULTS.singular
-    solver = LevenbergMarquardt(linear_solver=ScaledCholesky())
+    solver = LevenbergMarquardt(linear_solver=EquilibratedCholesky())
     found = least_squares(problem, solver, start, 64)
     assert found.result == optx.RESULTS.successful
     left = np.linalg.norm(problem.residual(found.value)) / np.linalg.norm(problem.target)
@@ -166,7 +166,7 @@ def test_equations_that_nothing_solves_are_told(rng):
     size = float(jnp.sqrt(jnp.finfo(jnp.result_type(float)).max))
     matrix = size * jnp.asarray(rng.normal(size=(200, 60)))
     problem, start = Linear(matrix, jnp.asarray(rng.normal(size=200)), jnp.ones(60)), jnp.zeros(60)
-    for solver in (LevenbergMarquardt(linear_solver=ScaledCholesky()), GaussNewton()):
+    for solver in (LevenbergMarquardt(linear_solver=EquilibratedCholesky()), GaussNewton()):
         found = least_squares(problem, solver, start, 64)
         assert found.result == optx.RESULTS.singular
 

@@ -12,9 +12,9 @@ from jaxcap.body.pose import difference, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.landmarks import VertexLandmarks
 from jaxcap.energy.points import PointToPlane
-from jaxcap.fit.gauss_newton import GaussNewton
 from jaxcap.fit.problem import PoseProblem, linearise
 from jaxcap.fit.solve import solve
+from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.uncertainty import describe_unobservable, uncertainty
 
 BODY = chain_body("rigid")

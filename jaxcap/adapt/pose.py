@@ -14,8 +14,8 @@ from ..body.pose import Pose
 from ..body.pose_boxes import PoseBoxes, box_chart, chart_equations, move_within, no_boxes
 from ..body.skeleton import Skeleton
 from ..energy.term import AbstractEnergy
-from ..fit.boxed import solve_boxed
 from ..fit.correspond import Matching, Pairs, Scan, find_pairs
+from ..fit.solvers.boxes import solve_boxed
 from ..fit.visible import visible_vertices
 from ..geometry.camera import Camera
 from .equations import frame_energy, frame_equations, num_pairs, pair_energy

@@ -9,8 +9,9 @@ from ..body.body import Body
 from ..body.pose import Pose, retract
 from ..body.shape_modes import Modes, bone_differences, moved
 from ..energy.term import AbstractEnergy
-from ..fit.arrow import Arrow, solve_arrow
 from ..fit.correspond import Pairs
+from ..fit.solvers.block_arrow import BlockArrow, Equalities
+from ..fit.solvers.block_banded import BlockBanded
 from .equations import num_pairs, shared_equations, with_prior
 
 #: pairs that are neighbours say the same: so many count as one
@@ -58,17 +59,13 @@ def adapt_shared(
         return own, matrix[:dofs, dofs:], matrix[dofs:, dofs:], own_side, side[dofs:]
 
     frames, coupling, shared, frame_sides, shared_sides = jax.lax.map(of_frame, (poses, pairs))
-    diagonal = jnp.diagonal(frames, axis1=1, axis2=2)
-    ridge = 1e-3 * diagonal + 1e-6 * jnp.max(diagonal, 1, keepdims=True)
+    own = BlockBanded(frames[:, None])
+    diagonal = own.diagonal()
+    own = own.add_diagonal(1e-3 * diagonal + 1e-6 * jnp.max(diagonal, 1, keepdims=True))
     hold = ALIKE * (deviation / belief.deviation) ** 2
-    arrow = Arrow(
-        frames + jax.vmap(jnp.diag)(ridge),
-        coupling,
-        jnp.sum(shared, 0) + jnp.diag(hold),
-        frame_sides,
-        jnp.sum(shared_sides, 0) + hold * belief.expected,
-    )
+    arrow = BlockArrow(own, coupling, jnp.sum(shared, 0) + jnp.diag(hold))
+    side = frame_sides, jnp.sum(shared_sides, 0) + hold * belief.expected
     differences, rows = bone_differences(body, modes, mirrored)
-    by_frame, amounts = solve_arrow(arrow, rows, -differences)
+    by_frame, amounts = arrow.factorise().solve(side, Equalities(rows, -differences))
     poses = jax.vmap(retract, (None, 0, 0))(skeleton, poses, by_frame)
     return moved(body, modes, amounts), poses, amounts

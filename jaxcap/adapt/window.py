@@ -18,9 +18,9 @@ from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, move_within, no_bo
 from ..body.skeleton import Skeleton
 from ..energy.temporal import second_difference
 from ..energy.term import AbstractEnergy
-from ..fit.banded import Banded, among, banded_equations, frames_before
-from ..fit.boxed import solve_boxed
 from ..fit.correspond import Pairs
+from ..fit.solvers.block_banded import BlockBanded, banded_equations, frames_before
+from ..fit.solvers.boxes import solve_boxed
 from .equations import frame_energy, frame_equations, stack, stack_pairs, unstack
 from .pose import SHARES, UPHILL, best_share, brought_in
 
@@ -175,11 +175,11 @@ def window_step(
     free = jnp.ones_like(sides, bool).at[0].set(~held)
     diagonal = jnp.diagonal(blocks[:, 0], axis1=1, axis2=2)
     ridge = 1e-4 * diagonal + 1e-7 * jnp.max(diagonal)
-    blocks = blocks.at[:, 0].add(ridge[:, :, None] * jnp.eye(ridge.shape[1], dtype=ridge.dtype))
+    blocks = BlockBanded(blocks).add_diagonal(ridge).blocks
     # bounds are on the numbers of the frames' charts, and so is the step
     charts = jax.vmap(box_chart, (None, None, 0))(boxes, skeleton, poses)
     banded, sides = _by_charts(charts, blocks, sides)
-    step = solve_boxed(among(banded, free), jnp.where(free, sides, 0.0), charts.low, charts.high)
+    step = solve_boxed(banded.among(free), jnp.where(free, sides, 0.0), charts.low, charts.high)
     return charts, step
 
 
@@ -235,9 +235,9 @@ def _temporal_rows(
 
 def _by_charts(
     charts: BoxChart, blocks: Float[Array, "F B D D"], sides: Float[Array, "F D"]
-) -> tuple[Banded, Float[Array, "F D"]]:
+) -> tuple[BlockBanded, Float[Array, "F D"]]:
     """Normal equations of the frames' tangents as those of their charts' numbers."""
     product = partial(jnp.einsum, precision="highest")
     before = frames_before(charts.turn, blocks.shape[1])
     turned = product("fai,fwab,fwbj->fwij", charts.turn, blocks, before)
-    return Banded(turned), product("fai,fa->fi", charts.turn, sides)
+    return BlockBanded(turned), product("fai,fa->fi", charts.turn, sides)

@@ -11,10 +11,10 @@ from ..energy.moments import rigid_moments
 from ..energy.points import PointToPlane
 from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..observe import Cloud
-from .gauss_newton import damped_step
 from .parts import Parts
 from .posterior import Posterior, posterior, update_priors, update_sigma
 from .problem import linearise
+from .solvers.gauss_newton import damped_step
 
 
 class Mixture(eqx.Module):

@@ -19,10 +19,10 @@ from ..body.body import Body, pose_body
 from ..body.pose import Pose, project
 from ..energy.check import check_numbers, explained
 from ..energy.term import AbstractEnergy, Sum, energies, terms_of
-from .hierarchy import Damping, Rows, constrained, descend
-from .levenberg_marquardt import where
-from .manifold import HISTORY
 from .problem import PoseProblem
+from .solvers.hierarchy import Damping, Rows, constrained, descend
+from .solvers.levenberg_marquardt import where
+from .solvers.manifold import HISTORY
 
 #: a step is tried whole, then halved up to so many times
 HALVINGS = 8

@@ -1,13 +1,7 @@
-"""What is minimised, and how it is linearised on the manifold of poses."""
+"""The pose of one frame as a least-squares problem, linearised on the manifold of poses."""
 
-import abc
-from typing import Any, Generic, TypeVar
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
-import optimistix as optx
 from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
@@ -16,43 +10,7 @@ from ..body.pose import Pose, retract
 from ..body.skeleton import dof_layout
 from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
 from ..energy.vertices import AbstractVertexEnergy
-
-Unknown = TypeVar("Unknown")
-#: what `retract` takes: an array `(D,)`, or a pytree of arrays
-Tangent = Any
-
-
-class AbstractProblem(eqx.Module, Generic[Unknown]):
-    """A sum of squares over a manifold, for the solvers of this wing.
-
-    A solver sees a point of the manifold only through these verbs: tangents `d` are flat arrays, or pytrees of
-    arrays where the unknowns have a structure, and `y + d` is `retract(y, d)`.
-    """
-
-    @abc.abstractmethod
-    def residual(self, y: Unknown) -> Float[Array, "R"]:
-        """The residual at `y`; what is minimised is the sum of its squares."""
-
-    @abc.abstractmethod
-    def linearise(self, y: Unknown) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
-        """The residual at `y`, and its Jacobian by `d` of `residual(retract(y, d))` at 0."""
-
-    @abc.abstractmethod
-    def retract(self, y: Unknown, d: Tangent) -> Unknown:
-        """Move from `y` along the tangent `d`."""
-
-    @abc.abstractmethod
-    def scales(self) -> Tangent:
-        """How much of each number of a tangent counts as one unit: brings metres and
-        radians to one measure, for dampings that are isotropic."""
-
-    # optimistix nests these classes by assignment, which pyright does not follow
-    def information(self, y: Unknown) -> Any:
-        """Linearise at `y` by scaled tangents, as optimistix's searches and descents take it: residual and Jacobian, or
-        value, gradient and a structured Hessian."""
-        residual, jacobian = self.linearise(y)
-        return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian * self.scales()))  # pyright: ignore[reportReturnType]
-
+from .solvers.problem import AbstractProblem
 
 #: a joint turned by a radian moves what hangs on it by about as many metres
 LEVER = 0.3

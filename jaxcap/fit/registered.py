@@ -15,8 +15,8 @@ from ..errors import InputError
 from ..geometry import rotation
 from ..geometry.procrustes import group_moments, nearest_rotation
 from ..observe import MeshSequence
-from .levenberg_marquardt import LevenbergMarquardt
 from .solve import solve
+from .solvers.levenberg_marquardt import LevenbergMarquardt
 
 #: how much a limb whose own vertices leave its turn open follows its parent, share of the body's moment
 FOLLOW = 1e-6

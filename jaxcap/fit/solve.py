@@ -12,9 +12,9 @@ from ..body.pose import Pose, project, retract
 from ..energy.check import check_numbers, explained
 from ..energy.term import AbstractEnergy, energies
 from ..errors import InputError
-from .levenberg_marquardt import LevenbergMarquardt
-from .manifold import AbstractManifoldSolver
 from .problem import PoseProblem
+from .solvers.levenberg_marquardt import LevenbergMarquardt
+from .solvers.manifold import AbstractManifoldSolver
 
 
 class Solution(eqx.Module):

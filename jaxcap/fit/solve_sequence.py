@@ -15,9 +15,9 @@ from ..body.pose import Motion, Pose
 from ..energy.check import check_numbers, explained
 from ..energy.stacked import join_frame, num_frames_of, split_frames
 from ..errors import InputError
-from .levenberg_marquardt import LevenbergMarquardt
-from .manifold import AbstractManifoldSolver
 from .sequence_problem import SequenceEstimate, SequenceProblem, SequenceTangent
+from .solvers.levenberg_marquardt import LevenbergMarquardt
+from .solvers.manifold import AbstractManifoldSolver
 from .solvers.structured import StructuredCholesky
 
 #: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end

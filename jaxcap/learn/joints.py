@@ -15,7 +15,9 @@ from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from ..body.skeleton import Skeleton
 from ..body.skin.swing_twist import SwingTwistSkin
 from ..body.symmetry import length_differences
-from ..fit.arrow import Arrow, damped, solve_arrow
+from ..fit.solvers.block_arrow import BlockArrow, Equalities, Unknowns
+from ..fit.solvers.block_banded import BlockBanded
+from ..fit.solvers.structured import damped
 from ..geometry import rotation
 from ..geometry.laplacian import Conformance, apply
 from ..geometry.patches import Blocks, laplacian_rows, make_blocks
@@ -76,14 +78,14 @@ def improve_joints(
     to where a skeleton has it, `given`, or else to the cut between parts.
     """
     slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
-    arrow = normal_equations(body, poses, targets, metric, curvature, slots)
+    equations = normal_equations(body, poses, targets, metric, curvature, slots)
     anchors = (
         cut_anchors(body, poses, metric, value / targets.size)
         if given is None
         else given_anchors(body, poses, given)
     )
     strengths = jnp.asarray([1.0, 0.0], targets.dtype)
-    pulled, held = (_anchored(arrow, body.skeleton, anchors, slots, strength) for strength in strengths)
+    pulled, held = (_anchored(*equations, body.skeleton, anchors, slots, strength) for strength in strengths)
     for number in range(tries):
         # anchors that would raise Q only keep centres from going further
         shares = jnp.asarray(damping, targets.dtype)
@@ -110,7 +112,7 @@ def normal_equations(
     metric: Conformance,
     curvature: Curvature,
     slots: tuple[int, ...],
-) -> Arrow:
+) -> tuple[BlockArrow, Unknowns]:
     """The block-arrow normal equations of Q by poses and joints, frame by frame; the right-hand
     sides are exact, the matrices summed over the vertices of `curvature`."""
     skeleton, count = body.skeleton, len(body.vertices)
@@ -132,13 +134,19 @@ def normal_equations(
         return gram[:dofs, :dofs], gram[:dofs, dofs:], gram[dofs:, dofs:], side
 
     frames, coupling, shared, sides = jax.lax.map(of_frame, (poses, targets))
-    return Arrow(frames, coupling, jnp.sum(shared, 0), sides[:, :dofs], jnp.sum(sides[:, dofs:], 0))
+    arrow = BlockArrow(BlockBanded(frames[:, None]), coupling, jnp.sum(shared, 0))
+    return arrow, (sides[:, :dofs], jnp.sum(sides[:, dofs:], 0))
 
 
 @eqx.filter_jit
 def _anchored(
-    arrow: Arrow, skeleton: Skeleton, anchors: Anchors, slots: tuple[int, ...], strength: Float[Array, ""]
-) -> Arrow:
+    arrow: BlockArrow,
+    side: Unknowns,
+    skeleton: Skeleton,
+    anchors: Anchors,
+    slots: tuple[int, ...],
+    strength: Float[Array, ""],
+) -> tuple[BlockArrow, Unknowns]:
     """The equations with the hold of anchors on centres, in the measure of the data: what the
     curvature is for a turn of one radian; they also pull, with the given strength."""
     count, chosen = skeleton.num_joints, np.array(slots, int)
@@ -150,24 +158,20 @@ def _anchored(
     pull = strength * jnp.einsum("jab,jb->ja", weights, anchors.middles - skeleton.centres)
     wide = jnp.zeros((count, 6, count, 6), weights.dtype)
     wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(hold).reshape(6 * count, 6 * count)
-    return eqx.tree_at(
-        lambda a: (a.shared, a.shared_side),
-        arrow,
-        (
-            arrow.shared + wide[chosen][:, chosen],
-            arrow.shared_side + jnp.pad(pull, ((0, 0), (0, 3))).ravel()[chosen],
-        ),
-    )
+    shared = arrow.shared + wide[chosen][:, chosen]
+    pulled = side[1] + jnp.pad(pull, ((0, 0), (0, 3))).ravel()[chosen]
+    return BlockArrow(arrow.frames, arrow.coupling, shared), (side[0], pulled)
 
 
 @eqx.filter_jit
-def _step(body, poses, arrow, damping, bones, slots) -> tuple[Body, Pose]:
+def _step(body, poses, equations, damping, bones, slots) -> tuple[Body, Pose]:
     skeleton = body.skeleton
     slots = np.array(slots, int)
     differences, by_centre = length_differences(skeleton, np.array(bones, int).reshape(-1, 2))
     full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
     rows = full.reshape(len(differences), 6 * skeleton.num_joints)[:, slots]
-    by_frame, shared = solve_arrow(damped(arrow, damping), rows, -differences)
+    arrow, side = equations
+    by_frame, shared = damped(arrow, damping).factorise().solve(side, Equalities(rows, -differences))
     moved = jnp.zeros(6 * skeleton.num_joints, shared.dtype).at[slots].set(shared).reshape(-1, 6)
     joints = move_joints(skeleton, moved[:, :3], moved[:, 3:])
     new_poses = jax.vmap(retract, (None, 0, 0))(skeleton, poses, by_frame)

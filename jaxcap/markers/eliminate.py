@@ -1,6 +1,6 @@
 """The poses of all frames eliminated from a least-squares problem with shared unknowns.
 
-The same block-arrow system as `jaxcap.fit.arrow`, in plain NumPy and float64 whatever the input: what
+The same block-arrow system as `jaxcap.fit.solvers.block_arrow`, in plain NumPy and float64 whatever the input: what
 frames tell of the shared unknowns is a difference of large numbers, and directions that are hardly told
 drown in float32. A marker's rest place enters its own residuals only, so its columns are 3 x 3 blocks.
 """

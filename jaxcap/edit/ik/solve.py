@@ -19,11 +19,11 @@ from ...energy.landmarks import VertexLandmarks
 from ...energy.limits import JointLimits
 from ...energy.prior import ReferencePrior
 from ...energy.term import AbstractEnergy
-from ...fit.gauss_newton import GaussNewton
-from ...fit.levenberg_marquardt import LevenbergMarquardt
 from ...fit.priority import solve_in_order
-from ...fit.scaled_cholesky import ScaledCholesky
 from ...fit.solve import solve
+from ...fit.solvers.cholesky import EquilibratedCholesky
+from ...fit.solvers.gauss_newton import GaussNewton
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from .constraints import ARM, Constraints, constrained_body
 
 Solver = Literal["levenberg-marquardt", "gauss-newton", "priorities"]
@@ -116,7 +116,7 @@ def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
     solver = (
         GaussNewton()
         if options.solver == "gauss-newton"
-        else LevenbergMarquardt(linear_solver=ScaledCholesky())
+        else LevenbergMarquardt(linear_solver=EquilibratedCholesky())
     )
     energy = _reach(constraints, jnp.where(constraints.pinned, PINNED, 1.0))
     energy = energy + _natural(few.skeleton, options, reference, _held(few.skeleton, constraints, options))

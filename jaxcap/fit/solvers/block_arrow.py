@@ -13,7 +13,7 @@ block-banded, and the same holds with its factor.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .block_banded import BandedFactor, BlockBanded
 from .cholesky import CholeskyFactor, factorise
@@ -43,6 +43,17 @@ class BlockArrow(AbstractStructured):
             across = jnp.einsum("fds,fd->s", self.coupling, x)
             return self.frames.mv(x) + self.coupling @ s, self.shared @ s + across
 
+    def magnitudes(self, x: Unknowns) -> Unknowns:
+        return BlockArrow(
+            BlockBanded(jnp.abs(self.frames.blocks)), jnp.abs(self.coupling), jnp.abs(self.shared)
+        ).mv(x)
+
+    def among(self, free: tuple[Bool[Array, "F D"], Bool[Array, "S"]]) -> "BlockArrow":
+        x, s = free
+        coupling = jnp.where(x[:, :, None] & s, self.coupling, 0.0)
+        shared = jnp.where(s[:, None] & s, self.shared, 0.0) + jnp.diag(jnp.where(s, 0.0, 1.0))
+        return BlockArrow(self.frames.among(x), coupling, shared)
+
     def in_structure(self):
         return self.frames.in_structure(), jax.ShapeDtypeStruct(self.shared.shape[:1], self.shared.dtype)
 
@@ -56,9 +67,9 @@ class BlockArrow(AbstractStructured):
     def factorise(self) -> "ArrowFactor":
         frames = self.frames.factorise()
         columns = frames.forward(self.coupling)
-        flat = columns.reshape(-1, columns.shape[2])
         with jax.default_matmul_precision("highest"):
-            return ArrowFactor(frames, columns, factorise(self.shared - flat.T @ flat))
+            told = jnp.tensordot(columns, columns, ((0, 1), (0, 1)))
+            return ArrowFactor(frames, columns, factorise(self.shared - told))
 
 
 class ArrowFactor(AbstractFactor):

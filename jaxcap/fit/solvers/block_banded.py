@@ -18,7 +18,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Bool, Float, Shaped
 
 from .cholesky import rounding, unit_scale
 from .structured import AbstractFactor, AbstractStructured
@@ -41,6 +41,13 @@ class BlockBanded(AbstractStructured):
             total = total.at[w:].add(_einsum("fij,fj->fi", self.blocks[w:, w], vector[:-w]))
             total = total.at[:-w].add(_einsum("fij,fi->fj", self.blocks[w:, w], vector[w:]))
         return total
+
+    def magnitudes(self, x: Float[Array, "F D"]) -> Float[Array, "F D"]:
+        return BlockBanded(jnp.abs(self.blocks)).mv(x)
+
+    def among(self, free: Bool[Array, "F D"]) -> "BlockBanded":
+        both = free[:, None, :, None] & frames_before(free, self.blocks.shape[1])[:, :, None, :]
+        return BlockBanded(jnp.where(both, self.blocks, 0.0)).add_diagonal(jnp.where(free, 0.0, 1.0))
 
     def in_structure(self):
         frames, _, dofs, _ = self.blocks.shape

@@ -5,7 +5,7 @@ They are operators of lineax, so that optimistix's descents and searches take th
 """
 
 import abc
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import lineax as lx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
+
+Structured = TypeVar("Structured", bound="AbstractStructured")
 
 
 class AbstractFactor(eqx.Module):
@@ -31,12 +33,26 @@ class AbstractStructured(lx.AbstractLinearOperator):
         """Its diagonal, in the shape of the unknowns."""
 
     @abc.abstractmethod
-    def add_diagonal(self, amounts: PyTree[Array]) -> "AbstractStructured":
+    def add_diagonal(self: Structured, amounts: PyTree[Array]) -> Structured:
         """Add amounts, in the shape of the unknowns, to the diagonal."""
+
+    @abc.abstractmethod
+    def magnitudes(self, x: PyTree[Array]) -> PyTree[Array]:
+        """Compute `|A| x`, of which the rounding errors of a product are a share."""
+
+    @abc.abstractmethod
+    def among(self: Structured, free: PyTree[Array]) -> Structured:
+        """Keep rows and columns of free unknowns, and put those of the identity in place of the others: they are masked,
+        not removed, so that shapes stay."""
 
     @abc.abstractmethod
     def factorise(self) -> AbstractFactor:
         """Factor the matrix in time linear in the number of frames."""
+
+    def solve(self, side: PyTree[Array]) -> PyTree[Array]:
+        """Solve `A x = side`, differentiably in both modes: a derivative is one more substitution with the same factor."""
+        factor = jax.lax.stop_gradient(self).factorise()
+        return jax.lax.custom_linear_solve(self.mv, side, lambda _, b: factor.solve(b), symmetric=True)
 
     def as_matrix(self) -> Float[Array, "N N"]:
         """Write out all of the matrix, for tests and small problems."""
@@ -52,6 +68,19 @@ class AbstractStructured(lx.AbstractLinearOperator):
 
     def out_structure(self):
         return self.in_structure()
+
+
+def damped(matrix: Structured, share: Float[Array, ""]) -> Structured:
+    """Damp after Marquardt: every diagonal grows by a share of it, and none is left far below the largest of its own block,
+    so that unknowns without data stay still."""
+
+    def raised(diagonal):
+        if diagonal.shape[-1] == 0:
+            return diagonal
+        floor = jnp.finfo(diagonal.dtype)
+        return share * diagonal + jnp.maximum(jnp.max(diagonal, -1, keepdims=True) * floor.eps, floor.tiny)
+
+    return matrix.add_diagonal(jax.tree.map(raised, matrix.diagonal()))
 
 
 class StructuredCholesky(lx.AbstractLinearSolver):

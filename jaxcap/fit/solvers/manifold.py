@@ -2,7 +2,7 @@
 
 import optimistix as optx
 
-from ..arguments import check_fields
+from ...arguments import check_fields
 
 #: longest history of energies that a solver keeps
 HISTORY = 256

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
-from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from .cholesky import factorise
 from .manifold import HISTORY, AbstractManifoldSolver
 from .problem import AbstractProblem
 
@@ -113,9 +113,6 @@ def try_damped_step(
     rounding may take from a zero curvature is given back. Where rounding takes more, the step is not a number.
     """
     normal = jacobian.T @ jacobian + jnp.diag(damping)
-    diagonal = jnp.diagonal(normal)
-    scale = jnp.where(diagonal > 0, 1.0 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 1.0)
-    rounding = 10 * jnp.finfo(normal.dtype).eps * jnp.eye(len(normal), dtype=normal.dtype)
-    factor = jnp.linalg.cholesky(normal * scale[:, None] * scale + rounding)
-    step = -scale * cho_solve((factor, True), scale * (jacobian.T @ residual))
+    factor = factorise(normal, 10 * float(jnp.finfo(normal.dtype).eps))
+    step = -factor.solve(jacobian.T @ residual)
     return step, jnp.isfinite(step).all()

@@ -1,13 +1,14 @@
 """Least squares within bounds: what violates its bound is fixed there, and the rest is solved again
 (Adaptation, 4.1.4)."""
 
-import abc
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
+
+from .dense import Dense
+from .structured import AbstractStructured
 
 #: how often at most the rest is solved
 ROUNDS = 12
@@ -15,40 +16,6 @@ ROUNDS = 12
 RELEASES = 8
 #: a slope counts from so many roundings of what it is the sum of
 ROUNDINGS = 16
-
-
-class AbstractSystem(eqx.Module):
-    """A symmetric positive definite matrix `A`, however it is kept: what `solve_boxed` asks of it. Its vectors may have
-    any shape."""
-
-    @abc.abstractmethod
-    def product(self, x: Float[Array, "*D"]) -> Float[Array, "*D"]:
-        """`A x`."""
-
-    @abc.abstractmethod
-    def magnitudes(self, x: Float[Array, "*D"]) -> Float[Array, "*D"]:
-        """`|A| x`, of which the rounding errors of a product are a share."""
-
-    @abc.abstractmethod
-    def solve(self, side: Float[Array, "*D"], free: Bool[Array, "*D"]) -> Float[Array, "*D"]:
-        """The `x` with `A x = side` in the rows that are free, and zero elsewhere; differentiable by `A` and `side`."""
-
-
-class DenseSystem(AbstractSystem):
-    """All of the matrix."""
-
-    matrix: Float[Array, "D D"]
-
-    def product(self, x: Float[Array, "*D"]) -> Float[Array, "*D"]:
-        return jnp.matmul(self.matrix, x, precision="highest")
-
-    def magnitudes(self, x: Float[Array, "*D"]) -> Float[Array, "*D"]:
-        return jnp.abs(self.matrix) @ x
-
-    def solve(self, side: Float[Array, "*D"], free: Bool[Array, "*D"]) -> Float[Array, "*D"]:
-        # rows and columns are masked, not removed, so that shapes stay
-        left = jnp.where(free[:, None] & free, self.matrix, 0.0) + jnp.diag(jnp.where(free, 0.0, 1.0))
-        return jax.scipy.linalg.solve(left, jnp.where(free, side, 0.0), assume_a="pos")
 
 
 class _Round(NamedTuple):
@@ -62,7 +29,7 @@ class _Round(NamedTuple):
 
 
 def solve_boxed(
-    matrix: Float[Array, "D D"] | AbstractSystem,
+    matrix: Float[Array, "D D"] | AbstractStructured,
     side: Float[Array, "*D"],
     low: Float[Array, "*D"],
     high: Float[Array, "*D"],
@@ -79,14 +46,14 @@ def solve_boxed(
     Bounds may be infinite; with all of them infinite the first round is the last. Differentiable by all arguments: those
     that are fixed are held to be the same nearby, and the last solution is differentiated alone.
     """
-    system = matrix if isinstance(matrix, AbstractSystem) else DenseSystem(matrix)
+    system = matrix if isinstance(matrix, AbstractStructured) else Dense(matrix)
     low, high = low.astype(side.dtype), high.astype(side.dtype)
     at = _find_fixed(*jax.lax.stop_gradient((system, side, low, high)))
     return jnp.clip(_solve_free(system, side, at, low, high), low, high)
 
 
 def _find_fixed(
-    system: AbstractSystem, side: Float[Array, "*D"], low: Float[Array, "*D"], high: Float[Array, "*D"]
+    system: AbstractStructured, side: Float[Array, "*D"], low: Float[Array, "*D"], high: Float[Array, "*D"]
 ) -> Int[Array, "*D"]:
     def going_on(state: _Round) -> Bool[Array, ""]:
         return ~state.settled & (state.count < ROUNDS)
@@ -105,7 +72,7 @@ def _find_fixed(
 
 
 def _solve_free(
-    system: AbstractSystem,
+    system: AbstractStructured,
     side: Float[Array, "*D"],
     at: Int[Array, "*D"],
     low: Float[Array, "*D"],
@@ -114,13 +81,14 @@ def _solve_free(
     """The free numbers by what is left of the system, the fixed ones at their bound."""
     free = at == 0
     fixed = jnp.where(free, 0.0, jnp.where(at < 0, low, high))
-    return jnp.where(free, system.solve(side - system.product(fixed), free), fixed)
+    known = jnp.where(free, side - system.mv(fixed), 0.0)
+    return jnp.where(free, system.among(free).solve(known), fixed)
 
 
 def _drawn_inwards(
-    system: AbstractSystem, side: Float[Array, "*D"], step: Float[Array, "*D"], at: Int[Array, "*D"]
+    system: AbstractStructured, side: Float[Array, "*D"], step: Float[Array, "*D"], at: Int[Array, "*D"]
 ) -> Bool[Array, "*D"]:
     """Which of the fixed numbers would make the sum less by leaving their bound inwards."""
-    slope = system.product(step) - side
+    slope = system.mv(step) - side
     noise = ROUNDINGS * jnp.finfo(side.dtype).eps * (system.magnitudes(jnp.abs(step)) + jnp.abs(side))
     return at * slope > noise

@@ -1,0 +1,47 @@
+"""A symmetric matrix without structure."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .cholesky import CholeskyFactor, factorise
+from .structured import AbstractFactor, AbstractStructured
+
+
+class Dense(AbstractStructured):
+    """All of a symmetric positive semidefinite matrix over `x (D,)`."""
+
+    matrix: Float[Array, "D D"]
+
+    def mv(self, vector: Float[Array, "D"]) -> Float[Array, "D"]:
+        return jnp.matmul(self.matrix, vector, precision="highest")
+
+    def magnitudes(self, x: Float[Array, "D"]) -> Float[Array, "D"]:
+        return jnp.abs(self.matrix) @ x
+
+    def among(self, free: Bool[Array, "D"]) -> "Dense":
+        return Dense(jnp.where(free[:, None] & free, self.matrix, 0.0) + jnp.diag(jnp.where(free, 0.0, 1.0)))
+
+    def in_structure(self):
+        return jax.ShapeDtypeStruct(self.matrix.shape[:1], self.matrix.dtype)
+
+    def diagonal(self) -> Float[Array, "D"]:
+        return jnp.diagonal(self.matrix)
+
+    def add_diagonal(self, amounts: Float[Array, "D"]) -> "Dense":
+        return Dense(self.matrix + jnp.diag(amounts))
+
+    def factorise(self) -> "DenseFactor":
+        return DenseFactor(factorise(self.matrix))
+
+    def as_matrix(self) -> Float[Array, "D D"]:
+        return self.matrix
+
+
+class DenseFactor(AbstractFactor):
+    """The Cholesky factor of all of the matrix."""
+
+    factor: CholeskyFactor
+
+    def solve(self, side: Float[Array, "D"]) -> Float[Array, "D"]:
+        return self.factor.solve(side)
