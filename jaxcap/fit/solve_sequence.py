@@ -63,6 +63,11 @@ def solve_sequence(
     **Raises:** `InputError` for frames that do not go together, and for energies whose arrays do not fit the body.
     """
     start = start.poses if isinstance(start, Motion) else start
+    # data may be of another precision than the body
+    dtype = problem.body.vertices.dtype
+    problem, start = jax.tree.map(
+        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, (problem, start)
+    )
     poses = start.poses if isinstance(start, SequenceEstimate) else start
     _check(problem, poses)
     solver = LevenbergMarquardt(linear_solver=StructuredCholesky()) if solver is None else solver
@@ -134,6 +139,8 @@ def _implicit(primals, tangents):
     zero = jax.tree.map(jnp.zeros_like, problem.scales())
     factor = jax.lax.stop_gradient(problem.normal_equations(y)[2]).factorise()
     _, change = eqx.filter_jvp(lambda p: _gradient(p, y, zero), (problem,), (tangents[0],))
+    # nothing at all is known of what does not depend on the parameters
+    change = tuple(none if part is None else part for part, none in zip(change, zero, strict=True))
 
     def curvature(d: SequenceTangent) -> SequenceTangent:
         return jax.jvp(lambda d: _gradient(problem, y, d), (zero,), (d,))[1]

@@ -1,0 +1,244 @@
+"""One least-squares problem for many frames and what they share: minima, derivatives, precision, cost.
+
+    python -m benchmarks.one_solver [--frames 120]
+
+On the embedded human with 120 marks on its surface, in float64 but where it is said: a window of tracking (poses, smooth turns), a
+calibration (poses, joint centres, rest places of marks), an adaptation (poses, joints with their surface). Each minimum is compared with that of
+a dense Gauss-Newton solver, and the derivatives of a shared number or a pose by a weight and by one datum with central
+differences. Then the cost of linearising and of solving, with frames doubled three times. Run it from the root of the checkout.
+"""
+
+import argparse
+import resource
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from benchmarks.report import finish, progress
+from jaxcap.body.anatomy import rest_deviations
+from jaxcap.body.body import Body, pose_body, take_vertices
+from jaxcap.body.human import human
+from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.shape_modes import Modes, joint_modes
+from jaxcap.energy.landmarks import VertexLandmarks
+from jaxcap.energy.prior import RestPrior
+from jaxcap.energy.stacked import SmoothTurns, stack_energies
+from jaxcap.fit.sequence_problem import SequenceEstimate, SequenceProblem
+from jaxcap.fit.solve_sequence import solve_sequence
+from jaxcap.fit.solvers.block_arrow import BlockArrow
+from jaxcap.fit.solvers.block_banded import BlockBanded
+from jaxcap.fit.solvers.gauss_newton import GaussNewton
+from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from jaxcap.fit.solvers.structured import StructuredCholesky
+from jaxcap.fit.unknowns import AbstractUnknown, JointCentres, RestVertices, ShapeCoefficients
+
+MARKS = 120
+NOISE = 0.003
+TIGHT = LevenbergMarquardt(rtol=1e-15, atol=1e-11, linear_solver=StructuredCholesky())
+DENSE = GaussNewton(rtol=1e-15, atol=1e-11, damping=1e-12)
+solve = eqx.filter_jit(solve_sequence)
+
+
+def in_precision(tree, dtype):
+    """All numbers of a pytree in one precision."""
+    return jax.tree.map(lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree)
+
+
+def marked_human() -> tuple[Body, Modes]:
+    """The embedded human with some marks in place of its surface, and the modes of its joints."""
+    body = in_precision(human(resolution="low", joints="tracking"), jnp.float64)
+    rows = np.random.default_rng(0).choice(len(body.vertices), MARKS, replace=False)
+    modes = joint_modes(body)
+    return take_vertices(body, jnp.asarray(rows)), Modes(modes.centres[3:], modes.vertices[3:, rows])
+
+
+def shared_unknowns(body: Body, modes: Modes) -> dict[str, dict[str, AbstractUnknown]]:
+    """What the frames share in each recipe."""
+    inner = tuple(joint for joint, parent in enumerate(body.skeleton.parents) if parent >= 0)[:8]
+    return {
+        "tracking": {},
+        "calibration": {
+            "centres": JointCentres(joints=inner),
+            "marks": RestVertices(vertices=tuple(range(32))),
+        },
+        "adaptation": {"shape": ShapeCoefficients(modes)},
+    }
+
+
+def scene(body: Body, unknowns: dict[str, AbstractUnknown], frames: int) -> tuple[SequenceProblem, Pose]:
+    """A smooth motion of another body, with noise on what is seen; and its true poses."""
+    rng = np.random.default_rng(1)
+    skeleton = body.skeleton
+    ways = 0.4 * rng.normal(size=(3, skeleton.num_dofs))
+    when = np.linspace(0.0, 1.0, frames)[:, None]
+    tangents = np.sin(2 * np.pi * (when * np.array([[1.0, 2.0, 3.0]]) + np.array([[0.1, 0.4, 0.7]]))) @ ways
+    poses = jax.vmap(retract, (None, None, 0))(skeleton, rest_pose(skeleton), jnp.asarray(tangents))
+    names = tuple(f"{name}" for name in unknowns)
+    empty = SequenceProblem(
+        body,
+        VertexLandmarks(jnp.arange(1), jnp.zeros((1, 3)), jnp.ones(1)),
+        jnp.arange(float(frames)),
+        unknowns,
+    )
+    start = empty.start(poses).values
+    other = jax.tree.map(lambda leaf: leaf + 0.01 * rng.normal(size=leaf.shape), start) if names else start
+    true = empty.body_at(other)
+    places = jax.lax.map(lambda pose: pose_body(true, pose).vertices, poses)
+    places = places + NOISE * rng.normal(size=places.shape)
+    rows = jnp.arange(len(body.vertices))
+    seen = stack_energies([VertexLandmarks(rows, place, jnp.ones(len(rows))) for place in places])
+    near = RestPrior(jnp.asarray(rest_deviations(skeleton)))
+    # what is shared is held to the body as it is: rest places and joints may shift together with the poses
+    problem = SequenceProblem(
+        body,
+        seen + 1e-5 * near,
+        jnp.arange(float(frames)),
+        unknowns,
+        (SmoothTurns(jnp.asarray(1e-3)),),
+        (
+            1e-2 * VertexLandmarks(rows, body.vertices, jnp.ones(len(rows))),
+            *([_centres_held(body)] if names else []),
+        ),
+    )
+    return problem, poses
+
+
+def _centres_held(body: Body):
+    from jaxcap.energy.landmarks import joint_landmarks
+
+    return 1e-2 * joint_landmarks(body.skeleton.centres)
+
+
+def derivative_error(problem: SequenceProblem, start: SequenceEstimate) -> float:
+    """How far derivatives of a pose and of what is shared are from central differences, by a weight and by a datum, as a
+    share of the largest."""
+
+    @eqx.filter_jit
+    def numbers(changes):
+        weight, datum = changes
+        there = eqx.tree_at(
+            lambda p: (p.frames.terms[1].weight, p.frames.terms[0].energy.targets),
+            problem,
+            (
+                problem.frames.terms[1].weight * (1.0 + weight),
+                problem.frames.terms[0].energy.targets.at[1, 5, 0].add(datum),
+            ),
+        )
+        found = solve_sequence(there, start, TIGHT)
+        shared = ravel_pytree(found.values)[0]
+        return jnp.concatenate([found.poses.rotations[1].ravel(), found.poses.translations[1, 0], shared])
+
+    zero = jnp.zeros(2)
+    columns = [jax.jvp(numbers, (zero,), (way,))[1] for way in jnp.eye(2)]
+    worst = 0.0
+    for way, column, step in zip(jnp.eye(2), columns, (5e-2, 5e-3), strict=True):
+        near, far = ((numbers(h * way) - numbers(-h * way)) / (2 * h) for h in (step, 2 * step))
+        apart = jnp.abs((4 * near - far) / 3 - column).max() / jnp.abs(column).max()
+        worst = max(worst, float(apart))
+    return worst
+
+
+def minima(problem: SequenceProblem, start: SequenceEstimate) -> dict[str, float]:
+    """How far the minimum is from that of a dense solver, and in float32 from that in float64."""
+    found, dense = solve(problem, start, TIGHT), solve(problem, start, DENSE)
+    usual = LevenbergMarquardt(rtol=1e-6, atol=1e-5, linear_solver=StructuredCholesky())
+    with jax.enable_x64(False):
+        single = solve(in_precision(problem, jnp.float32), in_precision(start, jnp.float32), usual)
+
+    def places(solution):
+        return jax.vmap(lambda pose: pose_body(solution.body, pose).joints)(solution.poses)
+
+    return {
+        "energy_apart": abs(float(found.energy / dense.energy) - 1.0),
+        "joints_apart_mm": 1000 * float(jnp.abs(places(found) - places(dense)).max()),
+        "float32_mm": 1000 * float(jnp.abs(places(found) - places(single)).max()),
+        "trustworthy": bool(found.trustworthy),
+    }
+
+
+def least_seconds(function, *arguments, repeats: int = 5) -> tuple[float, float]:
+    """Seconds of the first call, and the least of some others."""
+    begun = time.perf_counter()
+    jax.block_until_ready(function(*arguments))
+    first, others = time.perf_counter() - begun, []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        jax.block_until_ready(function(*arguments))
+        others.append(time.perf_counter() - begun)
+    return first, min(others)
+
+
+@eqx.filter_jit
+def gauss_newton_step(problem: SequenceProblem, y: SequenceEstimate):
+    _, gradient, hessian = problem.normal_equations(y)
+    return hessian.factorise().solve(gradient)
+
+
+def solving_seconds(frames: int, dofs: int, shared: int, width: int) -> float:
+    """Of factoring and solving random equations in float32."""
+    rng = np.random.default_rng(2)
+    slopes = rng.normal(size=(frames, dofs + shared, 2 * dofs)).astype(np.float32)
+    gram = np.einsum("fir,fjr->fij", slopes, slopes)
+    blocks = np.zeros((frames, width, dofs, dofs), np.float32)
+    blocks[:, 0] = gram[:, :dofs, :dofs] + 10 * dofs * np.eye(dofs)
+    blocks[:, 1:] = 0.1
+    arrow = BlockArrow(
+        BlockBanded(jnp.asarray(blocks)),
+        jnp.asarray(gram[:, :dofs, dofs:]),
+        jnp.asarray(gram[:, dofs:, dofs:].sum(0)),
+    )
+    side = jnp.ones((frames, dofs), jnp.float32), jnp.ones(shared, jnp.float32)
+    return least_seconds(jax.jit(lambda arrow, side: arrow.factorise().solve(side)), arrow, side)[1]
+
+
+def main():
+    jax.config.update("jax_enable_x64", True)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=120, help="of the largest problem but one")
+    frames = parser.parse_args().frames
+    figures, limits = {}, {}
+    body, modes = marked_human()
+    for name, unknowns in shared_unknowns(body, modes).items():
+        problem, poses = scene(body, unknowns, 6)
+        start = problem.start(poses)
+        found = minima(problem, start) | {"derivative_apart": derivative_error(problem, start)}
+        progress(f"{name}: {found}")
+        figures |= {f"{name}_{key}": value for key, value in found.items()}
+        limits |= {
+            f"{name}_energy_apart": ("<=", 1e-8),
+            f"{name}_derivative_apart": ("<=", 1e-5),
+            f"{name}_float32_mm": ("<=", 0.1),
+        }
+    for count in (frames // 4, frames // 2, frames, 2 * frames):
+        problem, poses = scene(body, shared_unknowns(body, modes)["adaptation"], count)
+        with jax.enable_x64(False):
+            single = in_precision((problem, problem.start(poses)), jnp.float32)
+            first, least = least_seconds(gauss_newton_step, *single)
+        figures[f"step_of_{count}_s"], figures[f"first_step_of_{count}_s"] = least, first
+        progress(
+            f"{count} frames, {problem.num_shared} shared numbers: {least:.3f} s a step, {first:.1f} s the first"
+        )
+    doubled = [
+        figures[f"step_of_{2 * count}_s"] / figures[f"step_of_{count}_s"]
+        for count in (frames // 4, frames // 2, frames)
+    ]
+    figures["largest_growth_of_a_doubling"] = max(doubled)
+    dofs = body.skeleton.num_dofs
+    figures["arrow_120_s"] = solving_seconds(120, dofs, 168, 1)
+    figures["band_and_arrow_120_s"] = solving_seconds(120, dofs, 168, 3)
+    figures["band_and_arrow_600_s"] = solving_seconds(600, dofs, 168, 3)
+    figures["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    limits |= {
+        "largest_growth_of_a_doubling": ("<=", 2.1),
+        "arrow_120_s": ("<=", 0.1),
+        "band_and_arrow_120_s": ("<=", 0.1),
+    }
+    finish("one_solver", figures, limits, {"dofs": dofs, "marks": MARKS, "frames": frames})
+
+
+if __name__ == "__main__":
+    main()
