@@ -13,6 +13,9 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from .manifold import HISTORY, AbstractManifoldSolver
 from .problem import AbstractProblem
 
+#: changes of the energy count from so many roundings of it
+ROUNDINGS = 4
+
 
 class SolverState(eqx.Module):
     """What a step hands to the next; `history` holds the energy after each step, NaN beyond."""
@@ -21,6 +24,10 @@ class SolverState(eqx.Module):
     #: of optimistix, with the Jacobian or the Hessian
     info: Any
     search_state: PyTree
+    #: one over the damping
+    step_size: Float[Array, ""]
+    #: the length of the last step whose effect on the energy rounding hid, infinite after any other
+    taken: Float[Array, ""]
     num_steps: Int[Array, ""]
     terminate: Bool[Array, ""]
     result: optx.RESULTS
@@ -39,6 +46,10 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     `lx.QR()`, which may be put in its place where a problem is ill-conditioned. Problems that know their structure
     take `StructuredCholesky()`. Where equations
     cannot be solved, the damping is raised as after a step that does not help.
+
+    The energy near a minimum is flat, so that rounding hides what steps of less than about the root of the precision change.
+    Steps go on there, with the same damping, as long as each is shorter than the one before. With `rtol=0` the solver so comes
+    as near to the minimum as its gradient can be computed, which derivatives of the solution need.
     """
 
     rtol: float
@@ -70,6 +81,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             step=first,
             info=info,
             search_state=search_state,
+            step_size=jnp.ones((), value.dtype),
+            taken=jnp.array(jnp.inf, value.dtype),
             num_steps=jnp.array(0),
             terminate=jnp.array(False),
             result=_outcome(info, jnp.array(True)),
@@ -89,9 +102,16 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             state.search_state,
         )
         before, after = state.info.as_min(), info_there.as_min()
+        change, length = jnp.abs(before - after), self.norm(state.step)
+        # the energy cannot tell here whether a step helps
+        hidden = change <= ROUNDINGS * jnp.finfo(before.dtype).eps * jnp.abs(before)
+        shorter = length < state.taken
+        accept = jnp.where(hidden, shorter, accept)
+        search_state = where(hidden, state.search_state, search_state)
+        step_size = jnp.where(hidden, state.step_size, step_size)
         # a step that is not a number is not small, and the search refuses it
-        small = self.norm(state.step) < self.atol
-        flat = jnp.abs(before - after) <= self.rtol * jnp.abs(before) + jnp.finfo(before.dtype).tiny
+        small = length < self.atol
+        flat = change < self.rtol * jnp.abs(before)
         y = where(accept, candidate, y)
         info = where(accept, info_there, state.info)
         descent_state = self.descent.query(state.step, info, self.descent.init(state.step, info))
@@ -103,8 +123,10 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             step=step,
             info=info,
             search_state=search_state,
+            step_size=step_size,
+            taken=jnp.where(hidden & shorter, length, jnp.inf),
             num_steps=state.num_steps + 1,
-            terminate=small | (accept & flat),
+            terminate=small | (accept & flat) | (hidden & ~shorter),
             result=_outcome(info, solvable),
             history=state.history.at[state.num_steps].set(2.0 * info.as_min(), mode="drop"),
         )
