@@ -10,13 +10,13 @@ from ..body.pose import Pose, retract
 from ..body.skeleton import dof_layout
 from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
 from ..energy.vertices import AbstractVertexEnergy
-from .solvers.problem import AbstractProblem
+from .solvers.problem import AbstractDenseProblem
 
 #: a joint turned by a radian moves what hangs on it by about as many metres
 LEVER = 0.3
 
 
-class PoseProblem(AbstractProblem[Pose]):
+class PoseProblem(AbstractDenseProblem[Pose]):
     """Find the pose of a body that makes an energy least."""
 
     energy: AbstractEnergy

@@ -15,9 +15,10 @@ from ..body.skeleton import dof_layout
 from ..energy.stacked import AbstractNeighbourEnergy, join_frame, split_frames
 from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
 from ..energy.vertices import AbstractVertexEnergy
-from .problem import LEVER, AbstractProblem
+from .problem import LEVER
 from .solvers.block_arrow import BlockArrow
 from .solvers.block_banded import BlockBanded
+from .solvers.problem import AbstractProblem
 from .unknowns import AbstractUnknown, make_body, split_tangent
 
 

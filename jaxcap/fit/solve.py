@@ -14,7 +14,7 @@ from ..energy.term import AbstractEnergy, energies
 from ..errors import InputError
 from .problem import PoseProblem
 from .solvers.levenberg_marquardt import LevenbergMarquardt
-from .solvers.manifold import AbstractManifoldSolver
+from .solvers.manifold import AbstractManifoldSolver, minimise
 
 
 class Solution(eqx.Module):
@@ -65,14 +65,10 @@ def solve(
     return Solution(pose, energies(energy, pose_body(body, pose)), history, num_steps, result)
 
 
-def _evaluate(pose: Pose, problem: PoseProblem) -> Float[Array, "R"]:
-    return problem.residual(pose)
-
-
 @eqx.filter_custom_jvp
 def _minimum(problem, start, solver, max_steps):
-    solution = optx.least_squares(_evaluate, solver, start, args=problem, max_steps=max_steps, throw=False)
-    return solution.value, (solution.stats["history"], solution.stats["num_steps"], solution.result)
+    found = minimise(problem, start, solver, max_steps)
+    return found.y, (found.history, found.num_steps, found.result)
 
 
 @_minimum.def_jvp

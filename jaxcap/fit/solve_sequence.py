@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jax.scipy.sparse.linalg import cg
 from jaxtyping import Array, Bool, Float, Int
 
 from ..arguments import checked
@@ -16,8 +15,9 @@ from ..energy.check import check_numbers, explained
 from ..energy.stacked import join_frame, num_frames_of, split_frames
 from ..errors import InputError
 from .sequence_problem import SequenceEstimate, SequenceProblem, SequenceTangent
+from .solvers.conjugate_gradients import conjugate_gradients
 from .solvers.levenberg_marquardt import LevenbergMarquardt
-from .solvers.manifold import AbstractManifoldSolver
+from .solvers.manifold import AbstractManifoldSolver, minimise
 from .solvers.structured import StructuredCholesky
 
 #: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end
@@ -72,8 +72,8 @@ def solve_sequence(
     _check(problem, poses)
     solver = LevenbergMarquardt(linear_solver=StructuredCholesky()) if solver is None else solver
     start = start if isinstance(start, SequenceEstimate) else problem.start(start)
-    estimate, (history, num_steps, result) = _minimum(problem, start, solver, max_steps)
-    energy, trustworthy = _quality(problem, estimate, result)
+    estimate, (history, num_steps, result, info) = _minimum(problem, start, solver, max_steps)
+    energy, trustworthy = _quality(problem, estimate, info, result)
     body = problem.body_at(estimate.values)
     return SequenceSolution(
         body, estimate.poses, estimate.values, energy, history, num_steps, result, trustworthy
@@ -102,20 +102,15 @@ def _check(problem: SequenceProblem, poses: Pose) -> None:
         jax.eval_shape(problem.value, problem.start(poses))
 
 
-@eqx.filter_jit
 def _quality(
-    problem: SequenceProblem, y: SequenceEstimate, result
+    problem: SequenceProblem, y: SequenceEstimate, info, result
 ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """The energy, and whether what a Newton step would gain is a small share of it."""
-    value, gradient, hessian = problem.normal_equations(jax.lax.stop_gradient(y))
-    step = hessian.factorise().solve(gradient)
-    left = 0.5 * sum(jnp.vdot(a, b) for a, b in zip(gradient, step, strict=True))
+    step = info.hessian.factorise().solve(info.grad)
+    left = 0.5 * sum(jnp.vdot(a, b) for a, b in zip(info.grad, step, strict=True))
+    value = info.as_min()
     small = left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
-    return 2.0 * problem.value(y), jax.lax.stop_gradient(small & (result == optx.RESULTS.successful))
-
-
-def _evaluate(y: SequenceEstimate, problem: SequenceProblem) -> Float[Array, ""]:
-    return problem.value(y)
+    return 2.0 * problem.value(y), small & (result == optx.RESULTS.successful)
 
 
 @eqx.filter_custom_jvp
@@ -125,8 +120,8 @@ def _minimum(problem, start, solver, max_steps):
 
 @eqx.filter_jit
 def _descend(problem, start, solver, max_steps):
-    solution = optx.least_squares(_evaluate, solver, start, args=problem, max_steps=max_steps, throw=False)
-    return solution.value, (solution.stats["history"], solution.stats["num_steps"], solution.result)
+    found = minimise(problem, start, solver, max_steps)
+    return found.y, (found.history, found.num_steps, found.result, found.info)
 
 
 @_minimum.def_jvp
@@ -136,8 +131,9 @@ def _implicit(primals, tangents):
     Gauss-Newton equations as preconditioner."""
     problem, start, solver, max_steps = primals
     y, stats = _minimum(problem, start, solver, max_steps)
-    zero = jax.tree.map(jnp.zeros_like, problem.scales())
-    factor = jax.lax.stop_gradient(problem.normal_equations(y)[2]).factorise()
+    scales = problem.scales()
+    zero = jax.tree.map(jnp.zeros_like, scales)
+    factor = stats[-1].hessian.factorise()
     _, change = eqx.filter_jvp(lambda p: _gradient(p, y, zero), (problem,), (tangents[0],))
     # nothing at all is known of what does not depend on the parameters
     change = tuple(none if part is None else part for part, none in zip(change, zero, strict=True))
@@ -145,10 +141,13 @@ def _implicit(primals, tangents):
     def curvature(d: SequenceTangent) -> SequenceTangent:
         return jax.jvp(lambda d: _gradient(problem, y, d), (zero,), (d,))[1]
 
-    def solve(curvature, side: SequenceTangent) -> SequenceTangent:
-        return cg(curvature, side, tol=DERIVATIVE_TOLERANCE, maxiter=DERIVATIVE_STEPS, M=factor.solve)[0]  # pyright: ignore[reportArgumentType]
+    def precondition(side: SequenceTangent) -> SequenceTangent:
+        inner = factor.solve(jax.tree.map(jnp.multiply, scales, side))
+        return jax.tree.map(jnp.multiply, scales, inner)
 
-    step = jax.lax.custom_linear_solve(curvature, change, solve, symmetric=True)
+    step = conjugate_gradients(
+        curvature, change, precondition, tolerance=DERIVATIVE_TOLERANCE, max_steps=DERIVATIVE_STEPS
+    )
     step = jax.tree.map(jnp.negative, step)
     _, tangent = eqx.filter_jvp(lambda p, d: _moved(p, y, d), (problem, zero), (tangents[0], step))
     return (y, stats), (tangent, jax.tree.map(lambda _: None, stats))

@@ -1,6 +1,7 @@
 """Gauss-Newton with step halving (Kineben, algorithm 1), on a manifold."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -40,14 +41,14 @@ class GaussNewton(AbstractManifoldSolver):
     max_halvings: int = 12
     norm: Callable[[PyTree], Array] = optx.max_norm
 
-    def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
+    def init(self, fn, y, args: Any, options, f_struct, aux_struct, tags):
         del fn, options, f_struct, aux_struct, tags
         energy = energy_of(args, y)
         return GaussNewtonState(
             energy, jnp.array(0), jnp.array(False), jnp.array(True), jnp.full(HISTORY, jnp.nan, energy.dtype)
         )
 
-    def step(self, fn, y, args: AbstractProblem, options, state: GaussNewtonState, tags):
+    def step(self, fn, y, args: Any, options, state: GaussNewtonState, tags):
         del fn, options, tags
         units, unravel = ravel_pytree(args.scales())
         full, solved = try_damped_step(*args.linearise(y), self.damping * jnp.ones_like(units))
@@ -92,8 +93,7 @@ class GaussNewton(AbstractManifoldSolver):
 
 def energy_of(problem: AbstractProblem, y) -> Float[Array, ""]:
     """`|r|^2` at `y`."""
-    r = problem.residual(y)
-    return r @ r
+    return 2.0 * problem.value(y)
 
 
 def damped_step(

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on a manifold, put together from optimistix's parts."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -28,6 +28,8 @@ class SolverState(eqx.Module):
     step_size: Float[Array, ""]
     #: the length of the last step whose effect on the energy rounding hid, infinite after any other
     taken: Float[Array, ""]
+    #: nothing is linearised yet
+    first: Bool[Array, ""]
     num_steps: Int[Array, ""]
     terminate: Bool[Array, ""]
     result: optx.RESULTS
@@ -52,6 +54,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     as near to the minimum as its gradient can be computed, which derivatives of the solution need.
     """
 
+    starting_steps: ClassVar[int] = 1
+
     rtol: float
     atol: float
     norm: Callable[[PyTree], Array]
@@ -70,19 +74,19 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
     def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
         del fn, options, f_struct, aux_struct, tags
-        info = args.information(y)
         zero = jax.tree.map(jnp.zeros_like, args.scales())
-        value = info.as_min()
-        search_state = self.search.init(zero, info)
-        first, _ = self.descent.step(
-            jnp.ones((), value.dtype), self.descent.query(zero, info, self.descent.init(zero, info))
+        # the first step only linearises, so that this is compiled once
+        info = jax.tree.map(
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(args.information, y)
         )
+        value = info.as_min()
         return SolverState(
-            step=first,
+            step=zero,
             info=info,
-            search_state=search_state,
+            search_state=self.search.init(zero, info),
             step_size=jnp.ones((), value.dtype),
             taken=jnp.array(jnp.inf, value.dtype),
+            first=jnp.array(True),
             num_steps=jnp.array(0),
             terminate=jnp.array(False),
             result=_outcome(info, jnp.array(True)),
@@ -91,10 +95,12 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
     def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
         del fn, options, tags
+        first = state.first
         candidate = args.retract(y, jax.tree.map(jnp.multiply, args.scales(), state.step))
+        candidate = where(first, y, candidate)
         info_there = args.information(candidate)
         step_size, accept, _, search_state = self.search.step(
-            jnp.array(False),
+            first,
             jax.tree.map(jnp.zeros_like, state.step),
             state.step,
             state.info,
@@ -104,7 +110,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         before, after = state.info.as_min(), info_there.as_min()
         change, length = jnp.abs(before - after), self.norm(state.step)
         # the energy cannot tell here whether a step helps
-        hidden = change <= ROUNDINGS * jnp.finfo(before.dtype).eps * jnp.abs(before)
+        hidden = ~first & (change <= ROUNDINGS * jnp.finfo(before.dtype).eps * jnp.abs(before))
         shorter = length < state.taken
         accept = jnp.where(hidden, shorter, accept)
         search_state = where(hidden, state.search_state, search_state)
@@ -118,17 +124,20 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         step, _ = self.descent.step(step_size, descent_state)
         # the descent has no damping beyond this; one that was too little for a factor will not be enough
         most = step_size <= jnp.finfo(step_size.dtype).eps
-        solvable = jnp.isfinite(self.norm(state.step)) | ~most
+        solvable = jnp.isfinite(length) | ~most
         state = SolverState(
             step=step,
             info=info,
             search_state=search_state,
             step_size=step_size,
             taken=jnp.where(hidden & shorter, length, jnp.inf),
-            num_steps=state.num_steps + 1,
-            terminate=small | (accept & flat) | (hidden & ~shorter),
+            first=jnp.array(False),
+            num_steps=jnp.where(first, 0, state.num_steps + 1),
+            terminate=~first & (small | (accept & flat) | (hidden & ~shorter)),
             result=_outcome(info, solvable),
-            history=state.history.at[state.num_steps].set(2.0 * info.as_min(), mode="drop"),
+            history=state.history.at[jnp.where(first, HISTORY, state.num_steps)].set(
+                2.0 * info.as_min(), mode="drop"
+            ),
         )
         return y, state, None
 
@@ -138,7 +147,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result) -> tuple[Any, Any, dict]:
         del fn, args, options, tags, result
-        return y, aux, {"history": state.history}
+        return y, aux, {"history": state.history, "info": state.info}
 
 
 def _outcome(info, solvable: Bool[Array, ""]) -> optx.RESULTS:

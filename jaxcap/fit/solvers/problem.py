@@ -21,12 +21,13 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
     """
 
     @abc.abstractmethod
-    def residual(self, y: Unknown) -> Float[Array, "R"]:
-        """The residual at `y`; what is minimised is the sum of its squares."""
+    def value(self, y: Unknown) -> Float[Array, ""]:
+        """Compute `|r|^2 / 2` at `y`."""
 
     @abc.abstractmethod
-    def linearise(self, y: Unknown) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
-        """The residual at `y`, and its Jacobian by `d` of `residual(retract(y, d))` at 0."""
+    def information(self, y: Unknown) -> Any:
+        """Linearise at `y` by scaled tangents, as optimistix's searches and descents take it: residual and Jacobian
+        (`optx.FunctionInfo.ResidualJac`), or value, gradient and a structured Hessian (`EvalGradHessian`)."""
 
     @abc.abstractmethod
     def retract(self, y: Unknown, d: Tangent) -> Unknown:
@@ -37,9 +38,24 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
         """How much of each number of a tangent counts as one unit: brings metres and
         radians to one measure, for dampings that are isotropic."""
 
-    # optimistix nests these classes by assignment, which pyright does not follow
-    def information(self, y: Unknown) -> Any:
-        """Linearise at `y` by scaled tangents, as optimistix's searches and descents take it: residual and Jacobian, or
-        value, gradient and a structured Hessian."""
+
+class AbstractDenseProblem(AbstractProblem[Unknown]):
+    """A problem small enough for all rows of its Jacobian at once."""
+
+    @abc.abstractmethod
+    def residual(self, y: Unknown) -> Float[Array, "R"]:
+        """The residual at `y`; what is minimised is the sum of its squares."""
+
+    @abc.abstractmethod
+    def linearise(self, y: Unknown) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
+        """The residual at `y`, and its Jacobian by `d` of `residual(retract(y, d))` at 0."""
+
+    def value(self, y: Unknown):
+        r = self.residual(y)
+        return 0.5 * (r @ r)
+
+    def information(self, y: Unknown):
         residual, jacobian = self.linearise(y)
-        return optx.FunctionInfo.ResidualJac(residual, lx.MatrixLinearOperator(jacobian * self.scales()))  # pyright: ignore[reportReturnType]
+        matrix = lx.MatrixLinearOperator(jacobian * self.scales())
+        # optimistix nests these classes by assignment, which pyright does not follow
+        return optx.FunctionInfo.ResidualJac(residual, matrix)  # pyright: ignore[reportReturnType]
