@@ -22,7 +22,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 def make_scene():
     """A small body, larger than its template, in six poses, and its scans."""
-    rng, template = np.random.default_rng(5), chain_body("linear")
+    rng, template = np.random.default_rng(5), chain_body("linear", 10, 8)
     actor = resized(template, jnp.asarray(1.1))
     way = 0.02 * rng.normal(size=actor.skeleton.num_dofs)
     poses = [retract(actor.skeleton, rest_pose(actor.skeleton), jnp.asarray(n * way)) for n in range(FRAMES)]

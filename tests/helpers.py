@@ -41,13 +41,16 @@ def chain_skeleton() -> Skeleton:
     return make_skeleton(names, parents, kinds, centres, turned, np.stack([first, second], 1))
 
 
-def chain_body(skin: str = "linear") -> Body:
-    """A forked tube of 48 vertices around `chain_skeleton`, with a skin of one of `SKINS`."""
+def chain_body(skin: str = "linear", rings: int = 4, sides: int = 4) -> Body:
+    """A forked tube of three times `rings` by `sides` vertices around `chain_skeleton`, with a skin of one of `SKINS`.
+
+    Clouds need a finer tube than the first one: a tracker takes points far from all vertices for unexplained, and searches.
+    """
     skeleton = chain_skeleton()
     rng = np.random.default_rng(8)
     vertices, faces = [], []
     for start, end in ((0, 2), (2, 6), (2, 8)):
-        vertices, faces = _tube(vertices, faces, skeleton.centres[start], skeleton.centres[end])
+        vertices, faces = _tube(vertices, faces, skeleton.centres[start], skeleton.centres[end], rings, sides)
     vertices = np.array(vertices) + 0.005 * rng.normal(size=(len(vertices), 3))
     apart = np.linalg.norm(vertices[:, None] - np.asarray(skeleton.centres)[None], axis=-1)
     weights = np.exp(-((apart / 0.12) ** 2))
@@ -161,8 +164,8 @@ def check_energy(energy, body: Body, poses=None, analytic=None, step: float = 1e
             )
 
 
-def _tube(vertices, faces, start, end, rings: int = 4, sides: int = 4):
-    """Add a closed-sided tube of 16 vertices around the line from `start` to `end`."""
+def _tube(vertices, faces, start, end, rings: int, sides: int):
+    """Add a closed-sided tube around the line from `start` to `end`."""
     start, end = np.asarray(start), np.asarray(end)
     along = (end - start) / np.linalg.norm(end - start)
     across = np.cross(along, [0.0, 1.0, 0.0])

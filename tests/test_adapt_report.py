@@ -82,7 +82,7 @@ def test_the_axis_of_a_joint_is_the_one_it_turns_about_most(rng):
 @pytest.fixture(scope="module")
 def scene():
     """A finished adaptation of a small body: the actor is larger and has bumps, the state is nearly the truth."""
-    rng, template = np.random.default_rng(5), chain_body("linear")
+    rng, template = np.random.default_rng(5), chain_body("linear", 10, 8)
     # two bones that are about as long as each other
     sides = {"elbow": "LeftBone", "hand": "RightBone"}
     names = tuple(sides.get(name, name) for name in template.skeleton.names)

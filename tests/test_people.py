@@ -121,12 +121,12 @@ def test_traits_are_told_by_scans(people):
     def cloud(frame):
         rng = np.random.default_rng(frame)
         vertices = np.asarray(posed(actor, motion[frame]).vertices, float)
-        points, normals = sample_surface(vertices, np.asarray(actor.faces), 2000, rng)
+        points, normals = sample_surface(vertices, np.asarray(actor.faces), 1000, rng)
         return jc.make_cloud(points + 0.002 * rng.normal(size=points.shape), normals)
 
     prior = RestPrior(jnp.full((actor.skeleton.num_joints, 3), 0.7))
-    settings = Settings(frames=4, alone=4, rounds=(), temporal=0.0)
-    task = Task(people.template, cloud, 6, 30.0, motion[0], prior, (), settings, people)
+    settings = Settings(frames=3, alone=4, rounds=(), temporal=0.0)
+    task = Task(people.template, cloud, 4, 30.0, motion[0], prior, (), settings, people)
     *_, last = adapt_body(task)
     assert joints_off(last.body, actor) < 0.012
     assert joints_off(jc.human(resolution="low", joints="tracking", height=1.6), actor) > 0.015

@@ -11,8 +11,8 @@ from .mixtures import Mixture
 #: a coupling is lowered no further than leaves this share of the least eigenvalue, which bounds how
 #: much wider than learned a component may become
 LEFT = 0.1
-#: halvings that find how far a coupling can be lowered
-HALVINGS = 20
+#: the share of the way to the bound that a coupling goes at most, so that rounding does not carry it beyond
+SHORT = 1 - 1e-6
 #: a coupling below this is none
 NONE = 1e-6
 
@@ -52,27 +52,22 @@ def lower_weak(
 
 
 def _lower(matrix: np.ndarray, i: int, j: int, least: float) -> np.ndarray:
-    """One entry as near to zero as leaves no eigenvalue below `least`."""
+    """One entry as near to zero as leaves no eigenvalue below `least`.
 
-    def scaled(share: float) -> np.ndarray:
-        candidate = matrix.copy()
-        candidate[i, j] = candidate[j, i] = share * matrix[i, j]
-        return candidate
-
-    def holds(share: float) -> bool:
-        return bool(np.linalg.eigvalsh(scaled(share))[0] >= least)
-
-    if holds(0.0):
-        return scaled(0.0)
-    # matrices between two that are positive definite are so too: what an entry can be is an interval
-    impossible, possible = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = (impossible + possible) / 2
-        if holds(middle):
-            possible = middle
-        else:
-            impossible = middle
-    return scaled(possible)
+    With `C` the inverse of `A = M - least I`, a change of both entries by `t` changes the determinant of `A` by the factor
+    `(1 + t C_ij)^2 - t^2 C_ii C_jj`. `A` stays positive definite between the roots of this factor.
+    """
+    if matrix[i, j] == 0:
+        return matrix
+    values, vectors = np.linalg.eigh(matrix)
+    values = np.maximum(values - least, np.finfo(float).eps * values[-1])
+    rows = vectors[[i, j]]
+    (ii, ij), (_, jj) = (rows / values) @ rows.T
+    mean = np.sqrt(ii * jj)
+    most = 1.0 / max(mean - ij, 1e-300) if matrix[i, j] < 0 else 1.0 / max(mean + ij, 1e-300)
+    lowered = matrix.copy()
+    lowered[i, j] = lowered[j, i] = max(0.0, 1.0 - SHORT * most / abs(matrix[i, j])) * matrix[i, j]
+    return lowered
 
 
 def num_zeroed(precisions: Float[np.ndarray, "K D D"]) -> tuple[int, int]:

@@ -1,9 +1,11 @@
 """Shape targets: how sex, age, weight, muscle and height displace one mesh and its joints."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
+from scipy.optimize import brentq
 
 #: the age in years at which each target of age has its full share
 AGES = {"child": 10.0, "young": 25.0, "old": 90.0}
@@ -80,17 +82,16 @@ def reach_height(morphs: Morphs, traits: Traits, height: float) -> Traits:
     **Raises:** `ValueError` with one sentence when no stature does.
     """
 
+    @functools.cache
     def tall(stature: float) -> float:
         return float(np.ptp(apply_morphs(morphs, traits._replace(stature=stature))[0][:, 1]))
 
-    low, high = -1.0, 1.0
-    shortest, tallest = tall(low), tall(high)
+    shortest, tallest = tall(-1.0), tall(1.0)
     if not shortest <= height <= tallest:
         raise ValueError(
             f"The height of a human is {height} m; at this sex, age, weight and muscle give "
             f"a number from {shortest:.2f} to {tallest:.2f} m."
         )
-    for _ in range(21):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if tall(middle) < height else (low, middle)
-    return traits._replace(stature=0.5 * (low + high))
+    return traits._replace(
+        stature=float(brentq(lambda stature: tall(stature) - height, -1.0, 1.0, xtol=1e-7))
+    )
