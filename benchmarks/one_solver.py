@@ -33,12 +33,11 @@ from jaxcap.fit.solvers.block_arrow import BlockArrow
 from jaxcap.fit.solvers.block_banded import BlockBanded
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from jaxcap.fit.solvers.structured import StructuredCholesky
 from jaxcap.fit.unknowns import AbstractUnknown, JointCentres, RestVertices, ShapeCoefficients
 
 MARKS = 120
 NOISE = 0.003
-TIGHT = LevenbergMarquardt(rtol=1e-15, atol=1e-11, linear_solver=StructuredCholesky())
+TIGHT = LevenbergMarquardt(rtol=1e-15, atol=1e-11)
 DENSE = GaussNewton(rtol=1e-15, atol=1e-11, damping=1e-12)
 solve = eqx.filter_jit(solve_sequence)
 
@@ -145,7 +144,7 @@ def derivative_error(problem: SequenceProblem, start: SequenceEstimate) -> float
 def minima(problem: SequenceProblem, start: SequenceEstimate) -> dict[str, float]:
     """How far the minimum is from that of a dense solver, and in float32 from that in float64."""
     found, dense = solve(problem, start, TIGHT), solve(problem, start, DENSE)
-    usual = LevenbergMarquardt(rtol=1e-6, atol=1e-5, linear_solver=StructuredCholesky())
+    usual = LevenbergMarquardt(rtol=1e-6, atol=1e-5)
     with jax.enable_x64(False):
         single = solve(in_precision(problem, jnp.float32), in_precision(start, jnp.float32), usual)
 

@@ -130,7 +130,7 @@ from .fit.solve_sequence import SequenceSolution as SequenceSolution
 from .fit.solve_sequence import solve_sequence as solve_sequence
 from .fit.solvers.gauss_newton import GaussNewton as GaussNewton
 from .fit.solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
-from .fit.solvers.manifold import AbstractManifoldSolver as AbstractManifoldSolver
+from .fit.solvers.minimise import AbstractManifoldSolver as AbstractManifoldSolver
 from .fit.solvers.structured import StructuredCholesky as StructuredCholesky
 from .fit.track import Tracker as Tracker
 from .fit.track import make_tracker as make_tracker

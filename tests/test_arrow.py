@@ -4,8 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.solvers.block_arrow import BlockArrow, Equalities
+from jaxcap.fit.solvers.block_arrow import BlockArrow
 from jaxcap.fit.solvers.block_banded import BlockBanded
+from jaxcap.fit.solvers.equalities import Equalities
 from jaxcap.fit.solvers.structured import damped
 
 

@@ -21,10 +21,9 @@ from jaxcap.energy.prior import PosePrior, RestPrior
 from jaxcap.energy.term import Sum
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solve import solve
-from jaxcap.fit.solvers.cholesky import EquilibratedCholesky
 from jaxcap.fit.solvers.gauss_newton import GaussNewton, damped_step
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from jaxcap.fit.solvers.manifold import minimise
+from jaxcap.fit.solvers.minimise import minimise
 from jaxcap.fit.solvers.problem import AbstractDenseProblem
 
 BODY = chain_body()
@@ -147,11 +146,8 @@ def dependent(rng, size: float) -> Linear:
 def test_equations_that_rounding_makes_singular_are_damped_until_they_are_solved(rng):
     eps = float(jnp.finfo(jnp.result_type(float)).eps)
     problem, start = dependent(rng, eps**-0.5), jnp.zeros(60)
-    operator = lx.MatrixLinearOperator(problem.matrix)
-    once = lx.linear_solve(operator, problem.target, EquilibratedCholesky(), throw=False)
-    assert once.result == lx.RESULTS.singular
-    solver = LevenbergMarquardt(linear_solver=EquilibratedCholesky())
-    found = minimise_(problem, start, solver, 64)
+    assert not jnp.isfinite(jnp.linalg.cholesky(problem.matrix.T @ problem.matrix)).all()
+    found = minimise_(problem, start, LevenbergMarquardt(), 64)
     assert found.result == optx.RESULTS.successful
     left = np.linalg.norm(problem.residual(found.y)) / np.linalg.norm(problem.target)
     assert left < 100 * eps
@@ -163,7 +159,7 @@ def test_equations_that_nothing_solves_are_told(rng):
     size = float(jnp.sqrt(jnp.finfo(jnp.result_type(float)).max))
     matrix = size * jnp.asarray(rng.normal(size=(200, 60)))
     problem, start = Linear(matrix, jnp.asarray(rng.normal(size=200)), jnp.ones(60)), jnp.zeros(60)
-    for solver in (LevenbergMarquardt(linear_solver=EquilibratedCholesky()), GaussNewton()):
+    for solver in (LevenbergMarquardt(), GaussNewton()):
         found = minimise_(problem, start, solver, 64)
         assert found.result == optx.RESULTS.singular
 

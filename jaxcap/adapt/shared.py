@@ -10,8 +10,9 @@ from ..body.pose import Pose, retract
 from ..body.shape_modes import Modes, bone_differences, moved
 from ..energy.term import AbstractEnergy
 from ..fit.correspond import Pairs
-from ..fit.solvers.block_arrow import BlockArrow, Equalities
+from ..fit.solvers.block_arrow import BlockArrow
 from ..fit.solvers.block_banded import BlockBanded
+from ..fit.solvers.equalities import Equalities
 from .equations import num_pairs, shared_equations, with_prior
 
 #: pairs that are neighbours say the same: so many count as one

@@ -22,7 +22,7 @@ from ..energy.term import AbstractEnergy, Sum, energies, terms_of
 from .problem import PoseProblem
 from .solvers.hierarchy import Damping, Rows, constrained, descend
 from .solvers.levenberg_marquardt import where
-from .solvers.manifold import HISTORY
+from .solvers.minimise import HISTORY
 
 #: a step is tried whole, then halved up to so many times
 HALVINGS = 8

@@ -14,7 +14,7 @@ from ..energy.term import AbstractEnergy, energies
 from ..errors import InputError
 from .problem import PoseProblem
 from .solvers.levenberg_marquardt import LevenbergMarquardt
-from .solvers.manifold import AbstractManifoldSolver, minimise
+from .solvers.minimise import AbstractManifoldSolver, minimise
 
 
 class Solution(eqx.Module):

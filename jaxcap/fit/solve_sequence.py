@@ -17,8 +17,7 @@ from ..errors import InputError
 from .sequence_problem import SequenceEstimate, SequenceProblem, SequenceTangent
 from .solvers.conjugate_gradients import conjugate_gradients
 from .solvers.levenberg_marquardt import LevenbergMarquardt
-from .solvers.manifold import AbstractManifoldSolver, minimise
-from .solvers.structured import StructuredCholesky
+from .solvers.minimise import AbstractManifoldSolver, minimise
 
 #: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end
 DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE = 200, 1e-12
@@ -54,7 +53,7 @@ def solve_sequence(
     """Find the poses of all frames, and the shared unknowns, that make the energies of a problem least.
 
     **Arguments:** `start` poses stacked over frames, from which shared unknowns start at the body as it is, or an estimate;
-    `solver` is `LevenbergMarquardt(linear_solver=StructuredCholesky())` where not given; `max_steps` bounds its steps.
+    `solver` is `LevenbergMarquardt()` where not given; `max_steps` bounds its steps.
 
     `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to every array of the problem: data,
     weights, priors and the body. Nothing is raised where the solver fails: see `SequenceSolution.result`, and `trustworthy`
@@ -70,10 +69,10 @@ def solve_sequence(
     )
     poses = start.poses if isinstance(start, SequenceEstimate) else start
     _check(problem, poses)
-    solver = LevenbergMarquardt(linear_solver=StructuredCholesky()) if solver is None else solver
+    solver = LevenbergMarquardt() if solver is None else solver
     start = start if isinstance(start, SequenceEstimate) else problem.start(start)
-    estimate, (history, num_steps, result, info) = _minimum(problem, start, solver, max_steps)
-    energy, trustworthy = _quality(problem, estimate, info, result)
+    estimate, (history, num_steps, result) = _minimum(problem, start, solver, max_steps)
+    energy, trustworthy = _quality(problem, estimate, result)
     body = problem.body_at(estimate.values)
     return SequenceSolution(
         body, estimate.poses, estimate.values, energy, history, num_steps, result, trustworthy
@@ -103,14 +102,21 @@ def _check(problem: SequenceProblem, poses: Pose) -> None:
 
 
 def _quality(
-    problem: SequenceProblem, y: SequenceEstimate, info, result
+    problem: SequenceProblem, y: SequenceEstimate, result
 ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """The energy, and whether what a Newton step would gain is a small share of it."""
+    arrays, rest = eqx.partition((problem, y), eqx.is_array)
+    info = _information(*eqx.combine(jax.lax.stop_gradient(arrays), rest))
     step = info.hessian.factorise().solve(info.grad)
     left = 0.5 * sum(jnp.vdot(a, b) for a, b in zip(info.grad, step, strict=True))
     value = info.as_min()
     small = left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
     return 2.0 * problem.value(y), small & (result == optx.RESULTS.successful)
+
+
+@eqx.filter_jit
+def _information(problem: SequenceProblem, y: SequenceEstimate):
+    return problem.information(y)
 
 
 @eqx.filter_custom_jvp
@@ -121,7 +127,7 @@ def _minimum(problem, start, solver, max_steps):
 @eqx.filter_jit
 def _descend(problem, start, solver, max_steps):
     found = minimise(problem, start, solver, max_steps)
-    return found.y, (found.history, found.num_steps, found.result, found.info)
+    return found.y, (found.history, found.num_steps, found.result)
 
 
 @_minimum.def_jvp
@@ -133,7 +139,7 @@ def _implicit(primals, tangents):
     y, stats = _minimum(problem, start, solver, max_steps)
     scales = problem.scales()
     zero = jax.tree.map(jnp.zeros_like, scales)
-    factor = stats[-1].hessian.factorise()
+    factor = _information(problem, y).hessian.factorise()
     _, change = eqx.filter_jvp(lambda p: _gradient(p, y, zero), (problem,), (tangents[0],))
     # nothing at all is known of what does not depend on the parameters
     change = tuple(none if part is None else part for part, none in zip(change, zero, strict=True))

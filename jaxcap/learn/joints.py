@@ -15,8 +15,9 @@ from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from ..body.skeleton import Skeleton
 from ..body.skin.swing_twist import SwingTwistSkin
 from ..body.symmetry import length_differences
-from ..fit.solvers.block_arrow import BlockArrow, Equalities, Unknowns
+from ..fit.solvers.block_arrow import BlockArrow, Unknowns
 from ..fit.solvers.block_banded import BlockBanded
+from ..fit.solvers.equalities import Equalities
 from ..fit.solvers.structured import damped
 from ..geometry import rotation
 from ..geometry.laplacian import Conformance, apply

@@ -21,7 +21,6 @@ from ...energy.prior import ReferencePrior
 from ...energy.term import AbstractEnergy
 from ...fit.priority import solve_in_order
 from ...fit.solve import solve
-from ...fit.solvers.cholesky import EquilibratedCholesky
 from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from .constraints import ARM, Constraints, constrained_body
@@ -113,11 +112,7 @@ def solve_ik(
 def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
     few = constrained_body(body, constraints)
     # pinned points weigh so much that normal equations as they are would have no digits left for the others
-    solver = (
-        GaussNewton()
-        if options.solver == "gauss-newton"
-        else LevenbergMarquardt(linear_solver=EquilibratedCholesky())
-    )
+    solver = GaussNewton() if options.solver == "gauss-newton" else LevenbergMarquardt()
     energy = _reach(constraints, jnp.where(constraints.pinned, PINNED, 1.0))
     energy = energy + _natural(few.skeleton, options, reference, _held(few.skeleton, constraints, options))
     if options.limits is not None:

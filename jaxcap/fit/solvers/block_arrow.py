@@ -10,24 +10,17 @@ and the frames are eliminated by the Schur complement `C - sum_f B_f^T A_f^-1 B_
 block-banded, and the same holds with its factor.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .block_banded import BandedFactor, BlockBanded
 from .cholesky import CholeskyFactor, factorise
+from .equalities import Equalities, keep_equalities
 from .structured import AbstractFactor, AbstractStructured
 
 #: what is unknown: the numbers of each frame, and those that all share
 Unknowns = tuple[Float[Array, "F D"], Float[Array, "S"]]
-
-
-class Equalities(eqx.Module):
-    """Linear equations `rows s = values` that the shared unknowns keep exactly; they may depend on each other."""
-
-    rows: Float[Array, "C S"]
-    values: Float[Array, "C"]
 
 
 class BlockArrow(AbstractStructured):
@@ -84,8 +77,5 @@ class ArrowFactor(AbstractFactor):
         with jax.default_matmul_precision("highest"):
             known = self.frames.forward(side[0][:, :, None])[:, :, 0]
             s = self.shared.solve(side[1] - jnp.einsum("fds,fd->s", self.columns, known))
-            if equalities is not None and len(equalities.rows):
-                rows = equalities.rows
-                answers = self.shared.solve(rows.T)
-                s = s - answers @ jnp.linalg.lstsq(rows @ answers, rows @ s - equalities.values)[0]
+            s = keep_equalities(self.shared.solve, s, equalities)
             return self.frames.backward((known - self.columns @ s)[:, :, None])[:, :, 0], s

@@ -21,6 +21,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Shaped
 
 from .cholesky import rounding, unit_scale
+from .equalities import Equalities
 from .structured import AbstractFactor, AbstractStructured
 
 _einsum = partial(jnp.einsum, precision="highest")
@@ -95,7 +96,9 @@ class BandedFactor(AbstractFactor):
     blocks: Float[Array, "F B D D"]
     scale: Float[Array, "F D"]
 
-    def solve(self, side: Float[Array, "F D"]) -> Float[Array, "F D"]:
+    def solve(self, side: Float[Array, "F D"], equalities: Equalities | None = None) -> Float[Array, "F D"]:
+        if equalities is not None:
+            raise NotImplementedError("Frames that share nothing keep no equations.")
         return self.backward(self.forward(side[:, :, None]))[:, :, 0]
 
     def forward(self, sides: Float[Array, "F D K"]) -> Float[Array, "F D K"]:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .dense import Dense
 from .structured import AbstractStructured
@@ -22,20 +22,20 @@ class _Round(NamedTuple):
     """Which numbers are fixed: -1 at the lower bound, 1 at the upper, 0 free."""
 
     #: in the round that is done, and in the next
-    at: Int[Array, "*D"]
-    after: Int[Array, "*D"]
+    at: PyTree[Int[Array, "..."]]
+    after: PyTree[Int[Array, "..."]]
     count: Int[Array, ""]
     settled: Bool[Array, ""]
 
 
 def solve_boxed(
     matrix: Float[Array, "D D"] | AbstractStructured,
-    side: Float[Array, "*D"],
-    low: Float[Array, "*D"],
-    high: Float[Array, "*D"],
-) -> Float[Array, "*D"]:
+    side: PyTree[Array],
+    low: PyTree[Array],
+    high: PyTree[Array],
+) -> PyTree[Array]:
     """The `x` in `[low, high]` that makes `x^T A x / 2 - b^T x` least, with `A` positive definite; for normal
-    equations `A = J^T J` and `b = J^T r`.
+    equations `A = J^T J` and `b = J^T r`. All but a structured matrix are pytrees like the unknowns.
 
     The system is solved; what violates a bound is fixed there; rows and columns of the fixed are taken
     out of `A`, and `b` is less what they account for (Adaptation, 4.1.4). The thesis does it once. As two numbers
@@ -47,48 +47,47 @@ def solve_boxed(
     that are fixed are held to be the same nearby, and the last solution is differentiated alone.
     """
     system = matrix if isinstance(matrix, AbstractStructured) else Dense(matrix)
-    low, high = low.astype(side.dtype), high.astype(side.dtype)
+    low, high = (jax.tree.map(lambda end, b: end.astype(b.dtype), ends, side) for ends in (low, high))
     at = _find_fixed(*jax.lax.stop_gradient((system, side, low, high)))
-    return jnp.clip(_solve_free(system, side, at, low, high), low, high)
+    return jax.tree.map(jnp.clip, _solve_free(system, side, at, low, high), low, high)
 
 
-def _find_fixed(
-    system: AbstractStructured, side: Float[Array, "*D"], low: Float[Array, "*D"], high: Float[Array, "*D"]
-) -> Int[Array, "*D"]:
+def _find_fixed(system: AbstractStructured, side: PyTree, low: PyTree, high: PyTree) -> PyTree:
     def going_on(state: _Round) -> Bool[Array, ""]:
         return ~state.settled & (state.count < ROUNDS)
 
     def once(state: _Round) -> _Round:
-        at = state.after
-        step = _solve_free(system, side, at, low, high)
-        after = jnp.where(step < low, -1, jnp.where(step > high, 1, at))
-        inwards = _drawn_inwards(system, side, step, at) & (low < high)
-        after = jnp.where(inwards & (state.count < RELEASES), 0, after)
-        return _Round(at, after, state.count + 1, jnp.all(after == at))
+        step = _solve_free(system, side, state.after, low, high)
+        inwards = _drawn_inwards(system, side, step, state.after)
 
-    nothing = jnp.zeros_like(side, jnp.int32)
+        def fix(at, x, least, most, inward):
+            after = jnp.where(x < least, -1, jnp.where(x > most, 1, at))
+            return jnp.where(inward & (least < most) & (state.count < RELEASES), 0, after)
+
+        after = jax.tree.map(fix, state.after, step, low, high, inwards)
+        same = jax.tree.map(lambda a, b: jnp.all(a == b), after, state.after)
+        return _Round(state.after, after, state.count + 1, jnp.stack(jax.tree.leaves(same)).all())
+
+    nothing = jax.tree.map(lambda b: jnp.zeros_like(b, jnp.int32), side)
     start = _Round(nothing, nothing, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
     return jax.lax.while_loop(going_on, once, start).at
 
 
-def _solve_free(
-    system: AbstractStructured,
-    side: Float[Array, "*D"],
-    at: Int[Array, "*D"],
-    low: Float[Array, "*D"],
-    high: Float[Array, "*D"],
-) -> Float[Array, "*D"]:
+def _solve_free(system: AbstractStructured, side: PyTree, at: PyTree, low: PyTree, high: PyTree) -> PyTree:
     """The free numbers by what is left of the system, the fixed ones at their bound."""
-    free = at == 0
-    fixed = jnp.where(free, 0.0, jnp.where(at < 0, low, high))
-    known = jnp.where(free, side - system.mv(fixed), 0.0)
-    return jnp.where(free, system.among(free).solve(known), fixed)
+    free = jax.tree.map(lambda a: a == 0, at)
+    fixed = jax.tree.map(
+        lambda a, least, most: jnp.where(a == 0, 0.0, jnp.where(a < 0, least, most)), at, low, high
+    )
+    known = jax.tree.map(lambda f, b, a: jnp.where(f, b - a, 0.0), free, side, system.mv(fixed))
+    return jax.tree.map(jnp.where, free, system.among(free).solve(known), fixed)
 
 
-def _drawn_inwards(
-    system: AbstractStructured, side: Float[Array, "*D"], step: Float[Array, "*D"], at: Int[Array, "*D"]
-) -> Bool[Array, "*D"]:
+def _drawn_inwards(system: AbstractStructured, side: PyTree, step: PyTree, at: PyTree) -> PyTree:
     """Which of the fixed numbers would make the sum less by leaving their bound inwards."""
-    slope = system.mv(step) - side
-    noise = ROUNDINGS * jnp.finfo(side.dtype).eps * (system.magnitudes(jnp.abs(step)) + jnp.abs(side))
-    return at * slope > noise
+    largest = system.magnitudes(jax.tree.map(jnp.abs, step))
+
+    def drawn(image, b, size, a):
+        return a * (image - b) > ROUNDINGS * jnp.finfo(b.dtype).eps * (size + jnp.abs(b))
+
+    return jax.tree.map(drawn, system.mv(step), side, largest, at)

@@ -2,8 +2,6 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-import lineax as lx
-from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
@@ -46,32 +44,3 @@ def unit_scale(diagonal: Float[Array, "*N"]) -> Float[Array, "*N"]:
 def rounding(size: int, dtype) -> float:
     """Bound what rounding may take from a unit diagonal of so many equations."""
     return max(size, 10) * float(jnp.finfo(dtype).eps)
-
-
-class EquilibratedCholesky(lx.AbstractLinearSolver):
-    """Cholesky on the normal equations of a tall matrix, brought to a unit diagonal.
-
-    `lx.Normal(lx.Cholesky())` fails where one point weighs 10^7 times as much as another; QR does not, but takes ten
-    times as long. To take the place of either in `LevenbergMarquardt`. Where rounding leaves no factor, the result is
-    `RESULTS.singular` and the step is not a number.
-    """
-
-    def init(self, operator, options):
-        del options
-        return operator.as_matrix()
-
-    def compute(self, state, vector, options):
-        del options
-        right, _ = ravel_pytree(vector)
-        step = factorise(state.T @ state, 10 * float(jnp.finfo(state.dtype).eps)).solve(state.T @ right)
-        solved = jnp.isfinite(step).all()
-        return step, lx.RESULTS.where(solved, lx.RESULTS.successful, lx.RESULTS.singular), {}
-
-    def transpose(self, state, options):
-        raise NotImplementedError("Steps of a solver are not differentiated; its solution is.")
-
-    def conj(self, state, options):
-        return state, options
-
-    def assume_full_rank(self):
-        return True

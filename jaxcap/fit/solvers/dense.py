@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .cholesky import CholeskyFactor, factorise
+from .equalities import Equalities, keep_equalities
 from .structured import AbstractFactor, AbstractStructured
 
 
@@ -32,7 +33,8 @@ class Dense(AbstractStructured):
         return Dense(self.matrix + jnp.diag(amounts))
 
     def factorise(self) -> "DenseFactor":
-        return DenseFactor(factorise(self.matrix))
+        # little, as equations without structure come damped: a ridge moves what is hardly held
+        return DenseFactor(factorise(self.matrix, 10 * float(jnp.finfo(self.matrix.dtype).eps)))
 
     def as_matrix(self) -> Float[Array, "D D"]:
         return self.matrix
@@ -43,5 +45,5 @@ class DenseFactor(AbstractFactor):
 
     factor: CholeskyFactor
 
-    def solve(self, side: Float[Array, "D"]) -> Float[Array, "D"]:
-        return self.factor.solve(side)
+    def solve(self, side: Float[Array, "D"], equalities: Equalities | None = None) -> Float[Array, "D"]:
+        return keep_equalities(self.factor.solve, self.factor.solve(side), equalities)

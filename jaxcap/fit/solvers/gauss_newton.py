@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .cholesky import factorise
-from .manifold import HISTORY, AbstractManifoldSolver
+from .minimise import HISTORY, AbstractManifoldSolver
 from .problem import AbstractProblem
 
 

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on a manifold, put together from optimistix's parts."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,7 +10,8 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .manifold import HISTORY, AbstractManifoldSolver
+from .descent import NormalDescent
+from .minimise import HISTORY, AbstractManifoldSolver
 from .problem import AbstractProblem
 
 #: changes of the energy count from so many roundings of it
@@ -20,18 +21,17 @@ ROUNDINGS = 4
 class SolverState(eqx.Module):
     """What a step hands to the next; `history` holds the energy after each step, NaN beyond."""
 
-    step: PyTree[Array]
-    #: of optimistix, with the Jacobian or the Hessian
+    #: of optimistix, with the Jacobian or the Hessian at the point that was linearised last
     info: Any
+    #: whether the unknowns have moved since
+    moved: Bool[Array, ""]
     search_state: PyTree
     #: one over the damping
     step_size: Float[Array, ""]
     #: the length of the last step whose effect on the energy rounding hid, infinite after any other
     taken: Float[Array, ""]
-    #: nothing is linearised yet
-    first: Bool[Array, ""]
-    num_steps: Int[Array, ""]
     terminate: Bool[Array, ""]
+    num_steps: Int[Array, ""]
     result: optx.RESULTS
     history: Float[Array, "H"]
 
@@ -41,76 +41,75 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
     optimistix's own solver adds a step to the unknown. This one takes an `AbstractProblem`
     as `args`, linearises `d -> r(retract(y, d))` at `d = 0`, and composes the same search
-    and descent, so that no chart is ever left. A problem brings its unknowns to one
-    measure (`AbstractProblem.scales`), for the damping is isotropic.
+    with a descent, so that no chart is ever left. A step is tried by its energy alone; only where it was taken is
+    the problem linearised anew.
 
-    The linear solver is Cholesky on the normal equations, 5 to 9 times faster here than
-    `lx.QR()`, which may be put in its place where a problem is ill-conditioned. Problems that know their structure
-    take `StructuredCholesky()`. Where equations
-    cannot be solved, the damping is raised as after a step that does not help.
+    A problem brings its unknowns to one measure (`AbstractProblem.scales`), for the damping is isotropic; with `relative`
+    it is a share of each curvature. `damping` is that of the first step. Equations are solved by `NormalDescent`: Cholesky, by the problem's
+    structure, on a unit diagonal, 5 to 9 times faster here than QR. `linear_solver=lx.QR()` takes that in its place, where a problem of one
+    frame is ill-conditioned. Where equations cannot be solved, the damping is raised as after a step that does not help.
 
     The energy near a minimum is flat, so that rounding hides what steps of less than about the root of the precision change.
     Steps go on there, with the same damping, as long as each is shorter than the one before. With `rtol=0` the solver so comes
     as near to the minimum as its gradient can be computed, which derivatives of the solution need.
     """
 
-    starting_steps: ClassVar[int] = 1
-
     rtol: float
     atol: float
+    damping: float | Float[Array, ""]
     norm: Callable[[PyTree], Array]
-    descent: optx.DampedNewtonDescent
+    descent: optx.AbstractDescent
     search: optx.ClassicalTrustRegion
 
     def __init__(
         self,
         rtol: float = 1e-5,
         atol: float = 1e-6,
-        linear_solver: lx.AbstractLinearSolver = lx.Normal(lx.Cholesky()),
+        linear_solver: lx.AbstractLinearSolver | None = None,
+        damping: float | Float[Array, ""] = 1.0,
+        relative: bool = False,
     ):
-        self.rtol, self.atol, self.norm = rtol, atol, optx.max_norm
-        self.descent = optx.DampedNewtonDescent(linear_solver)
+        self.rtol, self.atol, self.damping, self.norm = rtol, atol, damping, optx.max_norm
+        self.descent = (
+            NormalDescent(relative) if linear_solver is None else optx.DampedNewtonDescent(linear_solver)
+        )
         self.search = optx.ClassicalTrustRegion()
 
     def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
-        del fn, options, f_struct, aux_struct, tags
-        zero = jax.tree.map(jnp.zeros_like, args.scales())
-        # the first step only linearises, so that this is compiled once
+        del fn, f_struct, aux_struct, tags
         info = jax.tree.map(
             lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(args.information, y)
         )
         value = info.as_min()
+        step_size = 1.0 / jnp.asarray(options.get("damping", self.damping), value.dtype)
+        search_state = self.search.init(jax.tree.map(jnp.zeros_like, args.scales()), info)
         return SolverState(
-            step=zero,
             info=info,
-            search_state=self.search.init(zero, info),
-            step_size=jnp.ones((), value.dtype),
+            moved=jnp.array(True),
+            search_state=eqx.tree_at(lambda s: s.step_size, search_state, step_size),
+            step_size=step_size,
             taken=jnp.array(jnp.inf, value.dtype),
-            first=jnp.array(True),
             num_steps=jnp.array(0),
             terminate=jnp.array(False),
-            result=_outcome(info, jnp.array(True)),
+            result=optx.RESULTS.successful,
             history=jnp.full(HISTORY, jnp.nan, value.dtype),
         )
 
     def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
         del fn, options, tags
-        first = state.first
-        candidate = args.retract(y, jax.tree.map(jnp.multiply, args.scales(), state.step))
-        candidate = where(first, y, candidate)
-        info_there = args.information(candidate)
+        info = _if(state.moved, args.information, y, state.info)
+        zero = jax.tree.map(jnp.zeros_like, args.scales())
+        descent_state = self.descent.query(zero, info, self.descent.init(zero, info))
+        step, _ = self.descent.step(state.step_size, descent_state)
+        candidate = args.retract(y, jax.tree.map(jnp.multiply, args.scales(), step))
+        there = optx.FunctionInfo.Eval(args.value(candidate))  # pyright: ignore[reportCallIssue]
         step_size, accept, _, search_state = self.search.step(
-            first,
-            jax.tree.map(jnp.zeros_like, state.step),
-            state.step,
-            state.info,
-            info_there,
-            state.search_state,
+            jnp.array(False), zero, step, info, there, state.search_state
         )
-        before, after = state.info.as_min(), info_there.as_min()
-        change, length = jnp.abs(before - after), self.norm(state.step)
+        before, after = info.as_min(), there.as_min()
+        change, length = jnp.abs(before - after), self.norm(step)
         # the energy cannot tell here whether a step helps
-        hidden = ~first & (change <= ROUNDINGS * jnp.finfo(before.dtype).eps * jnp.abs(before))
+        hidden = change <= ROUNDINGS * jnp.finfo(before.dtype).eps * jnp.abs(before)
         shorter = length < state.taken
         accept = jnp.where(hidden, shorter, accept)
         search_state = where(hidden, state.search_state, search_state)
@@ -118,28 +117,22 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         # a step that is not a number is not small, and the search refuses it
         small = length < self.atol
         flat = change < self.rtol * jnp.abs(before)
-        y = where(accept, candidate, y)
-        info = where(accept, info_there, state.info)
-        descent_state = self.descent.query(state.step, info, self.descent.init(state.step, info))
-        step, _ = self.descent.step(step_size, descent_state)
-        # the descent has no damping beyond this; one that was too little for a factor will not be enough
-        most = step_size <= jnp.finfo(step_size.dtype).eps
-        solvable = jnp.isfinite(length) | ~most
+        # there is no damping beyond this; one that was too little for a factor will not be enough
+        most = state.step_size <= jnp.finfo(step_size.dtype).eps
         state = SolverState(
-            step=step,
             info=info,
+            moved=accept,
             search_state=search_state,
             step_size=step_size,
             taken=jnp.where(hidden & shorter, length, jnp.inf),
-            first=jnp.array(False),
-            num_steps=jnp.where(first, 0, state.num_steps + 1),
-            terminate=~first & (small | (accept & flat) | (hidden & ~shorter)),
-            result=_outcome(info, solvable),
-            history=state.history.at[jnp.where(first, HISTORY, state.num_steps)].set(
-                2.0 * info.as_min(), mode="drop"
+            num_steps=state.num_steps + 1,
+            terminate=small | (accept & flat) | (hidden & ~shorter),
+            result=_outcome(before, jnp.isfinite(length) | ~most),
+            history=state.history.at[state.num_steps].set(
+                2.0 * jnp.where(accept, after, before), mode="drop"
             ),
         )
-        return y, state, None
+        return where(accept, candidate, y), state, None
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
@@ -147,15 +140,24 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result) -> tuple[Any, Any, dict]:
         del fn, args, options, tags, result
-        return y, aux, {"history": state.history, "info": state.info}
+        return y, aux, {"history": state.history, "damping": 1.0 / state.step_size}
 
 
-def _outcome(info, solvable: Bool[Array, ""]) -> optx.RESULTS:
+def _outcome(value: Float[Array, ""], solvable: Bool[Array, ""]) -> optx.RESULTS:
     """What ends the solver: numbers that are not finite, or equations that no damping makes solvable."""
     good, unsolved, bad = optx.RESULTS.successful, optx.RESULTS.singular, optx.RESULTS.nonfinite
     # optimistix inherits this result from lineax, which pyright does not follow
     result = optx.RESULTS.where(solvable, good, unsolved)  # pyright: ignore[reportArgumentType]
-    return optx.RESULTS.where(jnp.isfinite(info.as_min()), result, bad)
+    return optx.RESULTS.where(jnp.isfinite(value), result, bad)
+
+
+def _if(condition: Bool[Array, ""], function: Callable, argument: PyTree, otherwise: PyTree) -> PyTree:
+    """`function(argument)` where a condition holds, and then only is it evaluated."""
+    arrays, rest = eqx.partition(otherwise, eqx.is_array)
+    found = jax.lax.cond(
+        condition, lambda x: eqx.filter(function(x), eqx.is_array), lambda _: arrays, argument
+    )
+    return eqx.combine(found, rest)
 
 
 def where(condition: Bool[Array, ""], a: PyTree, b: PyTree) -> PyTree:

@@ -14,6 +14,8 @@ import lineax as lx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
+from .equalities import Equalities
+
 Structured = TypeVar("Structured", bound="AbstractStructured")
 
 
@@ -21,8 +23,9 @@ class AbstractFactor(eqx.Module):
     """A matrix made ready for solving."""
 
     @abc.abstractmethod
-    def solve(self, side: Any) -> Any:
-        """Solve `A x = side`; not numbers where `A` is not positive definite."""
+    def solve(self, side: Any, equalities: Equalities | None = None) -> Any:
+        """Solve `A x = side`, or with equations find the least of `x^T A x / 2 - side^T x` that keeps them; not numbers where
+        `A` is not positive definite."""
 
 
 class AbstractStructured(lx.AbstractLinearOperator):

@@ -1,8 +1,9 @@
-"""What the solvers of this wing have in common, so that one can be put in another's place."""
+"""Minimise a sum of squares over a manifold with any of the solvers here."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
@@ -21,9 +22,6 @@ class AbstractManifoldSolver(optx.AbstractLeastSquaresSolver):
     to the unknown, which leaves the manifold.
     """
 
-    #: steps of optimistix's loop that only linearise at the start
-    starting_steps: ClassVar[int] = 0
-
     def __check_init__(self):
         check_fields(self)
 
@@ -37,22 +35,31 @@ class Minimum(eqx.Module):
     num_steps: Int[Array, ""]
     #: `RESULTS.successful`, or why the solver stopped before it converged
     result: optx.RESULTS
-    #: the problem linearised there
-    info: Any
+    #: what the solver would damp its next step by; one where it does not damp
+    damping: Float[Array, ""]
 
 
-def minimise(problem: AbstractProblem, start, solver: AbstractManifoldSolver, max_steps: int) -> Minimum:
+def minimise(
+    problem: AbstractProblem,
+    start: Any,
+    solver: AbstractManifoldSolver,
+    max_steps: int,
+    damping: float | Float[Array, ""] | None = None,
+) -> Minimum:
     """Minimise `|r|^2` from a start near the minimum. Derivatives through it are not defined; those of the minimum are
-    the callers' to define."""
-    extra = solver.starting_steps
+    the callers' to define.
+
+    **Arguments:** `damping` of the first step, in place of the solver's own: that of an earlier `Minimum` goes on from there.
+    """
     found = optx.least_squares(
         lambda y, problem: problem.value(y),
         solver,
         start,
         args=problem,
-        max_steps=max_steps + extra,
+        options={} if damping is None else {"damping": damping},
+        max_steps=max_steps,
         throw=False,
     )
     stats = found.stats
-    info = stats["info"] if "info" in stats else problem.information(found.value)
-    return Minimum(found.value, stats["history"], stats["num_steps"] - extra, found.result, info)
+    last = stats.get("damping", jnp.ones_like(stats["history"][0]))
+    return Minimum(found.value, stats["history"], stats["num_steps"], found.result, last)

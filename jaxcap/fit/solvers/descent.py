@@ -1,0 +1,74 @@
+"""Damped Newton steps on normal equations that know their structure, within bounds and linear equations."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float, PyTree
+
+from .boxes import solve_boxed
+from .dense import Dense
+from .equalities import Equalities
+from .structured import AbstractStructured, damped
+
+
+class Constraints(eqx.Module):
+    """What a step from the point of linearisation has to keep, by scaled tangents: bounds on each number, which may be
+    infinite, or linear equations of what is shared."""
+
+    low: PyTree[Array] | None = None
+    high: PyTree[Array] | None = None
+    equalities: Equalities | None = None
+
+
+class ConstrainedInfo(optx.FunctionInfo.EvalGradHessian):
+    """Value, gradient and structured Hessian with the constraints on a step."""
+
+    constraints: Constraints | None = None
+
+
+class NormalDescent(optx.AbstractDescent):
+    """Steps of `(H + D / step_size) d = -g`, the damped Newton step of optimistix on normal equations.
+
+    `D` is the identity, or with `relative` the diagonal of `H` (Marquardt 1963), which asks for no common measure of the
+    unknowns. A Jacobian's rows are squared first. `ConstrainedInfo` brings bounds or linear equations; its solution is exact for the damped
+    equations.
+    """
+
+    relative: bool = eqx.field(static=True, default=False)
+
+    def init(self, y: PyTree, f_info_struct: Any) -> Any:
+        del y
+        return _normal(f_info_struct)
+
+    def query(self, y: PyTree, f_info: Any, state: Any) -> Any:
+        del y, state
+        return _normal(f_info)
+
+    def step(self, step_size: Float[Array, ""], state: ConstrainedInfo) -> tuple[PyTree, optx.RESULTS]:
+        share = 1.0 / step_size
+        if self.relative:
+            matrix = damped(state.hessian, share)
+        else:
+            amounts = jax.tree.map(lambda leaf: jnp.full_like(leaf, share), state.hessian.diagonal())
+            matrix = state.hessian.add_diagonal(amounts)
+        side = jax.tree.map(jnp.negative, state.grad)
+        return _solve(matrix, side, state.constraints), optx.RESULTS.successful
+
+
+def _solve(matrix: AbstractStructured, side: PyTree, constraints: Constraints | None) -> PyTree:
+    if constraints is not None and constraints.low is not None:
+        return solve_boxed(matrix, side, constraints.low, constraints.high)
+    equalities = None if constraints is None else constraints.equalities
+    return matrix.factorise().solve(side, equalities)
+
+
+def _normal(info: Any) -> ConstrainedInfo:
+    if isinstance(info, ConstrainedInfo):
+        return info
+    if isinstance(info, optx.FunctionInfo.EvalGradHessian):
+        return ConstrainedInfo(info.f, info.grad, info.hessian)
+    rows = info.jac.as_matrix()
+    return ConstrainedInfo(info.as_min(), rows.T @ info.residual, Dense(rows.T @ rows))
