@@ -1,7 +1,7 @@
 """Shape targets: how sex, age, weight, muscle and height displace one mesh and its joints."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -92,6 +92,5 @@ def reach_height(morphs: Morphs, traits: Traits, height: float) -> Traits:
             f"The height of a human is {height} m; at this sex, age, weight and muscle give "
             f"a number from {shortest:.2f} to {tallest:.2f} m."
         )
-    return traits._replace(
-        stature=float(brentq(lambda stature: tall(stature) - height, -1.0, 1.0, xtol=1e-7))
-    )
+    stature: Any = brentq(lambda stature: tall(stature) - height, -1.0, 1.0, xtol=1e-7)
+    return traits._replace(stature=float(stature))

@@ -61,16 +61,15 @@ def solve_sequence(
 
     **Raises:** `InputError` for frames that do not go together, and for energies whose arrays do not fit the body.
     """
-    start = start.poses if isinstance(start, Motion) else start
     # data may be of another precision than the body
     dtype = problem.body.vertices.dtype
     problem, start = jax.tree.map(
         lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, (problem, start)
     )
-    poses = start.poses if isinstance(start, SequenceEstimate) else start
+    poses = start if isinstance(start, Pose) else start.poses
     _check(problem, poses)
     solver = LevenbergMarquardt() if solver is None else solver
-    start = start if isinstance(start, SequenceEstimate) else problem.start(start)
+    start = start if isinstance(start, SequenceEstimate) else problem.start(poses)
     estimate, (history, num_steps, result) = _minimum(problem, start, solver, max_steps)
     energy, trustworthy = _quality(problem, estimate, result)
     body = problem.body_at(estimate.values)
@@ -107,7 +106,8 @@ def _quality(
     """The energy, and whether what a Newton step would gain is a small share of it."""
     arrays, rest = eqx.partition((problem, y), eqx.is_array)
     info = _information(*eqx.combine(jax.lax.stop_gradient(arrays), rest))
-    step = info.hessian.factorise().solve(info.grad)
+    hessian: Any = info.hessian
+    step = hessian.factorise().solve(info.grad)
     left = 0.5 * sum(jnp.vdot(a, b) for a, b in zip(info.grad, step, strict=True))
     value = info.as_min()
     small = left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
@@ -139,7 +139,8 @@ def _implicit(primals, tangents):
     y, stats = _minimum(problem, start, solver, max_steps)
     scales = problem.scales()
     zero = jax.tree.map(jnp.zeros_like, scales)
-    factor = _information(problem, y).hessian.factorise()
+    hessian: Any = _information(problem, y).hessian
+    factor = hessian.factorise()
     _, change = eqx.filter_jvp(lambda p: _gradient(p, y, zero), (problem,), (tangents[0],))
     # nothing at all is known of what does not depend on the parameters
     change = tuple(none if part is None else part for part, none in zip(change, zero, strict=True))

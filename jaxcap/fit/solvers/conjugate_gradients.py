@@ -49,7 +49,8 @@ def _iterate(product, side, *, precondition, tolerance, max_steps):
 
 
 def _dot(a: PyTree, b: PyTree) -> Float[Array, ""]:
-    return sum(jnp.vdot(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+    products = [jnp.vdot(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)]
+    return jnp.sum(jnp.stack(products))
 
 
 def _add(a: PyTree, share: Float[Array, ""], b: PyTree) -> PyTree:

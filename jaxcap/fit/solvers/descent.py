@@ -1,6 +1,6 @@
 """Damped Newton steps on normal equations that know their structure, within bounds and linear equations."""
 
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -48,12 +48,12 @@ class NormalDescent(optx.AbstractDescent):
         return _normal(f_info)
 
     def step(self, step_size: Float[Array, ""], state: ConstrainedInfo) -> tuple[PyTree, optx.RESULTS]:
-        share = 1.0 / step_size
+        share, hessian = 1.0 / step_size, cast(AbstractStructured, state.hessian)
         if self.relative:
-            matrix = damped(state.hessian, share)
+            matrix = damped(hessian, share)
         else:
-            amounts = jax.tree.map(lambda leaf: jnp.full_like(leaf, share), state.hessian.diagonal())
-            matrix = state.hessian.add_diagonal(amounts)
+            amounts = jax.tree.map(lambda leaf: jnp.full_like(leaf, share), hessian.diagonal())
+            matrix = hessian.add_diagonal(amounts)
         side = jax.tree.map(jnp.negative, state.grad)
         return _solve(matrix, side, state.constraints), optx.RESULTS.successful
 

@@ -51,7 +51,8 @@ class GaussNewton(AbstractManifoldSolver):
     def step(self, fn, y, args: Any, options, state: GaussNewtonState, tags):
         del fn, options, tags
         units, unravel = ravel_pytree(args.scales())
-        full, solved = try_damped_step(*args.linearise(y), self.damping * jnp.ones_like(units))
+        residual, jacobian = args.linearise(y)
+        full, solved = try_damped_step(residual, jacobian, self.damping * jnp.ones_like(units))
         full = jnp.where(solved, full, 0.0)
 
         def too_high(carry):
