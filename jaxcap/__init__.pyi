@@ -14,8 +14,7 @@ from .adapt.pose_prior import learn_ranges as learn_ranges
 from .adapt.prepare import make_task as make_adapt_task
 from .adapt.shape_prior import ShapePrior as ShapePrior
 from .adapt.shape_prior import make_shape_prior as make_shape_prior
-from .adapt.terms import PairDistances as PairDistances
-from .adapt.together import adapt_together as adapt_together
+from .adapt.surface import adapt_together as adapt_together
 from .adapt.window import smooth_poses as smooth_poses
 from .body.body import Body as Body
 from .body.body import Posed as Posed
@@ -80,6 +79,7 @@ from .energy.moments import RigidMoments as RigidMoments
 from .energy.moments import rigid_moments as rigid_moments
 from .energy.pair_prior import LikelihoodPrior as LikelihoodPrior
 from .energy.pair_prior import MahalanobisPrior as MahalanobisPrior
+from .energy.pairs import PairDistances as PairDistances
 from .energy.points import PointToPlane as PointToPlane
 from .energy.points import PointToPoint as PointToPoint
 from .energy.prior import PosePrior as PosePrior

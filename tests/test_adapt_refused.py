@@ -20,10 +20,10 @@ from jaxcap.adapt.check import (
     large_groups,
     likeness,
 )
-from jaxcap.adapt.equations import stack_pairs
 from jaxcap.adapt.evaluate import compare_stages
 from jaxcap.adapt.loop import AdaptState, Settings, Task, adapt_body, plan
 from jaxcap.adapt.meet import pairs_at
+from jaxcap.adapt.objective import stack_pairs
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt import Adapt

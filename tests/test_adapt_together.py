@@ -1,5 +1,7 @@
 """Poses, joints and vertices in one step: against dense least squares, its slope against differences."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,18 +11,16 @@ from adapt_scene import make_scene, task_of
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.equations import num_pairs, pair_energy, pair_rows, stack, unstack
 from jaxcap.adapt.meet import stacked_pairs
-from jaxcap.adapt.rounds import adapt_round
-from jaxcap.adapt.shape import adapt_shape
+from jaxcap.adapt.objective import ALIKE, Belief, shared_problem, stack, unstack
+from jaxcap.adapt.rounds import adapt_round, step_of
 from jaxcap.adapt.shape_prior import own_shape_prior
-from jaxcap.adapt.shared import ALIKE, Belief, adapt_shared
-from jaxcap.adapt.summed import Weights
+from jaxcap.adapt.surface import adapt_shape, adapt_together
 from jaxcap.adapt.task import AdaptState, Settings, Stage
-from jaxcap.adapt.together import adapt_together
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import length_differences
+from jaxcap.energy.pairs import PairDistances, num_pairs, pair_directions
 from jaxcap.energy.prior import RestPrior
 from jaxcap.fit.correspond import make_scan, places_on
 from jaxcap.geometry.mesh import mesh_edges
@@ -33,6 +33,17 @@ PRIOR = RestPrior(jnp.full((JOINTS, 3), 0.7))
 MODES = joint_modes(BODY, follow=False)
 #: as if the bones to elbow and jaw, and those to hand and neck, were of two sides
 MIRRORED = ((4, 8), (5, 7))
+
+
+class Weights(NamedTuple):
+    """Of the pose prior and the shape, a pair's deviation, and of the hold."""
+
+    pose: jnp.ndarray
+    shape: jnp.ndarray
+    deviation: jnp.ndarray
+    hold: jnp.ndarray
+
+
 WEIGHTS = Weights(*(jnp.asarray(x) for x in (1e-2, 0.7, 0.003, 1e-3)))
 
 
@@ -46,9 +57,8 @@ def problem(rng, corners: int = 3):
 
 
 def step(poses, pairs, shape, belief, body=BODY, weights=WEIGHTS, prior=PRIOR, tolerance=1e-13):
-    return adapt_together(
-        body, poses, pairs, prior, shape, MODES, belief, MIRRORED, weights, tolerance=tolerance
-    )
+    problem = shared_problem(body, pairs, prior, MODES, belief, MIRRORED, weights.pose, weights.deviation)
+    return adapt_together(problem, poses, pairs, shape, weights.shape, weights.hold, tolerance)
 
 
 def test_a_body_of_single_precision_meets_scans_of_double(rng):
@@ -77,7 +87,7 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
         data, beside = [], []
         for pose, some in zip(turned, each, strict=True):
             apart = places_on(some, jc.pose_body(body, pose).vertices) - some.points
-            data.append(jnp.einsum("cra,ca->cr", pair_rows(some), apart).reshape(-1))
+            data.append(jnp.einsum("cra,ca->cr", pair_directions(some), apart).reshape(-1))
             beside.append(jnp.sqrt(WEIGHTS.pose * num_pairs(some)) * PRIOR.residual(jc.pose_body(BODY, pose)))
         meshes = jnp.stack([jc.pose_body(body, pose).vertices for pose in unstack(shape.poses, 2)])
         rough = jnp.sqrt(WEIGHTS.shape / 2) * (jnp.einsum("uv,mva->mua", laplacian, meshes) - shape.vectors)
@@ -87,12 +97,8 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
 
     zero = jnp.zeros(FRAMES * DOFS + 3 * JOINTS + 3 * COUNT)
     slope, apart = (np.asarray(x) for x in jax.jit(lambda x: (jax.jacfwd(parts)(x), parts(x)))(zero))
-    known = np.concatenate([np.asarray(pairs.weights).size * 3 * [True], np.ones(FRAMES * 3 * JOINTS, bool)])
-    rows = slope[: len(known)]
-    # the frames' damping, of pairs and prior
-    diagonal = np.sum(rows[:, : FRAMES * DOFS] ** 2, 0).reshape(FRAMES, DOFS)
-    ridge = (1e-3 * diagonal + 1e-6 * diagonal.max(1, keepdims=True)).reshape(-1)
-    damping = np.diag(np.concatenate([ridge, np.zeros(len(zero) - len(ridge))]))
+    # damping is a share of each curvature
+    damping = np.diag(1e-3 * np.sum(slope**2, 0))
     differences, by_centre = length_differences(SKELETON, np.array(MIRRORED))
     assert np.abs(differences).max() > 0.01
     equal = np.zeros((len(differences), len(zero)))
@@ -177,11 +183,15 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
         each = zip(unstack(turned, FRAMES), unstack(pairs, FRAMES), strict=True)
         return sum(float(energy(body, pose, some)) for pose, some in each)
 
-    energy = eqx.filter_jit(pair_energy)
+    @eqx.filter_jit
+    def energy(body, pose, pairs):
+        r = PairDistances(pairs).residual(jc.pose_body(body, pose))
+        return r @ r
+
     one, two, told = (BODY, poses), (BODY, poses), [[left(BODY, poses)] * 2]
     for _ in range(4):
         one = step(one[1], pairs, shape, belief, one[0], weights)
-        body, turned, _ = adapt_shared(*two, pairs, PRIOR, MODES, belief, MIRRORED, *by)
+        body, turned, _ = step_of(shared_problem(two[0], pairs, PRIOR, MODES, belief, MIRRORED, *by), two[1])
         two = adapt_shape(body, turned, pairs, shape, 1e-2), turned
         told.append([left(*one), left(*two)])
     assert told[4][0] < 1e-4 * told[0][0]

@@ -9,7 +9,7 @@ from helpers import chain_skeleton, random_pose
 from scipy.optimize import lsq_linear
 
 import jaxcap as jc
-from jaxcap.adapt.equations import stack
+from jaxcap.adapt.objective import stack
 from jaxcap.adapt.pose import fit_pose, mean_square, pairs_of
 from jaxcap.adapt.window import smooth_poses, temporal_energy
 from jaxcap.body.pose import own_vectors, project, retract

@@ -7,8 +7,8 @@ import numpy as np
 from ..body.body import Body
 from ..body.pose import Pose
 from ..fit.correspond import Pairs, Scan
-from .equations import stack, stack_pairs
-from .pose import fit_pose, mean_square, pairs_of
+from .objective import mean_square, stack, stack_pairs
+from .pose import fit_pose, pairs_of
 from .reference import shape_prior_of
 from .shape_prior import shape_energy
 from .task import AdaptState, Task

@@ -11,20 +11,22 @@ from ..body.pose import Motion, Pose, stack_poses
 from ..body.sample import unlike_poses
 from ..body.shape_modes import Modes, joint_modes
 from ..fit.correspond import Scan
+from ..fit.sequence_problem import SequenceProblem
+from ..fit.solvers.descent import NormalDescent
+from ..fit.solvers.minimise import take_step
 from .beside import centres_beside, make_beside
-from .equations import stack, unstack
 from .meet import pose_at, stacked_pairs, told
+from .objective import Belief, shared_problem, stack, unstack
 from .people import People, person, traits_like
 from .pose import brought_in
 from .reference import reference, shape_prior_of
-from .shape import adapt_shape
-from .shared import Belief, adapt_shared
-from .summed import Weights
+from .surface import adapt_shape, adapt_together
 from .task import AdaptState, Settings, Stage, Task
-from .together import adapt_together
 
 #: squared distances along the surface count by this share while a person is sought: the skin of another slides
 SLIDING = 0.005
+#: the share of each curvature that a step on all poses and modes is damped by
+DAMPING = 1e-3
 
 
 def adapt_round(task: Task, state: AdaptState, held: dict[int, Scan], stage: Stage) -> AdaptState:
@@ -101,10 +103,8 @@ def _surface(
     shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
     if task.settings.together:
         pairs = stacked_pairs(task, state.body, poses, scans)
-        weights = Weights(state.weight, weight, task.settings.deviation)
-        body, together = adapt_together(
-            state.body, stack(poses), pairs, task.prior, shape, modes, belief, task.mirrored, weights
-        )
+        problem = _problem(task, state, pairs, modes, belief, task.mirrored)
+        body, together = adapt_together(problem, stack(poses), pairs, shape, weight)
         return body, unstack(together, len(poses))
     body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored)
     poses = unstack(together, len(poses))
@@ -125,8 +125,19 @@ def _step(
     distances along the surface count."""
     pairs = stacked_pairs(task, state.body, poses, scans)
     pairs = eqx.tree_at(lambda p: p.along, pairs, jnp.minimum(pairs.along, sliding))
+    return step_of(_problem(task, state, pairs, modes, belief, mirrored), stack(poses))
+
+
+@eqx.filter_jit
+def step_of(problem: SequenceProblem, poses: Pose) -> tuple[Body, Pose, Float[Array, "K"]]:
+    """One Gauss-Newton step on all poses and the amounts of modes, whatever it is worth: the body, the poses, and the amounts."""
+    found = take_step(problem, problem.start(poses), NormalDescent(relative=True), DAMPING)
+    return problem.body_at(found.values), found.poses, found.values["modes"]
+
+
+def _problem(task: Task, state: AdaptState, pairs, modes: Modes, belief: Belief, mirrored) -> SequenceProblem:
     weights = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
-    return adapt_shared(state.body, stack(poses), pairs, task.prior, modes, belief, mirrored, *weights)
+    return shared_problem(state.body, pairs, task.prior, modes, belief, mirrored, *weights)
 
 
 def _joints_beside(task: Task, state: AdaptState) -> Belief:

@@ -4,16 +4,21 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body, pose_body
+from ..body.body import Body
 from ..body.pose import Pose
 from ..body.pose_boxes import PoseBoxes
 from ..energy.term import AbstractEnergy
-from ..fit.correspond import Matching, Pairs, Scan, places_on
+from ..fit.alternate import alternate
+from ..fit.correspond import Matching, Scan
+from ..fit.sequence_problem import SequenceEstimate, SequenceProblem
+from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ..fit.unknowns import Size
 from ..geometry.camera import Camera
-from .equations import pair_rows
-from .pose import fit_pose, pairs_of
+from .objective import stack, stack_pairs, unstack, window_problem
+from .pose import LENGTHS, UPHILL, pairs_of
 
 #: an actor is between these sizes of the template
 SMALLEST, LARGEST = 0.5, 2.0
@@ -26,33 +31,30 @@ def fit_size(
     prior: AbstractEnergy,
     matching: Matching,
     weight: float,
-    rounds: int = 12,
+    rounds: int = 24,
     cameras: Sequence[Camera] = (),
     boxes: PoseBoxes | None = None,
 ) -> tuple[Body, list[Pose], float]:
-    """The body as large as the actor, its poses in some scans, and how large: in turn a step of every pose and one of
-    the size that all of them share. Joints and vertices do the rest later. `cameras` and `boxes` as in `fit_pose`."""
-    poses, size = list(poses), 1.0
-    for _ in range(rounds):
-        poses = [
-            fit_pose(
-                body, scan, pose, prior, matching, weight=weight, steps=2, cameras=cameras, boxes=boxes
-            ).pose
-            for scan, pose in zip(scans, poses, strict=True)
+    """The body as large as the actor, its poses in some scans, and how large: new pairs, and a step of all poses
+    and of the size that they share. Joints and vertices do the rest later. `cameras` and `boxes` as in `fit_pose`."""
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=LENGTHS)
+    count = len(scans)
+
+    def remake(y: SequenceEstimate) -> SequenceProblem:
+        there = resized(body, jnp.exp(y.values["size"]))
+        pairs = [
+            pairs_of(there, pose, scan, matching, cameras)
+            for pose, scan in zip(unstack(y.poses, count), scans, strict=True)
         ]
-        told = [size_equation(body, pose, pairs_of(body, pose, scan, matching, cameras)) for scan, pose in zip(scans, poses, strict=True)]  # fmt: skip
-        top, bottom = (sum(float(part[i]) for part in told) for i in range(2))
-        # nearest neighbours hold a surface back where it is far off, so a step goes further
-        step = 1.0 + 1.5 * top / max(bottom, 1e-12)
-        step = min(max(step, SMALLEST / size), LARGEST / size)
-        size *= step
-        body = resized(body, jnp.asarray(step, body.vertices.dtype))
-        # a root that is not at the origin moves with the size of its rest place
-        root = (1.0 - step) * body.skeleton.centres[0] / step
-        poses = [Pose(p.translations.at[0].add(root), p.rotations, p.scale) for p in poses]
-        if abs(step - 1.0) < 1e-3:
-            break
-    return body, poses, size
+        stacked = stack_pairs(pairs)
+        problem = window_problem(body, stacked, prior, weight, 0.0, np.arange(count), boxes)
+        unknown = {"size": Size(SMALLEST, LARGEST)}
+        return eqx.tree_at(lambda p: (p.unknowns, p.between), problem, (unknown, ()))
+
+    start = SequenceEstimate(stack(poses), {"size": jnp.zeros((), body.vertices.dtype)})
+    found = alternate(remake, start, solver, rounds=rounds, enough=1e-3, uphill=UPHILL).y
+    size = float(jnp.exp(found.values["size"]))
+    return resized(body, jnp.asarray(size, body.vertices.dtype)), unstack(found.poses, count), size
 
 
 def resized(body: Body, size: Float[Array, ""]) -> Body:
@@ -60,14 +62,3 @@ def resized(body: Body, size: Float[Array, ""]) -> Body:
     return eqx.tree_at(
         lambda b: (b.vertices, b.skeleton.centres), body, (body.vertices * size, body.skeleton.centres * size)
     )
-
-
-@eqx.filter_jit
-def size_equation(body: Body, pose: Pose, pairs: Pairs) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """What pairs say of the size, as `(J^T r, J^T J)` by its logarithm; it grows from the root's joint."""
-    posed = pose_body(body, pose)
-    places = places_on(pairs, posed.vertices)
-    rows = pair_rows(pairs)
-    along = jnp.einsum("cra,ca->cr", rows, places - posed.joints[0])
-    apart = jnp.einsum("cra,ca->cr", rows, pairs.points - places)
-    return jnp.sum(along * apart), jnp.sum(along**2)

@@ -9,13 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body, Posed, pose_body
+from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..body.symmetry import length_differences
 from ..energy.term import AbstractEnergy
-from ..fit.correspond import Pairs, places_on
-from .equations import pair_rows
 from .window import temporal_energy
 
 
@@ -32,17 +30,6 @@ class Terms(NamedTuple):
     shape: float
     #: summed squared differences of paired bones' lengths (eq. 4.13), metres squared
     symmetry: float
-
-
-class PairDistances(AbstractEnergy):
-    """Distances of a posed body from the points that belong to it: whole across the surface, by `Pairs.along` along it
-    (Adaptation, eq. 4.4, for fixed pairs). It sums with any other energy, for `solve`."""
-
-    pairs: Pairs
-
-    def residual(self, posed: Posed) -> Float[Array, "R"]:
-        apart = places_on(self.pairs, posed.vertices) - self.pairs.points
-        return jnp.einsum("cra,ca->cr", pair_rows(self.pairs), apart).reshape(-1)
 
 
 def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:

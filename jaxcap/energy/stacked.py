@@ -51,6 +51,50 @@ def stack_energies(energies: Sequence[AbstractEnergy]) -> Stacked:
     return Stacked(jax.tree.map(lambda *leaves: stack([jnp.asarray(leaf) for leaf in leaves]), *energies))
 
 
+class WeighedFrames(AbstractEnergy):
+    """One energy that is the same in every frame, but for a weight of each of F frames (`weigh_frames`)."""
+
+    energy: AbstractEnergy
+    weights: Float[Array, "F"]
+
+    def residual(self, posed: Posed) -> Float[Array, "R"]:
+        raise InputError(
+            f"WeighedFrames: the weights of {name_of(self.energy)} are of {len(self.weights)} frames and one posed body was given; "
+            "solve for the sequence with a SequenceProblem."
+        )
+
+
+@checked
+def weigh_frames(weights: Float[Array, "F"], energy: AbstractEnergy) -> AbstractEnergy:
+    """Weigh an energy by a number for each frame; a sum is weighed term by term."""
+    if isinstance(energy, Sum):
+        return Sum(tuple(weigh_frames(weights, term) for term in energy.terms))
+    return WeighedFrames(energy, weights)
+
+
+class AbstractSharedEnergy(eqx.Module):
+    """A squared residual of the values that all frames of a sequence share, and of the body that they make."""
+
+    def __check_init__(self):
+        check_fields(self)
+
+    @abc.abstractmethod
+    def residual(self, values: dict[str, Any], posed: Posed) -> Float[Array, "R"]:
+        """The residual of shared values by their names, and of their body at rest."""
+
+
+class NormalPrior(AbstractSharedEnergy):
+    """A normal distribution of the numbers of one shared value: how far each is from where it is expected, in standard
+    deviations."""
+
+    name: str = eqx.field(static=True)
+    expected: Float[Array, "N"]
+    deviations: Float[Array, "N"]
+
+    def residual(self, values, posed):
+        return (values[self.name].reshape(-1) - self.expected) / self.deviations
+
+
 class AbstractNeighbourEnergy(eqx.Module):
     """A squared residual of a few successive frames, such as of a motion that is to be smooth."""
 
@@ -85,12 +129,14 @@ class SmoothTurns(AbstractNeighbourEnergy):
 
 def split_frames(energy: AbstractEnergy) -> tuple[AbstractEnergy, AbstractEnergy]:
     """Split an energy into the arrays that each frame has of its own, with `None` elsewhere, and all else."""
-    own = jax.tree.map(
-        lambda node: jax.tree.map(eqx.is_array, node) if isinstance(node, Stacked) else False,
-        energy,
-        is_leaf=_is_stacked,
-    )
-    return eqx.partition(energy, own)
+
+    def own(node: Any) -> Any:
+        if isinstance(node, WeighedFrames):
+            inner = jax.tree.map(own, node.energy, is_leaf=_of_frames)
+            return eqx.tree_at(lambda n: (n.energy, n.weights), node, (inner, True))
+        return jax.tree.map(eqx.is_array, node) if isinstance(node, Stacked) else False
+
+    return eqx.partition(energy, jax.tree.map(own, energy, is_leaf=_of_frames))
 
 
 def join_frame(own: AbstractEnergy, same: AbstractEnergy) -> AbstractEnergy:
@@ -103,8 +149,8 @@ def num_frames_of(energy: AbstractEnergy) -> set[int]:
     return {leaf.shape[0] for leaf in jax.tree.leaves(split_frames(energy)[0])}
 
 
-def _is_stacked(node: Any) -> bool:
-    return isinstance(node, Stacked)
+def _of_frames(node: Any) -> bool:
+    return isinstance(node, Stacked | WeighedFrames)
 
 
 def _unwrapped(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
@@ -112,4 +158,6 @@ def _unwrapped(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
         return sum((_unwrapped(term) for term in energy.terms), ())
     if isinstance(energy, Weighted):
         return terms_of(weighted(energy.weight, Sum(_unwrapped(energy.energy))))
+    if isinstance(energy, WeighedFrames):
+        return terms_of(weighted(energy.weights, Sum(_unwrapped(energy.energy))))
     return _unwrapped(energy.energy) if isinstance(energy, Stacked) else (energy,)

@@ -64,8 +64,14 @@ def weighted(weight, energy: AbstractEnergy) -> AbstractEnergy:
     if isinstance(energy, Sum):
         return Sum(tuple(weighted(weight, term) for term in energy.terms))
     if isinstance(energy, Weighted):
-        return Weighted(energy.energy, jnp.asarray(weight * energy.weight, float))
-    return Weighted(energy, jnp.asarray(weight, float))
+        return Weighted(energy.energy, _number(weight * energy.weight))
+    return Weighted(energy, _number(weight))
+
+
+def _number(weight) -> Float[Array, ""]:
+    """A weight as an array, in its own precision where it is one."""
+    there = eqx.is_inexact_array(weight)
+    return weight if there else jnp.asarray(weight, float)
 
 
 def terms_of(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:

@@ -10,13 +10,13 @@ from .term import AbstractEnergy, root
 
 class AbstractVertexEnergy(AbstractEnergy):
     """An energy with R numbers for each of C chosen vertices, `n . (x_v - y)` along fixed
-    directions `n`: the body's skin knows how they move, so that none is differentiated
-    automatically (`AbstractSkin.jacobian`)."""
+    directions `n`, or for each of C places that lie between K vertices, `sum_k n_k . x_k - y`: the body's skin knows how
+    these move, so that none is differentiated automatically (`AbstractSkin.jacobian`)."""
 
     @abc.abstractmethod
-    def slopes(self) -> tuple[Int[Array, "C"], Float[Array, "C R 3"]]:
+    def slopes(self) -> tuple[Int[Array, "C *K"], Float[Array, "C *K R 3"]]:
         """The vertices, and the directions along which each is measured: the derivative of the
-        residual by their positions. The residual is in the same order, vertex by vertex."""
+        residual by their positions. The residual is in the same order, vertex by vertex or place by place."""
 
 
 def along_axes(weights: Float[Array, "C"]) -> Float[Array, "C 3 3"]:

@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..arguments import checked
+from ..energy.pairs import Pairs as Pairs
+from ..energy.pairs import places_on as places_on
 from ..geometry.camera import Camera, in_picture
 from .assign import AbstractAssignment, Assigned, NearestVertex, Surface
 from .assign import NearestOnSurface as NearestOnSurface
@@ -16,25 +17,6 @@ from .assign import Scan as Scan
 from .assign import make_mesh_scan as make_mesh_scan
 from .assign import make_scan as make_scan
 from .assign_soft import SoftAssignment as SoftAssignment
-
-
-class Pairs(eqx.Module):
-    """Places on a body with those they are to reach; as many for every frame, weight zero where there is none.
-
-    A place is `sum_k shares_k x[vertices_k]`: K = 1 is a vertex, K = 3 a point in a triangle.
-    """
-
-    #: any two of a pair's vertices are one, or share an edge
-    vertices: Int[Array, "*frames C K"]
-    #: one in sum
-    shares: Float[Array, "*frames C K"]
-    #: points of the scan, metres
-    points: Float[Array, "*frames C 3"]
-    #: unit directions along which distances count: the mean of the scan's normal and the body's
-    normals: Float[Array, "*frames C 3"]
-    weights: Float[Array, "*frames C"]
-    #: the share by which squares of distances along the surface count, of those across it
-    along: Float[Array, "*frames C"]
 
 
 class Matching(NamedTuple):
@@ -60,12 +42,6 @@ class Matching(NamedTuple):
     #: the sensors, where a body may be partly outside of what they can see: vertices that are within no
     #: sensor's angle of aperture are in no pair; none says nothing
     aperture: tuple[Camera, ...] = ()
-
-
-@checked
-def places_on(pairs: Pairs, vertices: Float[Array, "V 3"]) -> Float[Array, "C 3"]:
-    """The places of the pairs of one frame on a surface, metres."""
-    return jnp.einsum("ck,cka->ca", pairs.shares, vertices[pairs.vertices])
 
 
 @checked

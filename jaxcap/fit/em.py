@@ -6,15 +6,16 @@ from jaxtyping import Array, Float
 
 from ..arguments import check_fields, checked
 from ..body.body import Body, Posed, pose_body
-from ..body.pose import Pose, retract
+from ..body.pose import Pose
 from ..energy.moments import rigid_moments
 from ..energy.points import PointToPlane
 from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..observe import Cloud
 from .parts import Parts
 from .posterior import Posterior, posterior, update_priors, update_sigma
-from .problem import linearise
-from .solvers.gauss_newton import damped_step
+from .problem import PoseProblem
+from .solvers.descent import NormalDescent
+from .solvers.minimise import take_step
 
 
 class Mixture(eqx.Module):
@@ -143,9 +144,7 @@ def em_step(
     posed, found = expectation(body, parts, mixture, cloud, volume, estimate)
     data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential)
     energy = Sum(terms_of(data) + terms_of(prior))
-    residual, jacobian = linearise(energy, body, estimate.pose)
-    damping = jnp.full(jacobian.shape[1], mixture.damping, jacobian.dtype)
-    pose = retract(body.skeleton, estimate.pose, damped_step(residual, jacobian, damping))
+    pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
     apart = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
     squared = jnp.sum(apart**2, -1)
     # without a single inlier there is nothing to estimate from, and nothing moves

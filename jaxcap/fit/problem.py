@@ -1,15 +1,16 @@
 """The pose of one frame as a least-squares problem, linearised on the manifold of poses."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..body.body import Body, Posed, pose_body
-from ..body.jacobian import vertex_rows
+from ..body.body import Body, pose_body
 from ..body.pose import Pose, retract
-from ..body.skeleton import dof_layout
-from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
-from ..energy.vertices import AbstractVertexEnergy
+from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, chart_equations, move_within
+from ..body.skeleton import Skeleton, dof_layout
+from ..energy.term import AbstractEnergy
+from .linearise import linearise as linearise
+from .solvers.dense import Dense
+from .solvers.descent import ConstrainedInfo, Constraints
 from .solvers.problem import AbstractDenseProblem
 
 #: a joint turned by a radian moves what hangs on it by about as many metres
@@ -17,61 +18,47 @@ LEVER = 0.3
 
 
 class PoseProblem(AbstractDenseProblem[Pose]):
-    """Find the pose of a body that makes an energy least."""
+    """Find the pose of a body that makes an energy least. Within hard `boxes` tangents are numbers of the boxes' chart about
+    the pose, in which boxes are bounds."""
 
     energy: AbstractEnergy
     body: Body
+    boxes: PoseBoxes | None = None
 
     def residual(self, y: Pose):
         return self.energy.residual(pose_body(self.body, y))
 
     def linearise(self, y: Pose):
-        return linearise(self.energy, self.body, y)
+        residual, jacobian = linearise(self.energy, self.body, y)
+        return residual, jacobian if self.boxes is None else jacobian @ self._chart(self.boxes, y).turn
+
+    def information(self, y: Pose):
+        scales = self.scales()
+        residual, jacobian = linearise(self.energy, self.body, y)
+        matrix, gradient, bounds = jacobian.T @ jacobian, jacobian.T @ residual, None
+        if self.boxes is not None:
+            chart = self._chart(self.boxes, y)
+            matrix, gradient = chart_equations(chart, matrix, gradient)
+            bounds = Constraints(chart.low / scales, chart.high / scales)
+        hessian = Dense(matrix * scales[:, None] * scales)
+        value = 0.5 * (residual @ residual)
+        return ConstrainedInfo(value, gradient * scales, hessian, constraints=bounds)  # pyright: ignore[reportCallIssue]
 
     def retract(self, y: Pose, d: Float[Array, "D"]):
-        return retract(self.body.skeleton, y, d)
+        skeleton = self.body.skeleton
+        if self.boxes is None:
+            return retract(skeleton, y, d)
+        return move_within(self.boxes, skeleton, y, self._chart(self.boxes, y), d)
 
     def scales(self):
-        layout = dof_layout(self.body.skeleton)
-        scales = jnp.ones(self.body.skeleton.num_dofs + 1, self.body.vertices.dtype)
-        return scales.at[layout.translations].set(LEVER)[:-1]
+        return pose_scales(self.body.skeleton)
+
+    def _chart(self, boxes: PoseBoxes, y: Pose) -> BoxChart:
+        return box_chart(boxes, self.body.skeleton, y)
 
 
-def linearise(
-    energy: AbstractEnergy, body: Body, pose: Pose
-) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
-    """Residual and Jacobian of an energy at a pose, by tangents of `retract`, rows in the order
-    of `energy.residual`.
-
-    Terms over vertices use the skin's own Jacobian (Kineben, eqs. 8 to 13), which costs one
-    sum down the tree for each joint; forward autodiff, which all other terms use, pushes
-    each of the D tangents through the whole skin.
-    """
-    posed = pose_body(body, pose)
-    terms = terms_of(energy)
-    others = tuple(term for term in terms if not isinstance(bare(term), AbstractVertexEnergy))
-    zero = jnp.zeros(body.skeleton.num_dofs, body.vertices.dtype)
-
-    def moved(d):
-        there = pose_body(body, retract(body.skeleton, pose, d))
-        residuals = tuple(term.residual(there) for term in others)
-        return residuals, residuals
-
-    # all in one pass: what the terms share is differentiated once
-    jacobians, residuals = jax.jacfwd(moved, has_aux=True)(zero) if others else ((), ())
-    differentiated = iter(zip(residuals, jacobians, strict=True))
-    rows = [
-        (term.residual(posed), _vertex_rows(term, posed))
-        if isinstance(bare(term), AbstractVertexEnergy)
-        else next(differentiated)
-        for term in terms
-    ]
-    return jnp.concatenate([r for r, _ in rows]), jnp.concatenate([j for _, j in rows])
-
-
-def _vertex_rows(term: AbstractEnergy, posed: Posed) -> Float[Array, "R D"]:
-    if isinstance(term, Weighted):
-        return root(term.weight) * _vertex_rows(term.energy, posed)
-    assert isinstance(term, AbstractVertexEnergy)
-    rows = vertex_rows(posed, *term.slopes())
-    return rows.reshape(-1, rows.shape[-1])
+def pose_scales(skeleton: Skeleton) -> Float[Array, "D"]:
+    """Bring metres and radians of a pose's tangent to one measure."""
+    layout = dof_layout(skeleton)
+    scales = jnp.ones(skeleton.num_dofs + 1, skeleton.centres.dtype)
+    return scales.at[layout.translations].set(LEVER)[:-1]

@@ -1,23 +1,25 @@
 """Many frames and what they share as one least-squares problem, linearised frame by frame."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from ..body.body import Body, Posed, pose_body, take_vertices
-from ..body.jacobian import vertex_rows
+from ..body.body import Body, Posed, pose_body
 from ..body.pose import Pose, project, rest_pose, retract
-from ..body.skeleton import dof_layout
-from ..energy.stacked import AbstractNeighbourEnergy, join_frame, split_frames
-from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
-from ..energy.vertices import AbstractVertexEnergy
-from .problem import LEVER
+from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, move_within
+from ..body.symmetry import length_differences
+from ..energy.stacked import AbstractNeighbourEnergy, AbstractSharedEnergy, join_frame, split_frames
+from ..energy.term import AbstractEnergy
+from .linearise import BodyTangent, body_tangent, frame_rows
+from .problem import pose_scales
 from .solvers.block_arrow import BlockArrow
 from .solvers.block_banded import BlockBanded
+from .solvers.descent import ConstrainedInfo, Constraints
+from .solvers.equalities import Equalities
 from .solvers.problem import AbstractProblem
 from .unknowns import AbstractUnknown, make_body, split_tangent
 
@@ -36,11 +38,14 @@ SequenceTangent = tuple[Float[Array, "F D"], Float[Array, "S"]]
 class SequenceProblem(AbstractProblem[SequenceEstimate]):
     """Find the poses of F frames, and what they share, that make a sum of energies least.
 
-    - `frames` is summed over all frames. Terms within `Stacked` have data of their own for each frame; any other term is
-      the same in every frame.
+    - `frames` is summed over all frames. Terms within `Stacked` have data of their own for each frame, terms within
+      `WeighedFrames` a weight; any other term is the same in every frame.
     - `between` are energies of successive frames, `times (F,)` apart.
-    - `shared` are energies of the body itself, evaluated at its rest pose.
+    - `shared` are energies of the body itself, evaluated at its rest pose, and of the shared values.
     - `unknowns` by name: what changes `body` in all frames at once. Without any, only poses are unknown.
+    - `boxes` are hard: poses stay within. Their tangents are then numbers of the boxes' charts.
+    - `held` frames keep their poses.
+    - `mirrored`: pairs of joints whose bones are equally long, kept exactly to first order.
 
     Normal equations are block-arrow, and block-banded among the frames where these meet: time and memory grow with the
     number of frames. Nothing of the size frames by rows by unknowns is kept.
@@ -51,7 +56,10 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
     times: Float[Array, "F"]
     unknowns: dict[str, AbstractUnknown] = eqx.field(default_factory=dict)
     between: tuple[AbstractNeighbourEnergy, ...] = ()
-    shared: tuple[AbstractEnergy, ...] = ()
+    shared: tuple[AbstractEnergy | AbstractSharedEnergy, ...] = ()
+    boxes: PoseBoxes | None = None
+    held: Bool[Array, "F"] | None = None
+    mirrored: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     @property
     def num_frames(self) -> int:
@@ -69,22 +77,36 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return make_body(self.body, self.unknowns, values)
 
     def start(self, poses: Pose) -> SequenceEstimate:
-        """Start from poses, projected onto what the joints' kinds allow, and the body as it is."""
-        project_all = jax.vmap(project, (None, 0))
+        """Start from poses, projected onto what the joints' kinds and the boxes allow, and the body as it is."""
+
+        def allowed(pose: Pose) -> Pose:
+            pose = project(self.body.skeleton, pose)
+            return pose if self.boxes is None else self.boxes.nearest(self.body.skeleton, pose)
+
         values = {name: unknown.start(self.body) for name, unknown in self.unknowns.items()}
-        return SequenceEstimate(project_all(self.body.skeleton, poses), values)
+        return SequenceEstimate(jax.vmap(allowed)(poses), values)
 
     def retract(self, y: SequenceEstimate, d: SequenceTangent) -> SequenceEstimate:
         # kinds and axes of joints are those of the body, whatever is shared
-        poses = jax.vmap(retract, (None, 0, 0))(self.body.skeleton, y.poses, d[0])
+        skeleton = self.body.skeleton
+        if self.boxes is None:
+            poses = jax.vmap(retract, (None, 0, 0))(skeleton, y.poses, d[0])
+        else:
+            move = jax.vmap(move_within, (None, None, 0, 0, 0))
+            poses = move(self.boxes, skeleton, y.poses, self._charts(self.boxes, y.poses), d[0])
+        if self.held is not None:
+            # to the last bit
+            poses = jax.tree.map(
+                lambda new, old: jnp.where(self.held.reshape(-1, *[1] * (new.ndim - 1)), old, new),
+                poses,
+                y.poses,
+            )
         return SequenceEstimate(poses, self._moved(y.values, d[1]))
 
     def scales(self) -> SequenceTangent:
-        body, dtype = self.body, self.body.vertices.dtype
-        layout = dof_layout(body.skeleton)
-        own = jnp.ones(body.skeleton.num_dofs + 1, dtype).at[layout.translations].set(LEVER)[:-1]
-        shared = [self.unknowns[name].scales(body) for name in sorted(self.unknowns)]
-        shared = jnp.concatenate([jnp.zeros(0, dtype), *shared])
+        own = pose_scales(self.body.skeleton)
+        shared = [self.unknowns[name].scales(self.body) for name in sorted(self.unknowns)]
+        shared = jnp.concatenate([jnp.zeros(0, own.dtype), *shared])
         return jnp.broadcast_to(own, (self.num_frames, len(own))), shared
 
     def value(self, y: SequenceEstimate) -> Float[Array, ""]:
@@ -106,7 +128,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
                 self._windows(term, y.poses),
             )
             total = total + 0.5 * jnp.sum(r**2)
-        for r in self._shared_residuals(body):
+        for r in self._shared_residuals(y.values):
             total = total + 0.5 * (r @ r)
         return total
 
@@ -124,7 +146,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             rows.append(
                 jax.vmap(lambda *window, term=term: _neighbour_residual(term, body, *window))(*windows)
             )
-        return jnp.concatenate([r.reshape(-1) for r in rows] + self._shared_residuals(body))
+        return jnp.concatenate([r.reshape(-1) for r in rows] + self._shared_residuals(y.values))
 
     def linearise(self, y: SequenceEstimate):
         """Write out the residual and a dense Jacobian by `[x, s]`: for small problems and checks."""
@@ -138,21 +160,20 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         zero = jnp.zeros(frames * dofs + self.num_shared, self.body.vertices.dtype)
         return moved(zero), jax.jacfwd(moved)(zero)
 
-    def information(self, y: SequenceEstimate):
+    def information(self, y: SequenceEstimate) -> ConstrainedInfo:
         value, gradient, hessian = self.normal_equations(y)
         x, s = self.scales()
-        hessian = BlockArrow(
-            BlockBanded(hessian.frames.blocks * x[0][:, None] * x[0]),
-            hessian.coupling * x[0][:, None] * s,
-            hessian.shared * s[:, None] * s,
-        )
+        hessian = hessian.rescaled(x, s)
         scaled = x * gradient[0], s * gradient[1]
-        return optx.FunctionInfo.EvalGradHessian(value, scaled, hessian)  # pyright: ignore[reportCallIssue, reportReturnType]
+        return ConstrainedInfo(value, scaled, hessian, constraints=self._constraints(y))  # pyright: ignore[reportCallIssue]
 
     def normal_equations(self, y: SequenceEstimate) -> tuple[Float[Array, ""], SequenceTangent, BlockArrow]:
         """Sum `|r|^2 / 2`, `J^T r` and `J^T J` one frame at a time."""
         own, same = split_frames(self.frames)
         dofs, count, dtype = self.body.skeleton.num_dofs, self.num_shared, self.body.vertices.dtype
+        body, tangent, body_at = self.body_at(y.values), self.body_tangent(y.values), None
+        if count:
+            body_at = lambda s: self.body_at(y.values, s)  # noqa: E731
 
         def add(total, rows, residual):
             value, side, matrix = total
@@ -161,7 +182,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
 
         def of_frame(total, frame):
             pose, arrays = frame
-            residual, rows = self._frame_rows(y.values, pose, join_frame(arrays, same))
+            residual, rows = frame_rows(join_frame(arrays, same), body, pose, body_at, tangent)
             mine, common = rows[:, :dofs], rows[:, dofs:]
             return add(total, rows, residual), (mine.T @ mine, mine.T @ common, mine.T @ residual)
 
@@ -183,52 +204,51 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
                 total = jax.tree.map(jnp.add, total, banded.total)
             body_rows, residuals = self._shared_rows(y.values)
             value, side, shared = add(total, body_rows, residuals)
-        return value, (sides, side), BlockArrow(BlockBanded(blocks), coupling, shared)
+        arrow = BlockArrow(BlockBanded(blocks), coupling, shared)
+        if self.boxes is not None:
+            turn = self._charts(self.boxes, y.poses).turn
+            arrow, sides = arrow.turned(turn), jnp.einsum("fai,fa->fi", turn, sides, precision="highest")
+        return value, (sides, side), arrow
 
     def _moved(self, values: dict[str, Any], d: Float[Array, "S"]) -> dict[str, Any]:
         parts = split_tangent(self.body, self.unknowns, d)
         return {name: unknown.retract(values[name], parts[name]) for name, unknown in self.unknowns.items()}
 
-    def _frame_rows(
-        self, values, pose: Pose, energy: AbstractEnergy
-    ) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
-        """The residual of a frame with its Jacobian by `[d, s]`. Terms over vertices use the skin's own Jacobian by the pose,
-        and only their own vertices by what is shared."""
-        terms = terms_of(energy)
-        others = tuple(term for term in terms if not isinstance(bare(term), AbstractVertexEnergy))
-        dofs, count = self.body.skeleton.num_dofs, self.num_shared
-        zero = jnp.zeros(dofs + count, self.body.vertices.dtype)
+    def body_tangent(self, values: dict[str, Any]) -> BodyTangent | None:
+        """Differentiate the body by what is shared."""
+        if not self.num_shared:
+            return None
+        turns = any("orientations" in unknown.moves for unknown in self.unknowns.values())
+        body_at: Callable = lambda s: self.body_at(values, s)  # noqa: E731
+        return body_tangent(body_at, self.body_at(values), self.num_shared, turns)
 
-        def moved(d):
-            body = self.body_at(values, d[dofs:])
-            posed = pose_body(body, retract(body.skeleton, pose, d[:dofs]))
-            residuals = tuple(term.residual(posed) for term in others)
-            return residuals, residuals
+    def _charts(self, boxes: PoseBoxes, poses: Pose) -> BoxChart:
+        return jax.vmap(box_chart, (None, None, 0))(boxes, self.body.skeleton, poses)
 
-        jacobians, residuals = jax.jacfwd(moved, has_aux=True)(zero) if others else ((), ())
-        posed = pose_body(self.body_at(values), pose)
-        found = list(zip(residuals, jacobians, strict=True)) + [
-            (term.residual(posed), self._vertex_term_rows(values, posed, term))
-            for term in terms
-            if isinstance(bare(term), AbstractVertexEnergy)
-        ]
-        return jnp.concatenate([r for r, _ in found]), jnp.concatenate([rows for _, rows in found])
-
-    def _vertex_term_rows(self, values, posed: Posed, term: AbstractEnergy) -> Float[Array, "R N"]:
-        if isinstance(term, Weighted):
-            return root(term.weight) * self._vertex_term_rows(values, posed, term.energy)
-        assert isinstance(term, AbstractVertexEnergy)
-        vertices, directions = term.slopes()
-        rows = vertex_rows(posed, vertices, directions)
-
-        def along(d):
-            body = take_vertices(self.body_at(values, d), vertices)
-            return jnp.einsum("cra,ca->cr", directions, pose_body(body, posed.pose).vertices)
-
-        if self.num_shared:
-            shared = jax.jacfwd(along)(jnp.zeros(self.num_shared, rows.dtype))
-            rows = jnp.concatenate([rows, shared], 2)
-        return rows.reshape(-1, rows.shape[2])
+    def _constraints(self, y: SequenceEstimate) -> Constraints | None:
+        x, s = self.scales()
+        bounds = {name: self.unknowns[name].bounds(y.values[name]) for name in sorted(self.unknowns)}
+        if self.boxes is not None or self.held is not None or any(bounds.values()):
+            low, high = jnp.full_like(x, -jnp.inf), jnp.full_like(x, jnp.inf)
+            if self.boxes is not None:
+                charts = self._charts(self.boxes, y.poses)
+                low, high = charts.low / x, charts.high / x
+            if self.held is not None:
+                low, high = (jnp.where(self.held[:, None], 0.0, end) for end in (low, high))
+            free = [
+                bounds[name] or (jnp.full(size, -jnp.inf), jnp.full(size, jnp.inf))
+                for name, size in ((name, self.unknowns[name].size(self.body)) for name in bounds)
+            ]
+            none = jnp.zeros(0, s.dtype)
+            least, most = (jnp.concatenate([none, *(ends[i] for ends in free)]) / s for i in range(2))
+            return Constraints((low, least), (high, most))
+        if self.mirrored:
+            body, tangent = self.body_at(y.values), self.body_tangent(y.values)
+            assert tangent is not None
+            differences, by_centre = length_differences(body.skeleton, self.mirrored)
+            rows = jnp.einsum("bja,jas->bs", by_centre, tangent.centres) * s
+            return Constraints(equalities=Equalities(rows, -differences))
+        return None
 
     def _windows(self, term: AbstractNeighbourEnergy, poses: Pose):
         number, windows = term.frames, self.num_frames - term.frames + 1
@@ -264,13 +284,17 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         total, (blocks, coupling, sides) = jax.lax.scan(of_window, none, self._windows(term, y.poses))
         return _WindowEquations(total, blocks, coupling, sides)
 
-    def _shared_residuals(self, body: Body) -> list[Float[Array, "R"]]:
+    def _shared_residuals(self, values: dict[str, Any]) -> list[Float[Array, "R"]]:
+        body = self.body_at(values)
         posed = pose_body(body, rest_pose(body.skeleton))
-        return [term.residual(posed) for term in self.shared]
+        return [
+            term.residual(values, posed) if isinstance(term, AbstractSharedEnergy) else term.residual(posed)
+            for term in self.shared
+        ]
 
     def _shared_rows(self, values) -> tuple[Float[Array, "R S"], Float[Array, "R"]]:
         def moved(d):
-            r = jnp.concatenate([jnp.zeros(0, d.dtype), *self._shared_residuals(self.body_at(values, d))])
+            r = jnp.concatenate([jnp.zeros(0, d.dtype), *self._shared_residuals(self._moved(values, d))])
             return r, r
 
         return jax.jacfwd(moved, has_aux=True)(jnp.zeros(self.num_shared, self.body.vertices.dtype))
@@ -288,4 +312,5 @@ class _WindowEquations(eqx.Module):
 
 def _neighbour_residual(term: AbstractNeighbourEnergy, body: Body, poses: Pose, gaps: Float[Array, "W"]):
     each = [jax.tree.map(lambda leaf, i=i: leaf[i], poses) for i in range(term.frames)]
-    return term.residual(tuple(pose_body(body, pose) for pose in each), gaps)
+    posed: tuple[Posed, ...] = tuple(pose_body(body, pose) for pose in each)
+    return term.residual(posed, gaps)

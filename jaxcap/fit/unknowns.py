@@ -1,8 +1,9 @@
 """What the frames of a sequence may share as unknowns, and how each makes the body that they pose."""
 
 import abc
+import math
 from collections.abc import Sequence
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,8 +20,12 @@ Value = TypeVar("Value")
 class AbstractUnknown(eqx.Module, Generic[Value]):
     """An unknown that all frames share: a value of its own, and the body that follows from it.
 
-    Tangents `d (N,)` are flat arrays, by metres, radians or shares of one, whatever `scales` brings to one measure.
+    Tangents `d (N,)` are flat arrays, by metres, radians or shares of one, whatever `scales` brings to one measure. `moves` names what
+    of a body changes with the value: "joints" and "surface" at rest, "orientations" of the joints; of anything else
+    derivatives are automatic.
     """
+
+    moves: ClassVar[frozenset[str]] = frozenset({"joints", "surface"})
 
     def __check_init__(self):
         check_fields(self)
@@ -41,13 +46,21 @@ class AbstractUnknown(eqx.Module, Generic[Value]):
     def retract(self, value: Value, d: Float[Array, "N"]) -> Value:
         """Move a value along a tangent."""
 
+    def bounds(self, value: Value) -> tuple[Float[Array, "N"], Float[Array, "N"]] | None:
+        """Bound a tangent at a value from below and above; None where nothing bounds it."""
+        del value
+        return None
+
     def scales(self, body: Body) -> Float[Array, "N"]:
         """Bring the numbers of a tangent to one measure; see `AbstractProblem.scales`."""
         return jnp.ones(self.size(body), body.vertices.dtype)
 
 
 class Size(AbstractUnknown[Float[Array, ""]]):
-    """The size of the whole body about the origin; its value is the logarithm."""
+    """The size of the whole body about the origin, within bounds; its value is the logarithm."""
+
+    smallest: float = eqx.field(static=True, default=0.0)
+    largest: float = eqx.field(static=True, default=math.inf)
 
     def size(self, body):
         return 1
@@ -62,6 +75,12 @@ class Size(AbstractUnknown[Float[Array, ""]]):
 
     def retract(self, value, d):
         return value + d[0]
+
+    def bounds(self, value):
+        if self.smallest <= 0 and math.isinf(self.largest):
+            return None
+        ends = (math.log(self.smallest) if self.smallest > 0 else -math.inf, math.log(self.largest))
+        return tuple(jnp.asarray([end], value.dtype) - value for end in ends)
 
 
 class JointCentres(AbstractUnknown[Float[Array, "C 3"]]):
@@ -86,6 +105,8 @@ class JointCentres(AbstractUnknown[Float[Array, "C 3"]]):
 class JointOrientations(AbstractUnknown[Float[Array, "C 4"]]):
     """The orientations of some joints, where twist ends and swing begins; its value is quaternions by which they turn, on
     the right. A roll about a twist axis changes nothing, so that tangents are two numbers a joint, radians."""
+
+    moves: ClassVar[frozenset[str]] = frozenset({"orientations"})
 
     joints: tuple[int, ...] = eqx.field(static=True)
 

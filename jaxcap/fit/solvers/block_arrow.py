@@ -10,11 +10,13 @@ and the frames are eliminated by the Schur complement `C - sum_f B_f^T A_f^-1 B_
 block-banded, and the same holds with its factor.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .block_banded import BandedFactor, BlockBanded
+from .block_banded import BandedFactor, BlockBanded, frames_before
 from .cholesky import CholeskyFactor, factorise
 from .equalities import Equalities, keep_equalities
 from .structured import AbstractFactor, AbstractStructured
@@ -56,6 +58,20 @@ class BlockArrow(AbstractStructured):
     def add_diagonal(self, amounts: Unknowns) -> "BlockArrow":
         x, s = amounts
         return BlockArrow(self.frames.add_diagonal(x), self.coupling, self.shared + jnp.diag(s))
+
+    def turned(self, turn: Float[Array, "F D D"]) -> "BlockArrow":
+        """Write the equations of other numbers `y` of the frames, of which `x = turn @ y`."""
+        before = frames_before(turn, self.frames.blocks.shape[1])
+        product = partial(jnp.einsum, precision="highest")
+        blocks = product("fai,fwab,fwbj->fwij", turn, self.frames.blocks, before)
+        return BlockArrow(BlockBanded(blocks), product("fai,fas->fis", turn, self.coupling), self.shared)
+
+    def rescaled(self, x: Float[Array, "F D"], s: Float[Array, "S"]) -> "BlockArrow":
+        """Write the equations of numbers in other units, so many of these numbers each."""
+        before = frames_before(x, self.frames.blocks.shape[1])
+        blocks = self.frames.blocks * x[:, None, :, None] * before[:, :, None, :]
+        coupling = self.coupling * x[:, :, None] * s
+        return BlockArrow(BlockBanded(blocks), coupling, self.shared * s[:, None] * s)
 
     def factorise(self) -> "ArrowFactor":
         frames = self.frames.factorise()

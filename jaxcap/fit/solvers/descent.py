@@ -9,7 +9,6 @@ import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
 from .boxes import solve_boxed
-from .dense import Dense
 from .equalities import Equalities
 from .structured import AbstractStructured, damped
 
@@ -33,7 +32,7 @@ class NormalDescent(optx.AbstractDescent):
     """Steps of `(H + D / step_size) d = -g`, the damped Newton step of optimistix on normal equations.
 
     `D` is the identity, or with `relative` the diagonal of `H` (Marquardt 1963), which asks for no common measure of the
-    unknowns. A Jacobian's rows are squared first. `ConstrainedInfo` brings bounds or linear equations; its solution is exact for the damped
+    unknowns.  `ConstrainedInfo` brings bounds or linear equations; its solution is exact for the damped
     equations.
     """
 
@@ -68,7 +67,4 @@ def _solve(matrix: AbstractStructured, side: PyTree, constraints: Constraints | 
 def _normal(info: Any) -> ConstrainedInfo:
     if isinstance(info, ConstrainedInfo):
         return info
-    if isinstance(info, optx.FunctionInfo.EvalGradHessian):
-        return ConstrainedInfo(info.f, info.grad, info.hessian)
-    rows = info.jac.as_matrix()
-    return ConstrainedInfo(info.as_min(), rows.T @ info.residual, Dense(rows.T @ rows))
+    return ConstrainedInfo(info.f, info.grad, info.hessian)

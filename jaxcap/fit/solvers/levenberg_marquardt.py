@@ -49,6 +49,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     structure, on a unit diagonal, 5 to 9 times faster here than QR. `linear_solver=lx.QR()` takes that in its place, where a problem of one
     frame is ill-conditioned. Where equations cannot be solved, the damping is raised as after a step that does not help.
 
+    Of several `lengths` of each step the best is taken: the search along a step of Adaptation, 4.1.4.
+
     The energy near a minimum is flat, so that rounding hides what steps of less than about the root of the precision change.
     Steps go on there, with the same damping, as long as each is shorter than the one before. With `rtol=0` the solver so comes
     as near to the minimum as its gradient can be computed, which derivatives of the solution need.
@@ -57,6 +59,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     rtol: float
     atol: float
     damping: float | Float[Array, ""]
+    lengths: tuple[float, ...] = eqx.field(static=True)
     norm: Callable[[PyTree], Array]
     descent: optx.AbstractDescent
     search: optx.ClassicalTrustRegion
@@ -68,8 +71,10 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         linear_solver: lx.AbstractLinearSolver | None = None,
         damping: float | Float[Array, ""] = 1.0,
         relative: bool = False,
+        lengths: tuple[float, ...] = (1.0,),
     ):
-        self.rtol, self.atol, self.damping, self.norm = rtol, atol, damping, optx.max_norm
+        self.rtol, self.atol, self.damping, self.lengths = rtol, atol, damping, lengths
+        self.norm = optx.max_norm
         self.descent = (
             NormalDescent(relative) if linear_solver is None else optx.DampedNewtonDescent(linear_solver)
         )
@@ -78,7 +83,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
         del fn, f_struct, aux_struct, tags
         info = jax.tree.map(
-            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(args.information, y)
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(self._linearised, args, y)
         )
         value = info.as_min()
         step_size = 1.0 / jnp.asarray(options.get("damping", self.damping), value.dtype)
@@ -97,12 +102,11 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
     def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
         del fn, options, tags
-        info = _if(state.moved, args.information, y, state.info)
+        info = _if(state.moved, lambda y: self._linearised(args, y), y, state.info)
         zero = jax.tree.map(jnp.zeros_like, args.scales())
         descent_state = self.descent.query(zero, info, self.descent.init(zero, info))
-        step, _ = self.descent.step(state.step_size, descent_state)
-        candidate = args.retract(y, jax.tree.map(jnp.multiply, args.scales(), step))
-        there = optx.FunctionInfo.Eval(args.value(candidate))  # pyright: ignore[reportCallIssue]
+        whole, _ = self.descent.step(state.step_size, descent_state)
+        step, candidate, there = self._try(args, y, whole)
         step_size, accept, _, search_state = self.search.step(
             jnp.array(False), zero, step, info, there, state.search_state
         )
@@ -133,6 +137,31 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             ),
         )
         return where(accept, candidate, y), state, None
+
+    def _linearised(self, problem: Any, y: Any) -> Any:
+        if isinstance(self.descent, NormalDescent):
+            return problem.information(y)
+        residual, jacobian = problem.linearise(y)
+        rows = lx.MatrixLinearOperator(jacobian * problem.scales())
+        return optx.FunctionInfo.ResidualJac(residual, rows)  # pyright: ignore[reportCallIssue]
+
+    def _try(self, problem: AbstractProblem, y: Any, whole: PyTree) -> tuple[PyTree, Any, Any]:
+        """The best length of a step, where it leads, and the energy there."""
+
+        def of(length):
+            step = jax.tree.map(lambda leaf: length * leaf, whole)
+            candidate = problem.retract(y, jax.tree.map(jnp.multiply, problem.scales(), step))
+            return step, candidate, problem.value(candidate)
+
+        if len(self.lengths) == 1:
+            step, candidate, value = of(self.lengths[0])
+        else:
+            lengths = jnp.asarray(self.lengths, jax.tree.leaves(whole)[0].dtype)
+            values = jax.lax.map(lambda length: of(length)[2], lengths)
+            best = jnp.argmin(jnp.where(jnp.isfinite(values), values, jnp.inf))
+            step, candidate, _ = of(lengths[best])
+            value = values[best]
+        return step, candidate, optx.FunctionInfo.Eval(value)  # pyright: ignore[reportCallIssue]
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
@@ -63,3 +64,17 @@ def minimise(
     stats = found.stats
     last = stats.get("damping", jnp.ones_like(stats["history"][0]))
     return Minimum(found.value, stats["history"], stats["num_steps"], found.result, last)
+
+
+def take_step(
+    problem: AbstractProblem, y: Any, descent: optx.AbstractDescent, damping: float | Float[Array, ""]
+) -> Any:
+    """Take one damped step from `y`, whatever it is worth; none where its equations cannot be solved. Differentiable by every array
+    of the problem."""
+    info = problem.information(y)
+    zero = jax.tree.map(jnp.zeros_like, problem.scales())
+    state = descent.query(zero, info, descent.init(zero, info))
+    step, _ = descent.step(1.0 / jnp.asarray(damping, info.as_min().dtype), state)
+    solved = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(step)]).all()
+    step = jax.tree.map(lambda leaf: jnp.where(solved, leaf, 0.0), step)
+    return problem.retract(y, jax.tree.map(jnp.multiply, problem.scales(), step))

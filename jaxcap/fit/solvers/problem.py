@@ -4,9 +4,9 @@ import abc
 from typing import Any, Generic, TypeVar
 
 import equinox as eqx
-import lineax as lx
-import optimistix as optx
 from jaxtyping import Array, Float
+
+from .descent import ConstrainedInfo
 
 Unknown = TypeVar("Unknown")
 #: what `retract` takes: an array `(D,)`, or a pytree of arrays
@@ -25,9 +25,9 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
         """Compute `|r|^2 / 2` at `y`."""
 
     @abc.abstractmethod
-    def information(self, y: Unknown) -> Any:
-        """Linearise at `y` by scaled tangents, as optimistix's searches and descents take it: residual and Jacobian
-        (`optx.FunctionInfo.ResidualJac`), or value, gradient and a structured Hessian (`EvalGradHessian`)."""
+    def information(self, y: Unknown) -> ConstrainedInfo:
+        """Linearise at `y` by scaled tangents, as optimistix's searches and descents take it: value, gradient and a structured
+        Hessian (`optx.FunctionInfo.EvalGradHessian`), with constraints on a step."""
 
     @abc.abstractmethod
     def retract(self, y: Unknown, d: Tangent) -> Unknown:
@@ -53,9 +53,3 @@ class AbstractDenseProblem(AbstractProblem[Unknown]):
     def value(self, y: Unknown):
         r = self.residual(y)
         return 0.5 * (r @ r)
-
-    def information(self, y: Unknown):
-        residual, jacobian = self.linearise(y)
-        matrix = lx.MatrixLinearOperator(jacobian * self.scales())
-        # optimistix nests these classes by assignment, which pyright does not follow
-        return optx.FunctionInfo.ResidualJac(residual, matrix)  # pyright: ignore[reportReturnType]

@@ -1,0 +1,155 @@
+"""Residuals of a posed body with their Jacobian by the pose, and by what changes the body itself."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..body.body import Body, Posed, pose_body
+from ..body.kinematics import forward_kinematics
+from ..body.pose import Pose, retract
+from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
+from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
+from ..energy.vertices import AbstractVertexEnergy
+from ..geometry import rotation
+
+
+class BodyTangent(eqx.Module):
+    """How a body at rest moves with S numbers that all frames share."""
+
+    centres: Float[Array, "J 3 S"]
+    #: turns of the joints' orientations on the right, radians a unit; none where no number turns them
+    turns: Float[Array, "J 3 S"] | None
+    vertices: Float[Array, "V 3 S"]
+
+
+def linearise(
+    energy: AbstractEnergy, body: Body, pose: Pose
+) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
+    """Residual and Jacobian of an energy at a pose, by tangents of `retract`, rows in the order
+    of `energy.residual`.
+
+    Terms over vertices use the skin's own Jacobian (Kineben, eqs. 8 to 13), which costs one
+    sum down the tree for each joint; forward autodiff, which all other terms use, pushes
+    each of the D tangents through the whole skin.
+    """
+    return frame_rows(energy, body, pose, None, None)
+
+
+def frame_rows(
+    energy: AbstractEnergy,
+    body: Body,
+    pose: Pose,
+    body_at: Callable[[Float[Array, "S"]], Body] | None,
+    tangent: BodyTangent | None,
+) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
+    """Residual and Jacobian of a frame by `[d, s]`, the tangent of its pose and the S numbers that change the body.
+
+    **Arguments:** `body_at(s)` makes the body of shared numbers, `body_at(0) = body`; `tangent` is its derivative at zero.
+    """
+    posed = pose_body(body, pose)
+    terms = terms_of(energy)
+    others = tuple(term for term in terms if not isinstance(bare(term), AbstractVertexEnergy))
+    dofs = body.skeleton.num_dofs
+    count = 0 if tangent is None else tangent.centres.shape[2]
+
+    def moved(d):
+        there = body if body_at is None else body_at(d[dofs:])
+        placed = pose_body(there, retract(there.skeleton, pose, d[:dofs]))
+        residuals = tuple(term.residual(placed) for term in others)
+        return residuals, residuals
+
+    # all in one pass: what the terms share is differentiated once
+    zero = jnp.zeros(dofs + count, body.vertices.dtype)
+    jacobians, residuals = jax.jacfwd(moved, has_aux=True)(zero) if others else ((), ())
+    differentiated = iter(zip(residuals, jacobians, strict=True))
+    rows = [
+        (term.residual(posed), _vertex_rows(term, posed, tangent))
+        if isinstance(bare(term), AbstractVertexEnergy)
+        else next(differentiated)
+        for term in terms
+    ]
+    return jnp.concatenate([r for r, _ in rows]), jnp.concatenate([j for _, j in rows])
+
+
+def body_tangent(
+    body_at: Callable[[Float[Array, "S"]], Body], body: Body, count: int, turns: bool
+) -> BodyTangent:
+    """Differentiate the body of `count` shared numbers at zero; `turns` says whether these turn joints' orientations."""
+
+    def moved(s):
+        there = body_at(s)
+        return there.skeleton.centres, there.skeleton.orientations, there.vertices
+
+    centres, orientations, vertices = jax.jacfwd(moved)(jnp.zeros(count, body.vertices.dtype))
+    if not turns:
+        return BodyTangent(centres, None, vertices)
+    # of q exp(w) it is q (0, w) / 2
+    back = jax.vmap(
+        lambda q, rates: jax.vmap(lambda rate: rotation.multiply(rotation.conjugate(q), rate), 1, 1)(rates)
+    )(body.skeleton.orientations, orientations)
+    return BodyTangent(centres, 2.0 * back[:, 1:], vertices)
+
+
+def vertex_maps(body: Body, pose: Pose) -> tuple[Float[Array, "V 3 3"], Float[Array, "V 3"]]:
+    """`A (V, 3, 3)` and `x (V, 3)`: every posed vertex is `x + A e` where it is at rest by `e` elsewhere
+    (Adaptation, 4.1.4: a posed vertex depends linearly on its place at rest)."""
+    transforms = forward_kinematics(body.skeleton, pose)
+
+    def deform(shift):
+        return body.skin.deform(body.vertices + shift, body.skeleton, pose, transforms)
+
+    still = deform(jnp.zeros(3, body.vertices.dtype))
+    columns = [deform(axis) - still for axis in jnp.eye(3, dtype=body.vertices.dtype)]
+    return jnp.stack(columns, -1), still
+
+
+def place_rows(
+    posed: Posed,
+    vertices: Int[Array, "C K"],
+    directions: Float[Array, "C K R 3"],
+    tangent: BodyTangent | None = None,
+) -> Float[Array, "C R N"]:
+    """Rows `sum_k n_k . dx_k/d[d, s]` of places between K vertices each, by the pose and by what is shared."""
+    body, pose = posed.body, posed.pose
+    skeleton = body.skeleton
+    every = vertices.reshape(-1)
+    rates = pose_rates(skeleton, pose, posed.transforms)
+    if tangent is not None:
+        known = range(3) if tangent.turns is None else range(6)
+        slots = np.array([6 * joint + number for joint in range(skeleton.num_joints) for number in known])
+        rates = stack_rates(rates, take_rates(joint_rates(skeleton, pose, posed.transforms), slots))
+    rows = body.skin.take(every).jacobian(
+        body.vertices[every],
+        directions.reshape(-1, *directions.shape[2:]),
+        skeleton,
+        pose,
+        posed.transforms,
+        rates,
+    )
+    rows = jnp.sum(rows.reshape(*vertices.shape, *rows.shape[1:]), 1)
+    if tangent is None:
+        return rows
+    dofs = skeleton.num_dofs
+    by_joint = (
+        tangent.centres if tangent.turns is None else jnp.concatenate([tangent.centres, tangent.turns], 1)
+    )
+    maps, _ = vertex_maps(body, pose)
+    pulled = jnp.einsum("ckra,ckab->ckrb", directions, maps[vertices])
+    carried = jnp.einsum("ckrb,ckbs->crs", pulled, tangent.vertices[vertices])
+    turned = rows[:, :, dofs:] @ by_joint.reshape(-1, by_joint.shape[2])
+    return jnp.concatenate([rows[:, :, :dofs], carried + turned], 2)
+
+
+def _vertex_rows(term: AbstractEnergy, posed: Posed, tangent: BodyTangent | None) -> Float[Array, "R N"]:
+    if isinstance(term, Weighted):
+        return root(term.weight) * _vertex_rows(term.energy, posed, tangent)
+    assert isinstance(term, AbstractVertexEnergy)
+    vertices, directions = term.slopes()
+    if vertices.ndim == 1:
+        vertices, directions = vertices[:, None], directions[:, None]
+    rows = place_rows(posed, vertices, directions, tangent)
+    return rows.reshape(-1, rows.shape[2])
