@@ -94,12 +94,11 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         else:
             move = jax.vmap(move_within, (None, None, 0, 0, 0))
             poses = move(self.boxes, skeleton, y.poses, self._charts(self.boxes, y.poses), d[0])
-        if self.held is not None:
+        held = self.held
+        if held is not None:
             # to the last bit
             poses = jax.tree.map(
-                lambda new, old: jnp.where(self.held.reshape(-1, *[1] * (new.ndim - 1)), old, new),
-                poses,
-                y.poses,
+                lambda new, old: jnp.where(held.reshape(-1, *[1] * (new.ndim - 1)), old, new), poses, y.poses
             )
         return SequenceEstimate(poses, self._moved(y.values, d[1]))
 

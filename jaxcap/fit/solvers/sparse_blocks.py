@@ -97,7 +97,7 @@ class Bordered(AbstractStructured):
 
     def magnitudes(self, x):
         absolute = jax.tree.map(jnp.abs, (self.frames, self.shared))
-        rest = Bordered(self.arrow, *absolute, self.vertices)
+        rest = Bordered(self.arrow, absolute[0], absolute[1], self.vertices)
         inner, outer = self.arrow.magnitudes(x[:2]), rest._up(x[2])
         return inner[0] + outer[0], inner[1] + outer[1], self.vertices.magnitudes(x[2]) + rest._down(x[:2])
 
