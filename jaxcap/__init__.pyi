@@ -68,6 +68,8 @@ from .edit.linear.linearise import linear_pose as linear_pose
 from .edit.linear.linearise import linearise as linearise
 from .edit.retargeting.retarget import retarget as retarget
 from .edit.retargeting.retarget_shape import retarget_shape as retarget_shape
+from .energy.floor import Floor as Floor
+from .energy.floor import make_floor as make_floor
 from .energy.landmarks import BoneLandmarks as BoneLandmarks
 from .energy.landmarks import JointLandmarks as JointLandmarks
 from .energy.landmarks import VertexLandmarks as VertexLandmarks

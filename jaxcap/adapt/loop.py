@@ -15,7 +15,6 @@ from ..body.skeleton import Skeleton
 from ..fit.correspond import Pairs, Scan
 from ..fit.likeliest import likelier_pose
 from ..fit.sequence import track_frames
-from ..fit.track import make_tracker
 from ..fit.turn_over import turn_over
 from .flagged import flag_frames
 from .meet import pairs_at, pose_at, some_of, told
@@ -28,6 +27,7 @@ from .task import Settings as Settings
 from .task import Stage as Stage
 from .task import Task as Task
 from .task import plan as plan
+from .task import tracker_of
 from .terms import balanced, motion_energy
 from .unordered import find_poses
 from .window import FRAMES, smooth_windows
@@ -100,10 +100,18 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
     settings, search = task.settings, task.start is None
     weight = FIRST_WEIGHT if settings.pose is None else settings.pose
     clouds = (task.cloud(n) for n in frames)
-    tracked = track_frames(make_tracker(body), clouds, task.start, search=search)
+    tracked = track_frames(tracker_of(task, body), clouds, task.start, search=search)
     poses = [frame.pose for frame in tracked]
     body, poses, step = fit_size(
-        body, scans, poses, task.prior, settings.matching, weight, cameras=task.cameras, boxes=task.boxes
+        body,
+        scans,
+        poses,
+        task.prior,
+        settings.matching,
+        weight,
+        cameras=task.cameras,
+        boxes=task.boxes,
+        terms=task.terms,
     )
     motion = stack_poses(poses, task.rate)
     state = AdaptState(0, body, size * step, motion, weight=weight)
@@ -141,7 +149,7 @@ def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
         return (yield from _turn_each(task, state, stage, every))
     if state.within:
         return (yield from _track(task, state, stage, every))
-    first, tracker = task.scanned[:SIZED], make_tracker(state.body)
+    first, tracker = task.scanned[:SIZED], tracker_of(task, state.body)
     clouds = [task.cloud(n) for n in first]
     # the body has changed since these were tracked, and other frames have been fitted to it
     poses = [
@@ -156,7 +164,7 @@ def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
 
 def _turn_each(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     """The same where a hand may lie the wrong way up in one scan and not in another."""
-    tracker, there = make_tracker(state.body), task.scanned
+    tracker, there = tracker_of(task, state.body), task.scanned
     while state.within < len(there):
         some = there[state.within :][: every or None]
         poses = {n: state.motion[n] for n in there}
@@ -188,7 +196,7 @@ def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose 
     own = state.motion
     worth = TURNED if stage.name == "turn" else 0.0
     frames = track_frames(
-        make_tracker(state.body),
+        tracker_of(task, state.body),
         clouds,
         before,
         search=False,
@@ -262,6 +270,7 @@ def _smooth(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
         state.weight,
         state.temporal,
         boxes=task.boxes,
+        terms=task.terms,
         times=there,
         begin=state.within,
     )

@@ -32,6 +32,7 @@ def pose_at(task: Task, state: AdaptState, scan: Scan, start: Pose, *, steps: in
         steps=steps,
         cameras=task.cameras,
         boxes=task.boxes,
+        terms=task.terms,
     ).pose
 
 

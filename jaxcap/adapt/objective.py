@@ -14,7 +14,7 @@ from ..body.pose_boxes import PoseBoxes
 from ..body.shape_modes import Modes
 from ..energy.pairs import PairDistances, Pairs, num_pairs
 from ..energy.stacked import NormalPrior, SmoothTurns, Stacked, weigh_frames
-from ..energy.term import AbstractEnergy, Sum, weighted
+from ..energy.term import AbstractEnergy, sum_of, weighted
 from ..fit.problem import PoseProblem
 from ..fit.sequence_problem import SequenceProblem
 from ..fit.unknowns import ShapeCoefficients
@@ -22,6 +22,8 @@ from ..geometry.stacking import stack as stack_arrays
 
 #: pairs that are neighbours say the same: so many count as one
 ALIKE = 50.0
+#: what a unit of a log-likelihood counts among summed squared distances of pairs, metres squared: pairs are 3 mm off
+UNIT = 0.003**2 * ALIKE
 
 
 class Belief(eqx.Module):
@@ -34,11 +36,18 @@ class Belief(eqx.Module):
 
 
 def pose_problem(
-    body: Body, pairs: Pairs, prior: AbstractEnergy, weight: float | Float[Array, ""], boxes: PoseBoxes | None
+    body: Body,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    weight: float | Float[Array, ""],
+    boxes: PoseBoxes | None = None,
+    terms: AbstractEnergy | None = None,
 ) -> PoseProblem:
-    """`Q_data + weight Q_pose` of a frame, with `Q_data` the mean over its pairs."""
-    data = weighted(1.0 / num_pairs(pairs), PairDistances(pairs))
-    return PoseProblem(Sum((data, *_terms(weighted(weight, prior)))), body, boxes)
+    """`Q_data + weight Q_pose` of a frame, with `Q_data` the mean over its pairs, and further terms in units of a log-likelihood."""
+    count = num_pairs(pairs)
+    own = None if terms is None else weighted(UNIT / count, terms)
+    data = weighted(1.0 / count, PairDistances(pairs))
+    return PoseProblem(_sum(data, weighted(weight, prior), own), body, boxes)
 
 
 def window_problem(
@@ -50,15 +59,16 @@ def window_problem(
     times: Shaped[Array | np.ndarray, "F"],
     boxes: PoseBoxes | None = None,
     held: int = 0,
+    terms: AbstractEnergy | None = None,
 ) -> SequenceProblem:
     """The mean over frames of `Q_data + weight Q_pose`, and `temporal Q_temp` (eqs. 4.3, 4.9 and 4.10); the first `held`
     frames keep their poses."""
     frames, dtype = len(times), body.vertices.dtype
-    counts = jax.vmap(num_pairs)(pairs)
-    data = weigh_frames((1.0 / (frames * counts)).astype(dtype), Stacked(PairDistances(pairs)))
+    shares = (1.0 / (frames * jax.vmap(num_pairs)(pairs))).astype(dtype)
+    own = None if terms is None else weigh_frames(UNIT * shares, terms)
     return SequenceProblem(
         body,
-        Sum((data, *_terms(weighted(weight / frames, prior)))),
+        _sum(weigh_frames(shares, Stacked(PairDistances(pairs))), weighted(weight / frames, prior), own),
         jnp.asarray(times, dtype),
         between=(SmoothTurns(jnp.asarray(temporal / max(frames - 2, 1), dtype)),),
         boxes=boxes,
@@ -75,16 +85,18 @@ def shared_problem(
     mirrored: tuple[tuple[int, int], ...],
     weight: float | Float[Array, ""],
     deviation: float | Float[Array, ""],
+    terms: AbstractEnergy | None = None,
 ) -> SequenceProblem:
     """Poses of several frames and the amounts of modes that they share. Paired bones are equally long (eq. 4.13 as a constraint).
 
     **Arguments:** `pairs` stacked over frames; `weight` of the pose prior against the mean squared distance
     of a pair, metres squared; `mirrored` pairs of joints of the left and the right; `deviation` of a pair's
-    distance, metres, against which beliefs count.
+    distance, metres, against which beliefs count; `terms` of every frame, in units of a log-likelihood.
     """
     dtype = body.vertices.dtype
     counts = jax.vmap(num_pairs)(pairs).astype(dtype)
-    frames = Sum((Stacked(PairDistances(pairs)), *_terms(weigh_frames(weight * counts, prior))))
+    own = None if terms is None else weighted(UNIT, terms)
+    frames = _sum(Stacked(PairDistances(pairs)), weigh_frames(weight * counts, prior), own)
     spread = belief.deviation / (deviation * ALIKE**0.5)
     return SequenceProblem(
         body,
@@ -96,8 +108,10 @@ def shared_problem(
     )
 
 
-def _terms(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
-    return energy.terms if isinstance(energy, Sum) else (energy,)
+def _sum(*energies: AbstractEnergy | None) -> AbstractEnergy:
+    total = sum_of(energies)
+    assert total is not None
+    return total
 
 
 def stack(parts: Sequence):

@@ -52,18 +52,20 @@ def fit_pose(
     damping: float = 1e-3,
     cameras: Sequence[Camera] = (),
     boxes: PoseBoxes | None = None,
+    terms: AbstractEnergy | None = None,
 ) -> PoseFit:
     """The pose of a frame from one near it: Q_data + weight Q_prior, with Q_data the mean over pairs.
 
     Each step finds pairs anew and is one of Levenberg-Marquardt for these, at the best of some lengths (Adaptation, 4.1.4). `damping`
     is that of the first step, as a share of each curvature. New pairs may raise Q; some such steps are gone on from, and the best pose is kept.
 
-    `boxes` are hard. What the start has beyond them is brought back first. `cameras` as in `pairs_of`.
+    `boxes` are hard. What the start has beyond them is brought back first. `cameras` as in `pairs_of`. `terms` are further
+    energies in units of a log-likelihood.
     """
     start = start if boxes is None else brought_in(boxes, body.skeleton, start)
 
     def remake(pose: Pose) -> PoseProblem:
-        return pose_problem(body, pairs_of(body, pose, scan, matching, cameras), prior, weight, boxes)
+        return pose_problem(body, pairs_of(body, pose, scan, matching, cameras), prior, weight, boxes, terms)
 
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=damping, relative=True, lengths=LENGTHS)
     found = alternate(remake, start, solver, rounds=steps, enough=ENOUGH, uphill=UPHILL)

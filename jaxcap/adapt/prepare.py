@@ -11,7 +11,7 @@ from ..body.pose import Pose
 from ..body.pose_boxes import PoseBoxes
 from ..body.symmetry import mirrored_joints
 from ..energy.prior import RestPrior
-from ..energy.term import AbstractEnergy
+from ..energy.term import AbstractEnergy, sum_of
 from ..errors import InputError
 from ..fit.correspond import Scan
 from ..geometry.camera import Camera
@@ -36,6 +36,7 @@ def make_task(
     boxes: PoseBoxes | None = None,
     shape: ShapePrior | None = None,
     mesh: Callable[[int], Scan] | None = None,
+    terms: Sequence[AbstractEnergy] = (),
     whole: Body | None = None,
 ) -> Task:
     """What `adapt_body` is to do. Poses are held near rest as far as anatomy says, bones of the left are as long as those
@@ -43,7 +44,8 @@ def make_task(
 
     **Arguments:** `clouds`, a `Cloud` for each frame, metres, asked for when they are needed, or as `read_clouds` gives them; `rate`, frames a second; `start`, a pose near
     that of the first frame, which is searched for where it is not given; `likely`, which poses are likely beside what
-    anatomy says, such as `MahalanobisPrior(learn_pair_prior(...))`; `whole`, the body that the template was reduced from; the
+    anatomy says, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further energies of every frame's posed body in
+    units of a log-likelihood, such as `make_floor(template)`, which act in all stages; `whole`, the body that the template was reduced from; the
     others as in `Task`. Whether the scans follow each other in time is found from some of them, unless
     `settings.unordered` says so.
 
@@ -84,4 +86,5 @@ def make_task(
         boxes=boxes,
         shape=shape,
         mesh=mesh,
+        terms=sum_of(terms),
     )

@@ -137,7 +137,7 @@ def step_of(problem: SequenceProblem, poses: Pose) -> tuple[Body, Pose, Float[Ar
 
 def _problem(task: Task, state: AdaptState, pairs, modes: Modes, belief: Belief, mirrored) -> SequenceProblem:
     weights = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
-    return shared_problem(state.body, pairs, task.prior, modes, belief, mirrored, *weights)
+    return shared_problem(state.body, pairs, task.prior, modes, belief, mirrored, *weights, terms=task.terms)
 
 
 def _joints_beside(task: Task, state: AdaptState) -> Belief:

@@ -34,9 +34,10 @@ def fit_size(
     rounds: int = 24,
     cameras: Sequence[Camera] = (),
     boxes: PoseBoxes | None = None,
+    terms: AbstractEnergy | None = None,
 ) -> tuple[Body, list[Pose], float]:
     """The body as large as the actor, its poses in some scans, and how large: new pairs, and a step of all poses
-    and of the size that they share. Joints and vertices do the rest later. `cameras` and `boxes` as in `fit_pose`."""
+    and of the size that they share. Joints and vertices do the rest later. `cameras`, `boxes` and `terms` as in `fit_pose`."""
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=LENGTHS)
     count = len(scans)
 
@@ -47,7 +48,7 @@ def fit_size(
             for pose, scan in zip(unstack(y.poses, count), scans, strict=True)
         ]
         stacked = stack_pairs(pairs)
-        problem = window_problem(body, stacked, prior, weight, 0.0, np.arange(count), boxes)
+        problem = window_problem(body, stacked, prior, weight, 0.0, np.arange(count), boxes, terms=terms)
         unknown = {"size": Size(SMALLEST, LARGEST)}
         return eqx.tree_at(lambda p: (p.unknowns, p.between), problem, (unknown, ()))
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
-from ..energy.pairs import PairDistances, Pairs
+from ..energy.pairs import PairDistances, Pairs, corner_directions
 from ..fit.linearise import frame_rows, vertex_maps
 from ..fit.sequence_problem import SequenceEstimate, SequenceProblem
 from ..fit.solvers.descent import ConstrainedInfo, NormalDescent
@@ -317,8 +317,8 @@ def vertex_equations(
 
 def _by_vertex(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, "C K R 3"]:
     """How the residuals of pairs move with the rest places of their vertices."""
-    vertices, directions = PairDistances(pairs).slopes()
-    return jnp.einsum("ckra,ckab->ckrb", directions, vertex_maps(body, pose)[0][vertices])
+    maps, _ = vertex_maps(body, pose)
+    return jnp.einsum("ckra,ckab->ckrb", corner_directions(pairs), maps[pairs.vertices])
 
 
 def _product(values, rows, columns, x):

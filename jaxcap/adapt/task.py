@@ -6,10 +6,11 @@ from typing import NamedTuple
 from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.pose_boxes import PoseBoxes
-from ..energy.term import AbstractEnergy
+from ..energy.term import AbstractEnergy, terms_of
 from ..errors import InputError
 from ..fit.correspond import Matching, Scan, make_scan
 from ..fit.recover import TrackedFrame
+from ..fit.track import Tracker, make_tracker
 from ..geometry.camera import Camera
 from ..observe import Cloud
 from .people import People
@@ -112,6 +113,8 @@ class Task(NamedTuple):
     boxes: PoseBoxes | None = None
     #: what training meshes of the template show of its shape; else the template's own, or that of the person it became
     shape: ShapePrior | None = None
+    #: further energies of every frame, in units of a log-likelihood
+    terms: AbstractEnergy | None = None
     #: the scan of a frame with its triangles, where scans are meshes; of clouds it is made of their points
     mesh: Callable[[int], Scan] | None = None
 
@@ -181,3 +184,8 @@ def plan(settings: Settings) -> list[Stage]:
     stages += [Stage("track")] if stages[-1].name in ("adapt", "turn") else []
     stages += [Stage("pose")]
     return [*stages, Stage("smooth")] if settings.smooth else stages
+
+
+def tracker_of(task: Task, body: Body) -> Tracker:
+    """The tracker of a body that is being adapted, with the task's terms."""
+    return make_tracker(body, terms=() if task.terms is None else terms_of(task.terms))

@@ -16,10 +16,10 @@ from ..body.reduce import attach, follow, reduce_body
 from ..fit.initialise import COARSE, COARSE_POINTS, COARSE_VERTICES, anneal_all, initialise, turned_starts
 from ..fit.likeliest import improve, log_likelihood
 from ..fit.parts import make_parts
-from ..fit.track import Tracker, make_tracker
+from ..fit.track import Tracker
 from ..observe import Cloud, thin_cloud
 from .similarity import DIRECTIONS, Shape, shape_of, turned_distances
-from .task import Task
+from .task import Task, tracker_of
 
 #: similar scans whose poses a frame is looked for from, each in its best direction and in the opposite one
 NEAR = 2
@@ -103,7 +103,7 @@ class _Search:
 
     def __init__(self, task: Task, body: Body):
         height = float(body_height(body))
-        self.tracker = make_tracker(body)
+        self.tracker = tracker_of(task, body)
         self.coarse = coarse_like(task.template, self.tracker)
         # a frame is asked for several times in a row
         self.cloud = functools.lru_cache(2)(task.cloud)

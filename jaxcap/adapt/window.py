@@ -41,6 +41,7 @@ def smooth_poses(
     stride: int = STRIDE,
     steps: int = 2,
     boxes: PoseBoxes | None = None,
+    terms: AbstractEnergy | None = None,
     times: Sequence[int] | None = None,
 ) -> list[Pose]:
     """Poses of a whole sequence by windows that overlap, each with its first frame held where the window
@@ -51,12 +52,12 @@ def smooth_poses(
 
     **Arguments:** `pairs_at(frame, pose)` gives the pairs of a frame; `weight` of the prior and `temporal` of the
     second differences, against the mean squared distance of a pair (eqs. 4.3, 4.9); `boxes` are hard, as in
-    `fit_pose`, and poses that are beyond them are brought back first; `times` of the poses, frames that rise, where some
+    `fit_pose`, and poses that are beyond them are brought back first; `terms` as there; `times` of the poses, frames that rise, where some
     are missing between them.
     """
     windows = smooth_windows(
         body, poses, pairs_at, prior, weight, temporal,
-        frames=frames, stride=stride, steps=steps, boxes=boxes, times=times,
+        frames=frames, stride=stride, steps=steps, boxes=boxes, terms=terms, times=times,
     )  # fmt: skip
     (last,) = deque(windows, maxlen=1)
     return last[0]
@@ -74,6 +75,7 @@ def smooth_windows(
     stride: int = STRIDE,
     steps: int = 2,
     boxes: PoseBoxes | None = None,
+    terms: AbstractEnergy | None = None,
     times: Sequence[int] | None = None,
     begin: int = 0,
 ) -> Iterator[tuple[list[Pose], int]]:
@@ -107,7 +109,15 @@ def smooth_windows(
             window = unstack(y.poses, last - first)
             pairs = stack_pairs([pairs_of_frame(first + i, pose) for i, pose in enumerate(window)])
             return window_problem(
-                body, pairs, prior, weight, temporal, when[first:last], boxes, held=int(first > 0)
+                body,
+                pairs,
+                prior,
+                weight,
+                temporal,
+                when[first:last],
+                boxes,
+                held=int(first > 0),
+                terms=terms,
             )
 
         estimate = SequenceEstimate(stack(poses[start:stop]), {})

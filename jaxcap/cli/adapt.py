@@ -48,6 +48,7 @@ from .outputs import nothing_left
 from .rounds import Rounds
 from .say import say, warn
 from .sources import Clouds, load_body
+from .terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 
 PriorForm = Literal["nearest", "mean"]
 #: what is paired with points of a scan, by the word for it
@@ -82,6 +83,9 @@ class Adapt:
     where not given; `none` leaves it out."""
     prior_form: PriorForm = "nearest"
     """How far from likely counts: by the nearest Gaussian (nearest) or by the mean likelihood (mean)."""
+    limits: LimitsFile = None
+    floor: FloorHeight = None
+    limit_weight: LimitWeight = 100.0
     cameras: OptionalFile = None
     """The calibrated cameras that took the scans, .json as `jaxcap scan` writes them: what none sees is in no pair."""
     aperture: Flag = False
@@ -152,7 +156,7 @@ class Adapt:
     def adapt_all(self) -> None:
         """Read, adapt, write and report, with no other run that writes the same files."""
         known = prior_file(self.body, self.prior)
-        header = {**self.settings(), "prior": hash_of(known)}
+        header = {**self.settings(), "prior": hash_of(known), "limits": hash_of(self.limits)}
         body, _ = load_body(self.body, vertices=self.vertices, unit=self.unit, up=self.up)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
@@ -315,6 +319,7 @@ class Adapt:
             missing=missing,
             boxes=None if priors is None else priors.boxes,
             shape=None if priors is None else priors.shape,
+            terms=read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor),
             mesh=clouds.mesh if self.pairs == "surface" else None,
             whole=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
         )
@@ -332,6 +337,8 @@ class Adapt:
             "along",
             "joint_deviation",
             "together",
+            "floor",
+            "limit_weight",
             "unordered",
             "ordered",
             "smoothness",

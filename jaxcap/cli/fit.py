@@ -21,6 +21,7 @@ from .outputs import check_npz, make_folder
 from .say import say, warn
 from .scoring import score_motion, tell_scores
 from .sources import load_body
+from .terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
 
 MeshesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
@@ -43,6 +44,10 @@ class Fit:
     """The motion to write."""
     report: OptionalFolder = None
     """Folder for report.json and heat maps of the error."""
+    limits: LimitsFile = None
+    prior: LikelyFile = None
+    floor: FloorHeight = None
+    limit_weight: LimitWeight = 100.0
     unit: Unit = "m"
     """Unit of the meshes, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
     rate: OptionalRate = None
@@ -56,8 +61,11 @@ class Fit:
         body, _ = load_body(self.body, unit=self.unit)
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         check_size(body, sequence, self.meshes[0])
+        terms = read_terms(
+            body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
+        )
         try:
-            fit = fit_meshes(body, sequence)
+            fit = fit_meshes(body, sequence, terms=terms)
         except ValueError as error:
             raise InputError(f"{self.meshes[0]}: {error}") from None
         if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):

@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from ..body.body import Body
-from ..body.limits import AbstractLimits
-from ..energy.limits import JointLimits
+from ..energy.term import AbstractEnergy
 from ..errors import InputError
 from ..fit.em import make_mixture
 from ..fit.recover import TrackedFrame
@@ -17,14 +16,14 @@ from ..fit.sequence import FirstSearch, Search, track_frames, unseen_sentences, 
 from ..fit.track import Tracker, make_tracker
 from ..io.clouds import Scans, read_clouds
 from ..io.journal import Journal, begin_journal, resume_journal
-from ..io.limits import read_limits
 from ..io.lock import run_lock
 from .frame_rows import pack, results_of, results_width, row_template, row_width, unpack, whose_poses
 from .heartbeat import doing
-from .options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
+from .options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, Skl, Unit, Up, Vj, arg
 from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
 from .say import progress, say, warn
 from .sources import Clouds, load_body, load_cloud
+from .terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
 from .timed import timed
 
 JOURNAL = "journal"
@@ -45,10 +44,10 @@ class Track:
     skl: Skl = None
     vj: Vj = None
     cst: Cst = None
-    limits: OptionalFile = None
-    """Joint limits to keep: those that `jaxcap limits learn` wrote, or a .cst or .asf file."""
-    limit_weight: float = 100.0
-    """How strongly limits hold, per squared radian."""
+    limits: LimitsFile = None
+    prior: LikelyFile = None
+    floor: FloorHeight = None
+    limit_weight: LimitWeight = 100.0
     first: OptionalCount = None
     """First frame: the number in a pattern's names, else counted from 0."""
     last: OptionalCount = None
@@ -85,12 +84,18 @@ class Track:
         body, ranges = load_body(
             self.body, self.skl, self.vj, self.cst, vertices=self.vertices, unit=self.unit, up=self.up
         )
-        learned = None if self.limits is None else read_limits(self.limits, body.skeleton)
-        limits = tuple(part for part in (ranges, learned) if part is not None)
+        terms = read_terms(
+            body,
+            limits=self.limits,
+            others=() if ranges is None else (ranges,),
+            limit_weight=self.limit_weight,
+            floor=self.floor,
+            prior=self.prior,
+        )
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         # the first cloud shows most of what may be wrong, before anything is written
         load_cloud(scans, 0, body, self.up)
-        tracker = self.tracker(body, limits)
+        tracker = self.tracker(body, terms)
         header = {**self.settings(), **fingerprint(tracker, scans), **whose_poses(body.skeleton)}
         make_writable(self.out)
         with run_lock(self.out):
@@ -141,7 +146,6 @@ class Track:
             "--sigma0": (self.sigma0, 0 < self.sigma0 < np.inf, "above 0 metres"),
             "--outlier": (self.outlier, 0 < self.outlier < 1, "between 0 and 1"),
             "--damping": (self.damping, 0 <= self.damping < np.inf, "at least 0"),
-            "--limit-weight": (self.limit_weight, 0 <= self.limit_weight < np.inf, "at least 0"),
             "--iterations": (self.iterations, self.iterations >= 1, "at least 1"),
             "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 frames a second"),
         }
@@ -157,14 +161,13 @@ class Track:
         choices = ("vertices", "unit", "up", "estimate_priors", "initialise")
         return {name: getattr(self, name) for name in (*numbers, *choices)}
 
-    def tracker(self, body: Body, limits: tuple[AbstractLimits, ...]) -> Tracker:
+    def tracker(self, body: Body, terms: tuple[AbstractEnergy, ...]) -> Tracker:
         mixture = make_mixture(
             normal_threshold=float(np.cos(np.radians(self.normal_angle))),
             outlier=self.outlier,
             damping=self.damping,
             estimate_priors=self.estimate_priors,
         )
-        terms = tuple(self.limit_weight * JointLimits(part) for part in limits)
         return make_tracker(body, mixture, terms, iterations=self.iterations)
 
     def follow(self, tracker: Tracker, scans: Scans, journal: Journal, last: TrackedFrame | None) -> None:

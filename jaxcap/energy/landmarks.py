@@ -20,7 +20,8 @@ class VertexLandmarks(AbstractVertexEnergy):
     def residual(self, posed):
         return (root(self.weights)[:, None] * (posed.vertices[self.vertices] - self.targets)).reshape(-1)
 
-    def slopes(self):
+    def slopes(self, posed: Posed):
+        del posed
         return self.vertices, along_axes(self.weights)
 
 

@@ -39,9 +39,9 @@ class PairDistances(AbstractVertexEnergy):
         apart = places_on(self.pairs, posed.vertices) - self.pairs.points
         return jnp.einsum("cra,ca->cr", pair_directions(self.pairs), apart).reshape(-1)
 
-    def slopes(self):
-        directions = self.pairs.shares[:, :, None, None] * pair_directions(self.pairs)[:, None]
-        return self.pairs.vertices, directions
+    def slopes(self, posed: Posed):
+        del posed
+        return self.pairs.vertices, corner_directions(self.pairs)
 
 
 @checked
@@ -59,6 +59,11 @@ def pair_directions(pairs: Pairs) -> Float[Array, "C 3 3"]:
     second = jnp.cross(n, first)
     by = root(pairs.along)[:, None]
     return root(pairs.weights)[:, None, None] * jnp.stack([n, by * first, by * second], 1)
+
+
+def corner_directions(pairs: Pairs) -> Float[Array, "C K 3 3"]:
+    """The directions of a pair at each of its vertices, by its share."""
+    return pairs.shares[:, :, None, None] * pair_directions(pairs)[:, None]
 
 
 def num_pairs(pairs: Pairs) -> Float[Array, ""]:

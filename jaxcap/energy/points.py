@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..body.body import Posed
 from .term import root
 from .vertices import AbstractVertexEnergy, along_axes
 
@@ -22,7 +23,8 @@ class PointToPoint(AbstractVertexEnergy):
         apart = posed.vertices[self.vertices] - self.points
         return (root(self.weights)[:, None] * apart).reshape(-1)
 
-    def slopes(self):
+    def slopes(self, posed: Posed):
+        del posed
         return self.vertices, along_axes(self.weights)
 
 
@@ -39,5 +41,6 @@ class PointToPlane(AbstractVertexEnergy):
         apart = posed.vertices[self.vertices] - self.points
         return root(self.weights) * jnp.sum(self.normals * apart, -1)
 
-    def slopes(self):
+    def slopes(self, posed: Posed):
+        del posed
         return self.vertices, (root(self.weights)[:, None] * self.normals)[:, None]

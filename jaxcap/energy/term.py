@@ -1,6 +1,7 @@
 """Energies: residuals of a posed body, with weights, that add up."""
 
 import abc
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -72,6 +73,12 @@ def _number(weight) -> Float[Array, ""]:
     """A weight as an array, in its own precision where it is one."""
     there = eqx.is_inexact_array(weight)
     return weight if there else jnp.asarray(weight, float)
+
+
+def sum_of(energies: Sequence[AbstractEnergy | None]) -> AbstractEnergy | None:
+    """Add up energies, none of which may be a sum in a sum; None where there are none."""
+    terms = tuple(term for energy in energies if energy is not None for term in terms_of(energy))
+    return Sum(terms) if terms else None
 
 
 def terms_of(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:

@@ -148,7 +148,7 @@ def _vertex_rows(term: AbstractEnergy, posed: Posed, tangent: BodyTangent | None
     if isinstance(term, Weighted):
         return root(term.weight) * _vertex_rows(term.energy, posed, tangent)
     assert isinstance(term, AbstractVertexEnergy)
-    vertices, directions = term.slopes()
+    vertices, directions = term.slopes(posed)
     if vertices.ndim == 1:
         vertices, directions = vertices[:, None], directions[:, None]
     rows = place_rows(posed, vertices, directions, tangent)

@@ -1,5 +1,7 @@
 """Fit a body to registered meshes: every vertex of the body knows its place in the mesh."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +12,9 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose, project
+from ..energy.check import check_numbers
 from ..energy.landmarks import VertexLandmarks
+from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..errors import InputError
 from ..geometry import rotation
 from ..geometry.procrustes import group_moments, nearest_rotation
@@ -43,13 +47,15 @@ def fit_meshes(
     start: Pose | None = None,
     vertices: Int[Array | np.ndarray, "C"] | None = None,
     max_steps: int = 40,
+    terms: Sequence[AbstractEnergy] = (),
 ) -> MeshFit:
     """The poses of a body in which its vertices come nearest to those of registered meshes, by
     Levenberg-Marquardt from `procrustes_poses`; every mesh by itself, compiled once.
 
     **Arguments:** `start` poses stacked over the meshes, in place of Procrustes' own; `vertices`
     indices of those that count, all where not given. A vertex that is not finite in a mesh does not
-    count there. A mesh that cannot be fitted is told by `converged`, and takes nothing from the others.
+    count there. `terms` are further energies of the posed body, such as a floor; a unit of them weighs as much as vertices
+    that are a millimetre off in the mean. A mesh that cannot be fitted is told by `converged`, and takes nothing from the others.
 
     **Raises:** `InputError` where the meshes have other vertices than the body, or no mesh is given.
     """
@@ -64,7 +70,9 @@ def fit_meshes(
     places = sequence.vertices.astype(body.vertices.dtype)
     poses = procrustes_poses(body, sequence) if start is None else start
     chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
-    poses, rmse, steps, converged = _fit_all(body, poses, places, chosen, max_steps)
+    for term in terms:
+        check_numbers(term, body)
+    poses, rmse, steps, converged = _fit_all(body, poses, places, chosen, tuple(terms), max_steps)
     return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
 
 
@@ -117,6 +125,7 @@ def _fit_all(
     starts: Pose,
     places: Float[Array, "F V 3"],
     chosen: Int[Array, "C"],
+    terms: tuple[AbstractEnergy, ...],
     max_steps: int,
 ) -> tuple[Pose, Float[Array, "F"], Int[Array, "F"], Bool[Array, "F"]]:
     def one(frame):
@@ -125,7 +134,8 @@ def _fit_all(
         place = jnp.where(known[:, None], place, 0.0)
         weights = known[chosen].astype(place.dtype)
         weights = EVIDENCE * weights / jnp.maximum(weights.sum(), 1.0)
-        energy = VertexLandmarks(chosen, place[chosen], weights)
+        landmarks = VertexLandmarks(chosen, place[chosen], weights)
+        energy = Sum((landmarks, *(part for term in terms for part in terms_of(term))))
         solution = solve(energy, body, start, LevenbergMarquardt(), max_steps)
         gaps = jnp.sum((pose_body(body, solution.pose).vertices - place) ** 2, 1)
         total = known.sum()

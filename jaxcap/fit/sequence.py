@@ -13,6 +13,8 @@ import numpy as np
 from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
+from ..energy.term import AbstractEnergy
+from ..errors import InputError
 from ..observe import Cloud, CloudFrames, Scan, as_cloud
 from .check import check_cloud
 from .initialise import coarse_tracker, initialise
@@ -141,18 +143,23 @@ def track(
     search: FirstSearch = "auto",
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    terms: Sequence[AbstractEnergy] = (),
 ) -> Motion:
     """The motion of a body through a sequence of clouds (Kineben, section 3.3).
 
     **Arguments:** `clouds` from `make_cloud`, one a frame, or stacked over frames; `start` a pose near that of the
     first frame; `rate` frames a second; `tracker` for other settings than the usual, made of the same body; `search`,
-    `sigma` and `up` as in `track_frames`. Frames that are lost or doubtful are named in a warning, with what is wrong
+    `sigma` and `up` as in `track_frames`; `terms`, further energies in units of a log-likelihood, such as `make_floor(body)`, where no tracker is given. Frames that are lost or doubtful are named in a warning, with what is wrong
     in them, and parts of the body that no points show; `track_frames` gives the verdict on each frame.
 
     **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in
     another unit.
     """
-    tracker = make_tracker(body) if tracker is None else tracker
+    if tracker is not None and terms:
+        raise InputError(
+            "track: terms were given beside a tracker; give them to make_tracker(body, terms=...)."
+        )
+    tracker = make_tracker(body, terms=tuple(terms)) if tracker is None else tracker
     checked = (_checked(body, number, cloud) for number, cloud in enumerate(_each(clouds)))
     poses, verdicts, unseen = [], [], []
     for frame in track_frames(tracker, checked, start, search=search, sigma=sigma, up=up):

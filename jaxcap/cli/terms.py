@@ -1,0 +1,61 @@
+"""Energies that verbs of fitting take beside their data: limits of joints, a floor, and which poses are likely."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from ..body.body import Body
+from ..body.limits import AbstractLimits
+from ..energy.floor import make_floor
+from ..energy.limits import JointLimits
+from ..energy.pair_prior import MahalanobisPrior
+from ..energy.term import AbstractEnergy
+from ..errors import InputError
+from ..io.limits import read_limits
+from ..io.prior import load_prior
+from .options import OptionalFile, arg
+
+LimitsFile = Annotated[
+    OptionalFile,
+    arg(help="Joint limits to keep: those that `jaxcap limits learn` wrote, or a .cst or .asf file."),
+]
+LimitWeight = Annotated[float, arg(help="How strongly limits hold, per squared radian.")]
+FloorHeight = Annotated[
+    float | None,
+    arg(
+        metavar="METRES",
+        help_behavior_hint="",
+        help="Height of a floor that the body does not sink into, along the axis that points up.",
+    ),
+]
+LikelyFile = Annotated[
+    OptionalFile, arg(help="Which poses are likely, as `jaxcap prior learn` wrote it for this body.")
+]
+
+
+def read_terms(
+    body: Body,
+    *,
+    limits: Path | None = None,
+    others: Sequence[AbstractLimits] = (),
+    limit_weight: float = 100.0,
+    floor: float | None = None,
+    prior: Path | None = None,
+) -> tuple[AbstractEnergy, ...]:
+    """Read the energies that the options of a verb name, in units of a log-likelihood; `others` are limits that are known already.
+
+    **Raises:** `InputError` for a weight or a height that cannot be, and for files that are wrong or of another skeleton.
+    """
+    if not 0 <= limit_weight < np.inf:
+        raise InputError(f"--limit-weight is {limit_weight:g}; it must be at least 0.")
+    if floor is not None and not np.isfinite(floor):
+        raise InputError(f"--floor is {floor:g}; give its height in metres.")
+    known = [*others, *([] if limits is None else [read_limits(limits, body.skeleton)])]
+    terms: list[AbstractEnergy] = [limit_weight * JointLimits(part) for part in known]
+    if floor is not None:
+        terms.append(make_floor(body, floor))
+    if prior is not None:
+        terms.append(MahalanobisPrior(load_prior(prior, body.skeleton)))
+    return tuple(terms)

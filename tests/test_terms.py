@@ -1,0 +1,104 @@
+"""One term of a user's own moves the result of every fit where it should."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from adapt_scene import make_scene, task_of
+from helpers import chain_body, check_energy, random_pose
+from jaxtyping import Array, Float, Int
+
+import jaxcap as jc
+from jaxcap.adapt.objective import stack
+from jaxcap.adapt.pose import fit_pose
+from jaxcap.adapt.rounds import adapt_round
+from jaxcap.adapt.task import AdaptState, Settings, Stage
+from jaxcap.energy.floor import make_floor
+from jaxcap.errors import InputError
+from jaxcap.fit.correspond import make_scan
+from jaxcap.fit.registered import fit_meshes
+from jaxcap.fit.sequence import track
+from jaxcap.observe import MeshSequence
+
+BODY = chain_body("linear", 10, 8)
+
+
+class FeetOnFloor(jc.AbstractEnergy):
+    """Penetration of the plane y = height by some vertices, in centimetres."""
+
+    vertices: Int[Array, "C"]
+    height: Float[Array, ""]
+
+    def residual(self, posed: jc.Posed) -> Float[Array, "C"]:
+        return jnp.minimum(posed.vertices[self.vertices, 1] - self.height, 0.0) / 0.01
+
+
+EVERY = jnp.arange(len(BODY.vertices))
+_posed = eqx.filter_jit(jc.pose_body)
+
+
+def lowest(body, poses) -> float:
+    return float(min(np.asarray(_posed(body, pose).vertices)[:, 1].min() for pose in poses))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene()
+
+
+def test_the_floor_is_the_energy_in_closed_form(rng):
+    pose = random_pose(BODY.skeleton, rng, 0.4)
+    floor = make_floor(BODY, 0.02, (0.0, 0.6, 0.8))
+    check_energy(floor, BODY, [pose])
+    heights = np.asarray(_posed(BODY, pose).vertices)[np.asarray(floor.vertices)] @ [0.0, 0.6, 0.8]
+    assert (heights < 0.02).any()
+    assert (heights > 0.02).any()
+    expected = np.minimum(heights - 0.02, 0.0) / 0.01
+    np.testing.assert_allclose(floor.residual(_posed(BODY, pose)), expected, atol=1e-9)
+
+
+def test_registered_meshes_are_kept_above_a_floor(rng):
+    poses = stack([random_pose(BODY.skeleton, rng, 0.2) for _ in range(2)])
+    meshes = jnp.stack([_posed(BODY, pose).vertices for pose in jc.Motion(poses, 30.0)])
+    sequence = MeshSequence(meshes, BODY.faces, 30.0)
+    free = fit_meshes(BODY, sequence)
+    height = jnp.asarray(lowest(BODY, free.motion) + 0.03)
+    raised = fit_meshes(BODY, sequence, terms=[100.0 * FeetOnFloor(EVERY, height)])
+    assert lowest(BODY, free.motion) < float(height) - 0.02
+    assert lowest(BODY, raised.motion) > float(height) - 0.005
+
+
+def test_tracking_adapting_and_proportions_keep_above_a_floor(scene):
+    _, actor, poses, clouds = scene
+    seen = [jc.make_cloud(*cloud) for cloud in clouds[:3]]
+    height = jnp.asarray(lowest(actor, poses[:3]) + 0.03)
+    term = FeetOnFloor(jnp.arange(len(actor.vertices)), height)
+    free = track(actor, seen, poses[0], search=False)
+    raised = track(actor, seen, poses[0], search=False, terms=[30.0 * term])
+    assert lowest(actor, raised) > lowest(actor, free) + 0.01
+
+    prior, scan = task_of(scene).prior, make_scan(seen[1])
+    plain = fit_pose(actor, scan, poses[1], prior, steps=4).pose
+    own = FeetOnFloor(term.vertices, jnp.asarray(lowest(actor, [plain]) + 0.03))
+    held = fit_pose(actor, scan, poses[1], prior, steps=4, terms=100.0 * own).pose
+    assert lowest(actor, [held]) > lowest(actor, [plain]) + 0.01
+
+    settings = Settings(frames=3, shape=(1.0, 1.0))
+    reached = []
+    for terms in (None, 100.0 * term):
+        task = task_of(scene, settings=settings, terms=terms)
+        state = AdaptState(0, actor, 1.0, jc.stack_poses(poses, 10.0), chosen=(0, 1, 2), weight=1e-6)
+        scans = {n: make_scan(task.cloud(n)) for n in state.chosen}
+        after = adapt_round(task, state, scans, Stage("adapt", 1, 2))
+        reached.append(lowest(after.body, [after.motion[n] for n in state.chosen]))
+    assert reached[1] > reached[0] + 0.005
+
+
+def test_terms_that_do_not_fit_are_told(scene):
+    _, actor, poses, clouds = scene
+    term = FeetOnFloor(jnp.asarray([10_000]), jnp.asarray(0.0))
+    cloud = jc.make_cloud(*clouds[0])
+    with pytest.raises(InputError, match="10000"):
+        track(actor, [cloud], poses[0], terms=[term])
+    with pytest.raises(InputError, match="terms"):
+        track(actor, [cloud], poses[0], tracker=jc.make_tracker(actor), terms=[make_floor(actor)])
