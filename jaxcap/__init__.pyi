@@ -130,6 +130,8 @@ from .fit.solve import Solution as Solution
 from .fit.solve import solve as solve
 from .fit.solve_sequence import SequenceSolution as SequenceSolution
 from .fit.solve_sequence import solve_sequence as solve_sequence
+from .fit.solvers.flat import FlatProblem as FlatProblem
+from .fit.solvers.flat import flat_problem as flat_problem
 from .fit.solvers.gauss_newton import GaussNewton as GaussNewton
 from .fit.solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .fit.solvers.minimise import AbstractManifoldSolver as AbstractManifoldSolver

@@ -11,10 +11,9 @@ from ..body.body import Body, pose_body
 from ..body.pose import Pose, project, retract
 from ..energy.check import check_numbers, explained
 from ..energy.term import AbstractEnergy, energies
-from ..errors import InputError
 from .problem import PoseProblem
 from .solvers.levenberg_marquardt import LevenbergMarquardt
-from .solvers.minimise import AbstractManifoldSolver, minimise
+from .solvers.minimise import AnySolver, minimise
 
 
 class Solution(eqx.Module):
@@ -35,29 +34,24 @@ def solve(
     energy: AbstractEnergy,
     body: Body,
     start: Pose,
-    solver: AbstractManifoldSolver | None = None,
+    solver: AnySolver | None = None,
     max_steps: int = 64,
 ) -> Solution:
     """The pose of a body that makes an energy least, from a start near it.
 
-    **Arguments:** `solver` is `LevenbergMarquardt()` where not given, or `GaussNewton()`;
+    **Arguments:** `solver` is `LevenbergMarquardt()` where not given, or `GaussNewton()`, or any least-squares solver or minimiser of optimistix;
     `max_steps` bounds its steps. A start that the joints' kinds do not allow is projected.
 
     `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to
     every array of the energy and of the body; not to the start, on which a minimum does
     not depend. What no term holds stays where it is, in the derivative too. Nothing is raised where the solver fails: see `Solution.result`.
 
-    **Raises:** `InputError` for a solver that does not move on manifolds, and for an energy whose arrays do not go together or
+    **Raises:** `InputError` for what is no solver, and for an energy whose arrays do not go together or
     name vertices or joints that the body has not.
     """
     check_numbers(energy, body)
     problem = PoseProblem(energy, body)
     solver = LevenbergMarquardt() if solver is None else solver
-    if not isinstance(solver, AbstractManifoldSolver):
-        raise InputError(
-            f"{type(solver).__name__} adds steps to the unknown, which poses do not bear; "
-            "give LevenbergMarquardt() or GaussNewton()."
-        )
     with explained(energy, body, start):
         pose, (history, num_steps, result) = _minimum(
             problem, project(body.skeleton, start), solver, max_steps

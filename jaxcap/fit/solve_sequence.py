@@ -17,7 +17,7 @@ from ..errors import InputError
 from .sequence_problem import SequenceEstimate, SequenceProblem, SequenceTangent
 from .solvers.conjugate_gradients import conjugate_gradients
 from .solvers.levenberg_marquardt import LevenbergMarquardt
-from .solvers.minimise import AbstractManifoldSolver, minimise
+from .solvers.minimise import AnySolver, minimise
 
 #: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end
 DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE = 200, 1e-12
@@ -47,13 +47,13 @@ class SequenceSolution(eqx.Module):
 def solve_sequence(
     problem: SequenceProblem,
     start: Pose | Motion | SequenceEstimate,
-    solver: AbstractManifoldSolver | None = None,
+    solver: AnySolver | None = None,
     max_steps: int = 64,
 ) -> SequenceSolution:
     """Find the poses of all frames, and the shared unknowns, that make the energies of a problem least.
 
     **Arguments:** `start` poses stacked over frames, from which shared unknowns start at the body as it is, or an estimate;
-    `solver` is `LevenbergMarquardt()` where not given; `max_steps` bounds its steps.
+    `solver` is `LevenbergMarquardt()` where not given, or any of optimistix's; `max_steps` bounds its steps.
 
     `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to every array of the problem: data,
     weights, priors and the body. Nothing is raised where the solver fails: see `SequenceSolution.result`, and `trustworthy`

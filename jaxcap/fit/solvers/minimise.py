@@ -9,10 +9,14 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields
+from ...errors import InputError
+from .flat import flat_problem
 from .problem import AbstractProblem
 
 #: longest history of energies that a solver keeps
 HISTORY = 256
+#: charts that solvers which know no manifold work in, one after the other
+CHARTS = 4
 
 
 class AbstractManifoldSolver(optx.AbstractLeastSquaresSolver):
@@ -40,18 +44,27 @@ class Minimum(eqx.Module):
     damping: Float[Array, ""]
 
 
+#: a solver of optimistix: one of these, or one that adds steps to a flat array
+AnySolver = AbstractManifoldSolver | optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
+
+
 def minimise(
     problem: AbstractProblem,
     start: Any,
-    solver: AbstractManifoldSolver,
+    solver: AnySolver,
     max_steps: int,
     damping: float | Float[Array, ""] | None = None,
 ) -> Minimum:
     """Minimise `|r|^2` from a start near the minimum. Derivatives through it are not defined; those of the minimum are
     the callers' to define.
 
-    **Arguments:** `damping` of the first step, in place of the solver's own: that of an earlier `Minimum` goes on from there.
+    **Arguments:** `solver`, one of this package or any of optimistix's, which works in charts that are centred anew `CHARTS` times;
+    `damping` of the first step, in place of the solver's own: that of an earlier `Minimum` goes on from there.
+
+    **Raises:** `InputError` for something else, and for a least-squares solver where a problem has no rows.
     """
+    if not isinstance(solver, AbstractManifoldSolver):
+        return _minimise_flat(problem, start, solver, max_steps)
     found = optx.least_squares(
         lambda y, problem: problem.value(y),
         solver,
@@ -64,6 +77,33 @@ def minimise(
     stats = found.stats
     last = stats.get("damping", jnp.ones_like(stats["history"][0]))
     return Minimum(found.value, stats["history"], stats["num_steps"], found.result, last)
+
+
+def _minimise_flat(problem: AbstractProblem, start: Any, solver: AnySolver, max_steps: int) -> Minimum:
+    if not isinstance(solver, optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser):
+        raise InputError(
+            f"{type(solver).__name__} is no solver of least squares; give LevenbergMarquardt(), or a least-squares solver or minimiser of optimistix."
+        )
+    squares = isinstance(solver, optx.AbstractLeastSquaresSolver)
+    if squares and not hasattr(problem, "residual"):
+        raise InputError(
+            f"{type(solver).__name__} needs all rows of the Jacobian, which {type(problem).__name__} never writes out; give "
+            "LevenbergMarquardt() or a minimiser such as optimistix.BFGS."
+        )
+
+    def in_chart(y, _):
+        flat = flat_problem(problem, y)
+        run = optx.least_squares if squares else optx.minimise
+        function = (lambda d, flat: flat.residual(d)) if squares else (lambda d, flat: flat.value(d))
+        steps = -(-max_steps // CHARTS)
+        found = run(function, solver, flat.start, args=flat, max_steps=steps, throw=False)
+        y = flat.back(found.value)
+        return y, (2.0 * problem.value(y), found.stats["num_steps"], found.result)
+
+    y, (values, steps, results) = jax.lax.scan(in_chart, start, length=CHARTS)
+    history = jnp.full(HISTORY, jnp.nan, values.dtype).at[:CHARTS].set(values)
+    last = jax.tree.map(lambda leaf: leaf[-1], results)
+    return Minimum(y, history, jnp.sum(steps), last, jnp.ones_like(values[0]))
 
 
 def take_step(

@@ -1,0 +1,52 @@
+"""A problem in one chart about a point, for solvers that know nothing of manifolds."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from .problem import AbstractProblem
+
+
+class FlatProblem(eqx.Module):
+    """A problem as functions of a flat array `d (N,)`, in scaled tangents about `centre`, where `d` is zero.
+
+    Far from zero a chart is curved, so that solvers converge slowly there: solve, take `recentred(d)`, and solve again from
+    zero.
+    """
+
+    problem: AbstractProblem
+    centre: Any
+
+    @property
+    def start(self) -> Float[Array, "N"]:
+        """The centre itself."""
+        return jnp.zeros_like(ravel_pytree(self.problem.scales())[0])
+
+    def back(self, d: Float[Array, "N"]) -> Any:
+        """Find the point that numbers of the chart stand for."""
+        scales = self.problem.scales()
+        tangent = ravel_pytree(scales)[1](d)
+        return self.problem.retract(self.centre, jax.tree.map(jnp.multiply, scales, tangent))
+
+    def value(self, d: Float[Array, "N"]) -> Float[Array, ""]:
+        """Compute `|r|^2 / 2`."""
+        return self.problem.value(self.back(d))
+
+    def residual(self, d: Float[Array, "N"]) -> Float[Array, "R"]:
+        """Write out all residuals."""
+        problem: Any = self.problem
+        return problem.residual(self.back(d))
+
+    def recentred(self, d: Float[Array, "N"]) -> "FlatProblem":
+        """Make the chart about another point."""
+        return FlatProblem(self.problem, self.back(d))
+
+
+def flat_problem(problem: AbstractProblem, start: Any) -> FlatProblem:
+    """Make a problem flat about a start, such as for jaxopt and optax, which minimise `flat.value` from `flat.start`; `flat.back` leads
+    from their result to poses. See `FlatProblem`."""
+    return FlatProblem(problem, start)

@@ -1,0 +1,120 @@
+"""Other programs' solvers as independent checks of a minimum: optimistix by `solver=`, jaxopt and optax through a flat problem."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import optimistix as optx
+import pytest
+from helpers import chain_body, random_pose
+
+from jaxcap.body.body import pose_body
+from jaxcap.energy.landmarks import VertexLandmarks
+from jaxcap.energy.prior import RestPrior
+from jaxcap.errors import InputError
+from jaxcap.fit.problem import PoseProblem
+from jaxcap.fit.sequence_problem import SequenceProblem
+from jaxcap.fit.solve import solve
+from jaxcap.fit.solve_sequence import solve_sequence
+from jaxcap.fit.solvers.flat import flat_problem
+from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from jaxcap.fit.unknowns import Size
+
+with pytest.warns(DeprecationWarning, match="JAXopt is no longer maintained"):
+    import jaxopt
+
+BODY = chain_body()
+TIGHT = {"rtol": 1e-12, "atol": 1e-12}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Noisy places of all vertices in a pose near enough for solvers without a trust region."""
+    rng = np.random.default_rng(5)
+    truth = random_pose(BODY.skeleton, rng, 0.3)
+    places = pose_body(BODY, truth).vertices + 0.01 * rng.normal(size=BODY.vertices.shape)
+    energy = VertexLandmarks(jnp.arange(len(places)), places, jnp.ones(len(places))) + 0.1 * RestPrior(
+        jnp.ones((BODY.skeleton.num_joints, 3))
+    )
+    start = random_pose(BODY.skeleton, rng, 0.1)
+    found = eqx.filter_jit(solve)(energy, BODY, start, LevenbergMarquardt(rtol=0.0, atol=1e-13))
+    return energy, start, found
+
+
+def energy_of(energy, pose) -> float:
+    r = energy.residual(pose_body(BODY, pose))
+    return float(r @ r)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [optx.Dogleg(**TIGHT), optx.LevenbergMarquardt(**TIGHT), optx.GaussNewton(**TIGHT), optx.BFGS(**TIGHT)],
+    ids=lambda solver: type(solver).__name__,
+)
+def test_solvers_of_optimistix_find_the_minimum(scene, solver):
+    energy, start, known = scene
+    found = eqx.filter_jit(solve)(energy, BODY, start, solver, 1000)
+    assert energy_of(energy, found.pose) == pytest.approx(energy_of(energy, known.pose), rel=1e-8)
+    np.testing.assert_allclose(
+        pose_body(BODY, found.pose).joints, pose_body(BODY, known.pose).joints, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("name", ["LevenbergMarquardt", "LBFGS"])
+def test_solvers_of_jaxopt_find_the_minimum_in_a_flat_problem(scene, name):
+    energy, start, known = scene
+    flat = flat_problem(PoseProblem(energy, BODY), start)
+
+    @eqx.filter_jit
+    def run(flat):
+        if name == "LevenbergMarquardt":
+            solver = jaxopt.LevenbergMarquardt(flat.residual, maxiter=40, tol=1e-12)
+        else:
+            solver = jaxopt.LBFGS(flat.value, maxiter=150, tol=1e-12)
+        return flat.recentred(solver.run(flat.start).params)
+
+    for _ in range(2):
+        flat = run(flat)
+    assert energy_of(energy, flat.centre) == pytest.approx(energy_of(energy, known.pose), rel=1e-7)
+
+
+def test_optax_finds_the_minimum_in_a_flat_problem(scene):
+    energy, start, known = scene
+    flat = flat_problem(PoseProblem(energy, BODY), start)
+    solver = optax.lbfgs()
+
+    @jax.jit
+    def run(flat):
+        function = optax.value_and_grad_from_state(flat.value)
+
+        def step(carry, _):
+            d, state = carry
+            value, slope = function(d, state=state)
+            change, state = solver.update(slope, state, d, value=value, grad=slope, value_fn=flat.value)
+            return (optax.apply_updates(d, change), state), None
+
+        (d, _), _ = jax.lax.scan(step, (flat.start, solver.init(flat.start)), length=120)
+        return flat.recentred(d)
+
+    for _ in range(3):
+        flat = run(flat)
+    assert energy_of(energy, flat.centre) == pytest.approx(energy_of(energy, known.pose), rel=1e-7)
+
+
+def test_a_sequence_is_solved_by_another_solver(scene):
+    energy, start, _ = scene
+    problem = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size()})
+    poses = jax.tree.map(lambda leaf: leaf[None], start)
+    ours, theirs = (
+        solve_sequence(problem, poses, solver, 200)
+        for solver in (LevenbergMarquardt(rtol=0.0, atol=1e-12), optx.LevenbergMarquardt(**TIGHT))
+    )
+    assert float(theirs.energy) == pytest.approx(float(ours.energy), rel=1e-9)
+    np.testing.assert_allclose(theirs.values["size"], ours.values["size"], atol=1e-6)
+
+
+def test_what_is_no_solver_is_told(scene):
+    energy, start, _ = scene
+    with pytest.raises((InputError, TypeError), match="Newton"):
+        solve(energy, BODY, start, optx.Newton(**TIGHT))
