@@ -1,16 +1,20 @@
 """Outer rounds: a problem that is made anew where the last one led, such as with new pairs or weights."""
 
+import logging
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import minimise
 from .solvers.problem import AbstractProblem
+
+_LOG = logging.getLogger(__name__)
 
 
 class Alternation(NamedTuple):
@@ -55,6 +59,57 @@ def alternate(
         y, damping = _improve(problem, y, solver, steps, damping)
     assert best is not None
     return best._replace(history=tuple(history))
+
+
+class Renewal(NamedTuple):
+    """Where rounds of renewed problems ended."""
+
+    y: Any
+    #: the last problem
+    problem: Any
+    #: `|r|^2` after every step; a rise marks a new problem
+    history: tuple[float, ...]
+    #: whether the last renewal hardly changed the problem
+    settled: bool
+
+
+def renew(
+    problem: AbstractProblem,
+    start: Any,
+    renewed: Callable[[int, Any, Any], tuple[Any, Any, bool]],
+    tolerance: Callable[[int], float],
+    solver: LevenbergMarquardt,
+    *,
+    rounds: int,
+    steps: int,
+    most: int,
+) -> Renewal:
+    """Minimise a problem, renew what its weights rest on, and again, until that hardly changes; energies of successive problems
+    are not comparable, as in fits whose variances are found.
+
+    **Arguments:** `renewed(number, problem, y)` makes of the round's minimum the next problem and start, and says whether these have settled;
+    `tolerance(number)` is the share of the energy that a round's last step gains; `rounds` of `steps` at most, `most` steps in all.
+    """
+    y, history, settled = start, [], False
+    for number in range(1, rounds + 1):
+        this = eqx.tree_at(lambda s: s.rtol, solver, jnp.asarray(tolerance(number), float))
+        found = _minimise(problem, y, this, steps)
+        if not history:
+            history.append(float(2.0 * _value(problem, y)))
+        passed = np.asarray(found.history)
+        history.extend(float(value) for value in passed[np.isfinite(passed)])
+        _LOG.info("fitting all frames together, round %d, %d of at most %d steps", number, len(history), most)
+        if len(history) > most:
+            return Renewal(found.y, problem, tuple(history), False)
+        problem, y, settled = renewed(number, problem, found.y)
+        if settled:
+            break
+    return Renewal(y, problem, tuple(history), settled)
+
+
+@eqx.filter_jit
+def _minimise(problem: AbstractProblem, y: Any, solver: LevenbergMarquardt, steps: int):
+    return minimise(problem, y, solver, steps)
 
 
 @eqx.filter_jit

@@ -8,18 +8,21 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+
 from threadpoolctl import threadpool_limits
 
 from ..arguments import checked
 from ..body.pose import Motion, take_poses
 from ..body.symmetry import bones_of
+from ..energy.term import AbstractEnergy
 from ..observe import MarkerFrames
-from .adjust import Fit, Problem, adjust
+from .adjust import Fit, adjust
 from .choose import choose_frames
 from .matched import match_markers
+from .problem import make_problem
 from .null_space import Hardly, describe_precision, hardly_known, shared_covariance
 from .shared import Trust, solved_joints
-from .skin import Skin
+from .skin import shift_variances
 from .solve import solve_markers
 from .subject import Subject
 
@@ -72,6 +75,7 @@ def calibrate(
     count: int = 100,
     trust: Trust = Trust(),
     steps: int = 240,
+    terms: Sequence[AbstractEnergy] = (),
 ) -> Calibration:
     """The performer's skeleton and the places of the markers on it, from a template.
 
@@ -81,7 +85,8 @@ def calibrate(
     markers may slide on their bones as joints turn, where residuals show that they do;
     `symmetry`, pairs of names of joints whose bones are equally long, kept exactly; `count` frames are
     chosen, as different as can be, and all are solved in the end; `trust` in the template, which
-    decides what the frames do not tell; `steps` at most.
+    decides what the frames do not tell; `steps` at most; `terms`, energies of your own, in units of a log-likelihood, which see
+    the subject's skeleton with its markers for vertices.
 
     **Raises:** `ValueError` where frames and template share no label, fewer than three markers are ever
     seen, or a name in `symmetry` is not a joint's.
@@ -104,19 +109,19 @@ def calibrate(
         _LOG.info("fitting %d frames together%s", len(chosen), ", roughly" if again else "")
         # to find exchanged labels a rough fit will do
         effort = (False, min(steps, ROUGHLY)) if again else (skin, steps)
-        problem = Problem(template, places, seen, joints, pairs, trust, robust, *effort)
+        problem = make_problem(template, places, seen, joints, pairs, trust, robust=robust, terms=terms)
         # threads of BLAS and those of XLA wait for each other, and matrices of frames are small
         with threadpool_limits(1, "blas"):
-            fit = adjust(problem, subject, take_poses(motion.poses, chosen))
-        subject, poses, slid = fit.state
+            fit = adjust(problem, subject, take_poses(motion.poses, chosen), skin=effort[0], steps=effort[1])
+        subject, poses = fit.problem.subject(fit.estimate), fit.estimate.poses
         if not again:
             break
         # of whom the markers are is known better now, and so is which of them were exchanged
         motion, usable, explained = _followed(_measured(fit), frames, used)
     _LOG.info("computing how well the subject is known")
-    best = eqx.tree_at(lambda s: s.deviations, subject, fit.terms.deviations)
-    known = shared_covariance(best, poses, places, seen, joints, trust, pairs, fit.terms.turning, slid)
+    known = shared_covariance(fit.problem, fit.estimate)
     best = _measured(fit)
+    slid = shift_variances(fit.problem.features, fit.estimate.slides)
     solved = solve_markers(best, frames)
     hardly = hardly_known(best, known, joints)
     told = (*describe_precision(best, known, poses, joints, hardly), *_on_skin(best, slid), *solved.told)
@@ -127,7 +132,7 @@ def calibrate(
         solved.motion,
         solved.residuals,
         known.covariance,
-        np.sqrt(3.0 * slid.variances()),
+        np.sqrt(3.0 * slid),
         tuple(hardly),
         told,
         fit.history,
@@ -137,9 +142,9 @@ def calibrate(
     )
 
 
-def _on_skin(subject: Subject, skin: Skin) -> list[str]:
+def _on_skin(subject: Subject, variances: Float[np.ndarray, "M"]) -> list[str]:
     """A sentence about the markers that slide furthest."""
-    far = 3.0 * np.sqrt(3.0 * skin.variances())
+    far = 3.0 * np.sqrt(3.0 * variances)
     most = [marker for marker in np.argsort(-far)[:5] if far[marker] > SLIDING]
     if not most:
         return []
@@ -156,9 +161,10 @@ def _followed(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F 
 
 def _measured(fit: Fit) -> Subject:
     """With the deviations of markers on skin, as nobody knows of other frames how it slides there."""
-    subject, _, skin = fit.state
-    deviations = jnp.sqrt(fit.terms.deviations**2 + jnp.asarray(skin.variances(), fit.terms.deviations.dtype))
-    return eqx.tree_at(lambda s: s.deviations, subject, deviations)
+    variances = shift_variances(fit.problem.features, fit.estimate.slides)
+    found = fit.problem.deviations
+    deviations = jnp.sqrt(found**2 + jnp.asarray(variances, found.dtype))
+    return eqx.tree_at(lambda s: s.deviations, fit.problem.subject(fit.estimate), deviations)
 
 
 def _pairs(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple[int, int], ...]:

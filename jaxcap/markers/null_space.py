@@ -3,20 +3,18 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..body.pose import Pose
-from .eliminate import eliminate
-from .equations import all_rows
+from ..fit.solvers.precision import in_double
 from .gauge import without_gauge
+from .problem import CalibrationEstimate, CalibrationProblem
 from .robust import BOUND
-from .shared import Trust, constraint_rows, followers, prior_precision
-from .skin import Skin, still
+from .shared import constraint_rows, followers
 from .subject import Subject
-from .turning import Turning, drawn, free_turning
 
 #: a direction is hardly known with a larger standard deviation, metres
 HARDLY = 0.01
@@ -47,50 +45,36 @@ class Hardly(NamedTuple):
     told: bool
 
 
-def shared_covariance(
-    subject: Subject,
-    poses: Pose,
-    places: Float[Array, "F M 3"],
-    seen: Bool[Array, "F M"],
-    joints: tuple[int, ...],
-    trust: Trust = Trust(),
-    pairs: tuple[tuple[int, int], ...] = (),
-    turning: Turning | None = None,
-    skin: Skin | None = None,
-) -> Known:
-    """The covariance of `s` at a fitted subject with its markers' deviations: the inverse of the Schur
-    complement of all poses with the template's prior; bones that are kept equally long have no
-    difference that could be wrong."""
-    prior = prior_precision(subject, joints, trust)
-    bound = jnp.asarray(BOUND, places.dtype)
-    skin = still(poses, subject) if skin is None else skin
-    shifts = jnp.asarray(skin.shifts(), places.dtype)
-    rows = all_rows(subject, poses, places, seen, subject.deviations, joints, bound, shifts)
-    turning = free_turning(subject.skeleton) if turning is None else turning
-    data = eliminate(rows, drawn(subject.skeleton, turning, poses), skin.features)
-    size, none = len(prior), np.zeros(len(prior))
-    both, loose = (
-        _inverse(data.with_prior(*skin.widened(share * prior, none)).matrix)[:size, :size]
-        for share in (1.0, 0.25)
-    )
-    if pairs:
-        rows, _ = constraint_rows(subject, joints, pairs)
+def shared_covariance(problem: CalibrationProblem, estimate: CalibrationEstimate) -> Known:
+    """Compute the covariance of `s` at a fitted subject: the inverse of the Schur complement of all poses with the template's
+    prior; bones that are kept equally long have no difference that could be wrong."""
+    # far markers count by this kernel whatever the fit was done with
+    problem = eqx.tree_at(lambda p: p.bound, problem, jnp.asarray(BOUND, problem.bound.dtype))
+    both, loose = (np.asarray(part, float) for part in in_double(_covariances, problem, estimate))
+    if problem.pairs:
+        rows = np.asarray(constraint_rows(problem.subject(estimate), problem.joints, problem.pairs)[0], float)
         both, loose = (_given(covariance, rows) for covariance in (both, loose))
     return Known(both, loose)
+
+
+@eqx.filter_jit
+def _covariances(
+    problem: CalibrationProblem, estimate: CalibrationEstimate
+) -> tuple[Float[Array, "S S"], Float[Array, "S S"]]:
+    """With the whole prior, and with a quarter of it."""
+    size = len(problem.prior)
+    arrow = problem.normal_equations(estimate)[2]
+    taken = jnp.zeros_like(arrow.shared).at[:size, :size].set(0.75 * problem.prior)
+    weak = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared - taken)
+    one = jnp.eye(len(arrow.shared), dtype=arrow.shared.dtype)
+    both, loose = (each.factorise().shared.solve(one)[:size, :size] for each in (arrow, weak))
+    return (both + both.T) / 2, (loose + loose.T) / 2
 
 
 def _given(covariance: Float[np.ndarray, "S S"], rows: Float[np.ndarray, "C S"]) -> Float[np.ndarray, "S S"]:
     """The covariance where `rows` of what it is of are known exactly."""
     across = covariance @ rows.T
     return covariance - across @ np.linalg.pinv(rows @ across) @ across.T
-
-
-def _inverse(matrix: Float[np.ndarray, "S S"]) -> Float[np.ndarray, "S S"]:
-    """Of a positive definite matrix in mixed units."""
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    factor = scipy.linalg.cho_factor(matrix * scale[:, None] * scale, lower=True)
-    inverse = scipy.linalg.cho_solve(factor, np.eye(len(matrix)))
-    return scale[:, None] * (inverse + inverse.T) / 2 * scale
 
 
 def length_deviations(

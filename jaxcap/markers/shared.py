@@ -89,12 +89,9 @@ def prior_precision(
 
 def constraint_rows(
     subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
-) -> tuple[Float[np.ndarray, "B S"], Float[np.ndarray, "B"]]:
-    """Rows over `s` and what they have to make up for: paired bones stay equally long."""
-    size = 3 * (len(joints) + subject.num_markers)
-    if not pairs:
-        return np.zeros((0, size)), np.zeros(0)
-    differences, slopes = length_differences(subject.skeleton, np.array(pairs, int))
-    by_centre = np.einsum("bja,jk->bka", np.asarray(slopes, float), followers(subject.skeleton, joints))
-    rows = np.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
-    return rows, -np.asarray(differences, float)
+) -> tuple[Float[Array, "B S"], Float[Array, "B"]]:
+    """Compute rows over `s` and what they have to make up for: paired bones stay equally long."""
+    differences, slopes = length_differences(subject.skeleton, np.array(pairs, int).reshape(-1, 2))
+    by_centre = jnp.einsum("bja,jk->bka", slopes, followers(subject.skeleton, joints))
+    rows = jnp.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
+    return rows, -differences

@@ -11,11 +11,8 @@ the more firmly the more frames there are; with `d` unknown, drawn to zero as fa
 all bones say that skin slides, what cannot be told apart counts as unknown.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-import scipy.linalg
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from ..body.pose import Pose
 from .subject import Subject
@@ -31,40 +28,18 @@ LEAST, MOST = 2e-4, 0.05
 LEVER = 0.05
 
 
-class Skin(NamedTuple):
-    """How markers slide over the chosen frames."""
-
-    #: radians
-    features: Float[np.ndarray, "F M K"]
-    #: metres a radian, along the axes of the world at rest
-    slides: Float[np.ndarray, "K M 3"]
-    #: standard deviation of every number of `slides`
-    deviation: float
-
-    def shifts(self) -> Float[np.ndarray, "F M 3"]:
-        """Metres that each marker is from its rest place."""
-        return np.einsum("fmk,kma->fma", self.features, self.slides)
-
-    def variances(self) -> Float[np.ndarray, "M"]:
-        """Mean squares of the shifts along each axis, metres squared."""
-        return np.mean(self.shifts() ** 2, (0, 2))
-
-    def widened(
-        self, precision: Float[np.ndarray, "S S"], away: Float[np.ndarray, "S"]
-    ) -> tuple[Float[np.ndarray, "T T"], Float[np.ndarray, "T"]]:
-        """The prior of all that is shared with that of the slides behind it, and how far both are off."""
-        own = np.eye(self.slides.size) * self.deviation**-2
-        return np.asarray(scipy.linalg.block_diag(precision, own)), np.append(away, self.slides.ravel())
-
-    def moved(self, step: Float[np.ndarray, "O"]) -> "Skin":
-        """After a step of all slides."""
-        return self._replace(slides=self.slides + step.reshape(self.slides.shape))
+def skin_shifts(
+    features: Float[Array, "F M K"], slides: Float[Array, "K M 3"]
+) -> Float[np.ndarray, "F M 3"]:
+    """Compute how far each marker is from its rest place, metres."""
+    return np.einsum("fmk,kma->fma", np.asarray(features, float), np.asarray(slides, float))
 
 
-def still(poses: Pose, subject: Subject) -> Skin:
-    """Skin that does not slide."""
-    count, markers = len(poses.rotations), subject.num_markers
-    return Skin(np.zeros((count, markers, 0)), np.zeros((0, markers, 3)), LEAST)
+def shift_variances(
+    features: Float[Array, "F M K"], slides: Float[Array, "K M 3"]
+) -> Float[np.ndarray, "M"]:
+    """Compute mean squares of the shifts along each axis, metres squared."""
+    return np.mean(skin_shifts(features, slides) ** 2, (0, 2))
 
 
 def sliding(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
@@ -91,8 +66,9 @@ def find_skin(
     features: Float[np.ndarray, "F M K"],
     residuals: Float[np.ndarray, "F M 3"],
     counted: Bool[np.ndarray, "F M"],
-) -> Skin | None:
-    """Skin to begin with, where residuals follow the joints by more than chance; else none."""
+) -> float | None:
+    """Estimate the standard deviation of every number of `d`, metres a radian, where residuals follow the joints by more than
+    chance; else none."""
     explained = whole = chance = squares = 0.0
     for marker in range(residuals.shape[1]):
         some = counted[:, marker]
@@ -101,24 +77,25 @@ def find_skin(
         if len(left) <= 2 * phi.shape[1] or not phi.size:
             continue
         phi, left = phi - phi.mean(0), left - left.mean(0)
-        slides = np.linalg.lstsq(phi, left, rcond=1e-6)[0]
-        told = float(np.sum((phi @ slides) ** 2))
+        told = float(np.sum((phi @ (np.linalg.pinv(phi, 1e-6) @ left)) ** 2))
         explained, whole = explained + told, whole + float(np.sum(left**2))
         chance += phi.shape[1] / len(left) * float(np.sum(left**2))
         squares += float(np.sum(phi**2)) * 3
     if whole == 0.0 or explained < TELLING * chance:
         return None
-    deviation = float(np.clip(np.sqrt(explained / squares), LEAST, MOST))
-    return Skin(features, np.zeros((features.shape[2], residuals.shape[1], 3)), deviation)
+    return float(np.clip(np.sqrt(explained / squares), LEAST, MOST))
 
 
-def renewed(skin: Skin, subject: Subject) -> Skin:
-    """With the deviation that slides have by which the markers of a bone move among each other.
+def slide_deviation(
+    subject: Subject, features: Float[Array, "F M K"], slides: Float[Array, "K M 3"]
+) -> float:
+    """Estimate the standard deviation of the slides by which the markers of a bone move among each other.
 
     By what is left of them the bone itself would seem to move, which only joints contradict: were they
     counted, ever larger slides would take the place of poses.
     """
     bones, offsets = np.asarray(subject.bones), np.asarray(subject.offsets, float)
+    features, slides = np.asarray(features), np.asarray(slides, float)
     squares = numbers = 0.0
     for bone in np.unique(bones):
         own = np.flatnonzero(bones == bone)
@@ -127,11 +104,8 @@ def renewed(skin: Skin, subject: Subject) -> Skin:
         shifts = np.tile(np.eye(3), (1, len(own)))
         _, sizes, basis = np.linalg.svd(np.concatenate([turns / LEVER, shifts]), full_matrices=False)
         rigid = basis[sizes > 1e-3]
-        for slides, phi in zip(
-            skin.slides[:, own].reshape(-1, 3 * len(own)), skin.features[:, own[0]].T, strict=True
-        ):
+        for each, phi in zip(slides[:, own].reshape(-1, 3 * len(own)), features[:, own[0]].T, strict=True):
             if phi.any():
-                squares += float(slides @ slides - np.sum((rigid @ slides) ** 2))
-                numbers += slides.size - len(rigid)
-    deviation = float(np.clip(np.sqrt(squares / max(numbers, 1.0)), LEAST, MOST))
-    return skin._replace(deviation=deviation)
+                squares += float(each @ each - np.sum((rigid @ each) ** 2))
+                numbers += each.size - len(rigid)
+    return float(np.clip(np.sqrt(squares / max(numbers, 1.0)), LEAST, MOST))

@@ -6,13 +6,16 @@ firmly (Neyman and Scott 1948). Poses are therefore held at each joint's own mea
 which it turns by no more than noise makes of it, and not at all about those that it uses.
 """
 
-from typing import NamedTuple
-
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+import scipy.linalg
+from jaxtyping import Array, Float
 
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, dof_layout
+from ..geometry import rotation
 
 #: radians: no joint is held more firmly
 STIFFEST = 1e-3
@@ -24,99 +27,86 @@ STIFF = 1e-3
 CLEAR = 3.0
 
 
-class Turning(NamedTuple):
+class Turning(eqx.Module):
     """Mean rotations and inverse covariances of turns about them, of T ball joints."""
 
-    joints: np.ndarray
-    means: Float[np.ndarray, "T 4"]
-    precision: Float[np.ndarray, "T 3 3"]
-
-
-class Drawn(NamedTuple):
-    """What a `Turning` adds to the equations of each frame: to the cost, and to `A` and its side."""
-
-    cost: float
-    matrix: Float[np.ndarray, "F D D"]
-    side: Float[np.ndarray, "F D"]
+    means: Float[Array, "T 4"]
+    precision: Float[Array, "T 3 3"]
+    joints: tuple[int, ...] = eqx.field(static=True)
 
 
 def free_turning(skeleton: Skeleton) -> Turning:
-    """Any turn is as good as any other."""
-    inner = [j for j, parent in enumerate(skeleton.parents) if parent >= 0 and skeleton.kinds[j] == "ball"]
-    joints = np.array(inner, int)
-    return Turning(joints, np.tile([1.0, 0, 0, 0], (len(joints), 1)), np.zeros((len(joints), 3, 3)))
+    """Take any turn to be as good as any other."""
+    kinds = zip(skeleton.parents, skeleton.kinds, strict=True)
+    joints = tuple(j for j, (parent, kind) in enumerate(kinds) if parent >= 0 and kind == "ball")
+    dtype = skeleton.centres.dtype
+    means = jnp.tile(jnp.array([1.0, 0, 0, 0], dtype), (len(joints), 1))
+    return Turning(means, jnp.zeros((len(joints), 3, 3), dtype), joints)
 
 
 def mean_turns(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
-    """Rotation vectors from each joint's mean rotation, in the bones' own frames, radians."""
-    return _turns(mean_rotations(q), q)
+    """Compute rotation vectors from each joint's mean rotation, in the bones' own frames, radians."""
+    return np.asarray(_turns(jnp.asarray(mean_rotations(q)), jnp.asarray(q)), float)
 
 
-def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[np.ndarray, "F D D"]) -> Turning:
-    """The distribution by poses that were found without one, with their covariances: what they vary less
+def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"]) -> Turning:
+    """Estimate the distribution by poses that were found without one, with their covariances: what they vary less
     what noise makes them vary. Axes about which a joint turns `MUCH` more than that stay free, as turns
     are not normal and those of several joints go together."""
-    joints = free_turning(skeleton).joints
-    slots = dof_layout(skeleton).rotations[joints]
-    q = np.asarray(poses.rotations, float)[:, joints]
+    free = free_turning(skeleton)
+    slots = dof_layout(skeleton).rotations[np.array(free.joints, int)]
+    q = np.asarray(poses.rotations, float)[:, list(free.joints)]
     means = mean_rotations(q)
-    turns = _turns(means, q)
-    each = covariances[:, slots[:, :, None], slots[:, None, :]]
+    turns = np.asarray(_turns(jnp.asarray(means), jnp.asarray(q)), float)
+    each = np.asarray(covariances, float)[:, slots[:, :, None], slots[:, None, :]]
     # frames that show a bone badly tell nothing of how far it turns
     doubt = np.trace(each, axis1=2, axis2=3)
     shown = (doubt <= CLEAR * np.median(doubt, 0)).astype(float)
     shown /= shown.sum(0)
     second = np.einsum("fj,fja,fjb->jab", shown, turns, turns)
-    noise = np.einsum("fj,fjab->jab", shown, each)
-    # measured in noise, so that directions are told apart by what they show
-    root = np.linalg.cholesky(noise + STIFFEST**2 * np.eye(3))
-    even = np.linalg.solve(root, np.swapaxes(np.linalg.solve(root, second), 1, 2))
-    values, vectors = np.linalg.eigh(even)
-    share = np.where(values > MUCH, 0.0, 1.0 / STIFF)
-    back = np.linalg.solve(np.swapaxes(root, 1, 2), vectors)
-    precision = (back * share[:, None]) @ np.swapaxes(back, 1, 2)
-    return Turning(joints, means, (precision + np.swapaxes(precision, 1, 2)) / 2)
+    noise = np.einsum("fj,fjab->jab", shown, each) + STIFFEST**2 * np.eye(3)
+    precision = np.zeros_like(second)
+    for joint, (moved, known) in enumerate(zip(second, noise, strict=True)):
+        # measured in noise, so that directions are told apart by what they show
+        values, vectors = scipy.linalg.eigh(moved, known)
+        precision[joint] = (vectors * np.where(values > MUCH, 0.0, 1.0 / STIFF)) @ vectors.T
+    dtype = skeleton.centres.dtype
+    return Turning(jnp.asarray(means, dtype), jnp.asarray(precision, dtype), free.joints)
 
 
-def drawn(skeleton: Skeleton, turning: Turning, poses: Pose) -> Drawn:
-    """The squares of the turns about the means in standard deviations, with their derivatives."""
-    count, dofs = len(poses.rotations), skeleton.num_dofs
-    matrix, side = np.zeros((count, dofs, dofs)), np.zeros((count, dofs))
-    if not turning.precision.any():
-        return Drawn(0.0, matrix, side)
-    slots = dof_layout(skeleton).rotations[turning.joints]
-    turns = _turns(turning.means, np.asarray(poses.rotations, float)[:, turning.joints])
-    slope = _inverse_right_jacobian(turns)
-    pull = np.einsum("jab,fjb->fja", turning.precision, turns)
-    blocks = np.einsum("fjba,jbc,fjcd->fjad", slope, turning.precision, slope)
-    matrix[:, slots[:, :, None], slots[:, None, :]] = blocks
-    side[:, slots] = -np.einsum("fjba,fjb->fja", slope, pull)
-    return Drawn(float(np.sum(pull * turns)), matrix, side)
+def turning_square(turning: Turning, pose: Pose) -> Float[Array, ""]:
+    """Compute the square of a pose's turns about the means in standard deviations."""
+    turns = _turns(turning.means, pose.rotations[np.array(turning.joints, int)])
+    return jnp.einsum("ja,jab,jb->", turns, turning.precision, turns)
+
+
+def turning_equations(
+    skeleton: Skeleton, turning: Turning, pose: Pose
+) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
+    """Compute `J^T P J` and `J^T P t` of a pose's turns `t` about the means, by its tangent."""
+    joints = np.array(turning.joints, int)
+    slots = dof_layout(skeleton).rotations[joints]
+    q = pose.rotations[joints]
+
+    def turned(w):
+        t = _turns(turning.means, rotation.multiply(q, rotation.exp(w)))
+        return jnp.sum(t, 0), t
+
+    # each joint's turns are by its own numbers only
+    slope, turns = jax.jacfwd(turned, has_aux=True)(jnp.zeros((len(joints), 3), q.dtype))
+    slope = jnp.swapaxes(slope, 0, 1)
+    pull = jnp.einsum("jab,jb->ja", turning.precision, turns)
+    blocks = jnp.einsum("jba,jbc,jcd->jad", slope, turning.precision, slope)
+    dofs = skeleton.num_dofs
+    matrix = jnp.zeros((dofs, dofs), q.dtype).at[slots[:, :, None], slots[:, None, :]].add(blocks)
+    return matrix, jnp.zeros(dofs, q.dtype).at[slots].add(jnp.einsum("jba,jb->ja", slope, pull))
 
 
 def mean_rotations(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:
-    """The quaternions nearest to all of each joint's, whatever their signs."""
+    """Find the quaternions nearest to all of each joint's, whatever their signs."""
     return np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))[1][..., -1]
 
 
-def _turns(means: Float[np.ndarray, "T 4"], q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "F T 3"]:
+def _turns(means: Float[Array, "T 4"], q: Float[Array, "*F T 4"]) -> Float[Array, "*F T 3"]:
     """Rotation vectors from the means, in the bones' own frames."""
-    w, v = means[:, :1], means[:, 1:]
-    scalar = w * q[..., :1] + np.sum(v * q[..., 1:], -1, keepdims=True)
-    vector = w * q[..., 1:] - q[..., :1] * v - np.cross(v, q[..., 1:])
-    vector, scalar = np.where(scalar < 0, -vector, vector), np.abs(scalar)
-    length = np.linalg.norm(vector, axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(length, scalar)
-    return vector * np.where(length > 1e-9, angle / np.maximum(length, 1e-9), 2.0)
-
-
-def _inverse_right_jacobian(turns: Float[np.ndarray, "F T 3"]) -> Float[np.ndarray, "F T 3 3"]:
-    """The derivative of the rotation vector of `exp(t) exp(w)` by `w` at zero."""
-    x, y, z = np.moveaxis(turns, -1, 0)
-    none = np.zeros_like(x)
-    cross = np.stack([none, -z, y, z, none, -x, -y, x, none], -1).reshape(*turns.shape, 3)
-    angle = np.linalg.norm(turns, axis=-1)
-    safe = np.maximum(angle, 1e-3)
-    half = safe / 2.0
-    share = np.where(angle > 1e-3, (1.0 - half / np.tan(half)) / safe**2, 1.0 / 12.0)
-    return np.eye(3) + cross / 2.0 + share[..., None, None] * (cross @ cross)
+    return rotation.log(rotation.multiply(rotation.conjugate(means), q))

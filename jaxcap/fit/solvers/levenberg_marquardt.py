@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .descent import NormalDescent
 from .minimise import HISTORY, AbstractManifoldSolver
-from .problem import AbstractProblem
+from .problem import AbstractNestedProblem, AbstractProblem
 
 #: changes of the energy count from so many roundings of it
 ROUNDINGS = 4
@@ -151,6 +151,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         def of(length):
             step = jax.tree.map(lambda leaf: length * leaf, whole)
             candidate = problem.retract(y, jax.tree.map(jnp.multiply, problem.scales(), step))
+            if isinstance(problem, AbstractNestedProblem):
+                candidate = problem.nested(candidate)
             return step, candidate, problem.value(candidate)
 
         if len(self.lengths) == 1:

@@ -39,6 +39,17 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
         radians to one measure, for dampings that are isotropic."""
 
 
+class AbstractNestedProblem(AbstractProblem[Unknown]):
+    """A problem some of whose unknowns are cheap to improve by themselves, such as poses where what frames share is given.
+
+    A solver does so after each step that it tries, before it judges the step by its energy.
+    """
+
+    @abc.abstractmethod
+    def nested(self, y: Unknown) -> Unknown:
+        """Improve the cheap unknowns at `y`; the energy must not rise."""
+
+
 class AbstractDenseProblem(AbstractProblem[Unknown]):
     """A problem small enough for all rows of its Jacobian at once."""
 

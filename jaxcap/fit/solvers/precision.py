@@ -1,0 +1,32 @@
+"""Computations in float64, whatever the precision of the program around them."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+Result = TypeVar("Result")
+
+
+def in_double(function: Callable[..., Result], *arguments: Any) -> Result:
+    """Call a function with all numbers of its arguments in float64, and bring what it returns back to the precision of these
+    arguments: what many frames tell of unknowns that they share is a difference of large numbers.
+
+    Under `jit` and its kin as well as outside of them, and whether or not the program has `jax_enable_x64`.
+    """
+    arrays = [leaf for leaf in jax.tree.leaves(arguments) if eqx.is_inexact_array(leaf)]
+    dtype = jnp.result_type(*arrays) if arrays else jnp.result_type(float)
+    small = not jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+    with jax.enable_x64(True):
+        found = function(*jax.tree.map(lambda leaf: _cast(leaf, jnp.float64), arguments))
+        return jax.tree.map(lambda leaf: _cast(leaf, dtype, small), found)
+
+
+def _cast(leaf: Any, dtype: Any, small: bool = False) -> Any:
+    if eqx.is_inexact_array(leaf):
+        return jnp.asarray(leaf, dtype)
+    if small and eqx.is_array(leaf) and leaf.dtype == jnp.int64:
+        return leaf.astype(jnp.int32)
+    return leaf
