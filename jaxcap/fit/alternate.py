@@ -1,7 +1,7 @@
 """Outer rounds: a problem that is made anew where the last one led, such as with new pairs or weights."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -55,6 +55,22 @@ def alternate(
         y, damping = _improve(problem, y, solver, steps, damping)
     assert best is not None
     return best._replace(history=tuple(history))
+
+
+def anneal(
+    remake: Callable[[Any, Any], AbstractProblem],
+    start: Any,
+    solver: LevenbergMarquardt,
+    stages: Iterable[Any],
+    *,
+    steps: int = 1,
+) -> Any:
+    """Make a problem `remake(y, stage)` for each stage, such as each of falling scales of robust weights, and take `steps` on it
+    from where the last stage ended. What different problems are worth is not compared: the last place is the answer."""
+    y, damping = start, jnp.asarray(solver.damping, float)
+    for stage in stages:
+        y, damping = _improve(remake(y, stage), y, solver, steps, damping)
+    return y
 
 
 @eqx.filter_jit
