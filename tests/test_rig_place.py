@@ -1,6 +1,7 @@
 """The human skeleton found again in people whose joints are known, and in a real capture."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,8 +13,17 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
 from jaxcap.rig.place import UPRIGHT, place_human
+from jaxcap.rig.problem import TemplateProblem
 from jaxcap.rig.rig import rig_mesh
-from jaxcap.rig.template import average_build, build_body, load_template
+from jaxcap.rig.template import (
+    Person,
+    average_build,
+    build_body,
+    load_template,
+    move,
+    pose_template,
+    prior_spreads,
+)
 
 ARMS = ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
 #: joints deep inside the trunk, which the surface shows least
@@ -118,3 +128,37 @@ def test_the_skeleton_stands_inside_a_real_performer(shared):
     # he looks along -x, so that his left is along +z
     assert joints["LeftToeBase"][0] < joints["LeftFoot"][0] - 0.05
     assert joints["LeftArm"][2] > joints["RightArm"][2] + 0.25
+
+
+def test_the_template_is_drawn_by_the_squares_of_its_pairs(rng):
+    template = load_template()
+    spreads = jnp.asarray(prior_spreads(template))
+    start = Person(average_build(template), rest_pose(template.body.skeleton))
+    size, count = 0.1, len(template.body.vertices)
+    places = np.asarray(pose_template(template, start).vertices)
+    # two pairs for every vertex, each with its own metric
+    roots, targets = rng.normal(size=(2, count, 3, 3)), places + 0.1 * rng.normal(size=(2, count, 3))
+    metrics = 1e-2 * roots @ roots.swapaxes(-1, -2)
+    gaps = targets - places
+    pulls = np.einsum("nvab,nvb->va", metrics, gaps)
+    worth = np.einsum("nva,nvab,nvb->", gaps, metrics, gaps)
+    arrays = (places, metrics.sum(0), pulls, worth, size)
+    problem = TemplateProblem(template, *(jnp.asarray(part) for part in arrays))
+
+    def plain(d):
+        person = move(template, start, spreads * d)
+        left = targets - np.asarray(pose_template(template, person).vertices)
+        # the root is free; all else is held about rest and the expected size
+        held = np.asarray(d).copy()
+        held[:6], dofs = 0.0, template.body.skeleton.num_dofs
+        held[dofs] -= size / spreads[dofs]
+        return 0.5 * (np.einsum("nva,nvab,nvb->", left, metrics, left) + held @ held)
+
+    info = jax.jit(lambda problem, start: problem.information(start))(problem, start)
+    for _ in range(3):
+        d = rng.normal(size=len(spreads))
+        d *= 1e-3 / np.linalg.norm(d)
+        there = move(template, start, spreads * d)
+        assert float(problem.value(there)) == pytest.approx(plain(d), rel=1e-12)
+        slope = (plain(d) - plain(-d)) / 2
+        assert float(info.grad @ d) == pytest.approx(slope, rel=1e-4)

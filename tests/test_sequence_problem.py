@@ -191,8 +191,8 @@ def test_what_does_not_go_together_is_a_sentence(scene):
             ),
             few,
         )
-    with pytest.raises(InputError, match="`solver` is a Dogleg; expected is an AbstractManifoldSolver"):
-        solve_sequence(problem, poses, optx.Dogleg(1e-3, 1e-3))
+    with pytest.raises(InputError, match="`solver` is a Newton; expected is"):
+        solve_sequence(problem, poses, optx.Newton(1e-3, 1e-3))
     with pytest.raises(InputError, match="differs from that of frame 0"):
         stack_energies(
             [RestPrior(jnp.ones((BODY.skeleton.num_joints, 3))), NearHeight(jnp.array([1]), jnp.asarray(0.0))]

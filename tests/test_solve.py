@@ -21,6 +21,7 @@ from jaxcap.energy.prior import PosePrior, RestPrior
 from jaxcap.energy.term import Sum
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solve import solve
+from jaxcap.fit.solvers.descent import dense_information
 from jaxcap.fit.solvers.gauss_newton import GaussNewton, damped_step
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.solvers.minimise import minimise
@@ -69,6 +70,9 @@ class Linear(AbstractDenseProblem[Array]):
 
     def linearise(self, y):
         return self.residual(y), self.matrix
+
+    def information(self, y):
+        return dense_information(*self.linearise(y), self.units)
 
     def retract(self, y, d):
         return y + d

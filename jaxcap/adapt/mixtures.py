@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry.linear import factor_symmetric
+
 #: least standard deviation of a component in any direction, radians: captured joints are not known better
 FLOOR = np.radians(2.0)
 #: rounds of EM at most, and the mean gain of log-likelihood that ends them
@@ -71,7 +73,7 @@ def fit_mixture(
 
 def log_joint(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N K"]:
     """Logarithm of weight times density of each component at each sample."""
-    factors = np.linalg.cholesky(mixture.precisions)
+    factors = factor_symmetric(mixture.precisions)
     offsets = (samples[None] - mixture.means[:, None]) @ factors
     scales = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(1) - 0.5 * samples.shape[1] * np.log(
         2 * np.pi

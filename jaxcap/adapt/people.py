@@ -14,6 +14,7 @@ from ..body.reduce import Attachment, attach, follow
 from ..body.shape_modes import Modes, moved
 from ..body.variety import human_resolution, people_of_many_shapes
 from ..geometry.closest import nearest_on_surface
+from ..geometry.linear import solve_symmetric
 
 #: ways in which people differ that are told apart, where there are bodies enough
 COUNT = 30
@@ -145,7 +146,7 @@ def _traits(modes, shifts, standing: Float[Array, "K"], trust: float) -> Float[A
     weight = 1.0 / (trust**2 * shifts.size / 3)
     known = np.asarray(standing, float)
     matrix = weight * modes @ modes.T + np.eye(len(modes)) * 1e-3
-    traits = np.linalg.solve(matrix, weight * modes @ shifts - 1e-3 * known)
+    traits = solve_symmetric(matrix, weight * modes @ shifts - 1e-3 * known)
     return jnp.asarray(traits, standing.dtype)
 
 

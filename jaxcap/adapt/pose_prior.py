@@ -14,6 +14,7 @@ from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
 from ..body.pose import Motion, Pose, own_vectors
 from ..body.pose_boxes import PoseBoxes, make_pose_boxes, turning_joints
 from ..body.skeleton import Skeleton
+from ..geometry.linear import factor_symmetric
 from .choose import Chosen, choose_mixture
 from .mixtures import FLOOR
 
@@ -76,7 +77,7 @@ def pair_prior_of(skeleton: Skeleton, learned: Sequence[LearnedPair]) -> PairPri
     for row, (pair, chosen) in enumerate(learned):
         count = len(chosen.mixture.weights)
         weights[row, :count], means[row, :count] = chosen.mixture.weights, chosen.mixture.means
-        factors[row, :count] = np.linalg.cholesky(chosen.mixture.precisions)
+        factors[row, :count] = factor_symmetric(chosen.mixture.precisions)
         frames[row] = [skeleton.orientations[skeleton.index(name)] for name in pair]
     return make_pair_prior(tuple(one.pair for one in learned), frames, weights, means, factors)
 

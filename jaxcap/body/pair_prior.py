@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.optimize import minimize
 
 from ..arguments import check_fields, checked
 from ..geometry import rotation
@@ -20,8 +21,6 @@ from .skeleton import Skeleton
 
 #: a joint whose own frame is turned by more than this, radians, is at rest in another pose
 TURNED = np.radians(35.0)
-#: steps up to a mixture's highest place
-ASCENT = 200
 
 
 class PairPrior(eqx.Module):
@@ -177,50 +176,34 @@ def make_pair_prior(
 def mixture_peak(
     weights: Float[np.ndarray, "K"], means: Float[np.ndarray, "K D"], factors: Float[np.ndarray, "K D D"]
 ) -> tuple[Float[np.ndarray, "D"], float, Float[np.ndarray, "D D"]]:
-    """The highest place of a mixture, its log-density there, and `B` with `-B B^T` its curvature.
-
-    Up from every mean by the fixed point of the zero gradient (each step is one of EM for the place,
-    so it never falls), and the last digits by Newton's method.
-    """
+    """Find the highest place of a mixture, its log-density there, and `B` with `-B B^T` its curvature: up from every mean
+    by Newton's method in a trust region."""
     precisions = factors @ np.swapaxes(factors, 1, 2)
     log_scales = (
         np.log(weights) + np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(1) - means.shape[1] / 2 * np.log(2 * np.pi)
     )  # fmt: skip
 
-    def terms(x):
-        """(S,) log-densities and (S, K) shares of the components at places `x (S, D)`."""
-        offsets = np.einsum("kji,skj->ski", factors, x[:, None] - means)
-        joint = log_scales - 0.5 * (offsets**2).sum(-1)
-        total = np.logaddexp.reduce(joint, axis=1)
-        return total, np.exp(joint - total[:, None])
+    def depth(x):
+        """Minus the log-density, and its slope."""
+        joint = log_scales - 0.5 * (np.einsum("kji,kj->ki", factors, x - means) ** 2).sum(-1)
+        total = np.logaddexp.reduce(joint)
+        slopes = np.einsum("kij,kj->ki", precisions, x - means)
+        return -total, np.exp(joint - total) @ slopes
 
-    x = means.copy()
-    for _ in range(ASCENT):
-        shares = terms(x)[1]
-        matrix = np.einsum("sk,kij->sij", shares, precisions)
-        vector = np.einsum("sk,kij,kj->si", shares, precisions, means)
-        moved = np.linalg.solve(matrix, vector[..., None])[..., 0]
-        done = np.abs(moved - x).max() < 1e-13
-        x = moved
-        if done:
-            break
-    mode = x[[np.argmax(terms(x)[0])]]
-    for _ in range(10):
-        height, shares = terms(mode)
-        bend, slope = _curvature(mode[0], shares[0], means, precisions)
-        step = mode + np.linalg.solve(bend, slope)
-        if not terms(step)[0] > height:
-            break
-        mode = step
-    height, shares = terms(mode)
-    values, vectors = np.linalg.eigh(_curvature(mode[0], shares[0], means, precisions)[0])
+    def bend(x):
+        """Minus the second derivative of the log-density."""
+        joint = log_scales - 0.5 * (np.einsum("kji,kj->ki", factors, x - means) ** 2).sum(-1)
+        shares = np.exp(joint - np.logaddexp.reduce(joint))
+        slopes = np.einsum("kij,kj->ki", precisions, x - means)
+        slope = shares @ slopes
+        spread = np.einsum("k,ki,kj->ij", shares, slopes, slopes) - np.outer(slope, slope)
+        return np.einsum("k,kij->ij", shares, precisions) - spread
+
+    found = [
+        minimize(depth, mean, jac=True, hess=bend, method="trust-exact", options={"gtol": 1e-10})
+        for mean in means
+    ]
+    lowest = min(found, key=lambda one: one.fun)
+    values, vectors = np.linalg.eigh(bend(lowest.x))
     # a saddle of two peaks about to part is flat in one direction
-    return mode[0], float(height[0]), vectors * np.sqrt(np.maximum(values, 1e-9 * values.max()))
-
-
-def _curvature(x, shares, means, precisions):
-    """Minus the second, and the first derivative of the log-density."""
-    slopes = np.einsum("kij,kj->ki", precisions, means - x)
-    slope = shares @ slopes
-    spread = np.einsum("k,ki,kj->ij", shares, slopes, slopes) - np.outer(slope, slope)
-    return np.einsum("k,kij->ij", shares, precisions) - spread, slope
+    return lowest.x, -float(lowest.fun), vectors * np.sqrt(np.maximum(values, 1e-9 * values.max()))

@@ -117,27 +117,23 @@ def attach(
     surface = trimesh.Trimesh(vertices, faces, process=False)
     _, _, nearest = trimesh.proximity.closest_point(surface, points)
     corners = faces[nearest]
-    origin, first, second, normal = _frames(vertices, corners)
-    # least squares in the triangle's own, oblique frame
-    frame = np.stack([first, second, normal], axis=2)
-    local = np.linalg.solve(frame, (points - origin)[:, :, None])[:, :, 0]
-    shares = np.stack([1 - local[:, 0] - local[:, 1], local[:, 0], local[:, 1]], axis=1)
-    return Attachment(corners, shares, local[:, 2])
+    origin, normal = _frames(vertices, corners)
+    shares = trimesh.triangles.points_to_barycentric(vertices[corners], points, "cross")
+    return Attachment(corners, shares, np.sum((points - origin) * normal, axis=1))
 
 
 def follow(attachment: Attachment, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "N 3"]:
     """Where attached points lie on another shape of the surface."""
-    normal = _frames(vertices, attachment.corners)[3]
+    _, normal = _frames(vertices, attachment.corners)
     foot = np.einsum("nc,nca->na", attachment.shares, vertices[attachment.corners])
     return foot + attachment.heights[:, None] * normal
 
 
 def _frames(vertices: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Origin, two sides and unit normal (each (N, 3)) of triangles."""
+    """Compute origin and unit normal (each (N, 3)) of triangles."""
     origin, second, third = np.moveaxis(vertices[corners], 1, 0)
-    first, second = second - origin, third - origin
-    normal = np.cross(first, second)
-    return origin, first, second, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = np.cross(second - origin, third - origin)
+    return origin, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def _is_closed(faces: np.ndarray) -> bool:

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
+import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from .skeleton import Skeleton
@@ -70,11 +72,26 @@ def bones_of(skeleton: Skeleton, pairs: Pairs) -> Int[np.ndarray, "B 2"]:
 
 
 def symmetrise(skeleton: Skeleton, pairs: Pairs, steps: int = 20) -> Skeleton:
-    """The skeleton with paired bones equally long, by the smallest shifts of its centres."""
+    """Make paired bones equally long, by the smallest shifts of the skeleton's centres."""
     if len(bones_of(skeleton, pairs)) == 0:
         return skeleton
-    for _ in range(steps):
-        differences, slopes = length_differences(skeleton, pairs)
-        shift = -jnp.linalg.lstsq(slopes.reshape(len(differences), -1), differences)[0]
-        skeleton = eqx.tree_at(lambda s: s.centres, skeleton, skeleton.centres + shift.reshape(-1, 3))
-    return skeleton
+    bones = tuple((int(left), int(right)) for left, right in bones_of(skeleton, pairs))
+    return _with_centres(skeleton, _evened(skeleton, bones, steps))
+
+
+@eqx.filter_jit
+def _evened(skeleton: Skeleton, bones: tuple[tuple[int, int], ...], steps: int) -> Float[Array, "J 3"]:
+    eps = float(jnp.finfo(skeleton.centres.dtype).eps)
+    # of all solutions of fewer rows than unknowns the SVD gives the shortest
+    solver = optx.GaussNewton(rtol=eps, atol=eps, linear_solver=lx.SVD())
+
+    def differences(centres: Float[Array, "J 3"], skeleton: Skeleton) -> Float[Array, "B"]:
+        return length_differences(_with_centres(skeleton, centres), bones)[0]
+
+    return optx.least_squares(
+        differences, solver, skeleton.centres, args=skeleton, max_steps=steps, throw=False
+    ).value
+
+
+def _with_centres(skeleton: Skeleton, centres: Float[Array, "J 3"]) -> Skeleton:
+    return eqx.tree_at(lambda s: s.centres, skeleton, centres)

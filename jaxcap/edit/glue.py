@@ -41,6 +41,8 @@ def glue_scan(
 
     **Raises:** `ValueError` where there are no faces or no points, a number is not finite, or a point is beyond reach.
     """
+    import trimesh
+
     points, vertices, faces = np.asarray(points, float), np.asarray(vertices, float), np.asarray(faces)
     if len(faces) == 0:
         raise ValueError("The body has no faces; a scan is glued to a surface.")
@@ -61,13 +63,11 @@ def glue_scan(
         )
     corners = faces[nearest.triangles]
     origin, first, second = np.moveaxis(vertices[corners], 1, 0)
-    first, second, apart = first - origin, second - origin, points - origin
-    normal = np.cross(first, second)
+    normal = np.cross(first - origin, second - origin)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # the foot in the triangle's own, oblique frame
-    local = np.linalg.solve(np.stack([first, second, normal], 2), apart[..., None])[..., 0]
-    shares = np.stack([1.0 - local[:, 0] - local[:, 1], local[:, 0], local[:, 1]], 1)
-    return Glue(jnp.asarray(corners), jnp.asarray(shares), jnp.asarray(local[:, 2]))
+    shares = trimesh.triangles.points_to_barycentric(vertices[corners], points, "cross")
+    heights = np.sum((points - origin) * normal, 1)
+    return Glue(jnp.asarray(corners), jnp.asarray(shares), jnp.asarray(heights))
 
 
 @jax.jit

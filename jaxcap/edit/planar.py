@@ -36,7 +36,9 @@ def align(here: Float[np.ndarray, "N 3"], there: Float[np.ndarray, "N 3"]) -> Pl
 
 def power(planar: Planar, share: float) -> Planar:
     """A `share` of a planar motion, along the arc that leads from none to the whole of it; -1 undoes it."""
-    u = np.linalg.solve(_arc(planar.heading), planar.shift)
+    arc = _arc(planar.heading)
+    # a turn times a length, so that its inverse is the transpose over the square of that
+    u = arc.T @ planar.shift / np.sum(arc[0] ** 2)
     heading = share * planar.heading
     return Planar(heading, _arc(heading) @ (share * u))
 

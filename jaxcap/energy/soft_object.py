@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from ..arguments import check_fields, checked
 from ..body.body import Body, Posed
+from ..geometry.linear import inverse_symmetric
 from .term import AbstractEnergy, root
 
 #: within this share of an ellipsoid's size around its centre the cone of distances is rounded off
@@ -170,7 +171,7 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
     shortest = np.sqrt(3 * np.linalg.eigvalsh(covariances)[:, 0])
     stiffness = 1.0 / (0.6 * np.median(shortest) if blend is None else blend)
     # the surface of an ellipsoid has a third of its semi-axes squared for a covariance
-    precisions = np.linalg.inv(3 * covariances)
+    precisions = inverse_symmetric(3 * covariances)
     precisions = _settled(vertices, areas, slices, centres, precisions, stiffness)
     dtype = body.vertices.dtype
     return SoftObject(

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -56,7 +56,8 @@ def alternate(
             worse += 1
         if number == rounds or worse > uphill or not math.isfinite(value):
             break
-        y, damping = _improve(problem, y, solver, steps, damping)
+        found = _improve(problem, y, solver, steps, damping)
+        y, damping = found.y, found.damping
     assert best is not None
     return best._replace(history=tuple(history))
 
@@ -93,7 +94,7 @@ def renew(
     y, history, settled = start, [], False
     for number in range(1, rounds + 1):
         this = eqx.tree_at(lambda s: s.rtol, solver, jnp.asarray(tolerance(number), float))
-        found = _minimise(problem, y, this, steps)
+        found = _improve(problem, y, this, steps, jnp.asarray(solver.damping, float))
         if not history:
             history.append(float(2.0 * _value(problem, y)))
         passed = np.asarray(found.history)
@@ -107,9 +108,21 @@ def renew(
     return Renewal(y, problem, tuple(history), settled)
 
 
-@eqx.filter_jit
-def _minimise(problem: AbstractProblem, y: Any, solver: LevenbergMarquardt, steps: int):
-    return minimise(problem, y, solver, steps)
+def anneal(
+    remake: Callable[[Any, Any], AbstractProblem],
+    start: Any,
+    solver: LevenbergMarquardt,
+    stages: Iterable[Any],
+    *,
+    steps: int = 1,
+) -> Any:
+    """Make a problem `remake(y, stage)` for each stage, such as each of falling scales of robust weights, and take `steps` on it
+    from where the last stage ended. What different problems are worth is not compared: the last place is the answer."""
+    y, damping = start, jnp.asarray(solver.damping, float)
+    for stage in stages:
+        found = _improve(remake(y, stage), y, solver, steps, damping)
+        y, damping = found.y, found.damping
+    return y
 
 
 @eqx.filter_jit
@@ -121,5 +134,4 @@ def _value(problem: AbstractProblem, y: Any) -> Float[Array, ""]:
 def _improve(
     problem: AbstractProblem, y: Any, solver: LevenbergMarquardt, steps: int, damping: Float[Array, ""]
 ):
-    found = minimise(problem, y, solver, steps, damping)
-    return found.y, found.damping
+    return minimise(problem, y, solver, steps, damping)

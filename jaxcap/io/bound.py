@@ -14,6 +14,7 @@ from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import LinearSkin
 from ..errors import InputError
+from ..geometry.linear import inverse
 from .surface import Surface
 from .text import LARGEST, check_rate
 
@@ -133,7 +134,7 @@ def inverted(path: Path, matrices: Float[np.ndarray, "*any 4 4"]) -> Float[np.nd
         raise InputError(
             f"{path}: the transform of a joint cannot be inverted, as it makes everything flat; export the skin again."
         )
-    return np.linalg.inv(matrices)
+    return inverse(matrices)
 
 
 def _check_places(path: Path, places: Float[np.ndarray, "*any 3"], what: str) -> None:

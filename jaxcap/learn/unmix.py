@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry.linear import solve_symmetric
 from ..geometry.procrustes import Moments, group_moments, rigid_motions
 from .mixing import Mixed, Motions, carried_sums, make_motions, mix_parts, with_one
 from .scene import Scene
@@ -55,7 +56,7 @@ def _rest_vertices(scene: Scene, labels: np.ndarray, motions: Motions, mixed: Mi
     # opposite turns can leave a direction open, in which the vertex stays
     ridge = 1e-6 * frames * np.eye(3)
     right = carried[:, :3] - both[:, :3, 3] + 1e-6 * frames * scene.rest
-    return np.linalg.solve(both[:, :3, :3] + ridge, right[..., None])[..., 0]
+    return solve_symmetric(both[:, :3, :3] + ridge, right)
 
 
 def _bone_motions(

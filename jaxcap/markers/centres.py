@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from ..geometry.linear import inverse_symmetric, solve_symmetric
 from .common import Centre
 from .gamage import gamage_centre
 from .hinge import Hinge, find_hinge
@@ -97,11 +98,11 @@ def _without_noise(centre: Centre, relative: Relative) -> Centre:
     # noise itself is known to a factor only: what is below three times it is not a turn
     shares = np.clip(1 - 3 * false / np.maximum(values, 1e-300), 0.0, 1.0)
     shares = np.where(false > 0, shares, 1.0)
-    known = np.linalg.inv(centre.covariance + 1e-16 * np.eye(3))
+    known = inverse_symmetric(centre.covariance + 1e-16 * np.eye(3))
     root = vectors @ np.diag(np.sqrt(shares)) @ vectors.T
     left = root @ known @ root
     prior = np.eye(3) / relative.spread**2
-    shift = np.linalg.solve(left + prior, prior @ (relative.middle - centre.in_parent))
+    shift = solve_symmetric(left + prior, prior @ (relative.middle - centre.in_parent))
     if np.linalg.norm(shift) < 1e-9:
         shift = np.zeros(3)
     in_parent = centre.in_parent + shift
@@ -112,7 +113,7 @@ def _without_noise(centre: Centre, relative: Relative) -> Centre:
     if in_child is not None and relative.rotations is not None and relative.translations is not None:
         carried = np.einsum("fba,fb->fa", relative.rotations, in_parent - relative.translations)
         in_child = np.median(carried, axis=0) if shift.any() else in_child
-    return Centre(in_parent, in_child, np.linalg.inv(left + prior))
+    return Centre(in_parent, in_child, inverse_symmetric(left + prior))
 
 
 def _trimmed(squares: np.ndarray) -> float:

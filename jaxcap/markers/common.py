@@ -1,9 +1,12 @@
 """What methods that find centres share: the result, robust weights, and the weak prior."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
+
+State = TypeVar("State", bound=tuple)
 
 #: rounds of reweighting
 ROUNDS = 12
@@ -20,6 +23,19 @@ class Centre(NamedTuple):
     in_child: Float[np.ndarray, "3"] | None
     #: of `in_parent`, metres squared; holds the prior along what the data do not tell
     covariance: Float[np.ndarray, "3 3"]
+
+
+def settle(
+    step: Callable[[State], State], start: State, rounds: int, tolerance: float, least: int = 1
+) -> State:
+    """Repeat a `step` of reweighted least squares until what is looked for, the first entry of the state, moves by less
+    than a tolerance: after `least` rounds or more, and `rounds` at most."""
+    state = start
+    for turn in range(rounds):
+        old, state = state, step(state)
+        if turn >= least and np.abs(state[0] - old[0]).max() < tolerance:
+            break
+    return state
 
 
 def robust_weights(distances: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:

@@ -1,11 +1,24 @@
 """The closed-form centre of concentric spheres (Gamage and Lasenby 2002), without its bias (Halvorsen 2003)."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .common import LEAST, ROUNDS, Centre, prior_weight, robust_weights
+from ..geometry.linear import inverse_symmetric, solve_symmetric
+from .common import LEAST, ROUNDS, Centre, prior_weight, robust_weights, settle
 from .precision import independent_share
 from .relative import Relative
+
+
+class _Fit(NamedTuple):
+    """A centre and its covariance, and what the next round weighs places and the prior by, and takes off as noise."""
+
+    found: np.ndarray
+    covariance: np.ndarray
+    weights: np.ndarray
+    noise: float
+    held: float
 
 
 def gamage_centre(relative: Relative, robust: bool = True, unbiased: bool = True) -> Centre:
@@ -44,10 +57,9 @@ def concentric(
     """The common centre and its covariance, from trajectories of N markers."""
     v = np.where(tracked[..., None], tracks - middle, 0.0)
     squares = np.sum(v * v, -1)
-    weights = tracked * marker_weights
-    noise, c, held = 0.0, np.zeros(3), 0.0
-    off, share, matrix = np.zeros(tracked.shape), 1.0, np.eye(3)
-    for turn in range(3 * ROUNDS):
+
+    def step(fit: _Fit) -> _Fit:
+        weights, noise = fit.weights, fit.noise
         mass = np.maximum(weights.sum(0), 1e-300)
         mean = np.einsum("fn,fna->na", weights, v) / mass[:, None]
         centred = np.where(tracked[..., None], v - mean, 0.0)
@@ -57,30 +69,26 @@ def concentric(
             # half of Halvorsen's terms, as the whole equation is halved
             matrix = matrix - noise * weights.sum() * np.eye(3)
             side = side - noise * np.einsum("fn,na->a", weights, mean)
-        least = np.linalg.eigvalsh(matrix)[0]
         # with hardly any turn all the spread may be noise: the prior then decides
-        lift = max(0.0, -least) + LEAST * np.trace(matrix)
-        old = c
-        c = np.linalg.solve(matrix + (held + lift) * np.eye(3), side)
+        lift = max(0.0, -np.linalg.eigvalsh(matrix)[0]) + LEAST * np.trace(matrix)
+        c = solve_symmetric(matrix + (fit.held + lift) * np.eye(3), side)
         distances = np.linalg.norm(v - c, axis=-1)
         radius = np.einsum("fn,fn->n", weights, distances) / mass
         off = np.where(tracked, distances - radius, 0.0)
         if robust:
             away = np.abs(off)
-            scale = np.median(away[tracked])
-            weights = (
-                tracked
-                * marker_weights
-                * robust_weights(np.where(tracked, away, scale).ravel()).reshape(off.shape)
-            )
-        noise = float((weights * off**2).sum() / weights.sum())
-        share = independent_share(off)
-        information = float(np.trace(matrix)) / 3
+            some = np.where(tracked, away, np.median(away[tracked]))
+            weights = tracked * marker_weights * robust_weights(some.ravel()).reshape(off.shape)
+        noise, share = float((weights * off**2).sum() / weights.sum()), independent_share(off)
         # per unit of the radius, as the rows are radii times distances
-        held = prior_weight(abs(information), noise * float((radius**2).mean()), share, spread)
-        if turn > 3 and np.abs(c - old).max() < 1e-10:
-            break
-    # a row of the equation is radius times the deviation of the distance
-    mean_square = float((weights.sum(0) @ radius**2) / weights.sum())
-    covariance = noise * mean_square / share * np.linalg.inv(matrix + (held + lift) * np.eye(3))
-    return middle + c, covariance
+        held = prior_weight(
+            abs(float(np.trace(matrix)) / 3), noise * float((radius**2).mean()), share, spread
+        )
+        # a row of the equation is radius times the deviation of the distance
+        mean_square = float((weights.sum(0) @ radius**2) / weights.sum())
+        covariance = noise * mean_square / share * inverse_symmetric(matrix + (held + lift) * np.eye(3))
+        return _Fit(c, covariance, weights, noise, held)
+
+    start = _Fit(np.zeros(3), np.eye(3), tracked * marker_weights, 0.0, 0.0)
+    fit = settle(step, start, 3 * ROUNDS, 1e-10, least=4)
+    return middle + fit.found, fit.covariance

@@ -1,10 +1,12 @@
 """Lengths of bones from places of joints: the mean, least squares, and global least squares."""
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..geometry.linear import inverse_symmetric, solve_symmetric
+from .common import settle
 from .tree import Tree
 
 LengthMethod = Literal["mean", "least_squares", "global"]
@@ -12,6 +14,13 @@ LengthMethod = Literal["mean", "least_squares", "global"]
 ROUNDS = 40
 #: variance of a joint that is not known in a frame, against the others', times
 UNKNOWN = 1e6
+
+
+class _Fit(NamedTuple):
+    """Lengths by group, and joints of a skeleton with fixed lengths."""
+
+    lengths: np.ndarray
+    joints: np.ndarray
 
 
 def joint_places(tree: Tree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarray, "F K"]]:
@@ -87,29 +96,28 @@ def bone_lengths(
     places, known, both = places[seen], known[seen], both[seen]
     variances = np.ones(places.shape[1]) if deviations is None else np.asarray(deviations, float) ** 2
     spans = np.where(known, variances, UNKNOWN * variances.max())
-    x, lengths = places.copy(), np.where(np.isnan(mean), 0.1, mean)
-    for _ in range(ROUNDS):
-        along = x[:, b] - x[:, a]
+    number = np.arange(len(between))
+
+    def step(fit: _Fit) -> _Fit:
+        along = fit.joints[:, b] - fit.joints[:, a]
         units = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
-        rows = np.zeros((len(x), len(between), places.shape[1], 3))
-        number = np.arange(len(between))
+        rows = np.zeros((len(places), len(between), places.shape[1], 3))
         rows[:, number, b] += units
         rows[:, number, a] -= units
         # distances of the data along the directions, and how they vary together
         measured = np.einsum("fbkd,fkd->fb", rows, places)
         weighted = rows * spans[:, None, :, None]
-        inverse = np.linalg.inv(
-            np.einsum("fbkd,fckd->fbc", weighted, rows) + 1e-12 * spans.max() * np.eye(len(b))
-        )
+        shared = np.einsum("fbkd,fckd->fbc", weighted, rows)
+        inverse = inverse_symmetric(shared + 1e-12 * spans.max() * np.eye(len(b)))
         total = spread.T @ inverse.sum(0) @ spread
         side = spread.T @ np.einsum("fbc,fc->b", inverse, measured)
-        new = lengths.copy()
-        new[usable] = np.linalg.solve(total[np.ix_(usable, usable)], side[usable])
+        new = fit.lengths.copy()
+        new[usable] = solve_symmetric(total[np.ix_(usable, usable)], side[usable])
         multipliers = np.einsum("fbc,fc->fb", inverse, measured - new[group])
-        x = places - np.einsum("fb,fbkd->fkd", multipliers, weighted)
-        change, lengths = np.abs(new - lengths).max(), new
-        if change < 1e-9:
-            break
+        return _Fit(new, places - np.einsum("fb,fbkd->fkd", multipliers, weighted))
+
+    start = _Fit(np.where(np.isnan(mean), 0.1, mean), places)
+    lengths = settle(step, start, ROUNDS, 1e-9, least=0).lengths
     return np.where(counts[group] > 0, lengths[group], np.nan)
 
 

@@ -1,10 +1,23 @@
 """SCoRE, the symmetrical centre of rotation estimation (Ehrig, Taylor, Duda, Heller 2006)."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from .common import ROUNDS, Centre, prior_weight, robust_weights
+from ..geometry.linear import inverse_symmetric, solve_symmetric
+from .common import ROUNDS, Centre, prior_weight, robust_weights, settle
 from .precision import independent_share
 from .relative import Relative
+
+
+class _Fit(NamedTuple):
+    """Both places of a centre, and what the next round weighs frames and the prior by."""
+
+    found: np.ndarray
+    weights: np.ndarray
+    variance: float
+    share: float
+    held: float
 
 
 def score_centre(relative: Relative, robust: bool = True) -> Centre:
@@ -23,31 +36,27 @@ def score_centre(relative: Relative, robust: bool = True) -> Centre:
     count = len(r)
     middle_child = np.median(np.einsum("fba,fb->fa", r, relative.middle - t), axis=0)
     prior = np.concatenate([relative.middle, middle_child])
-    weights = np.ones(count)
-    held = prior_weight(float(count), 0.0, 1.0, relative.spread)
-    found, variance, share = prior, 0.0, 1.0
-    for turn in range(ROUNDS):
-        # work about the prior, so that rounding and the hold are small
-        aside = np.einsum("fab,b->fa", r, prior[3:]) + t - prior[:3]
-        matrix = _normal(r, weights)
+    # work about the prior, so that rounding and the hold are small
+    aside = np.einsum("fab,b->fa", r, prior[3:]) + t - prior[:3]
+
+    def step(fit: _Fit) -> _Fit:
+        weights = fit.weights
         side = np.concatenate([weights @ aside, -np.einsum("f,fba,fb->a", weights, r, aside)])
-        step = np.linalg.solve(matrix + held * np.eye(6), side)
-        new = prior + step
-        off = np.einsum("fab,b->fa", r, new[3:]) + t - new[:3]
+        found = prior + solve_symmetric(_normal(r, weights) + fit.held * np.eye(6), side)
+        off = np.einsum("fab,b->fa", r, found[3:]) + t - found[:3]
         distances = np.linalg.norm(off, axis=1)
-        change, found = np.abs(new - found).max(), new
-        if turn and change < 1e-9:
-            break
         if robust:
             weights = robust_weights(distances)
         variance = float(weights @ distances**2) / (3 * weights.sum())
         share = independent_share(off)
         held = prior_weight(float(weights.sum()), variance, share, relative.spread)
-    covariance = variance / share * np.linalg.inv(_normal(r, weights) + held * np.eye(6))
-    if variance == 0:
-        covariance = np.zeros((6, 6))
-    found = _unbiased(found, relative, weights)
-    return Centre(found[:3], found[3:], _widen(covariance[:3, :3], r, weights, relative.spread))
+        return _Fit(found, weights, variance, share, held)
+
+    held = prior_weight(float(count), 0.0, 1.0, relative.spread)
+    fit = settle(step, _Fit(prior, np.ones(count), 0.0, 1.0, held), ROUNDS, 1e-9)
+    covariance = fit.variance / fit.share * inverse_symmetric(_normal(r, fit.weights) + fit.held * np.eye(6))
+    found = _unbiased(fit.found, relative, fit.weights)
+    return Centre(found[:3], found[3:], _widen(covariance[:3, :3], r, fit.weights, relative.spread))
 
 
 def _unbiased(found: np.ndarray, relative: Relative, weights: np.ndarray) -> np.ndarray:

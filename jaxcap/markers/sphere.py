@@ -4,8 +4,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import least_squares
 
-from .common import ROUNDS, Centre, robust_weights
+from ..geometry import linear
+from .common import ROUNDS, Centre, robust_weights, settle
 from .precision import independent_share
 from .relative import Relative
 
@@ -15,6 +17,8 @@ BOXES = 6
 FLAT = 0.12
 #: no trajectory is trusted to be more exact than this, metres
 EXACT = 1e-5
+#: where a fit ends, relative: as near to the minimum as rounding allows
+EXACTLY = 1e-15
 
 
 class Ball(NamedTuple):
@@ -28,6 +32,16 @@ class Ball(NamedTuple):
     residual: float
     #: what the trajectory tells of the centre, one over metres squared
     information: Float[np.ndarray, "3 3"]
+
+
+class _Fit(NamedTuple):
+    """A sphere's centre and radius, and what the next round weighs places and the prior by."""
+
+    found: np.ndarray
+    weights: np.ndarray
+    variance: float
+    share: float
+    hold: float
 
 
 def density_weights(track: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F"]:
@@ -50,48 +64,43 @@ def fit_sphere(
     robust: bool = True,
 ) -> Ball:
     """The sphere with the least sum of `(|v - c| - r)^2`: geometric, so that it is not drawn to the data
-    as the algebraic fit is. Gauss-Newton with damping from `middle`, which with `spread` also is a weak
-    prior of the centre."""
-    c = middle.copy()
-    r = float(weights @ np.linalg.norm(track - c, axis=1) / weights.sum())
-    own, variance, share, damping = weights.copy(), spread**2, 1.0, 1e-6
-    hold = 0.0
+    as the algebraic fit is. Levenberg-Marquardt (MINPACK's) from `middle`, which with `spread` also is a weak
+    prior of the centre; places that fit badly and the prior are weighed anew until that settles."""
 
-    def cost(centre, radius):
-        off = np.linalg.norm(track - centre, axis=1) - radius
-        return float(own @ off**2) + hold * float(np.sum((centre - middle) ** 2)), off
+    def offsets(x):
+        return np.linalg.norm(track - x[:3], axis=1) - x[3]
 
-    rows, step = np.zeros((len(track), 4)), np.zeros(4)
-    for turn in range(8 * ROUNDS):
-        now, off = cost(c, r)
-        away = track - c
+    def slopes(x):
+        away = track - x[:3]
         units = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        rows = np.concatenate([-units, -np.ones((len(track), 1))], 1)
-        matrix = np.einsum("f,fa,fb->ab", own, rows, rows)
-        side = -np.einsum("f,fa,f->a", own, rows, off)
-        matrix[:3, :3] += hold * np.eye(3)
-        side[:3] -= hold * (c - middle)
-        while True:
-            step = np.linalg.solve(matrix + damping * np.trace(matrix) * np.eye(4), side)
-            if cost(c + step[:3], r + step[3])[0] <= now or damping > 1e6:
-                break
-            damping *= 10
-        c, r, damping = c + step[:3], r + step[3], max(0.1 * damping, 1e-12)
-        if turn % 6 == 5:
-            off = np.linalg.norm(track - c, axis=1) - r
-            if robust:
-                own = weights * robust_weights(np.abs(off))
-            variance = float(own @ off**2 / own.sum())
-            share = independent_share(off[:, None])
-            hold = max(variance / (share * spread**2), 1e-10 * own.sum())
-        if turn > 6 and np.linalg.norm(step) < 1e-11:
-            break
-    off = np.linalg.norm(track - c, axis=1) - r
-    variance = max(variance, EXACT**2)
-    matrix = np.einsum("f,fa,fb->ab", own, rows, rows)
+        return np.concatenate([-units, -np.ones((len(track), 1))], 1)
+
+    def step(fit: _Fit) -> _Fit:
+        root, held = np.sqrt(fit.weights), np.sqrt(fit.hold)
+        found = least_squares(
+            lambda x: np.append(root * offsets(x), held * (x[:3] - middle)),
+            fit.found,
+            lambda x: np.concatenate([root[:, None] * slopes(x), held * np.eye(3, 4)]),  # pyright: ignore[reportArgumentType]
+            method="lm",
+            xtol=EXACTLY,
+            ftol=EXACTLY,
+            gtol=EXACTLY,
+        ).x
+        off = offsets(found)
+        own = weights * robust_weights(np.abs(off)) if robust else weights
+        variance, share = float(own @ off**2 / own.sum()), independent_share(off[:, None])
+        hold = max(variance / (share * spread**2), 1e-10 * own.sum())
+        return _Fit(found, own, variance, share, hold)
+
+    radius = weights @ np.linalg.norm(track - middle, axis=1) / weights.sum()
+    fit = settle(step, _Fit(np.append(middle, radius), weights, spread**2, 1.0, 0.0), ROUNDS, 1e-9)
+    rows, off = slopes(fit.found), offsets(fit.found)
+    matrix = np.einsum("f,fa,fb->ab", fit.weights, rows, rows)
     # the radius is unknown, too
     normal = matrix[:3, :3] - np.outer(matrix[:3, 3], matrix[3, :3]) / matrix[3, 3]
-    return Ball(c, r, None, float(np.sqrt(weights @ off**2 / weights.sum())), share * normal / variance)
+    residual = float(np.sqrt(weights @ off**2 / weights.sum()))
+    information = fit.share * normal / max(fit.variance, EXACT**2)
+    return Ball(fit.found[:3], float(fit.found[3]), None, residual, information)
 
 
 def fit_circle(
@@ -106,7 +115,7 @@ def fit_circle(
     # an algebraic start: with short arcs the nearest centre may be on the wrong side
     rows = np.concatenate([2 * flat[:, :2], np.ones((len(flat), 1))], 1)
     root = np.sqrt(weights)
-    start = np.linalg.lstsq(rows * root[:, None], np.sum(flat**2, 1) * root, rcond=None)[0]
+    start = linear.least_squares(rows * root[:, None], np.sum(flat**2, 1) * root)
     start = np.array([*start[:2], 0.0])
     reach = np.linalg.norm(start)
     if reach > 4 * spread:
@@ -161,7 +170,7 @@ def combine(
     for ball, weight in zip(balls, weights, strict=True):
         total = total + weight * ball.information
         side = side + weight * ball.information @ ball.centre
-    return np.linalg.solve(total, side), total
+    return linear.solve_symmetric(total, side), total
 
 
 def sphere_centre(
@@ -171,14 +180,14 @@ def sphere_centre(
     frame is known, also of the parent's markers in the child's, all combined (Silaghi et al. 1998)."""
     centre, known = _one_side(relative, robust, by)
     if relative.rotations is None or relative.translations is None:
-        return Centre(centre, None, np.linalg.inv(known))
+        return Centre(centre, None, linear.inverse_symmetric(known))
     r, t = relative.rotations, relative.translations
     other, its = _one_side(relative.flipped(), robust, by)
     carried = np.median(np.einsum("fab,b->fa", r, other) + t, axis=0)
     its = np.mean(r @ its @ r.swapaxes(-1, -2), axis=0)
-    centre = centre + np.linalg.solve(known + its, its @ (carried - centre))
+    centre = centre + linear.solve_symmetric(known + its, its @ (carried - centre))
     back = np.einsum("fba,fb->fa", r, centre - t)
-    return Centre(centre, np.median(back, axis=0), np.linalg.inv(known + its))
+    return Centre(centre, np.median(back, axis=0), linear.inverse_symmetric(known + its))
 
 
 def _one_side(relative: Relative, robust: bool, by) -> tuple[np.ndarray, np.ndarray]:

@@ -3,10 +3,10 @@
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
-from scipy.sparse.linalg import splu
 
 from ..body.influences import strongest_weights
 from ..body.skeleton import Skeleton
+from ..geometry.linear import factor_sparse
 from .envelopes import bone_distances, default_tails
 
 #: bones that move one vertex, at most
@@ -116,5 +116,5 @@ def _equilibrium(
     laplacian: sparse.csc_matrix, conduction: Float[np.ndarray, "V"], sources: Float[np.ndarray, "V J"]
 ) -> Float[np.ndarray, "V J"]:
     """`w` with `(L + C) w = C s`, one sparse factorisation for all bones."""
-    system = splu(sparse.csc_matrix(laplacian + sparse.diags(conduction)))
+    system = factor_sparse(laplacian + sparse.diags(conduction))
     return system.solve(conduction[:, None] * sources)

@@ -65,7 +65,7 @@ def place_human(
             f"average, more than {1e3 * unit * POOR_FIT:.0f} mm; give the mesh of one person who stands upright "
             f"along {up}, with the arms off the body and the triangles facing outwards."
         )
-    posed = pose_template(template, found.build, found.pose)
+    posed = pose_template(template, found.person)
     return Body(
         _carry_skeleton(template, posed, unit, turn),
         LinearSkin(jnp.asarray(_carry_weights(template, posed, upright, faces), posed.vertices.dtype)),

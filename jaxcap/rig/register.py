@@ -1,6 +1,5 @@
-"""Registration of the template to a surface: closest points both ways, and Gauss-Newton."""
+"""Registration of the template to a surface: closest points both ways, found anew in every round."""
 
-import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -10,9 +9,12 @@ from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
 from ..body.body import Posed
 from ..body.pose import Pose, rest_pose
+from ..fit.alternate import anneal
+from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..geometry import rotation
 from .heat import face_vectors
-from .template import Build, Template, average_build, newton_step, pose_template
+from .problem import TemplateProblem
+from .template import Build, Person, Template, average_build, pose_template
 
 #: metres that count as much as one unit between normals, of which two are opposite
 NORMAL_SCALE = 0.1
@@ -32,6 +34,8 @@ FINE = tuple(np.geomspace(0.12, 0.06, 8))
 POLISH = tuple(np.geomspace(0.08, 0.03, 10)) + (0.03,) * 6
 #: starts that are refined
 FINALISTS = 2
+#: of the first step, by the prior's deviations
+DAMPING = 0.1
 #: metres; closest points are cut off here in the residual
 CUT = 0.1
 
@@ -46,10 +50,9 @@ class Surface(NamedTuple):
 
 
 class Registration(NamedTuple):
-    """A build and a pose of the template, and how well they fit."""
+    """A person of the template, and how well it fits."""
 
-    build: Build
-    pose: Pose
+    person: Person
     #: the logarithm of the size by the height of the surface, about which the prior holds the build's
     size: float
     #: the mean over both surfaces of the distance, metres, to the closest point with a like normal
@@ -114,7 +117,7 @@ def _start(template: Template, surface: Surface, heading: float) -> Registration
     place[1] = low[1] + size * (root[1] - rest[:, 1].min())
     shift = jnp.asarray(place - size * root, rest.dtype)
     pose = Pose(pose.translations.at[0].set(shift), pose.rotations.at[0].set(turn), pose.scale)
-    return Registration(build, pose, np.log(size), np.inf)
+    return Registration(Person(build, pose), np.log(size), np.inf)
 
 
 def _descend(
@@ -124,23 +127,26 @@ def _descend(
     start: Registration,
     scales: tuple[float, ...],
 ) -> Registration:
-    """One Gauss-Newton step with new closest points for each of the scales."""
+    """A step with new closest points for each of the scales."""
     areas = _vertex_areas(template)
-    build, pose, size, _ = start
-    for scale in scales:
-        posed = pose_template(template, build, pose)
-        matrices, pulls = _attraction(posed, areas, surface, search, scale)
-        to_jax = functools.partial(jnp.asarray, dtype=posed.vertices.dtype)
-        build, pose = newton_step(template, build, pose, to_jax(matrices), to_jax(pulls), to_jax(size))
-    posed = pose_template(template, build, pose)
-    return Registration(build, pose, size, _residual(posed, areas, surface, search))
+
+    def remake(person: Person, scale: float) -> TemplateProblem:
+        posed = pose_template(template, person)
+        parts = *_attraction(posed, areas, surface, search, scale), start.size
+        return TemplateProblem(
+            template, posed.vertices, *(jnp.asarray(part, posed.vertices.dtype) for part in parts)
+        )
+
+    person = anneal(remake, start.person, LevenbergMarquardt(damping=DAMPING), scales)
+    residual = _residual(pose_template(template, person), areas, surface, search)
+    return Registration(person, start.size, residual)
 
 
 def _attraction(
     posed: Posed, areas: np.ndarray, surface: Surface, search: cKDTree, scale: float
-) -> tuple[Float[np.ndarray, "V 3 3"], Float[np.ndarray, "V 3"]]:
-    """The quadratic energy of every vertex about where it is, `d' A d - 2 b' d`: its own closest
-    point on the surface, and the points of the surface to which it is the closest vertex."""
+) -> tuple[Float[np.ndarray, "V 3 3"], Float[np.ndarray, "V 3"], float]:
+    """The quadratic energy of every vertex about where it is, `d' A d - 2 b' d`, and what all are worth there: of its own
+    closest point on the surface, and the points of the surface to which it is the closest vertex."""
     vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
     _, nearest = closest(search, vertices, normals)
     _, owner = closest(search_tree(vertices, normals), surface.points, surface.normals)
@@ -155,8 +161,9 @@ def _attraction(
     local = weight[:, None, None] * (n[:, :, None] * n[:, None, :] + SLIDE * np.eye(3))
     matrices, pulls = np.zeros((len(vertices), 3, 3)), np.zeros((len(vertices), 3))
     np.add.at(matrices, source, local)
-    np.add.at(pulls, source, np.einsum("nab,nb->na", local, gap))
-    return matrices, pulls
+    pulled = np.einsum("nab,nb->na", local, gap)
+    np.add.at(pulls, source, pulled)
+    return matrices, pulls, float(np.sum(gap * pulled))
 
 
 def _residual(posed: Posed, areas: np.ndarray, surface: Surface, search: cKDTree) -> float:

@@ -4,10 +4,8 @@ import functools
 import re
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
@@ -34,8 +32,6 @@ STIFFNESS = (
 LENGTH_SPREAD, GIRTH_SPREAD, SIZE_SPREAD, BUILD_SPREAD = 0.06, 0.12, 0.1, 0.7
 #: metres and radians; damps the root, which the prior leaves free
 ROOT_SPREAD = 3.0
-#: radians (and metres): the largest number in one step
-LARGEST_STEP = 0.5
 
 
 class Template(eqx.Module):
@@ -61,6 +57,13 @@ class Build(eqx.Module):
     #: logarithms of the stretch along and across the bones of a group
     lengths: Float[Array, "G"]
     girths: Float[Array, "G"]
+
+
+class Person(eqx.Module):
+    """A build in a pose."""
+
+    build: Build
+    pose: Pose
 
 
 @functools.lru_cache(maxsize=1)
@@ -124,51 +127,26 @@ def build_body(template: Template, build: Build) -> Body:
     return Body(skeleton, skin, shaped, template.body.faces)
 
 
-def move(template: Template, build: Build, pose: Pose, step: Float[Array, "X"]) -> tuple[Build, Pose]:
-    """Another build and pose along a flat vector: tangent of the pose, size, builds, lengths, girths."""
+def move(template: Template, person: Person, step: Float[Array, "X"]) -> Person:
+    """Another person along a flat vector: tangent of the pose, size, builds, lengths, girths."""
     dofs, groups = template.body.skeleton.num_dofs, template.num_groups
     cuts = np.cumsum([dofs, 1, len(BUILDS), groups])
     d, size, builds, lengths, girths = jnp.split(step, cuts)
+    build = person.build
     build = Build(build.size + size[0], build.builds + builds, build.lengths + lengths, build.girths + girths)
-    return build, retract(template.body.skeleton, pose, d)
+    return Person(build, retract(template.body.skeleton, person.pose, d))
 
 
 @eqx.filter_jit
-def pose_template(template: Template, build: Build, pose: Pose) -> Posed:
-    """The template of some build in some pose."""
-    return pose_body(build_body(template, build), pose)
+def pose_template(template: Template, person: Person) -> Posed:
+    """The template of a person's build in the person's pose."""
+    return pose_body(build_body(template, person.build), person.pose)
 
 
-@eqx.filter_jit
-def newton_step(
-    template: Template,
-    build: Build,
-    pose: Pose,
-    matrices: Float[Array, "V 3 3"],
-    pulls: Float[Array, "V 3"],
-    size: Float[Array, ""],
-) -> tuple[Build, Pose]:
-    """One Gauss-Newton step of `sum_v x_v' A_v x_v - 2 b_v' x_v` plus the prior, where `x_v` is how
-    far vertex `v` goes from where it is; `size` is the middle of the prior on the size."""
-    count = template.body.skeleton.num_dofs + 1 + len(BUILDS) + 2 * template.num_groups
-
-    def vertices(step):
-        return pose_template(template, *move(template, build, pose, step)).vertices
-
-    jacobian = jax.jacfwd(vertices)(jnp.zeros(count, matrices.dtype)).reshape(-1, count)
-    pulled = jnp.einsum("vab,vbx->vax", matrices, jacobian.reshape(*pulls.shape, count)).reshape(-1, count)
-    precision = 1 / jnp.asarray(prior_spreads(template), matrices.dtype) ** 2
-    normal = jacobian.T @ pulled + jnp.diag(precision)
-    gradient = jacobian.T @ pulls.reshape(-1) - precision * _offset(template, build, pose, size)
-    step = cho_solve((jnp.linalg.cholesky(normal), True), gradient)
-    # no joint turns by more than this at once, where linearisation would no longer hold
-    return move(template, build, pose, step * jnp.minimum(1.0, LARGEST_STEP / jnp.max(jnp.abs(step))))
-
-
-def _offset(template: Template, build: Build, pose: Pose, size: Float[Array, ""]) -> Float[Array, "X"]:
-    """How far a build and a pose are from the prior's middle; the root, which is free, is not."""
-    skeleton = template.body.skeleton
-    d = difference(skeleton, rest_pose(skeleton), pose)
+def prior_offset(template: Template, person: Person, size: Float[Array, ""]) -> Float[Array, "X"]:
+    """Compute how far a person is from the prior's middle, whose size is `size`; the root, which is free, is not."""
+    skeleton, build = template.body.skeleton, person.build
+    d = difference(skeleton, rest_pose(skeleton), person.pose)
     d = jnp.where(dof_layout(skeleton).joints == 0, 0.0, d)
     return jnp.concatenate([d, (build.size - size)[None], build.builds, build.lengths, build.girths])
 

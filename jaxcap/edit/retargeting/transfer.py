@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from ...geometry.linear import factor_sparse, inverse
 from ...geometry.mesh import mesh_edges
 from ...geometry.procrustes import nearest_rotation
 
@@ -85,17 +86,14 @@ def make_transfer(
     matrix = incidence.T @ scipy.sparse.diags_array(weights) @ incidence
     # one vertex is held, as the surface may be anywhere
     matrix = matrix + scipy.sparse.csr_array(([1.0], ([0], [0])), shape=matrix.shape)
-    factor = scipy.sparse.linalg.splu(
-        matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
-    )
     return Transfer(
         faces,
-        np.linalg.inv(_frames(source, faces)),
+        inverse(_frames(source, faces)),
         sides,
         owners,
         target[sides[:, 0]] - target[sides[:, 1]],
         weights,
-        factor,
+        factor_sparse(matrix),
         count,
         _similarities(source, target, bridges),
     )

@@ -9,6 +9,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
 from .boxes import solve_boxed
+from .dense import Dense
 from .equalities import Equalities
 from .structured import AbstractStructured, damped
 
@@ -26,6 +27,15 @@ class ConstrainedInfo(optx.FunctionInfo.EvalGradHessian):
     """Value, gradient and structured Hessian with the constraints on a step."""
 
     constraints: Constraints | None = None
+
+
+def dense_information(
+    residual: Float[Array, "R"], jacobian: Float[Array, "R D"], scales: Float[Array, "D"]
+) -> ConstrainedInfo:
+    """Make the value, gradient and Hessian of Gauss-Newton of all rows, by scaled tangents."""
+    scaled = jacobian * scales
+    hessian = Dense(scaled.T @ scaled)
+    return ConstrainedInfo(0.5 * (residual @ residual), scaled.T @ residual, hessian)  # pyright: ignore[reportCallIssue]
 
 
 class NormalDescent(optx.AbstractDescent):
