@@ -30,9 +30,9 @@ from .turning import free_turning, turning_of
 _LOG = logging.getLogger(__name__)
 
 #: Marquardt's damping of the first step
-FIRST_DAMPING = 1e-3
+FIRST_DAMPING = 1e-6
 #: the share of the cost that the last step of a fit gains, before and after the first renewals
-ROUGH, TOLERANCE = 1e-2 / 3, 1e-4 / 3
+ROUGH, TOLERANCE = 1.5e-2, 5e-4
 #: steps of one fit at most
 STEPS = 40
 #: renewals after rough fits
@@ -54,27 +54,27 @@ class Fit(NamedTuple):
     converged: bool
 
 
-def adjust(problem: CalibrationProblem, subject: Subject, poses: Pose, *, skin: bool, steps: int) -> Fit:
+def adjust(problem: CalibrationProblem, subject: Subject, poses: Pose, *, skin: bool, steps: int, rough: bool) -> Fit:
     """Fit at fixed variances until little is left to gain, then renew these, until they stay; in double precision, as what
     frames tell of a subject is a difference of large numbers.
 
-    **Arguments:** `problem`, whose deviations and turning are to be found; `skin`: whether it may slide; `steps` at most.
+    **Arguments:** `problem`, whose deviations and turning are to be found; `skin`: whether it may slide; `steps` at most; `rough` ends
+    after the first renewals.
     """
-    return in_double(partial(_adjust, skin=skin, steps=steps), problem, subject, poses)
+    return in_double(partial(_adjust, skin=skin and not rough, steps=steps, rough=rough), problem, subject, poses)
 
 
-def _adjust(problem: CalibrationProblem, subject: Subject, poses: Pose, skin: bool, steps: int) -> Fit:
+def _adjust(problem: CalibrationProblem, subject: Subject, poses: Pose, skin: bool, steps: int, rough: bool) -> Fit:
     shared = shared_between(problem.template, subject, problem.joints)
     start = CalibrationEstimate(poses, shared, jnp.zeros((0, subject.num_markers, 3)))
     problem = _first_deviations(problem, start)
 
     def tolerance(number: int) -> float:
         # the first variances are those of the template's errors and only lead to better ones
-        return ROUGH if number <= ROUGHLY else TOLERANCE
+        return ROUGH if rough or number <= ROUGHLY else TOLERANCE
 
-    found = renew(
-        problem, start, partial(_renewed, skin=skin), tolerance, _SOLVER, rounds=steps, steps=STEPS, most=steps
-    )
+    rounds, renewed = ROUGHLY + 1 if rough else steps, partial(_renewed, skin=skin)
+    found = renew(problem, start, renewed, tolerance, _SOLVER, rounds=rounds, steps=STEPS, most=steps)
     return Fit(found.problem, found.y, found.history, found.settled)
 
 

@@ -30,8 +30,6 @@ _LOG = logging.getLogger(__name__)
 
 #: what a marker counts, of one, that no pose explains
 FAR = 0.05
-#: steps that are enough to find them
-ROUGHLY = 24
 #: metres that a marker slides to be told
 SLIDING = 0.005
 
@@ -91,6 +89,14 @@ def calibrate(
     **Raises:** `ValueError` where frames and template share no label, fewer than three markers are ever
     seen, or a name in `symmetry` is not a joint's.
     """
+    # threads of BLAS and those of XLA wait for each other, and matrices of frames are small
+    with threadpool_limits(1, "blas"):
+        return _calibrate(
+            frames, subject, motion, robust, skin, symmetry, count, trust, steps, tuple(terms)
+        )
+
+
+def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, terms) -> Calibration:
     matched = match_markers(subject, frames)
     used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
     if used.any(0).sum() < 3:
@@ -108,11 +114,8 @@ def calibrate(
         again = subject is template and not explained[used].all()
         _LOG.info("fitting %d frames together%s", len(chosen), ", roughly" if again else "")
         # to find exchanged labels a rough fit will do
-        effort = (False, min(steps, ROUGHLY)) if again else (skin, steps)
         problem = make_problem(template, places, seen, joints, pairs, trust, robust=robust, terms=terms)
-        # threads of BLAS and those of XLA wait for each other, and matrices of frames are small
-        with threadpool_limits(1, "blas"):
-            fit = adjust(problem, subject, take_poses(motion.poses, chosen), skin=effort[0], steps=effort[1])
+        fit = adjust(problem, subject, take_poses(motion.poses, chosen), skin=skin, steps=steps, rough=again)
         subject, poses = fit.problem.subject(fit.estimate), fit.estimate.poses
         if not again:
             break
