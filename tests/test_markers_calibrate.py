@@ -1,65 +1,21 @@
-"""Calibration: the reduced equations against dense ones, known subjects found again, known null directions told."""
+"""Calibration: known subjects found again, known null directions told."""
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.solvers.block_arrow import BlockArrow
-from jaxcap.fit.solvers.block_banded import BlockBanded
 from jaxcap.geometry import rotation
 from jaxcap.markers.calibrate import calibrate
-from jaxcap.markers.eliminate import RIDGE, eliminate
-from jaxcap.markers.equations import Rows
 from jaxcap.markers.gauge import gauge_directions, gauge_rows
 from jaxcap.markers.null_space import centre_covariances, length_deviations
 from jaxcap.markers.residuals import marker_residuals
 from jaxcap.markers.shared import prior_precision, shift_subject, solved_joints
-from jaxcap.markers.turning import Drawn
 from jaxcap.observe import MarkerFrames
 from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
 
 SUBJECT = truth()
 JOINTS = (1, 2, 3, 4)
-
-
-@pytest.mark.parametrize("kinds", [0, 2])
-def test_the_reduced_step_is_the_dense_one(rng, kinds):
-    """Also where rest places shift with features of the frames, which the block-arrow form does not know."""
-    frames, markers, dofs, centres = 3, 5, 6, 4
-    features = rng.normal(size=(frames, markers, kinds))
-    own = rng.normal(size=(frames, markers, 3, 3))
-    wide = rng.normal(size=(frames, markers, 3, dofs + centres))
-    residual = rng.normal(size=(frames, markers, 3))
-    rows = Rows(*map(jnp.asarray, (residual, wide, own)), jnp.zeros(()), jnp.zeros((frames, markers)))
-    held = Drawn(0.0, np.zeros((frames, dofs, dofs)), np.zeros((frames, dofs)))
-    size = centres + 3 * markers * (1 + kinds)
-    reduced = eliminate(rows, held, features).with_prior(np.eye(size), np.zeros(size))
-    shared, poses = reduced.step(0.0, np.zeros((0, size)), np.zeros(0))
-    dense = np.zeros((frames * markers * 3, frames * dofs + size))
-    for row, (frame, marker, axis) in enumerate(np.ndindex(frames, markers, 3)):
-        dense[row, frame * dofs : (frame + 1) * dofs] = wide[frame, marker, axis, :dofs]
-        dense[row, frames * dofs :][:centres] = wide[frame, marker, axis, dofs:]
-        for kind, share in enumerate([1.0, *features[frame, marker]]):
-            start = frames * dofs + centres + 3 * (kind * markers + marker)
-            dense[row, start : start + 3] = share * own[frame, marker, axis]
-    ridge = np.append(np.full(frames * dofs, RIDGE), np.ones(size))
-    gram, side = dense.T @ dense + np.diag(ridge), -dense.T @ residual.ravel()
-    step = np.linalg.solve(gram, side)
-    np.testing.assert_allclose(np.append(poses, shared), step, rtol=1e-9, atol=1e-9)
-    # and that of the block-arrow equations of the library
-    blocks = [slice(f * dofs, (f + 1) * dofs) for f in range(frames)]
-    last = slice(frames * dofs, None)
-    frames_matrix = BlockBanded(jnp.asarray([[gram[b, b]] for b in blocks]))
-    arrow = BlockArrow(
-        frames_matrix, jnp.asarray([gram[b, last] for b in blocks]), jnp.asarray(gram[last, last])
-    )
-    sides = jnp.asarray([side[b] for b in blocks]), jnp.asarray(side[last])
-    by_frame, s = arrow.factorise().solve(sides)
-    np.testing.assert_allclose(poses, by_frame, atol=1e-9)
-    np.testing.assert_allclose(shared, s, atol=1e-9)
-    dropped = np.linalg.norm(residual) ** 2 - np.linalg.norm(dense @ step + residual.ravel()) ** 2
-    assert reduced.decrease(shared) == pytest.approx(dropped - step @ (ridge * step), rel=1e-9)
 
 
 def test_what_no_marker_tells_changes_no_residual(rng):

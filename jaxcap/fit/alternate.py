@@ -6,15 +6,19 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import minimise
 from .solvers.problem import AbstractProblem
 
 _LOG = logging.getLogger(__name__)
+
+#: damping from which on steps are too short to tell anything
+STUCK = 1e3
 
 
 class Alternation(NamedTuple):
@@ -123,6 +127,37 @@ def anneal(
         found = _improve(remake(y, stage), y, solver, steps, damping)
         y, damping = found.y, found.damping
     return y
+
+
+def reweigh(
+    remake: Callable[[Any], AbstractProblem],
+    start: Any,
+    solver: LevenbergMarquardt,
+    *,
+    rounds: int,
+    steps: int,
+    enough: float,
+) -> tuple[Any, Int[Array, ""]]:
+    """Make a problem `remake(y)`, take a few steps on it, and again, inside of `jit` and its kin: iteratively reweighted least squares
+    for one small problem of many.
+
+    Returns where that ended and how many steps it took: `rounds` of `steps` at most, fewer where no number of a step is above `enough`, or where
+    steps are refused again and again, which is the end of what the precision shows.
+    """
+
+    def going_on(carry):
+        _, damping, length, count = carry
+        return (count < rounds * steps) & (length > enough) & (damping < STUCK)
+
+    def improve(carry):
+        y, damping, length, count = carry
+        found = minimise(remake(y), y, solver, steps, damping)
+        return found.y, found.damping, jnp.where(jnp.isfinite(found.length), found.length, length), count + found.num_steps
+
+    dtype = jnp.result_type(*(leaf for leaf in jax.tree.leaves(start) if eqx.is_inexact_array(leaf)))
+    first = start, jnp.asarray(solver.damping, dtype), jnp.asarray(jnp.inf, dtype), jnp.array(0)
+    y, _, _, count = jax.lax.while_loop(going_on, improve, first)
+    return y, count
 
 
 @eqx.filter_jit

@@ -91,7 +91,7 @@ def _renewed(
     # of frames that count as residuals show now
     problem = eqx.tree_at(lambda p: p.deviations, problem, deviations)
     if y.slides.size:
-        after = slide_deviation(problem.subject(y), problem.features, y.slides)
+        after = slide_deviation(problem.subject(y), np.asarray(problem.features), np.asarray(y.slides))
         settled = settled and abs(after / float(problem.slide_deviation) - 1.0) <= 0.1
         return eqx.tree_at(lambda p: p.slide_deviation, problem, jnp.asarray(after)), y, settled
     if skin and number == FIRM:

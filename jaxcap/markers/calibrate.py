@@ -14,7 +14,8 @@ from threadpoolctl import threadpool_limits
 from ..arguments import checked
 from ..body.pose import Motion, take_poses
 from ..body.symmetry import bones_of
-from ..energy.term import AbstractEnergy
+from ..energy.check import check_numbers
+from ..energy.term import AbstractEnergy, sum_of
 from ..observe import MarkerFrames
 from .adjust import Fit, adjust
 from .choose import choose_frames
@@ -24,7 +25,7 @@ from .null_space import Hardly, describe_precision, hardly_known, shared_covaria
 from .shared import Trust, solved_joints
 from .skin import shift_variances
 from .solve import solve_markers
-from .subject import Subject
+from .subject import Subject, marker_body
 
 _LOG = logging.getLogger(__name__)
 
@@ -97,6 +98,9 @@ def calibrate(
 
 
 def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, terms) -> Calibration:
+    energy = sum_of(terms)
+    if energy is not None:
+        check_numbers(energy, marker_body(subject))
     matched = match_markers(subject, frames)
     used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
     if used.any(0).sum() < 3:
@@ -124,8 +128,8 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
     _LOG.info("computing how well the subject is known")
     known = shared_covariance(fit.problem, fit.estimate)
     best = _measured(fit)
-    slid = shift_variances(fit.problem.features, fit.estimate.slides)
-    solved = solve_markers(best, frames)
+    slid = _slid(fit)
+    solved = solve_markers(best, frames, terms=terms)
     hardly = hardly_known(best, known, joints)
     told = (*describe_precision(best, known, poses, joints, hardly), *_on_skin(best, slid), *solved.told)
     if not fit.converged:
@@ -162,9 +166,13 @@ def _followed(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F 
     return solved.motion, ~solved.lost, used & ((solved.weights >= FAR) | solved.lost[:, None])
 
 
+def _slid(fit: Fit) -> Float[np.ndarray, "M"]:
+    return shift_variances(np.asarray(fit.problem.features, float), np.asarray(fit.estimate.slides, float))
+
+
 def _measured(fit: Fit) -> Subject:
     """With the deviations of markers on skin, as nobody knows of other frames how it slides there."""
-    variances = shift_variances(fit.problem.features, fit.estimate.slides)
+    variances = _slid(fit)
     found = fit.problem.deviations
     deviations = jnp.sqrt(found**2 + jnp.asarray(variances, found.dtype))
     return eqx.tree_at(lambda s: s.deviations, fit.problem.subject(fit.estimate), deviations)

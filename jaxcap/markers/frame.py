@@ -1,17 +1,28 @@
-"""The pose of one frame: robust Levenberg-Marquardt with derivatives in closed form."""
+"""The pose of one frame: iteratively reweighted least squares with derivatives in closed form."""
 
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import jax.scipy.linalg
 from jaxtyping import Array, Bool, Float, Int
 
+from ..body.body import pose_body
 from ..body.pose import Pose, retract
+from ..energy.term import AbstractEnergy
+from ..fit.alternate import reweigh
+from ..fit.linearise import frame_rows
+from ..fit.solvers.dense import Dense
+from ..fit.solvers.descent import ConstrainedInfo
+from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ..fit.solvers.problem import AbstractProblem
 from .residuals import linearise, marker_residuals
 from .robust import kernel, spread
-from .subject import Subject
+from .subject import Subject, marker_body
+
+#: information on a number of a pose below which no marker tells it: of a deviation of a metre at a metre from the joint
+UNTOLD = 1.0
+#: steps after which deviations are widened anew
+STEPS = 3
 
 
 class Search(eqx.Module):
@@ -35,11 +46,42 @@ class SolvedFrame(NamedTuple):
     iterations: Int[Array, ""]
 
 
-class _State(NamedTuple):
-    pose: Pose
-    damping: Float[Array, ""]
-    step: Float[Array, ""]
-    count: Int[Array, ""]
+class FrameProblem(AbstractProblem[Pose]):
+    """Find the pose that makes the robust squared residuals of a frame's markers least, in deviations that are widened."""
+
+    subject: Subject
+    places: Float[Array, "M 3"]
+    #: inverse variances, zero where not seen
+    precision: Float[Array, "M"]
+    #: energies of a user's own, which see the markers for vertices
+    terms: AbstractEnergy | None = None
+
+    def value(self, y):
+        residual = marker_residuals(self.subject, y, self.places)
+        value = 0.5 * jnp.sum(kernel(jnp.sum(residual**2, 1) * self.precision)[0])
+        if self.terms is None:
+            return value
+        r = self.terms.residual(pose_body(marker_body(self.subject), y))
+        return value + 0.5 * (r @ r)
+
+    def information(self, y):
+        rows = linearise(self.subject, y, self.places)
+        costs, slopes = kernel(jnp.sum(rows.residual**2, 1) * self.precision)
+        flat = rows.by_pose.reshape(-1, rows.by_pose.shape[2])
+        weighted = flat * jnp.repeat(slopes * self.precision, 3)[:, None]
+        value, side, matrix = 0.5 * jnp.sum(costs), weighted.T @ rows.residual.reshape(-1), weighted.T @ flat
+        if self.terms is not None:
+            r, j = frame_rows(self.terms, marker_body(self.subject), y, None, None)
+            value, side, matrix = value + 0.5 * (r @ r), side + j.T @ r, matrix + j.T @ j
+        # numbers that nothing tells stay
+        told = jnp.diagonal(matrix) > UNTOLD
+        return ConstrainedInfo(value, jnp.where(told, side, 0.0), Dense(matrix).among(told))  # pyright: ignore[reportCallIssue]
+
+    def retract(self, y, d):
+        return retract(self.subject.skeleton, y, d)
+
+    def scales(self):
+        return jnp.ones(self.subject.skeleton.num_dofs, self.places.dtype)
 
 
 def solve_frame(
@@ -48,65 +90,32 @@ def solve_frame(
     places: Float[Array, "M 3"],
     seen: Bool[Array, "M"],
     search: Search = Search(),
+    terms: AbstractEnergy | None = None,
 ) -> SolvedFrame:
-    """The pose with the least robust distances to the markers that are seen, in standard deviations.
+    """Find the pose with the least robust distances to the markers that are seen, in standard deviations.
 
     Deviations are widened by the median of the residuals, so that a start from far off, or a subject
     that fits badly, takes no marker for a swapped one. Numbers of the pose that no seen marker tells
     stay as they are at the start. Never fails: without markers the start comes back.
     """
-    information = jnp.where(seen, subject.weights / subject.deviations**2, 0.0)
-    counted = information > 0
+    precision = jnp.where(seen, subject.weights / subject.deviations**2, 0.0)
+    counted = precision > 0
 
-    def squares(pose):
-        residual = marker_residuals(subject, pose, places)
-        return jnp.sum(residual**2, 1) * information
+    def left(pose):
+        squared = jnp.sum(marker_residuals(subject, pose, places) ** 2, 1)
+        return squared, spread(squared * precision, counted)
 
-    def improve(state: _State) -> _State:
-        rows = linearise(subject, state.pose, places)
-        squared = jnp.sum(rows.residual**2, 1) * information
-        wide = spread(squared, counted)
-        costs, slopes = kernel(squared / wide)
-        # in units of the widened variance, so that the cost falls where the step is good
-        weights = slopes * information / wide
-        flat = rows.by_pose.reshape(-1, rows.by_pose.shape[2])
-        weighted = flat * jnp.repeat(weights, 3)[:, None]
-        matrix, side = weighted.T @ flat, -(weighted.T @ rows.residual.reshape(-1))
-        step = _damped_step(matrix, side, state.damping)
-        trial = retract(subject.skeleton, state.pose, step)
-        better = jnp.sum(kernel(squares(trial) / wide)[0]) <= jnp.sum(costs)
-        pose = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, state.pose)
-        damping = jnp.where(better, state.damping * 0.1, jnp.maximum(state.damping, 1e-4) * 10.0)
-        size = jnp.max(jnp.abs(step))
-        return _State(pose, jnp.maximum(damping, 1e-7), jnp.where(better, size, state.step), state.count + 1)
+    def remake(pose):
+        return FrameProblem(subject, places, precision / left(pose)[1], terms)
 
-    def goes_on(state: _State):
-        # a step that is refused again and again has come to the end of what the precision shows
-        return (state.count < search.iterations) & (state.step > search.tolerance) & (state.damping < 1e3)
-
-    dtype = places.dtype
-    first = _State(start, jnp.asarray(1e-6, dtype), jnp.asarray(jnp.inf, dtype), jnp.asarray(0))
-    state = jax.lax.while_loop(goes_on, improve, first)
-    residual = marker_residuals(subject, state.pose, places)
-    squared = jnp.sum(residual**2, 1) * information
-    wide = spread(squared, counted)
+    solver = LevenbergMarquardt(0.0, search.tolerance, damping=1e-6, relative=True)
+    rounds = -(-search.iterations // STEPS)
+    pose, count = reweigh(remake, start, solver, rounds=rounds, steps=STEPS, enough=search.tolerance)
+    squared, wide = left(pose)
     return SolvedFrame(
-        state.pose,
-        jnp.where(seen, jnp.sqrt(jnp.sum(residual**2, 1)), 0.0),
-        jnp.where(counted, kernel(squared / wide)[1], 0.0),
+        pose,
+        jnp.where(seen, jnp.sqrt(squared), 0.0),
+        jnp.where(counted, kernel(squared * precision / wide)[1], 0.0),
         jnp.sqrt(wide),
-        state.count,
+        count,
     )
-
-
-def _damped_step(matrix: Float[Array, "D D"], side: Float[Array, "D"], damping) -> Float[Array, "D"]:
-    """The step on equilibrated equations: a number that no marker tells has no slope and stays."""
-    diagonal = jnp.diag(matrix)
-    # information of a marker with a deviation of a metre at a metre from its joint: as good as none
-    told = diagonal > 1.0
-    scale = jnp.where(told, 1.0 / jnp.sqrt(jnp.where(told, diagonal, 1.0)), 0.0)
-    even = matrix * scale[:, None] * scale[None, :]
-    ridge = damping + len(matrix) * jnp.finfo(matrix.dtype).eps
-    even = even + jnp.diag(jnp.where(told, ridge, 1.0))
-    factor = jax.scipy.linalg.cho_factor(even, lower=True)
-    return scale * jax.scipy.linalg.cho_solve(factor, scale * side)

@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..body.body import Body, pose_body
+from ..body.body import pose_body
 from ..body.pose import Pose, retract
-from ..body.skin import LinearSkin
 from ..energy.term import AbstractEnergy, sum_of
 from ..fit.linearise import BodyTangent, body_tangent, frame_rows
 from ..fit.solvers.block_arrow import BlockArrow, Unknowns
@@ -21,7 +20,7 @@ from ..fit.solvers.problem import AbstractNestedProblem
 from .residuals import linearise, marker_residuals
 from .robust import BOUND, UNBOUNDED, kernel
 from .shared import Trust, constraint_rows, prior_precision, shift_subject
-from .subject import Subject, shifted
+from .subject import Subject, marker_body, shifted
 from .turning import Turning, free_turning, turning_equations, turning_square
 
 #: information on every number of a pose, 1/radian^2 and 1/metre^2: what no marker shows stays
@@ -285,12 +284,6 @@ def make_problem(
 def slid(subject: Subject, slides: Float[Array, "K M 3"], phi: Float[Array, "M K"]) -> Subject:
     """Shift the markers of a subject as the skin of one frame does."""
     return shifted(subject, jnp.einsum("mk,kma->ma", phi, slides))
-
-
-def marker_body(subject: Subject) -> Body:
-    """Make the body that a user's own terms see: the subject's skeleton, with its markers for vertices and no faces."""
-    weights = jax.nn.one_hot(subject.bones, subject.skeleton.num_joints, dtype=subject.offsets.dtype)
-    return Body(subject.skeleton, LinearSkin(weights), subject.offsets, jnp.zeros((0, 3), jnp.int32))
 
 
 def _scan_batches(add, none, frames):

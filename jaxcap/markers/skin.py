@@ -12,7 +12,7 @@ all bones say that skin slides, what cannot be told apart counts as unknown.
 """
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from ..body.pose import Pose
 from .subject import Subject
@@ -29,14 +29,14 @@ LEVER = 0.05
 
 
 def skin_shifts(
-    features: Float[Array, "F M K"], slides: Float[Array, "K M 3"]
+    features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
 ) -> Float[np.ndarray, "F M 3"]:
     """Compute how far each marker is from its rest place, metres."""
-    return np.einsum("fmk,kma->fma", np.asarray(features, float), np.asarray(slides, float))
+    return np.einsum("fmk,kma->fma", features, slides)
 
 
 def shift_variances(
-    features: Float[Array, "F M K"], slides: Float[Array, "K M 3"]
+    features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
 ) -> Float[np.ndarray, "M"]:
     """Compute mean squares of the shifts along each axis, metres squared."""
     return np.mean(skin_shifts(features, slides) ** 2, (0, 2))
@@ -87,7 +87,7 @@ def find_skin(
 
 
 def slide_deviation(
-    subject: Subject, features: Float[Array, "F M K"], slides: Float[Array, "K M 3"]
+    subject: Subject, features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
 ) -> float:
     """Estimate the standard deviation of the slides by which the markers of a bone move among each other.
 
@@ -95,7 +95,6 @@ def slide_deviation(
     counted, ever larger slides would take the place of poses.
     """
     bones, offsets = np.asarray(subject.bones), np.asarray(subject.offsets, float)
-    features, slides = np.asarray(features), np.asarray(slides, float)
     squares = numbers = 0.0
     for bone in np.unique(bones):
         own = np.flatnonzero(bones == bone)

@@ -1,6 +1,7 @@
 """The motion of a known subject through frames of markers."""
 
 import logging
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -12,13 +13,15 @@ from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
 from ..body.pose import Motion, Pose
+from ..energy.check import check_numbers
+from ..energy.term import AbstractEnergy, sum_of
 from ..geometry.stacking import concatenate
 from ..observe import MarkerFrames
 from .frame import Search, SolvedFrame, solve_frame
 from .guess import guess_poses
 from .matched import match_markers
 from .residuals import marker_residuals
-from .subject import Subject
+from .subject import Subject, marker_body
 
 _LOG = logging.getLogger(__name__)
 
@@ -47,11 +50,18 @@ class MarkerSolution(NamedTuple):
 
 
 @checked
-def solve_markers(subject: Subject, frames: MarkerFrames, search: Search = Search()) -> MarkerSolution:
+def solve_markers(
+    subject: Subject,
+    frames: MarkerFrames,
+    search: Search = Search(),
+    *,
+    terms: Sequence[AbstractEnergy] = (),
+) -> MarkerSolution:
     """The pose of every frame, each started at the one before it.
 
     **Arguments:** `frames` with the subject's labels in any order; markers with other labels are left
-    out, and missing ones are never seen. `search`: when the search in each frame ends.
+    out, and missing ones are never seen. `search`: when the search in each frame ends. `terms` are energies of your own, in units of
+    a log-likelihood, which see the subject's skeleton with its markers for vertices.
 
     Joints that no marker tells stay as in the frame before. A frame that shows fewer than `LEAST`
     markers keeps the last pose and is marked `lost`, as is one that no pose explains; the frames
@@ -64,9 +74,12 @@ def solve_markers(subject: Subject, frames: MarkerFrames, search: Search = Searc
     used = seen & (np.asarray(subject.weights) > 0)
     enough = used.sum(1) >= LEAST
     _LOG.info("solving %d frames", len(places))
-    solved = _in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search)
+    energy = sum_of(terms)
+    if energy is not None:
+        check_numbers(energy, marker_body(subject))
+    solved = _in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search, energy)
     _LOG.info("solving frames again that no pose explains")
-    solved = _again(subject, places, used, enough, solved)
+    solved = _again(subject, places, used, enough, solved, energy)
     lost = ~enough | ~np.isfinite(np.asarray(solved.residuals)).all(1) | _unexplained(subject, used, solved)
     residuals = np.where(seen, np.asarray(_lengths(subject, solved.pose, places)), np.nan)
     told = _sentences(subject, frames, seen, lost)
@@ -74,7 +87,7 @@ def solve_markers(subject: Subject, frames: MarkerFrames, search: Search = Searc
     return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, told)
 
 
-def _in_chunks(subject: Subject, places, seen, search: Search) -> SolvedFrame:
+def _in_chunks(subject: Subject, places, seen, search: Search, energy) -> SolvedFrame:
     """Chunks of frames, each started at a guess of its first one, on as many threads as there are
     cores: while one is computed, Python is free for the next."""
     count = len(places)
@@ -90,7 +103,7 @@ def _in_chunks(subject: Subject, places, seen, search: Search) -> SolvedFrame:
 
     def run(chunk: int) -> SolvedFrame:
         start = jax.tree.map(lambda leaf: leaf[chunk], starts)
-        return jax.block_until_ready(_solve_chunk(subject, start, places[chunk], seen[chunk], search))
+        return jax.block_until_ready(_solve_chunk(subject, start, places[chunk], seen[chunk], search, energy))
 
     with ThreadPoolExecutor(2) as threads:
         parts = [run(0), *threads.map(run, range(1, chunks))]
@@ -98,17 +111,17 @@ def _in_chunks(subject: Subject, places, seen, search: Search) -> SolvedFrame:
 
 
 @eqx.filter_jit
-def _solve_chunk(subject: Subject, start: Pose, places, seen, search: Search) -> SolvedFrame:
-    far = solve_frame(subject, start, places[0], seen[0], FAR)
+def _solve_chunk(subject: Subject, start: Pose, places, seen, search: Search, energy) -> SolvedFrame:
+    far = solve_frame(subject, start, places[0], seen[0], FAR, energy)
 
     def follow(pose, frame):
-        solved = solve_frame(subject, pose, frame[0], frame[1], search)
+        solved = solve_frame(subject, pose, frame[0], frame[1], search, energy)
         return solved.pose, solved
 
     return jax.lax.scan(follow, far.pose, (places, seen))[1]
 
 
-def _again(subject: Subject, places, used, enough, solved: SolvedFrame) -> SolvedFrame:
+def _again(subject: Subject, places, used, enough, solved: SolvedFrame, energy) -> SolvedFrame:
     """Frames in doubt from a guess of their own; the better of both is kept."""
     doubtful = np.flatnonzero(enough & ~(np.asarray(solved.spread) < DOUBT))
     if not len(doubtful):
@@ -116,7 +129,7 @@ def _again(subject: Subject, places, used, enough, solved: SolvedFrame) -> Solve
     size = 1 << (len(doubtful) - 1).bit_length()
     padded = np.pad(doubtful, (0, size - len(doubtful)), mode="edge")
     starts = guess_poses(subject, places[padded], jnp.asarray(used[padded]))
-    other = _solve_each(subject, starts, places[padded], jnp.asarray(used[padded]))
+    other = _solve_each(subject, starts, places[padded], jnp.asarray(used[padded]), energy)
     better = np.flatnonzero(
         ~(np.asarray(solved.spread)[doubtful] <= np.asarray(other.spread)[: len(doubtful)])
     )
@@ -126,9 +139,9 @@ def _again(subject: Subject, places, used, enough, solved: SolvedFrame) -> Solve
 
 
 @eqx.filter_jit
-def _solve_each(subject: Subject, starts: Pose, places, seen) -> SolvedFrame:
+def _solve_each(subject: Subject, starts: Pose, places, seen, energy) -> SolvedFrame:
     return jax.lax.map(
-        lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], FAR), (starts, places, seen)
+        lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], FAR, energy), (starts, places, seen)
     )
 
 

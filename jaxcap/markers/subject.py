@@ -3,14 +3,17 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..arguments import check_fields, check_length, checked
+from ..body.body import Body
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
+from ..body.skin import LinearSkin
 
 #: how a marker is held by its bone: at a point of it; on a circle about it; on a sphere about its joint
 MODELS = ("rigid", "circle", "sphere")
@@ -103,6 +106,12 @@ def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
     transforms = forward_kinematics(subject.skeleton, pose)
     r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
     return jnp.einsum("mab,mb->ma", r, subject.offsets) + t
+
+
+def marker_body(subject: Subject) -> Body:
+    """Make the body that a user's own terms see: the subject's skeleton, with its markers for vertices and no faces."""
+    weights = jax.nn.one_hot(subject.bones, subject.skeleton.num_joints, dtype=subject.offsets.dtype)
+    return Body(subject.skeleton, LinearSkin(weights), subject.offsets, jnp.zeros((0, 3), jnp.int32))
 
 
 def shifted(subject: Subject, shifts: Float[Array, "M 3"]) -> Subject:

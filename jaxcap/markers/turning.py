@@ -109,4 +109,5 @@ def mean_rotations(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:
 
 def _turns(means: Float[Array, "T 4"], q: Float[Array, "*F T 4"]) -> Float[Array, "*F T 3"]:
     """Rotation vectors from the means, in the bones' own frames."""
-    return rotation.log(rotation.multiply(rotation.conjugate(means), q))
+    back = jnp.broadcast_to(rotation.conjugate(means), q.shape)
+    return rotation.log(rotation.multiply(back, q))

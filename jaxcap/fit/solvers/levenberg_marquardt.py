@@ -30,6 +30,8 @@ class SolverState(eqx.Module):
     step_size: Float[Array, ""]
     #: the length of the last step whose effect on the energy rounding hid, infinite after any other
     taken: Float[Array, ""]
+    #: the length of the last step that was taken, infinite before any
+    length: Float[Array, ""]
     terminate: Bool[Array, ""]
     num_steps: Int[Array, ""]
     result: optx.RESULTS
@@ -94,6 +96,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             search_state=eqx.tree_at(lambda s: s.step_size, search_state, step_size),
             step_size=step_size,
             taken=jnp.array(jnp.inf, value.dtype),
+            length=jnp.array(jnp.inf, value.dtype),
             num_steps=jnp.array(0),
             terminate=jnp.array(False),
             result=optx.RESULTS.successful,
@@ -129,6 +132,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             search_state=search_state,
             step_size=step_size,
             taken=jnp.where(hidden & shorter, length, jnp.inf),
+            length=jnp.where(accept, length, state.length),
             num_steps=state.num_steps + 1,
             terminate=small | (accept & flat) | (hidden & ~shorter),
             result=_outcome(before, jnp.isfinite(length) | ~most),
@@ -171,7 +175,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result) -> tuple[Any, Any, dict]:
         del fn, args, options, tags, result
-        return y, aux, {"history": state.history, "damping": 1.0 / state.step_size}
+        return y, aux, {"history": state.history, "damping": 1.0 / state.step_size, "length": state.length}
 
 
 def _outcome(value: Float[Array, ""], solvable: Bool[Array, ""]) -> optx.RESULTS:

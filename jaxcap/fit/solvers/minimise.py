@@ -42,6 +42,8 @@ class Minimum(eqx.Module):
     result: optx.RESULTS
     #: what the solver would damp its next step by; one where it does not damp
     damping: Float[Array, ""]
+    #: the largest number of the last step that was taken, infinite where none was
+    length: Float[Array, ""]
 
 
 #: a solver of optimistix: one of these, or one that adds steps to a flat array
@@ -75,8 +77,9 @@ def minimise(
         throw=False,
     )
     stats = found.stats
-    last = stats.get("damping", jnp.ones_like(stats["history"][0]))
-    return Minimum(found.value, stats["history"], stats["num_steps"], found.result, last)
+    one = jnp.ones_like(stats["history"][0])
+    last = stats.get("damping", one), stats.get("length", jnp.inf * one)
+    return Minimum(found.value, stats["history"], stats["num_steps"], found.result, *last)
 
 
 def _minimise_flat(problem: AbstractProblem, start: Any, solver: AnySolver, max_steps: int) -> Minimum:
@@ -103,7 +106,7 @@ def _minimise_flat(problem: AbstractProblem, start: Any, solver: AnySolver, max_
     y, (values, steps, results) = jax.lax.scan(in_chart, start, length=CHARTS)
     history = jnp.full(HISTORY, jnp.nan, values.dtype).at[:CHARTS].set(values)
     last = jax.tree.map(lambda leaf: leaf[-1], results)
-    return Minimum(y, history, jnp.sum(steps), last, jnp.ones_like(values[0]))
+    return Minimum(y, history, jnp.sum(steps), last, jnp.ones_like(values[0]), jnp.inf * values[0])
 
 
 def take_step(

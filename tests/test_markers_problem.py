@@ -1,0 +1,96 @@
+"""Calibration as one problem: equations against autodiff of all residuals, and derivatives of its minimum against differences."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from jaxcap.energy.term import AbstractEnergy
+from jaxcap.markers.problem import RIDGE, CalibrationEstimate, make_problem, slid
+from jaxcap.markers.robust import UNBOUNDED
+from jaxcap.markers.subject import marker_places
+from jaxcap.markers.turning import turning_of
+from tests.markers_limb import moving, seen_by, truth, wrong
+
+JOINTS, FRAMES = (1, 2, 3, 4), 5
+
+
+class Above(AbstractEnergy):
+    """Markers and a joint near a height."""
+
+    height: jax.Array
+
+    def residual(self, posed):
+        return 20.0 * jnp.append(posed.vertices[:3, 1], posed.joints[2, 1]) - self.height
+
+
+def scene(rng, models=None, terms=()):
+    """A problem with everything in it, at a point away from its minimum."""
+    subject = truth()
+    if models is not None:
+        subject = dataclasses.replace(subject, models=models)
+    motion = moving(rng, FRAMES)
+    frames = seen_by(subject, motion, rng, 0.003)
+    seen = np.array(frames.seen)
+    seen[1, 3] = False
+    problem = make_problem(
+        wrong(subject, rng), jnp.asarray(frames.places), jnp.asarray(seen), JOINTS, ((2, 4),), terms=terms
+    )
+    dofs = subject.skeleton.num_dofs
+    spread = rng.normal(size=(FRAMES, dofs, dofs))
+    turning = turning_of(
+        subject.skeleton, motion.poses, jnp.asarray(1e-2 * spread @ np.swapaxes(spread, 1, 2))
+    )
+    features = jnp.asarray(rng.normal(size=(FRAMES, subject.num_markers, 2)))
+    problem = eqx.tree_at(
+        lambda p: (p.turning, p.features, p.slide_deviation), problem, (turning, features, jnp.asarray(0.02))
+    )
+    estimate = CalibrationEstimate(
+        motion.poses,
+        0.01 * jnp.asarray(rng.normal(size=len(problem.prior))),
+        0.005 * jnp.asarray(rng.normal(size=(2, subject.num_markers, 3))),
+    )
+    return problem, estimate
+
+
+@pytest.mark.parametrize("kind", ["rigid", "mixed"])
+def test_equations_are_those_of_all_residuals(rng, kind):
+    models = None if kind == "rigid" else tuple(("rigid", "circle", "sphere")[i % 3] for i in range(18))
+    problem, y = scene(rng, models, (Above(jnp.asarray(1.0)),))
+    zero = jax.tree.map(jnp.zeros_like, problem.scales())
+    along = lambda p: lambda d: p.value(p.retract(y, d))  # noqa: E731
+    value, gradient, hessian = eqx.filter_jit(lambda p, y: p.normal_equations(y))(problem, y)
+    slope = eqx.filter_jit(lambda p: jax.grad(along(p))(zero))(problem)
+    np.testing.assert_allclose(value, problem.value(y), rtol=1e-12)
+    for ours, theirs in zip(gradient, slope, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9 * float(jnp.abs(theirs).max()))
+    # without a bound, and with residuals of zero, the second derivatives are those of Gauss-Newton
+    assert hessian.coupling.shape[:2] == y.poses.rotations.shape[:1] + (problem.template.skeleton.num_dofs,)
+    side = problem.pose_equations(y)
+    np.testing.assert_allclose(side[0], hessian.frames.blocks[:, 0], rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(side[1], gradient[0], rtol=1e-9, atol=1e-6)
+
+
+def test_the_hessian_is_that_of_a_problem_without_residuals(rng):
+    """At a point that explains every place exactly, Gauss-Newton's matrix is the Hessian."""
+    problem, y = scene(rng)
+    subject = problem.subject(y)
+    places = jnp.stack(
+        [
+            marker_places(slid(subject, y.slides, problem.features[f]), jax.tree.map(lambda leaf: leaf[f], y.poses))
+            for f in range(FRAMES)
+        ]
+    )
+    exact = eqx.tree_at(lambda p: (p.places, p.bound), problem, (places, jnp.asarray(UNBOUNDED)))
+    free = eqx.tree_at(lambda p: p.turning.precision, exact, jnp.zeros_like(exact.turning.precision))
+    zero = jax.tree.map(jnp.zeros_like, free.scales())
+    arrow = free.normal_equations(y)[2].as_matrix()
+    flat, back = ravel_pytree(zero)
+    dense = jax.jit(jax.hessian(lambda d: free.value(free.retract(y, back(d)))))(flat)
+    count = zero[0].size
+    ridge = np.append(np.full(count, RIDGE), np.zeros(len(flat) - count))
+    np.testing.assert_allclose(arrow - np.diag(ridge), dense, atol=1e-8 * float(jnp.abs(dense).max()))
