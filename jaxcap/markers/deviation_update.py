@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..fit.solvers.cholesky import factorise
-from .problem import CalibrationEstimate, CalibrationProblem, slid
+from .problem import RIDGE, CalibrationEstimate, CalibrationProblem, slid
 from .residuals import linearise
 from .robust import kernel
 from .turning import turning_equations
@@ -37,8 +37,7 @@ def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Fl
         slopes = jnp.where(there, kernel(squared * information, problem.bound)[1], 0.0)
         flat = (rows.by_pose * jnp.sqrt(slopes * information)[:, None, None]).reshape(-1, dofs)
         gram = flat.T @ flat + turning_equations(subject.skeleton, problem.turning, pose)[0]
-        # numbers that no marker tells have no leverage
-        gram = gram + jnp.diag(jnp.where(jnp.diag(gram) < 1.0, 1.0, 0.0).astype(gram.dtype))
+        gram = gram + RIDGE * jnp.eye(dofs, dtype=gram.dtype)
         leverage = jnp.sum((flat * factorise(gram).solve(flat.T).T).reshape(len(slopes), -1), 1)
         left = jnp.maximum(3.0 * slopes - leverage, 0.0)
         return (sums[0] + slopes * squared, sums[1] + left), None
