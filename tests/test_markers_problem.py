@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.markers.problem import RIDGE, CalibrationEstimate, make_problem, slid
 from jaxcap.markers.robust import UNBOUNDED
+from jaxcap.markers.solve_calibration import solve_calibration
 from jaxcap.markers.subject import marker_places
 from jaxcap.markers.turning import turning_of
 from tests.markers_limb import moving, seen_by, truth, wrong
@@ -94,3 +95,40 @@ def test_the_hessian_is_that_of_a_problem_without_residuals(rng):
     count = zero[0].size
     ridge = np.append(np.full(count, RIDGE), np.zeros(len(flat) - count))
     np.testing.assert_allclose(arrow - np.diag(ridge), dense, atol=1e-8 * float(jnp.abs(dense).max()))
+
+
+def test_derivatives_of_a_calibration_are_differences(rng):
+    """By a place that was seen, by a marker's deviation and by the template."""
+    problem, y = scene(rng)
+    solve = eqx.filter_jit(solve_calibration)
+    start = solve(problem, y)
+    assert bool(start.trustworthy)
+    truly = start.subject.skeleton.centres
+
+    def length(problem, start):
+        centres = solve_calibration(problem, start).subject.skeleton.centres
+        return jnp.linalg.norm(centres[2] - centres[1])
+
+    slope = eqx.filter_jit(eqx.filter_grad(length))(problem, start.estimate)
+    value = eqx.filter_jit(length)
+    for where, index, step in (
+        (lambda p: p.places, (2, 4, 0), 1e-5),
+        (lambda p: p.deviations, (5,), 1e-5),
+        (lambda p: p.template.offsets, (4, 1), 1e-5),
+    ):
+        ends = [
+            value(eqx.tree_at(where, problem, where(problem).at[index].add(sign * step)), start.estimate)
+            for sign in (1, -1)
+        ]
+        difference = float(ends[0] - ends[1]) / (2 * step)
+        assert float(where(slope)[index]) == pytest.approx(difference, rel=1e-5, abs=1e-7)
+    assert jnp.isfinite(truly).all()
+
+
+def test_a_term_moves_a_calibration(rng):
+    plain, y = scene(rng)
+    pulled = eqx.tree_at(lambda p: p.terms, plain, Above(jnp.asarray(22.0)), is_leaf=lambda x: x is None)
+    solve = eqx.filter_jit(solve_calibration)
+    height = lambda found: jax.vmap(lambda p: marker_places(found.subject, p))(found.poses)[:, :3, 1]  # noqa: E731
+    before, after = height(solve(plain, y)), height(solve(pulled, y))
+    assert float(jnp.abs(after - 1.1).mean()) < float(jnp.abs(before - 1.1).mean()) - 1e-4

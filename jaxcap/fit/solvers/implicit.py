@@ -1,0 +1,160 @@
+"""Minima that are differentiable by all that their problem is made of, through the same structured factors."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from .conjugate_gradients import conjugate_gradients
+from .descent import ConstrainedInfo
+from .equalities import Equalities
+from .minimise import AnySolver, Minimum, minimise
+from .problem import AbstractProblem
+
+#: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end
+DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE = 200, 1e-12
+#: the share of the energy that a Newton step may still gain at a solution whose derivative is trusted
+STATIONARY = 1e-6
+
+
+def implicit_minimum(
+    problem: AbstractProblem,
+    start: Any,
+    solver: AnySolver,
+    max_steps: int,
+    onto: Callable[[Any, Any], Any] | None = None,
+) -> Minimum:
+    """Minimise a problem, with derivatives by every array of it (`jax.grad`, `jax.jvp`), not by the start.
+
+    **Arguments:** as of `minimise`; `onto(problem, y)` finds the point of the manifold next to `y`, where what the manifold is made of,
+    such as axes of joints, is itself differentiated.
+    """
+    y, rest = _minimum(problem, start, solver, max_steps, onto)
+    return eqx.tree_at(lambda m: m.y, rest, y, is_leaf=lambda x: x is None)
+
+
+def is_stationary(problem: AbstractProblem, y: Any) -> Bool[Array, ""]:
+    """Tell whether what a Newton step within the constraints would gain is a small share of the energy, so that derivatives by the
+    implicit function theorem hold."""
+    arrays, rest = eqx.partition((problem, y), eqx.is_array)
+    info = _information(*eqx.combine(jax.lax.stop_gradient(arrays), rest))
+    inside = _inside(info)
+    left, value = 0.5 * _dot(info.grad, inside.solve(info.grad)), info.as_min()
+    return left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
+
+
+class _Inside(eqx.Module):
+    """Equations within constraints: numbers that are pressed against their bound stay, and steps keep linear equations."""
+
+    factor: Any
+    free: Any
+    rows: Float[Array, "C S"] | None
+
+    def mask(self, x: Any) -> Any:
+        return jax.tree.map(lambda free, leaf: jnp.where(free, leaf, 0.0), self.free, x)
+
+    def solve(self, side: Any, values: Float[Array, "C"] | None = None) -> Any:
+        """The least of `x^T A x / 2 - side^T x` among the free numbers where the rows make `values`, zero where not given."""
+        if self.rows is None:
+            return self.mask(self.factor.solve(self.mask(side)))
+        values = jnp.zeros(len(self.rows), self.rows.dtype) if values is None else values
+        return self.factor.solve(self.mask(side), Equalities(self.rows, values))
+
+
+def _inside(info: ConstrainedInfo) -> _Inside:
+    hessian: Any = info.hessian
+    every = jax.tree.map(lambda leaf: jnp.ones(leaf.shape, bool), info.grad)
+    constraints = info.constraints
+    if constraints is None:
+        return _Inside(hessian.factorise(), every, None)
+    if constraints.low is not None:
+
+        def open_(low, high, slope):
+            room = 1e3 * jnp.finfo(slope.dtype).eps
+            return ~((low >= -room) & (slope > 0)) & ~((high <= room) & (slope < 0)) & (low < high)
+
+        free = jax.tree.map(open_, constraints.low, constraints.high, info.grad)
+        return _Inside(hessian.among(free).factorise(), free, None)
+    equalities = constraints.equalities
+    return _Inside(hessian.factorise(), every, None if equalities is None else equalities.rows)
+
+
+def _dot(a: Any, b: Any) -> Float[Array, ""]:
+    return jax.tree.reduce(jnp.add, jax.tree.map(jnp.vdot, a, b))
+
+
+@eqx.filter_jit
+def _information(problem: AbstractProblem, y: Any):
+    return problem.information(y)
+
+
+@eqx.filter_custom_jvp
+def _minimum(problem, start, solver, max_steps, onto):
+    return _descend(problem, start, solver, max_steps)
+
+
+@eqx.filter_jit
+def _descend(problem, start, solver, max_steps):
+    found = minimise(problem, start, solver, max_steps)
+    return found.y, eqx.tree_at(lambda m: m.y, found, None)
+
+
+@_minimum.def_jvp
+def _implicit(primals, tangents):
+    """At a minimum the gradient `g(d; p)` of the Lagrangian by the tangent vanishes for every value of the parameters `p`, so that
+    `d' = -(dg/dd)^-1 (dg/dp) p'`, with the whole Hessian: conjugate gradients on its products, with the factor of the
+    Gauss-Newton equations as preconditioner. Equations that are kept stay so to first order, and the gradients are projected
+    onto what they leave free (Gould, Hribar and Nocedal 2001)."""
+    problem, start, solver, max_steps, onto = primals
+    y, rest = _minimum(problem, start, solver, max_steps, onto)
+    scales = problem.scales()
+    zero = jax.tree.map(jnp.zeros_like, scales)
+    info = _information(problem, y)
+    inside = _inside(info)
+    forces = None if inside.rows is None else _multipliers(info, inside.rows)
+
+    def moved(problem, d):
+        return problem.retract(y if onto is None else onto(problem, y), jax.tree.map(jnp.multiply, scales, d))
+
+    def violation(problem, d):
+        return -problem.information(moved(problem, d)).constraints.equalities.values
+
+    def lagrangian(problem, d):
+        value = problem.value(moved(problem, d))
+        return value if forces is None else value + forces @ violation(problem, d)
+
+    def gradient(problem, d):
+        return jax.grad(lambda d: lagrangian(problem, d))(d)
+
+    def of_parameters(function, none):
+        _, change = eqx.filter_jvp(lambda p: function(p, zero), (problem,), (tangents[0],))
+        # nothing at all is known of what does not depend on the parameters
+        return jax.tree.map(lambda none, part: none if part is None else part, none, change, is_leaf=_is_none)
+
+    def curvature(d):
+        return inside.mask(jax.jvp(lambda d: gradient(problem, d), (zero,), (d,))[1])
+
+    side, first = jax.tree.map(jnp.negative, of_parameters(gradient, zero)), zero
+    if inside.rows is not None:
+        # the shortest step that keeps the equations as they change, and then what is left to do within them
+        first = inside.solve(zero, -of_parameters(violation, jnp.zeros(len(inside.rows), inside.rows.dtype)))
+        side = jax.tree.map(jnp.subtract, side, curvature(first))
+    step = conjugate_gradients(
+        curvature, inside.mask(side), inside.solve, tolerance=DERIVATIVE_TOLERANCE, max_steps=DERIVATIVE_STEPS
+    )
+    step = jax.tree.map(jnp.add, first, step)
+    _, tangent = eqx.filter_jvp(moved, (problem, zero), (tangents[0], step))
+    return (y, rest), (tangent, jax.tree.map(lambda _: None, rest))
+
+
+def _multipliers(info: ConstrainedInfo, rows: Float[Array, "C S"]) -> Float[Array, "C"]:
+    """The multipliers of equations, which may depend on each other, where `g + rows^T multipliers = 0`."""
+    slope = info.grad[-1] if isinstance(info.grad, tuple) else info.grad
+    return -jnp.linalg.lstsq(rows.T, slope)[0]
+
+
+def _is_none(node: Any) -> bool:
+    return node is None
