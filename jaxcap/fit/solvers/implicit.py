@@ -53,15 +53,22 @@ class _Inside(eqx.Module):
     free: Any
     rows: Float[Array, "C S"] | None
 
-    def mask(self, x: Any) -> Any:
-        return jax.tree.map(lambda free, leaf: jnp.where(free, leaf, 0.0), self.free, x)
+    def project(self, x: Any) -> Any:
+        """The part of a gradient that is within."""
+        x = jax.tree.map(lambda free, leaf: jnp.where(free, leaf, 0.0), self.free, x)
+        if self.rows is None:
+            return x
+        leaves, structure = jax.tree.flatten(x)
+        # equations are of what is shared, the last leaf
+        leaves[-1] = leaves[-1] - self.rows.T @ jnp.linalg.lstsq(self.rows.T, leaves[-1])[0]
+        return jax.tree.unflatten(structure, leaves)
 
     def solve(self, side: Any, values: Float[Array, "C"] | None = None) -> Any:
         """The least of `x^T A x / 2 - side^T x` among the free numbers where the rows make `values`, zero where not given."""
         if self.rows is None:
-            return self.mask(self.factor.solve(self.mask(side)))
+            return self.project(self.factor.solve(self.project(side)))
         values = jnp.zeros(len(self.rows), self.rows.dtype) if values is None else values
-        return self.factor.solve(self.mask(side), Equalities(self.rows, values))
+        return self.factor.solve(self.project(side), Equalities(self.rows, values))
 
 
 def _inside(info: ConstrainedInfo) -> _Inside:
@@ -135,7 +142,7 @@ def _implicit(primals, tangents):
         return jax.tree.map(lambda none, part: none if part is None else part, none, change, is_leaf=_is_none)
 
     def curvature(d):
-        return inside.mask(jax.jvp(lambda d: gradient(problem, d), (zero,), (d,))[1])
+        return inside.project(jax.jvp(lambda d: gradient(problem, d), (zero,), (d,))[1])
 
     side, first = jax.tree.map(jnp.negative, of_parameters(gradient, zero)), zero
     if inside.rows is not None:
@@ -143,7 +150,7 @@ def _implicit(primals, tangents):
         first = inside.solve(zero, -of_parameters(violation, jnp.zeros(len(inside.rows), inside.rows.dtype)))
         side = jax.tree.map(jnp.subtract, side, curvature(first))
     step = conjugate_gradients(
-        curvature, inside.mask(side), inside.solve, tolerance=DERIVATIVE_TOLERANCE, max_steps=DERIVATIVE_STEPS
+        curvature, inside.project(side), inside.solve, tolerance=DERIVATIVE_TOLERANCE, max_steps=DERIVATIVE_STEPS
     )
     step = jax.tree.map(jnp.add, first, step)
     _, tangent = eqx.filter_jvp(moved, (problem, zero), (tangents[0], step))
