@@ -80,12 +80,8 @@ def test_the_hessian_is_that_of_a_problem_without_residuals(rng):
     """At a point that explains every place exactly, Gauss-Newton's matrix is the Hessian."""
     problem, y = scene(rng)
     subject = problem.subject(y)
-    places = jnp.stack(
-        [
-            marker_places(slid(subject, y.slides, problem.features[f]), jax.tree.map(lambda leaf: leaf[f], y.poses))
-            for f in range(FRAMES)
-        ]
-    )
+    place = lambda pose, phi: marker_places(slid(subject, y.slides, phi), pose)  # noqa: E731
+    places = jax.vmap(place)(y.poses, problem.features)
     exact = eqx.tree_at(lambda p: (p.places, p.bound), problem, (places, jnp.asarray(UNBOUNDED)))
     free = eqx.tree_at(lambda p: p.turning.precision, exact, jnp.zeros_like(exact.turning.precision))
     zero = jax.tree.map(jnp.zeros_like, free.scales())
@@ -103,7 +99,6 @@ def test_derivatives_of_a_calibration_are_differences(rng):
     solve = eqx.filter_jit(solve_calibration)
     start = solve(problem, y)
     assert bool(start.trustworthy)
-    truly = start.subject.skeleton.centres
 
     def length(problem, start):
         centres = solve_calibration(problem, start).subject.skeleton.centres
@@ -122,7 +117,6 @@ def test_derivatives_of_a_calibration_are_differences(rng):
         ]
         difference = float(ends[0] - ends[1]) / (2 * step)
         assert float(where(slope)[index]) == pytest.approx(difference, rel=1e-5, abs=1e-7)
-    assert jnp.isfinite(truly).all()
 
 
 def test_a_term_moves_a_calibration(rng):

@@ -23,16 +23,9 @@ BEING_REWRITTEN = {
     "learn/adapt.py",
     "learn/projection.py",
     "learn/vertices.py",
-    "markers/eliminate.py",
-    "markers/equations.py",
-    "markers/frame.py",
-    "markers/null_space.py",
-    "markers/shape_search.py",
-    "markers/skin.py",
-    "markers/turning.py",
 }
 #: of these the ones that walk by a damping of their own
-WALKING = {"learn/joints.py", "learn/projection.py", "markers/adjust.py", "markers/shape_search.py"}
+WALKING = {"learn/joints.py", "learn/projection.py"}
 #: verbs that end in the solution of equations
 VERB = re.compile(
     r"^(try_)?(solve|cho_solve|lstsq|inv|inverse|least_squares|spsolve|factor(ise)?|cg|damped_step)(_|$)"

@@ -152,7 +152,12 @@ def reweigh(
     def improve(carry):
         y, damping, length, count = carry
         found = minimise(remake(y), y, solver, steps, damping)
-        return found.y, found.damping, jnp.where(jnp.isfinite(found.length), found.length, length), count + found.num_steps
+        return (
+            found.y,
+            found.damping,
+            jnp.where(jnp.isfinite(found.length), found.length, length),
+            count + found.num_steps,
+        )
 
     dtype = jnp.result_type(*(leaf for leaf in jax.tree.leaves(start) if eqx.is_inexact_array(leaf)))
     first = start, jnp.asarray(solver.damping, dtype), jnp.asarray(jnp.inf, dtype), jnp.array(0)

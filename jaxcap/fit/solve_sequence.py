@@ -18,6 +18,7 @@ from .solvers.implicit import implicit_minimum, is_stationary
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import AnySolver
 
+
 class SequenceSolution(eqx.Module):
     """The outcome of `solve_sequence`."""
 

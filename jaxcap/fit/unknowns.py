@@ -128,9 +128,11 @@ class JointOrientations(AbstractUnknown[Float[Array, "C 4"]]):
 
 
 class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
-    """Amounts of modes of a shape space: joints and surface together (`Modes`)."""
+    """Amounts of modes of a shape space: joints and surface together (`Modes`), within bounds."""
 
     modes: Modes
+    lowest: Float[Array, "K"] | None = None
+    highest: Float[Array, "K"] | None = None
 
     def size(self, body):
         return len(self.modes.centres)
@@ -143,6 +145,13 @@ class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
 
     def retract(self, value, d):
         return value + d
+
+    def bounds(self, value):
+        if self.lowest is None and self.highest is None:
+            return None
+        low, high = (jnp.full_like(value, sign * jnp.inf) for sign in (-1, 1))
+        low = low if self.lowest is None else self.lowest - value
+        return low, high if self.highest is None else self.highest - value
 
 
 class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):

@@ -18,14 +18,14 @@ from ..fit.alternate import renew
 from ..fit.solvers.block_banded import BlockBanded
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..fit.solvers.precision import in_double
-from .deviation_update import EXACT, marker_deviations
 from .problem import CalibrationEstimate, CalibrationProblem, slid
 from .residuals import marker_residuals
 from .robust import MEDIAN, UNBOUNDED
-from .skin import find_skin, slide_deviation, sliding
 from .shared import shared_between
+from .skin import find_skin, slide_deviation, sliding
 from .subject import Subject
 from .turning import free_turning, turning_of
+from .variances import EXACT, marker_deviations
 
 _LOG = logging.getLogger(__name__)
 
@@ -54,17 +54,23 @@ class Fit(NamedTuple):
     converged: bool
 
 
-def adjust(problem: CalibrationProblem, subject: Subject, poses: Pose, *, skin: bool, steps: int, rough: bool) -> Fit:
+def adjust(
+    problem: CalibrationProblem, subject: Subject, poses: Pose, *, skin: bool, steps: int, rough: bool
+) -> Fit:
     """Fit at fixed variances until little is left to gain, then renew these, until they stay; in double precision, as what
     frames tell of a subject is a difference of large numbers.
 
     **Arguments:** `problem`, whose deviations and turning are to be found; `skin`: whether it may slide; `steps` at most; `rough` ends
     after the first renewals.
     """
-    return in_double(partial(_adjust, skin=skin and not rough, steps=steps, rough=rough), problem, subject, poses)
+    return in_double(
+        partial(_adjust, skin=skin and not rough, steps=steps, rough=rough), problem, subject, poses
+    )
 
 
-def _adjust(problem: CalibrationProblem, subject: Subject, poses: Pose, skin: bool, steps: int, rough: bool) -> Fit:
+def _adjust(
+    problem: CalibrationProblem, subject: Subject, poses: Pose, skin: bool, steps: int, rough: bool
+) -> Fit:
     shared = shared_between(problem.template, subject, problem.joints)
     start = CalibrationEstimate(poses, shared, jnp.zeros((0, subject.num_markers, 3)))
     problem = _first_deviations(problem, start)

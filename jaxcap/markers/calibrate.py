@@ -8,7 +8,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
-
 from threadpoolctl import threadpool_limits
 
 from ..arguments import checked
@@ -20,8 +19,8 @@ from ..observe import MarkerFrames
 from .adjust import Fit, adjust
 from .choose import choose_frames
 from .matched import match_markers
-from .problem import make_problem
 from .null_space import Hardly, describe_precision, hardly_known, shared_covariance
+from .problem import make_problem
 from .shared import Trust, solved_joints
 from .skin import shift_variances
 from .solve import solve_markers
@@ -92,9 +91,7 @@ def calibrate(
     """
     # threads of BLAS and those of XLA wait for each other, and matrices of frames are small
     with threadpool_limits(1, "blas"):
-        return _calibrate(
-            frames, subject, motion, robust, skin, symmetry, count, trust, steps, tuple(terms)
-        )
+        return _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, tuple(terms))
 
 
 def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, terms) -> Calibration:

@@ -70,7 +70,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return shift_subject(self.template, self.joints, y.shared)
 
     def value(self, y):
-        return self._shared_value(y) + jnp.sum(jax.lax.map(self._of_frame(y), self._frames(y), batch_size=BATCH))
+        return self._shared_value(y) + jnp.sum(
+            jax.lax.map(self._of_frame(y), self._frames(y), batch_size=BATCH)
+        )
 
     def retract(self, y, d: Unknowns):
         by_frame, shared = d
@@ -228,7 +230,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     def _term_tangent(self, y: CalibrationEstimate) -> BodyTangent | None:
         if self.terms is None:
             return None
-        return body_tangent(self._body_at(y), marker_body(self.subject(y)), len(self.prior) + y.slides.size, False)
+        return body_tangent(
+            self._body_at(y), marker_body(self.subject(y)), len(self.prior) + y.slides.size, False
+        )
 
     def _body_at(self, y: CalibrationEstimate):
         return lambda s: marker_body(
@@ -247,7 +251,11 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             return total, (mine.T @ mine, mine.T @ common, mine.T @ r)
 
         shared = self.scales()[1]
-        none = jnp.zeros((), shared.dtype), jnp.zeros_like(shared), jnp.zeros((len(shared), len(shared)), shared.dtype)
+        none = (
+            jnp.zeros((), shared.dtype),
+            jnp.zeros_like(shared),
+            jnp.zeros((len(shared), len(shared)), shared.dtype),
+        )
         (value, side, matrix), (blocks, coupling, sides) = jax.lax.scan(of_frame, none, y.poses)
         return value, (sides, side), BlockArrow(BlockBanded(blocks[:, None]), coupling, matrix)
 

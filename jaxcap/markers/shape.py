@@ -18,11 +18,12 @@ from ..body.morphs import Traits
 from ..body.pose import Pose, rest_pose
 from ..body.skeleton import Skeleton
 from ..energy.prior import RestPrior
+from ..fit.solve import solve
 from ..geometry import rotation
 from ..geometry.procrustes import rigid_fit
 from ..observe import MarkerFrames
 from .anatomical import anatomical_markers
-from .shape_search import HIGHEST, LOWEST, SPREAD, USUAL, Measured, descend
+from .shape_search import HIGHEST, LOWEST, SPREAD, USUAL, Measured, search_shape
 from .surface import SurfaceMarkers, surface_landmarks, vertex_markers
 
 #: a trait of which so much of the usual deviation is left has not been told
@@ -95,12 +96,12 @@ def fit_shape(
     numbers = np.array(start)
     if energy is not None:
         # the pose first: a wrong one would be made up for by a strange person
-        numbers, pose, _ = descend(energy, measured, numbers, pose, (), body, resolution, steps)
-    numbers, pose, covariance = descend(energy, measured, numbers, pose, free, body, resolution, steps)
+        pose = solve(energy, body, pose, max_steps=steps).pose
+    numbers, pose, covariance = search_shape(energy, measured, numbers, pose, free, body, resolution, steps)
     traits = Traits(*(float(x) for x in numbers))
     body = body_of(traits, resolution, joints)
     spread = np.zeros(len(numbers))
-    spread[list(free)] = np.sqrt(np.diag(covariance)[: len(free)])
+    spread[list(free)] = np.sqrt(np.diag(covariance))
     residuals = np.zeros(0)
     if held is not None:
         residuals = np.linalg.norm(np.asarray(_places(held, body, pose), float) - places, axis=1)

@@ -150,7 +150,11 @@ def _implicit(primals, tangents):
         first = inside.solve(zero, -of_parameters(violation, jnp.zeros(len(inside.rows), inside.rows.dtype)))
         side = jax.tree.map(jnp.subtract, side, curvature(first))
     step = conjugate_gradients(
-        curvature, inside.project(side), inside.solve, tolerance=DERIVATIVE_TOLERANCE, max_steps=DERIVATIVE_STEPS
+        curvature,
+        inside.project(side),
+        inside.solve,
+        tolerance=DERIVATIVE_TOLERANCE,
+        max_steps=DERIVATIVE_STEPS,
     )
     step = jax.tree.map(jnp.add, first, step)
     _, tangent = eqx.filter_jvp(moved, (problem, zero), (tangents[0], step))

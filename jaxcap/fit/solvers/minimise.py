@@ -96,7 +96,7 @@ def _minimise_flat(problem: AbstractProblem, start: Any, solver: AnySolver, max_
 
     def in_chart(y, _):
         flat = flat_problem(problem, y)
-        run = optx.least_squares if squares else optx.minimise
+        run: Any = optx.least_squares if squares else optx.minimise
         function = (lambda d, flat: flat.residual(d)) if squares else (lambda d, flat: flat.value(d))
         steps = -(-max_steps // CHARTS)
         found = run(function, solver, flat.start, args=flat, max_steps=steps, throw=False)
