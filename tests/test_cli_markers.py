@@ -128,6 +128,19 @@ def test_a_trial_is_solved(capsys, folder, scene, tmp_path):
     assert json.loads((tmp_path / "report" / "report.json").read_text())["lost_frames"] == []
 
 
+def test_markers_stay_above_a_floor(capsys, folder, scene, tmp_path):
+    places = np.asarray(scene.places[2 * FRAMES : 3 * FRAMES])[..., 1]
+    height = float(np.quantile(places.min(1), 0.5)) + 0.02
+    plain, above = (tmp_path / name for name in ("plain.trc", "above.trc"))
+    for file, more in ((plain, ()), (above, ("--floor", height))):
+        runs(capsys, "markers", "solve", folder / "subject.npz", folder / "trial.c3d", "-o", tmp_path / f"{file.stem}.npz", "--joints", file, *more)  # fmt: skip
+    joints = [np.asarray(jc.read_markers(file).places)[..., 1] for file in (plain, above)]
+    low = joints[0].min(1) < height - 0.02
+    assert (joints[1] - joints[0]).min(1)[low].max() > 0.001
+    refused = ("markers", "solve", folder / "subject.npz", folder / "trial.c3d", "-o", tmp_path / "x.npz")
+    assert "--floor is nan" in fails(capsys, *refused, "--floor", "nan")
+
+
 def test_several_trials_go_into_a_folder(capsys, folder, tmp_path):
     command = ["markers", "solve", folder / "subject.npz", folder / "trial.c3d", folder / "more.trc", "-o", tmp_path / "out"]  # fmt: skip
     runs(capsys, *command, "--joints", "joints.trc", "--stream")

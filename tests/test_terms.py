@@ -1,6 +1,7 @@
 """One term of a user's own moves the result of every fit where it should."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,7 +19,12 @@ from jaxcap.errors import InputError
 from jaxcap.fit.correspond import make_scan
 from jaxcap.fit.registered import fit_meshes
 from jaxcap.fit.sequence import track
+from jaxcap.markers.calibrate import calibrate
+from jaxcap.markers.solve import solve_markers
+from jaxcap.markers.stream import make_streamer, stream_frame
+from jaxcap.markers.subject import marker_places
 from jaxcap.observe import MeshSequence
+from tests.markers_limb import moving, seen_by, truth
 
 BODY = chain_body("linear", 10, 8)
 
@@ -102,3 +108,28 @@ def test_terms_that_do_not_fit_are_told(scene):
         track(actor, [cloud], poses[0], terms=[term])
     with pytest.raises(InputError, match="terms"):
         track(actor, [cloud], poses[0], tracker=jc.make_tracker(actor), terms=[make_floor(actor)])
+
+
+def test_markers_are_kept_above_a_floor(rng):
+    """Of a known subject, of one that is calibrated, and frame by frame."""
+    subject, motion = truth(), moving(rng, 12)
+    frames = seen_by(subject, motion, rng)
+    plain = solve_markers(subject, frames)
+
+    def lowest_of(subject, poses) -> np.ndarray:
+        return np.asarray(jax.vmap(lambda pose: marker_places(subject, pose))(poses))[..., 1].min(1)
+
+    before = lowest_of(subject, plain.motion.poses)
+    height = float(np.median(before))
+    floor = FeetOnFloor(jnp.arange(subject.num_markers), jnp.asarray(height))
+    after = lowest_of(subject, solve_markers(subject, frames, terms=[floor]).motion.poses)
+    assert after.min() > before.min() + 0.002
+    np.testing.assert_allclose(after[before > height + 0.01], before[before > height + 0.01], atol=2e-3)
+    streamer, state = make_streamer(subject, terms=[floor])
+    for frame in range(3):
+        state, pose = stream_frame(streamer, state, np.asarray(frames.places)[frame])
+    assert float(marker_places(subject, pose)[:, 1].min()) == pytest.approx(after[2], abs=2e-3)
+    found = calibrate(frames, subject, count=12, skin=False, terms=[floor])
+    assert lowest_of(found.subject, found.motion.poses).min() > before.min() + 0.002
+    with pytest.raises(InputError, match="vertices"):
+        solve_markers(subject, frames, terms=[make_floor(BODY)])

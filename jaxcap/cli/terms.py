@@ -27,7 +27,7 @@ FloorHeight = Annotated[
     arg(
         metavar="METRES",
         help_behavior_hint="",
-        help="Height of a floor that the body does not sink into, along the axis that points up.",
+        help="Height of a floor that the body, or its markers, do not sink into, along the axis that points up.",
     ),
 ]
 LikelyFile = Annotated[

@@ -1,5 +1,6 @@
 """One frame of markers at a time, for live use."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,10 +11,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..arguments import checked
 from ..body.pose import Pose, rest_pose
+from ..energy.check import check_numbers
+from ..energy.term import AbstractEnergy, sum_of
 from .frame import Search, solve_frame
 from .guess import guess_poses
 from .solve import DOUBT, FAR, LEAST
-from .subject import Subject
+from .subject import Subject, marker_body
 
 #: iterations of a frame in time
 LIVE = Search(iterations=6)
@@ -24,6 +27,8 @@ class Streamer(eqx.Module):
 
     subject: Subject
     search: Search = LIVE
+    #: of a user's own, which see the markers for vertices
+    terms: AbstractEnergy | None = None
 
 
 class StreamState(NamedTuple):
@@ -37,14 +42,19 @@ class StreamState(NamedTuple):
 
 
 @checked
-def make_streamer(subject: Subject, search: Search = LIVE) -> tuple[Streamer, StreamState]:
-    """A streamer, already compiled, and the state before the first frame."""
-    streamer = Streamer(subject, search)
+def make_streamer(
+    subject: Subject, search: Search = LIVE, terms: Sequence[AbstractEnergy] = ()
+) -> tuple[Streamer, StreamState]:
+    """Make a streamer, already compiled, and the state before the first frame; `terms` as those of `solve_markers`."""
+    energy = sum_of(terms)
+    if energy is not None:
+        check_numbers(energy, marker_body(subject))
+    streamer = Streamer(subject, search, energy)
     pose = rest_pose(subject.skeleton)
     count, dtype = subject.num_markers, subject.offsets.dtype
     nothing = jnp.zeros((count, 3), dtype), jnp.zeros(count, bool)
     jax.block_until_ready(_follow(streamer, pose, *nothing))
-    jax.block_until_ready(_find(subject, pose, *nothing))
+    jax.block_until_ready(_find(streamer, pose, *nothing))
     jax.block_until_ready(guess_poses(subject, nothing[0][None], nothing[1][None]))
     return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), jnp.asarray(0))
 
@@ -77,7 +87,7 @@ def stream_frame(
         solved = _follow(streamer, state.pose, clean, shown)
     if solved is None or not float(solved.spread) < DOUBT:
         guess = jax.tree.map(lambda leaf: leaf[0], guess_poses(subject, clean[None], shown[None]))
-        other = _find(subject, guess, clean, shown)
+        other = _find(streamer, guess, clean, shown)
         if solved is None or not float(solved.spread) <= float(other.spread):
             solved = other
     return StreamState(solved.pose, solved.spread, jnp.asarray(0)), solved.pose
@@ -85,9 +95,9 @@ def stream_frame(
 
 @eqx.filter_jit
 def _follow(streamer: Streamer, pose: Pose, places, seen):
-    return solve_frame(streamer.subject, pose, places, seen, streamer.search)
+    return solve_frame(streamer.subject, pose, places, seen, streamer.search, streamer.terms)
 
 
 @eqx.filter_jit
-def _find(subject: Subject, pose: Pose, places, seen):
-    return solve_frame(subject, pose, places, seen, FAR)
+def _find(streamer: Streamer, pose: Pose, places, seen):
+    return solve_frame(streamer.subject, pose, places, seen, FAR, streamer.terms)

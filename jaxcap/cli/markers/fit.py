@@ -16,6 +16,7 @@ from ...markers.calibrate import Calibration, calibrate
 from ...markers.centres import Method
 from ...markers.local import LocalFit, fit_local
 from ...markers.solve import MarkerSolution, solve_markers
+from ...markers.subject import marker_body
 from ...markers.unite import unite_takes
 from ...report.markers import held_residuals, report_markers, total_residuals
 from ..heartbeat import doing
@@ -23,6 +24,7 @@ from ..motions import load_skeleton
 from ..options import SKELETON_WORDS, Flag, OptionalFile, OptionalUnit, Up, arg
 from ..outputs import check_npz, make_folder
 from ..say import say
+from ..terms import FloorHeight, read_terms
 from .found import strays, tell_bones, tell_joints, tell_segments
 from .takes import (
     Files,
@@ -75,6 +77,7 @@ class Fit:
     """Frames that the fit of all together chooses, as different as can be."""
     rigid: Flag = False
     """Markers stay where they are on their bones; without it they may slide as joints turn, where they seem to."""
+    floor: FloorHeight = None
     unit: OptionalUnit = None
     """Unit of the files' lengths, in place of what they say: m, dm, cm, mm, in or ft."""
     subject: OptionalSubject = None
@@ -115,16 +118,22 @@ class Fit:
         tell_segments(found)
         tell_joints(found)
         fitted: Calibration | MarkerSolution
+        terms = read_terms(marker_body(found.subject), floor=self.floor)
         if self.local:
             subject = found.subject
-            fitted = solve_markers(subject, found.markers)
+            fitted = solve_markers(subject, found.markers, terms=terms)
         else:
             say(
                 f"fitting poses, lengths and placements together in {min(self.frames, len(united))} of {len(united)} frames"
             )
             known = [pair for pair in pairs if set(pair) <= set(found.skeleton.names)]
             fitted = calibrate(
-                found.markers, found.subject, symmetry=known, count=self.frames, skin=not self.rigid
+                found.markers,
+                found.subject,
+                symmetry=known,
+                count=self.frames,
+                skin=not self.rigid,
+                terms=terms,
             )
             subject = fitted.subject
         lost = fitted.lost if isinstance(fitted, MarkerSolution) else None

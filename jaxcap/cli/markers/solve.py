@@ -7,19 +7,21 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from ...energy.term import AbstractEnergy
 from ...errors import InputError
 from ...io.lock import run_lock
 from ...io.registry import MOTION_WRITERS, write_markers, write_motion
 from ...io.subject import load_subject
 from ...markers.fill import fill_gaps
 from ...markers.solve import MarkerSolution, solve_markers
-from ...markers.subject import Subject
+from ...markers.subject import Subject, marker_body
 from ...observe import MarkerFrames
 from ...report.markers import held_residuals, report_markers, score_markers, total_residuals
 from ..heartbeat import doing
 from ..options import Flag, OptionalUnit, Up, arg
 from ..outputs import check_parent, make_folder, nothing_left
 from ..say import say, table, warn
+from ..terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
 from .found import strays
 from .solved import digest, read_solved, write_solved
 from .streamed import Latency, solve_streamed
@@ -57,6 +59,10 @@ class Solve:
     """Joint centres, as .trc, .c3d or .csv; into a folder with the trial's name before theirs where OUT is one."""
     filled: Files = ()
     """Markers without gaps, as .trc, .c3d or .csv; named as --joints are."""
+    limits: LimitsFile = None
+    prior: LikelyFile = None
+    floor: FloorHeight = None
+    limit_weight: LimitWeight = 100.0
     stream: Flag = False
     """Solve frame by frame, each as if no other were to come, and say how long a frame takes."""
     report: OptionalFolder = None
@@ -80,6 +86,13 @@ class Solve:
             return
         check_new(self.results, self.overwrite or (self.resume and self.kept.is_file()))
         subject = load_subject(self.subject)
+        terms = read_terms(
+            marker_body(subject),
+            limits=self.limits,
+            limit_weight=self.limit_weight,
+            floor=self.floor,
+            prior=self.prior,
+        )
         header = {**self.settings(), "subject": digest(self.subject)}
         doing("reading the trials")
         # a trial that is wrong is told before any has results; one that changes from now on is solved as it is now
@@ -101,7 +114,7 @@ class Solve:
                 # from now on results in the way are of this run
                 write_solved(self.kept, header, solved)
                 try:
-                    self.solve(subject, path, frames)
+                    self.solve(subject, path, frames, terms)
                 except (ValueError, KeyboardInterrupt) as stop:
                     if not solved:
                         self.kept.unlink(missing_ok=True)
@@ -121,10 +134,12 @@ class Solve:
     def settings(self) -> dict[str, object]:
         """What the results depend on, by the names that the user knows."""
         files = {"joints": self.joints, "filled": self.filled}
-        names = ("unit", "performer", "up", "pieces", "stream")
+        names = ("unit", "performer", "up", "pieces", "stream", "floor", "limit_weight")
+        terms = {"limits": self.limits, "prior": self.prior}
         return {
             **{name: getattr(self, name) for name in names},
             **{name: [str(path) for path in paths] for name, paths in files.items()},
+            **{name: None if path is None else digest(path) for name, path in terms.items()},
             "report": None if self.report is None else str(self.report),
         }
 
@@ -189,12 +204,14 @@ class Solve:
             return files
         return tuple(self.out / f"{Path(trial).stem}-{file.name}" for file in files)
 
-    def solve(self, subject: Subject, path: str, frames: MarkerFrames) -> None:
+    def solve(
+        self, subject: Subject, path: str, frames: MarkerFrames, terms: tuple[AbstractEnergy, ...]
+    ) -> None:
         latency: Latency | None = None
         if self.stream:
-            solution, latency = solve_streamed(subject, frames)
+            solution, latency = solve_streamed(subject, frames, terms)
         else:
-            solution = solve_markers(subject, frames)
+            solution = solve_markers(subject, frames, terms=terms)
         if solution.lost.all():
             raise InputError(
                 f"{path}: none of its {len(frames)} frames shows enough markers that the subject explains; is it the same "

@@ -1,6 +1,7 @@
 """A trial solved frame by frame as live use would, with the time that each frame takes."""
 
 import time
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...body.pose import Pose, stack_poses
+from ...energy.term import AbstractEnergy
 from ...markers.matched import match_markers
 from ...markers.residuals import marker_residuals
 from ...markers.solve import MarkerSolution
@@ -44,14 +46,16 @@ class Latency(NamedTuple):
         )
 
 
-def solve_streamed(subject: Subject, frames: MarkerFrames) -> tuple[MarkerSolution, Latency]:
+def solve_streamed(
+    subject: Subject, frames: MarkerFrames, terms: Sequence[AbstractEnergy] = ()
+) -> tuple[MarkerSolution, Latency]:
     """The motion through frames that come one by one, and how long each took.
 
     **Raises:** `ValueError` where frames and subject share no label.
     """
     matched = match_markers(subject, frames)
     places, seen = np.asarray(matched.places), np.asarray(matched.seen)
-    streamer, state = make_streamer(subject)
+    streamer, state = make_streamer(subject, terms=terms)
     poses: list[Pose] = []
     seconds, lost = np.zeros(len(places)), np.zeros(len(places), bool)
     for frame in range(len(places)):
