@@ -126,6 +126,9 @@ from .fit.sequence import track as track
 from .fit.sequence import track_frames as track_frames
 from .fit.sequence_problem import SequenceEstimate as SequenceEstimate
 from .fit.sequence_problem import SequenceProblem as SequenceProblem
+from .fit.sequence_uncertainty import SequenceUncertainty as SequenceUncertainty
+from .fit.sequence_uncertainty import describe_sequence as describe_sequence
+from .fit.sequence_uncertainty import sequence_uncertainty as sequence_uncertainty
 from .fit.solve import Solution as Solution
 from .fit.solve import solve as solve
 from .fit.solve_sequence import SequenceSolution as SequenceSolution

@@ -11,12 +11,13 @@ from jax.flatten_util import ravel_pytree
 
 from jaxcap.body.body import Posed, pose_body
 from jaxcap.body.pose import Pose, rest_pose
-from jaxcap.energy.landmarks import VertexLandmarks
+from jaxcap.energy.landmarks import VertexLandmarks, joint_landmarks
 from jaxcap.energy.prior import RestPrior
 from jaxcap.energy.stacked import SmoothTurns, Stacked, stack_energies
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.errors import InputError
-from jaxcap.fit.sequence_problem import SequenceProblem
+from jaxcap.fit.sequence_problem import SequenceEstimate, SequenceProblem
+from jaxcap.fit.sequence_uncertainty import describe_sequence, sequence_uncertainty
 from jaxcap.fit.solve_sequence import solve_sequence
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -193,6 +194,16 @@ def test_what_does_not_go_together_is_a_sentence(scene):
         )
     with pytest.raises(InputError, match="`solver` is a Newton; expected is"):
         solve_sequence(problem, poses, optx.Newton(1e-3, 1e-3))
+    for unknown, sentence in (
+        (JointCentres(joints=(2,)), "no energy depends on the unknown 'part'"),
+        (Size(1.2, 0.9), "bounds of the unknown 'part' cross: number 0 is at least"),
+    ):
+        near = RestPrior(jnp.ones((BODY.skeleton.num_joints, 3)))
+        near = (
+            near if isinstance(unknown, JointCentres) else near + NearHeight(jnp.array([1]), jnp.asarray(0.0))
+        )
+        with pytest.raises(InputError, match=sentence):
+            solve_sequence(SequenceProblem(BODY, near, jnp.arange(5.0), {"part": unknown}), poses)
     with pytest.raises(InputError, match="differs from that of frame 0"):
         stack_energies(
             [RestPrior(jnp.ones((BODY.skeleton.num_joints, 3))), NearHeight(jnp.array([1]), jnp.asarray(0.0))]
@@ -202,3 +213,41 @@ def test_what_does_not_go_together_is_a_sentence(scene):
     with pytest.raises(InputError, match="the data of VertexLandmarks are of several frames"):
         problem.frames.terms[0].residual(pose_body(BODY, rest_pose(BODY.skeleton)))
     assert isinstance(problem.frames.terms[0], Stacked)
+
+
+def test_uncertainty_is_the_inverse_of_all_equations(scene):
+    """Block by block, where everything is held."""
+    problem, poses, _ = scene
+    found = solve_(problem, poses, TIGHT)
+    known = sequence_uncertainty(problem, found, variance=0.5)
+    dense = 0.5 * np.linalg.inv(np.asarray(_hessian(problem, found)))
+    dofs = BODY.skeleton.num_dofs
+    last = FRAMES * dofs
+    np.testing.assert_allclose(known.shared, dense[last:, last:], rtol=1e-6, atol=1e-12)
+    for frame in range(FRAMES):
+        block = slice(frame * dofs, (frame + 1) * dofs)
+        np.testing.assert_allclose(known.poses[frame], dense[block, block], rtol=1e-6, atol=1e-12)
+    assert describe_sequence(problem, known) == []
+    assert known.names == ("centres[0]", *(f"centres[{n}]" for n in range(1, 6)), "size[0]")
+
+
+def test_what_nothing_shows_is_described(scene):
+    """The size where joints may go anywhere and only they are seen; a joint in one frame."""
+    problem, poses, _ = scene
+    joints = tuple(range(1, BODY.skeleton.num_joints))
+    centres = pose_body(BODY, rest_pose(BODY.skeleton)).joints
+    free = SequenceProblem(
+        BODY,
+        joint_landmarks(centres),
+        problem.times,
+        {"size": Size(), "centres": JointCentres(joints=joints)},
+    )
+    found = solve_sequence(free, poses, LevenbergMarquardt(), 5)
+    lines = describe_sequence(free, sequence_uncertainty(free, found))
+    assert any("size[0]" in line for line in lines)
+    assert any(line.endswith("in any frame.") and BODY.skeleton.names[-1] in line for line in lines)
+
+
+@eqx.filter_jit
+def _hessian(problem, found):
+    return problem.normal_equations(SequenceEstimate(found.poses, found.values))[2].as_matrix()

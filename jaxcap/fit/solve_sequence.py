@@ -4,7 +4,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 import optimistix as optx
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, Float, Int
 
 from ..arguments import checked
@@ -97,8 +99,38 @@ def _check(problem: SequenceProblem, poses: Pose) -> None:
     own, same = split_frames(problem.frames)
     first = join_frame(jax.tree.map(lambda leaf: leaf[0], own), same)
     check_numbers(first, problem.body)
+    start = problem.start(poses)
     with explained(first, problem.body):
-        jax.eval_shape(problem.value, problem.start(poses))
+        _check_seen(problem, start)
+    _check_bounds(problem, start)
+
+
+def _check_seen(problem: SequenceProblem, start: SequenceEstimate) -> None:
+    """That every shared unknown has a part in the energy."""
+    shapes = jax.eval_shape(lambda: start)
+    traced = jax.make_jaxpr(lambda values: problem.value(SequenceEstimate(start.poses, values)))(
+        shapes.values
+    )
+    _, used = dce_jaxpr(traced.jaxpr, [True])
+    for name, parts in jax.tree.unflatten(jax.tree.structure(shapes.values), used).items():
+        if not any(jax.tree.leaves(parts)):
+            raise InputError(
+                f"SequenceProblem: no energy depends on the unknown '{name}'; give one that does, or leave it out of `unknowns`."
+            )
+
+
+def _check_bounds(problem: SequenceProblem, start: SequenceEstimate) -> None:
+    for name, unknown in problem.unknowns.items():
+        ends = unknown.bounds(start.values[name])
+        if ends is None or any(isinstance(end, jax.core.Tracer) for end in ends):
+            continue
+        crossed = np.flatnonzero(np.asarray(ends[0]) > np.asarray(ends[1]))
+        if len(crossed):
+            low, high = (float(end[crossed[0]]) for end in ends)
+            raise InputError(
+                f"SequenceProblem: bounds of the unknown '{name}' cross: number {crossed[0]} is at least {low:g} and at most "
+                f"{high:g} from its start; give the smaller one first."
+            )
 
 
 def _onto(problem: SequenceProblem, y: SequenceEstimate) -> SequenceEstimate:
