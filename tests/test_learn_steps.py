@@ -75,7 +75,7 @@ def test_joints_and_poses_are_found_again(rng, swing_twist):
     )
     value, damping = float(objective(off, poses, targets, metric)), 1e-4
     values, curvature = [value], make_curvature(metric)
-    for _ in range(12):
+    for _ in range(6):
         off, poses, value, damping = improve_joints(
             off, poses, targets, metric, curvature, NONE, damping, value
         )
@@ -180,7 +180,7 @@ def test_joints_that_no_motion_tells_stay_where_a_skeleton_has_them(rng):
     off = eqx.tree_at(lambda b: b.skeleton.centres, body, body.skeleton.centres + shifts)
     given, curvature = off.skeleton.centres, make_curvature(metric)
     value, damping = float(objective(off, poses, targets, metric)), 1e-4
-    for _ in range(20):
+    for _ in range(10):
         off, poses, value, damping = improve_joints(
             off, poses, targets, metric, curvature, NONE, damping, value, given=Given(given)
         )
