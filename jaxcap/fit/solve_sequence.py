@@ -15,12 +15,10 @@ from ..energy.check import check_numbers, explained
 from ..energy.stacked import join_frame, num_frames_of, split_frames
 from ..errors import InputError
 from .sequence_problem import SequenceEstimate, SequenceProblem, SequenceTangent
-from .solvers.conjugate_gradients import conjugate_gradients
+from .solvers.implicit import information, minimum
 from .solvers.levenberg_marquardt import LevenbergMarquardt
-from .solvers.minimise import AnySolver, minimise
+from .solvers.minimise import AnySolver
 
-#: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end
-DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE = 200, 1e-12
 #: the share of the energy that a Newton step may still gain at a solution whose derivative is trusted
 STATIONARY = 1e-6
 
@@ -70,7 +68,7 @@ def solve_sequence(
     _check(problem, poses)
     solver = LevenbergMarquardt() if solver is None else solver
     start = start if isinstance(start, SequenceEstimate) else problem.start(poses)
-    estimate, (history, num_steps, result) = _minimum(problem, start, solver, max_steps)
+    estimate, (history, num_steps, result) = minimum(problem, start, solver, max_steps, _moved)
     energy, trustworthy = _quality(problem, estimate, result)
     body = problem.body_at(estimate.values)
     return SequenceSolution(
@@ -105,7 +103,7 @@ def _quality(
 ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """The energy, and whether what a Newton step would gain is a small share of it."""
     arrays, rest = eqx.partition((problem, y), eqx.is_array)
-    info = _information(*eqx.combine(jax.lax.stop_gradient(arrays), rest))
+    info = information(*eqx.combine(jax.lax.stop_gradient(arrays), rest))
     hessian: Any = info.hessian
     step = hessian.factorise().solve(info.grad)
     left = 0.5 * sum(jnp.vdot(a, b) for a, b in zip(info.grad, step, strict=True))
@@ -114,56 +112,6 @@ def _quality(
     return 2.0 * problem.value(y), small & (result == optx.RESULTS.successful)
 
 
-@eqx.filter_jit
-def _information(problem: SequenceProblem, y: SequenceEstimate):
-    return problem.information(y)
-
-
-@eqx.filter_custom_jvp
-def _minimum(problem, start, solver, max_steps):
-    return _descend(problem, start, solver, max_steps)
-
-
-@eqx.filter_jit
-def _descend(problem, start, solver, max_steps):
-    found = minimise(problem, start, solver, max_steps)
-    return found.y, (found.history, found.num_steps, found.result)
-
-
-@_minimum.def_jvp
-def _implicit(primals, tangents):
-    """At a minimum the gradient `g(d; p)` by the tangent vanishes for every value of the parameters `p`, so that
-    `d' = -(dg/dd)^-1 (dg/dp) p'`, with the whole Hessian: conjugate gradients on its products, with the factor of the
-    Gauss-Newton equations as preconditioner."""
-    problem, start, solver, max_steps = primals
-    y, stats = _minimum(problem, start, solver, max_steps)
-    scales = problem.scales()
-    zero = jax.tree.map(jnp.zeros_like, scales)
-    hessian: Any = _information(problem, y).hessian
-    factor = hessian.factorise()
-    _, change = eqx.filter_jvp(lambda p: _gradient(p, y, zero), (problem,), (tangents[0],))
-    # nothing at all is known of what does not depend on the parameters
-    change = tuple(none if part is None else part for part, none in zip(change, zero, strict=True))
-
-    def curvature(d: SequenceTangent) -> SequenceTangent:
-        return jax.jvp(lambda d: _gradient(problem, y, d), (zero,), (d,))[1]
-
-    def precondition(side: SequenceTangent) -> SequenceTangent:
-        inner = factor.solve(jax.tree.map(jnp.multiply, scales, side))
-        return jax.tree.map(jnp.multiply, scales, inner)
-
-    step = conjugate_gradients(
-        curvature, change, precondition, tolerance=DERIVATIVE_TOLERANCE, max_steps=DERIVATIVE_STEPS
-    )
-    step = jax.tree.map(jnp.negative, step)
-    _, tangent = eqx.filter_jvp(lambda p, d: _moved(p, y, d), (problem, zero), (tangents[0], step))
-    return (y, stats), (tangent, jax.tree.map(lambda _: None, stats))
-
-
 def _moved(problem: SequenceProblem, y: SequenceEstimate, d: SequenceTangent) -> SequenceEstimate:
     """Along `d` on the manifold that the joints' own axes span, which may be parameters."""
     return problem.retract(SequenceEstimate(problem.start(y.poses).poses, y.values), d)
-
-
-def _gradient(problem: SequenceProblem, y: SequenceEstimate, d: SequenceTangent) -> SequenceTangent:
-    return jax.grad(lambda d: problem.value(_moved(problem, y, d)))(d)
