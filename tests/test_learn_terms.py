@@ -1,5 +1,7 @@
 """An energy of a user's own moves a learned body."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -47,7 +49,7 @@ def test_a_floor_raises_learned_poses(rng):
     assert lowest(free.body, free.motion.poses) < height - 0.02
     assert lowest(raised.body, raised.motion.poses) > height - 0.01
     values = [q for _, q in raised.history]
-    assert all(b <= a for a, b in zip(values, values[1:], strict=False))
+    assert all(b <= a for a, b in itertools.pairwise(values))
     with pytest.raises(InputError, match="FeetOnFloor"):
         learn_body(meshes, **options, terms=[FeetOnFloor(jnp.array([10**6]), jnp.asarray(0.0))])
 

@@ -8,22 +8,14 @@ errors are a parabola that is known exactly.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..body.body import Body
-from ..body.kinematics import Transforms
-from ..body.pose import Pose
-from ..body.skin import LinearSkin
-from .hang import all_bones
 from .simplex import eliminate, simplex_least_squares
 
-#: steps of Gauss-Newton at most; the share of the squares below which a step is the last; lengths that are tried
-STEPS, ENOUGH, LENGTHS = 20, 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
-#: vertices of one block
-BLOCK = 1024
+#: the share of the squares below which a step of Gauss-Newton is the last; lengths that are tried
+ENOUGH, LENGTHS = 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
 
 
 class Settled(NamedTuple):
@@ -36,41 +28,11 @@ class Settled(NamedTuple):
     squares: Float[Array, "V"]
 
 
-def adapt_vertices(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Body:
-    """Find the weights, of all bones, and the rest place that serve each vertex of a linear skin best."""
-    weights = body.skin.influence(body.skeleton.num_joints)
-    every = jnp.broadcast_to(jnp.arange(weights.shape[1]), weights.shape)
-    bones = all_bones(body.skeleton, poses)
-    settled = settle_blocks(weights, body.vertices, every, bones, targets, STEPS)
-    return eqx.tree_at(lambda b: (b.skin, b.vertices), body, (LinearSkin(settled.weights), settled.rest))
-
-
-def settle_blocks(
-    weights: Float[Array, "V K"],
-    rest: Float[Array, "V 3"],
-    near: Int[Array, "V K"],
-    bones: Transforms,
-    targets: Float[Array, "F V 3"],
-    steps: int,
-) -> Settled:
-    """Settle any number of vertices, some at a time."""
-    count, size = len(rest), min(BLOCK, len(rest))
-    aims = jnp.swapaxes(targets, 0, 1).reshape(count, -1)
-    parts = []
-    for first in range(0, count, size):
-        # blocks are equally long; what is in the last one twice is cut from its head
-        begin = min(first, count - size)
-        some = slice(begin, begin + size)
-        part = _settle(weights[some], rest[some], near[some], bones, aims[some], steps)
-        parts.append(jax.tree.map(lambda leaf, cut=first - begin: leaf[cut:], part))
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-
-
 def settle(
     weights: Float[Array, "V K"],
     rest: Float[Array, "V 3"],
     near: Int[Array, "V K"],
-    bones: Transforms,
+    bones: Float[Array, "F J 3 4"],
     aims: Float[Array, "V N"],
     steps: int,
 ) -> Settled:
@@ -79,8 +41,8 @@ def settle(
 
     **Arguments:** `aims`, where each vertex should be in all frames, 3 F numbers.
     """
-    count, frames = len(rest), len(bones.rotations)
-    turns = jnp.swapaxes(bones.rotations, 0, 1).reshape(bones.rotations.shape[1], -1)
+    count, frames = len(rest), len(bones)
+    turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(bones.shape[1], -1)
 
     def slopes_of(shares):
         return (spread_weights(shares, near, len(turns)) @ turns).reshape(count, 3 * frames, 3)
@@ -108,13 +70,10 @@ def settle(
     return Settled(weights / jnp.sum(weights, 1, keepdims=True), rest, left)
 
 
-_settle = eqx.filter_jit(settle)
-
-
 def promising_bones(
     weights: Float[Array, "V J"],
     rest: Float[Array, "V 3"],
-    bones: Transforms,
+    bones: Float[Array, "F J 3 4"],
     aims: Float[Array, "V N"],
     real: Int[Array, ""],
     count: int,
@@ -124,7 +83,7 @@ def promising_bones(
     programming."""
     every = jnp.broadcast_to(jnp.arange(weights.shape[1]), weights.shape)
     apart = images(bones, rest, every) - aims[:, None]
-    turns = jnp.swapaxes(bones.rotations, 0, 1).reshape(weights.shape[1], -1)
+    turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(weights.shape[1], -1)
     reduced, _, _ = _reduced(apart, (weights @ turns).reshape(len(rest), -1, 3))
     errors = jnp.einsum("vj,vjn->vn", weights, reduced)
     towards = reduced - errors[:, None]
@@ -149,10 +108,11 @@ def spread_weights(weights: Float[Array, "V K"], near: Int[Array, "V K"], count:
     return jnp.zeros((len(weights), count), weights.dtype).at[rows, near].add(weights)
 
 
-def images(bones: Transforms, rest: Float[Array, "V 3"], near: Int[Array, "V K"]) -> Float[Array, "V K N"]:
+def images(
+    bones: Float[Array, "F J 3 4"], rest: Float[Array, "V 3"], near: Int[Array, "V K"]
+) -> Float[Array, "V K N"]:
     """Compute where bones near each vertex take it in all frames, 3 F numbers."""
-    affine = jnp.concatenate([bones.rotations, bones.translations[..., None]], -1)
     places = jnp.concatenate([rest, jnp.ones_like(rest[:, :1])], 1)
-    count = affine.shape[1]
-    every = (places @ affine.transpose(3, 1, 0, 2).reshape(4, -1)).reshape(len(rest), count, -1)
+    count = bones.shape[1]
+    every = (places @ bones.transpose(3, 1, 0, 2).reshape(4, -1)).reshape(len(rest), count, -1)
     return jnp.take_along_axis(every, near[:, :, None], 1)

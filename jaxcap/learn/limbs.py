@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..body.kinematics import Transforms
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
@@ -90,12 +89,12 @@ def read_limbs(skeleton: Skeleton, limbs: Limbs) -> tuple[Skeleton, Pose]:
     return eqx.tree_at(lambda s: s.centres, skeleton, centres), poses
 
 
-def bones_of(tree: Tree, limbs: Limbs) -> Transforms:
-    """Compute where all bones are in all frames."""
+def bones_of(tree: Tree, limbs: Limbs) -> Float[Array, "F J 3 4"]:
+    """Compute where all bones are in all frames, `(R, t)` of each."""
     turns = rotation.to_matrix(limbs.turns)
     arms = limbs.centres - limbs.centres[tree.parents]
     joints = _sum_down(tree, _carry(turns[:, tree.parents], arms), limbs.places)
-    return Transforms(turns, joints - _carry(turns, limbs.centres))
+    return jnp.concatenate([turns, (joints - _carry(turns, limbs.centres))[..., None]], -1)
 
 
 def move_limbs(tree: Tree, limbs: Limbs, d: Tangent) -> Limbs:

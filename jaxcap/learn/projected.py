@@ -1,11 +1,14 @@
 """Normal equations of bones from which the unknowns of every vertex are eliminated."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..fit.solvers.block_arrow import ArrowFactor, BlockArrow, Unknowns
+from ..fit.solvers.cholesky import factorise
 from ..fit.solvers.conjugate_gradients import conjugate_gradients
 from ..fit.solvers.equalities import Equalities
 from ..fit.solvers.structured import AbstractFactor, AbstractStructured
@@ -65,7 +68,7 @@ class Projected(AbstractStructured):
     own: Own
     #: the share of the right side at which conjugate gradients end, and their steps at most
     tolerance: Float[Array, ""]
-    steps: int = eqx.field(static=True)
+    steps: Int[Array, ""]
 
     def mv(self, vector: Unknowns) -> Unknowns:
         product = self.moves.pull(self.own.without(self.moves.push(vector)))
@@ -100,13 +103,28 @@ class ProjectedFactor(AbstractFactor):
 
     def solve(self, side: Unknowns, equalities: Equalities | None = None) -> Unknowns:
         still = None if equalities is None else Equalities(equalities.rows, jnp.zeros_like(equalities.values))
+        kept = _along(equalities)
+
+        def product(x):
+            image = self.matrix.mv(x)
+            return image[0], kept(image[1])
+
         first = self.arrow.solve(side, equalities)
         left = jax.tree.map(jnp.subtract, side, self.matrix.mv(first))
         found = conjugate_gradients(
-            self.matrix.mv,
-            left,
+            product,
+            (left[0], kept(left[1])),
             lambda side: self.arrow.solve(side, still),
             tolerance=self.matrix.tolerance,
             max_steps=self.matrix.steps,
         )
         return jax.tree.map(jnp.add, first, found)
+
+
+def _along(equalities: Equalities | None) -> Callable[[Array], Array]:
+    """Leave out of a right side what only presses on equations: else it would be a residual for ever."""
+    if equalities is None or len(equalities.rows) == 0:
+        return lambda s: s
+    rows = equalities.rows
+    factor = factorise(jnp.matmul(rows, rows.T, precision="highest"))
+    return lambda s: s - rows.T @ factor.solve(rows @ s)

@@ -35,10 +35,12 @@ from ..fit.solvers.descent import ConstrainedInfo, Constraints
 from ..fit.solvers.equalities import Equalities
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..fit.solvers.problem import AbstractProblem
-from .adapt import BLOCK, images, promising_bones, settle, spread_weights
+from .adapt import images, promising_bones, settle, spread_weights
 from .limbs import Limbs, Tree, bone_rates, bones_of, is_simple, make_limbs, move_limbs, read_limbs
 from .projected import Moves, Own, Projected, flat_bones
 
+#: vertices that settle at once
+BLOCK = 1024
 #: vertices on which steps rest, about, and of each part at least
 SAMPLES, LEAST = 1200, 12
 #: bones that may move a vertex
@@ -97,7 +99,7 @@ class BlendProblem(AbstractProblem[Blend]):
         arrow = arrow_of(self.tree, y).rescaled(*self.units)
         value = 0.5 * jnp.sum(errors**2)
         none = jax.tree.map(jnp.zeros_like, self.units)
-        hessian = Projected(arrow, none, moves, own, jnp.asarray(TOLERANCE, errors.dtype), STEPS)
+        hessian = Projected(arrow, none, moves, own, jnp.asarray(TOLERANCE, errors.dtype), jnp.asarray(STEPS))
         # what hardly counts is kept from going far
         stiff = jax.tree.map(lambda u, s: 2.0 * value * s * u**2, self.units, (STIFF_TURN, STIFF_SHIFT))
         hessian = hessian.add_diagonal(stiff)
@@ -125,9 +127,7 @@ def spread_places(y: Blend) -> Float[Array, "V B"]:
 
 def errors_of(y: Blend, tree: Tree, aims: Float[Array, "V N"]) -> Float[Array, "V N"]:
     """Compute how far each vertex is from where it should be in all frames."""
-    bones = bones_of(tree, y.limbs)
-    affine = jnp.concatenate([bones.rotations, bones.translations[..., None]], -1)
-    return jnp.matmul(spread_places(y), flat_bones(affine), precision="highest") - aims
+    return jnp.matmul(spread_places(y), flat_bones(bones_of(tree, y.limbs)), precision="highest") - aims
 
 
 def settle_blend(y: Blend, tree: Tree, near, aims, steps: int) -> Blend:
@@ -166,7 +166,7 @@ def own_directions(tree: Tree, near, aims, y: Blend) -> Own:
     first = jnp.argmax(weights, 1)
     base = jnp.take_along_axis(apart, first[:, None, None], 1)
     apart = jnp.where((weights > 0)[:, :, None], apart - base, 0.0)
-    turns = jnp.swapaxes(bones.rotations, 0, 1).transpose(0, 3, 1, 2).reshape(y.weights.shape[1], -1)
+    turns = jnp.swapaxes(bones[..., :3], 0, 1).transpose(0, 3, 1, 2).reshape(y.weights.shape[1], -1)
     by_place = jnp.matmul(y.weights, turns, precision="highest").reshape(len(weights), 3, -1)
     rows = jnp.concatenate([by_place, apart], 1)
     rows = rows / (jnp.linalg.norm(rows, axis=2, keepdims=True) + jnp.finfo(rows.dtype).eps)
