@@ -14,7 +14,7 @@ from jaxcap.learn.hang import all_bones
 from jaxcap.learn.joints import improve_joints, make_curvature
 from jaxcap.learn.limbs import bone_rates, bones_of, make_limbs, move_limbs, read_limbs
 from jaxcap.learn.projection import Blend, BlendProblem, adapt_all, improve_all, settle_blend, spread_vertices
-from jaxcap.learn.vertices import VertexSolver
+from jaxcap.learn.vertices import solve_vertices
 from jaxcap.learn.weights import improve_weights
 from tests.helpers import random_pose
 
@@ -55,11 +55,11 @@ def rmse(body, poses, targets) -> float:
 
 def in_turns(body, poses, targets, rounds: int):
     metric = make_conformance(np.asarray(body.faces), len(body.vertices), 0.0)
-    curvature, solver, damping = make_curvature(metric), VertexSolver(metric), 1e-3
+    curvature, damping = make_curvature(metric), 1e-3
     value = np.inf
     for _ in range(rounds):
         body = improve_weights(body, poses, targets, metric, sweeps=4, coarse=False).body
-        body = eqx.tree_at(lambda b: b.vertices, body, solver.solve(body, poses, targets))
+        body = eqx.tree_at(lambda b: b.vertices, body, solve_vertices(body, poses, targets, metric))
         value = rmse(body, poses, targets) ** 2 * targets.size / 3
         step = improve_joints(body, poses, targets, metric, curvature, NONE, damping, value)
         body, poses, damping = step.body, step.poses, step.damping

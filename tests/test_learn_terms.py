@@ -45,7 +45,7 @@ def test_a_floor_raises_learned_poses(rng):
     floor = FeetOnFloor(jnp.arange(len(body.vertices)), jnp.asarray(height))
     options = {"skeleton": body.skeleton, "symmetry": False, "rounds": 1, "alpha": 1.0}
     free = learn_body(meshes, **options)
-    raised = learn_body(meshes, **options, terms=1e4 * floor)
+    raised = learn_body(meshes, **options, terms=100.0 * floor)
     assert lowest(free.body, free.motion.poses) < height - 0.02
     assert lowest(raised.body, raised.motion.poses) > height - 0.01
     values = [q for _, q in raised.history]

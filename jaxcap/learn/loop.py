@@ -28,7 +28,7 @@ from .objective import objective
 from .projection import adapt_all
 from .start import SkinName, Start, start_free, start_from_motion, start_from_skeleton
 from .state import LearnState
-from .vertices import VertexSolver, carry_back
+from .vertices import carry_back, solve_vertices
 from .weights import improve_weights
 
 _LOG = logging.getLogger(__name__)
@@ -39,7 +39,7 @@ ENOUGH = 8e-3
 COARSE_SHARE = 2 / 3
 #: the alpha up to which bodies under a linear skin are learned by bones, with all that vertices can make of them
 LOOSE = 1.0
-#: what a unit of an energy of a user's own counts, metres squared
+#: what a unit of an energy of a user's own counts for each vertex, metres squared
 UNIT = 1e-3**2
 #: damping of the first step of joints and poses
 FIRST_DAMPING = 1e-3
@@ -103,7 +103,7 @@ def learn_body(
     stands in the first mesh, replaces the joints that would be found: a prior for them beside what motion
     tells, or with `keep_joints` all that counts; `free_bones` hang on
     nothing, and blend linearly; `terms`, an energy or several, are of the posed body with all vertices, and move joints and
-    poses: a unit of them weighs as much as a vertex that is a millimetre off. With them no joints are exchanged. `on_round` sees the state after every round; `resume` goes on
+    poses: a unit of them weighs as much as vertices that are a millimetre off in the mean. With them no joints are exchanged. `on_round` sees the state after every round; `resume` goes on
     from one, to the same result.
 
     **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned, and `InputError` for
@@ -115,7 +115,9 @@ def learn_body(
     if whole is not None:
         # trees of other joints would be told by other energies
         exchanging = "no"
-    fine = _stage(meshes, alpha, "", given, None if whole is None else weighted(UNIT, whole))
+    fine = _stage(
+        meshes, alpha, "", given, None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
+    )
     simple = skeleton is None or is_simple(skeleton)
     loose = skin == "lbs" and alpha < LOOSE and whole is None and simple
     coarse = coarsen(meshes, VERTICES) if loose else coarsen(meshes)
@@ -149,7 +151,6 @@ class _Stage(NamedTuple):
 
     meshes: MeshSequence
     metric: Conformance
-    vertices: VertexSolver
     curvature: Curvature
     prefix: str
     given: Given | None
@@ -164,7 +165,7 @@ def _stage(
     terms: AbstractEnergy | None = None,
 ) -> _Stage:
     metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
-    return _Stage(meshes, metric, VertexSolver(metric), make_curvature(metric), prefix, given, terms)
+    return _Stage(meshes, metric, make_curvature(metric), prefix, given, terms)
 
 
 def _value(body: Body, poses: Pose, stage: _Stage) -> float:
@@ -280,7 +281,7 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=far).body
     state = _keep(state, better, stage, "weights")
     _LOG.info("round %d: rest vertices", state.round + 1)
-    rest = stage.vertices.solve(state.body, poses, targets)
+    rest = solve_vertices(state.body, poses, targets, stage.metric)
     state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
     _LOG.info("round %d: joints and poses", state.round + 1)
     state = _improve_joints(state, stage, STEPS)
