@@ -10,7 +10,7 @@ import jaxcap as jc
 from jaxcap.body.body import deform_all
 from jaxcap.fit.solvers.equalities import Equalities
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.hang import all_bones
+from jaxcap.learn.hang import bone_motions
 from jaxcap.learn.joints import improve_joints, make_curvature
 from jaxcap.learn.limbs import bone_rates, bones_of, make_limbs, move_limbs, read_limbs
 from jaxcap.learn.projection import Blend, BlendProblem, adapt_all, improve_all, settle_blend, spread_vertices
@@ -81,11 +81,11 @@ def test_reaches_the_body_where_turns_creep(rng):
 def test_bones_as_arrays_are_those_of_the_skeleton(rng):
     body, poses = arm(rng, 4)
     tree, limbs = make_limbs(body.skeleton, poses)
-    bones = all_bones(body.skeleton, poses)
+    bones = bone_motions(body.skeleton, poses)
     np.testing.assert_allclose(bones_of(tree, limbs)[:, :3, :, :3], bones.rotations, atol=1e-14)
     np.testing.assert_allclose(bones_of(tree, limbs)[:, :3, :, 3], bones.translations, atol=1e-14)
     skeleton, again = read_limbs(body.skeleton, limbs)
-    np.testing.assert_allclose(all_bones(skeleton, again).translations, bones.translations, atol=1e-14)
+    np.testing.assert_allclose(bone_motions(skeleton, again).translations, bones.translations, atol=1e-14)
     count = len(tree.parents)
     d = jnp.asarray(rng.normal(size=(4, 3 * count + 3))), jnp.asarray(rng.normal(size=3 * count))
 

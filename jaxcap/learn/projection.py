@@ -221,7 +221,7 @@ def improve_all(
     width = len(tree.parents)
     kept = spread_vertices(np.asarray(body.skin.parts()), samples)
     shown = jnp.swapaxes(targets[:, kept], 0, 1).reshape(len(kept), -1)
-    weights = jnp.pad(body.skin.weights, ((0, 0), (0, width - count)))
+    weights = jnp.pad(body.skin.influence(count), ((0, 0), (0, width - count)))
     twins = _twins(body, pairs, width)
     start = Blend(limbs, weights[kept], body.vertices[kept])
     start, _ = _settled(start, tree, shown, jnp.asarray(count))
@@ -251,7 +251,7 @@ def adapt_all(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> tuple[
 
 def _adapt_body(body: Body, tree: Tree, limbs: Limbs, targets) -> tuple[Body, float]:
     count, joints = len(body.vertices), body.skeleton.num_joints
-    weights = jnp.pad(body.skin.weights, ((0, 0), (0, len(tree.parents) - joints)))
+    weights = jnp.pad(body.skin.influence(joints), ((0, 0), (0, len(tree.parents) - joints)))
     aims = jnp.swapaxes(targets, 0, 1).reshape(count, -1)
     size = min(BLOCK, count)
     parts = []
