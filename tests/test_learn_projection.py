@@ -10,12 +10,15 @@ import jaxcap as jc
 from jaxcap.body.body import deform_all
 from jaxcap.fit.solvers.equalities import Equalities
 from jaxcap.geometry.laplacian import make_conformance
+from jaxcap.learn.blend import Blend, BlendProblem, settle_blend
 from jaxcap.learn.hang import bone_motions
 from jaxcap.learn.joints import improve_joints, make_curvature
 from jaxcap.learn.limbs import bone_rates, bones_of, make_limbs, move_limbs, read_limbs
-from jaxcap.learn.projection import Blend, BlendProblem, adapt_all, improve_all, settle_blend, spread_vertices
+from jaxcap.learn.loop import learn_body
+from jaxcap.learn.projection import adapt_all, improve_all, spread_vertices
 from jaxcap.learn.vertices import solve_vertices
 from jaxcap.learn.weights import improve_weights
+from jaxcap.observe import MeshSequence
 from tests.helpers import random_pose
 
 NONE = np.zeros((0, 2), int)
@@ -160,3 +163,16 @@ def test_says_what_it_cannot_do(rng):
     hinge = jc.Body(bent, body.skin, body.vertices, body.faces)
     with pytest.raises(ValueError, match="ball joints"):
         improve_all(hinge, poses, targets, NONE)
+
+
+def test_learning_goes_on_from_a_round_to_the_same_bits(rng):
+    body, poses = arm(rng, 10)
+    meshes = MeshSequence(deform_all(body, poses), body.faces, 30.0)
+    options = {"skin": "lbs", "alpha": 0.0, "joints": 2, "symmetry": False, "rounds": 3}
+    states = []
+    whole = learn_body(meshes, **options, on_round=states.append)
+    again = learn_body(meshes, **options, resume=states[0])
+    assert again.history == whole.history
+    for mine, own in zip(jax.tree.leaves((again.body, again.motion)), jax.tree.leaves((whole.body, whole.motion)), strict=True):  # fmt: skip
+        np.testing.assert_array_equal(mine, own)
+    assert rmse(whole.body, whole.motion.poses, meshes.vertices) < 1e-4
