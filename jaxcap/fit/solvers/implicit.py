@@ -50,7 +50,8 @@ def _implicit(primals, tangents):
     y, stats = minimum(problem, start, solver, max_steps, moved)
     scales = problem.scales()
     zero = jax.tree.map(jnp.zeros_like, scales)
-    factor = information(problem, y).hessian.factorise()
+    hessian: Any = information(problem, y).hessian
+    factor = hessian.factorise()
 
     def gradient(p, d):
         return jax.grad(lambda d: p.value(moved(p, y, d)))(d)
