@@ -19,10 +19,10 @@ from .adapt import promising_bones
 from .blend import Blend, BlendProblem, arrow_of, errors_of, settle_blend
 from .limbs import Limbs, Tree, bones_of, is_simple, make_limbs, read_limbs
 
-#: vertices that settle at once
-BLOCK = 1024
 #: vertices on which steps rest, and of each part at least
 SAMPLES, LEAST = 1200, 12
+#: vertices that settle at once; as many, so that this is compiled once
+BLOCK = SAMPLES
 #: bones that may move a vertex
 NEAR = 12
 #: steps of the inner minimum before a round; times that the bones near a vertex are chosen anew there
