@@ -15,8 +15,8 @@ from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
 
-#: bones are filled up to a multiple of this
-WIDTH = 16
+#: bones are filled up to one of these numbers, or to a multiple of the last: joints that come and go compile nothing
+WIDTHS = (16, 40, 64)
 #: tangents of each frame, turns of the bones and shifts of the roots, `(F, 3 J + 3 R)`; shifts of the centres `(3 J,)`
 Tangent = tuple[Float[Array, "F D"], Float[Array, "S"]]
 
@@ -54,7 +54,7 @@ def is_simple(skeleton: Skeleton) -> bool:
 def make_limbs(skeleton: Skeleton, poses: Pose) -> Grown:
     """Write a skeleton in F poses, whose scale is one, as arrays."""
     count, dtype = skeleton.num_joints, skeleton.centres.dtype
-    width = -(-count // WIDTH) * WIDTH
+    width = next((width for width in WIDTHS if width >= count), -(-count // WIDTHS[-1]) * WIDTHS[-1])
     room = width - count
     parents = np.array(skeleton.parents)
     roots = np.flatnonzero(parents < 0)
