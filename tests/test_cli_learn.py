@@ -135,9 +135,12 @@ def test_learn_writes_body_motion_and_report(inputs, tmp_path, capsys, slow_lear
     out = tmp_path / "body.npz"
     told = runs(
         capsys, "learn", inputs / "meshes.npz", "-o", out, "--hold-out", "3", "--rounds", "2", "--report",
-        tmp_path / "report", "--alpha", "7", "--pairs", "0:1", "--skin", "lbs",
+        tmp_path / "report", "--alpha", "7", "--pairs", "0:1", "--skin", "lbs", "--floor", "-0.5",
     )  # fmt: skip
     assert slow_learner["alpha"] == 7.0
+    (floor,) = slow_learner["terms"]
+    assert float(floor.height) == -0.5
+    assert floor.vertices.max() < slow_learner["meshes"].vertices.shape[1]
     assert slow_learner["skin"] == "lbs"
     np.testing.assert_array_equal(slow_learner["symmetry"], [[0, 1]])
     # meshes 2 and 5 are kept back
@@ -229,6 +232,8 @@ def test_a_run_killed_while_it_writes_is_resumed(inputs, tmp_path, capsys, slow_
         (["--pairs", "1-2"], "'1-2'"),
         (["--free-bones", "--pairs", "1:2"], "--free-bones"),
         (["--skeleton", "nowhere.skl"], "nowhere.skl"),
+        (["--limits", "limits.npz"], "--limits are of a skeleton"),
+        (["--floor", "nan"], "--floor"),
         (["--keep-joints"], "--keep-joints is of a skeleton"),
         (["--hold-out", "2", "--motion", "m.bvh"], "m.bvh"),
     ],

@@ -20,12 +20,9 @@ ALLOWED: dict[str, str] = {}
 #: files that are still being rewritten, to be taken off one by one
 #: and none is to be added
 BEING_REWRITTEN = {
-    "learn/adapt.py",
-    "learn/projection.py",
-    "learn/vertices.py",
 }
 #: of these the ones that walk by a damping of their own
-WALKING = {"learn/joints.py", "learn/projection.py"}
+WALKING: set[str] = set()
 #: verbs that end in the solution of equations
 VERB = re.compile(
     r"^(try_)?(solve|cho_solve|lstsq|inv|inverse|least_squares|spsolve|factor(ise)?|cg|damped_step)(_|$)"

@@ -5,9 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import jax.numpy as jnp
 import numpy as np
 
-from ..body.skeleton import Skeleton
+from ..body.body import Body
+from ..body.skeleton import Skeleton, make_skeleton
+from ..body.skin import RigidSkin
+from ..energy.term import AbstractEnergy
 from ..errors import InputError
 from ..fit.registered import fit_meshes
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -30,6 +34,7 @@ from .rounds import Rounds
 from .say import say, warn
 from .scoring import mesh_hashes, score_motion, tell_scores
 from .sources import names_human
+from .terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 
 OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior_hint="")]
 
@@ -65,6 +70,9 @@ class Learn:
     """The joints of --skeleton stay where it has them; without it they go where motion tells that they are."""
     free_bones: Flag = False
     """Bones that hang on nothing, one more than --joints; the skin is lbs."""
+    limits: LimitsFile = None
+    limit_weight: LimitWeight = 100.0
+    floor: FloorHeight = None
     rounds: Annotated[int, arg(metavar="N")] = 30
     """The most rounds of weights, vertices and joints, those on some of the vertices among them; learning ends
     before where a round brings little."""
@@ -149,6 +157,8 @@ class Learn:
             raise InputError("--skeleton has its own joints; leave --joints out.")
         if self.keep_joints and self.skeleton is None:
             raise InputError("--keep-joints is of a skeleton; give it by --skeleton.")
+        if self.limits is not None and self.skeleton is None:
+            raise InputError("--limits are of a skeleton; give it by --skeleton.")
         if self.free_bones and (self.skeleton is not None or self.pairs is not None):
             raise InputError("--free-bones have no skeleton and no pairs; leave --skeleton and --pairs out.")
 
@@ -165,10 +175,21 @@ class Learn:
             "unit",
             "rate",
             "hold_out",
+            "limit_weight",
+            "floor",
         )
         skeleton = None if self.skeleton is None else skeleton_digest(self.skeleton)
         skin = "lbs" if self.free_bones else self.skin
-        return {**{name: getattr(self, name) for name in names}, "skin": skin, "skeleton": skeleton}
+        limits = None if self.limits is None else hashlib.sha256(self.limits.read_bytes()).hexdigest()
+        known = {name: getattr(self, name) for name in names}
+        return {**known, "skin": skin, "skeleton": skeleton, "limits": limits}
+
+    def terms(self, meshes: MeshSequence, skeleton: Skeleton | None) -> tuple[AbstractEnergy, ...]:
+        """Energies of the options, by a body that stands as the first mesh does."""
+        bones = make_skeleton(["root"], [-1], ["free"], np.zeros((1, 3))) if skeleton is None else skeleton
+        labels = jnp.zeros(meshes.vertices.shape[1], jnp.int32)
+        body = Body(bones, RigidSkin(labels), meshes.vertices[0], meshes.faces)
+        return read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor)
 
     def start(self, kept: Path, header: dict[str, object]) -> LearnState | None:
         """The state to go on from; None to begin. Raises `InputError` where another run's is in the way."""
@@ -219,6 +240,7 @@ class Learn:
                     keep_joints=self.keep_joints,
                     free_bones=self.free_bones,
                     rounds=self.rounds,
+                    terms=self.terms(meshes, skeleton),
                     on_round=on_round,
                     resume=resumed,
                 )

@@ -6,73 +6,55 @@ both at once, with the place eliminated, is least squares over the simplex, and 
 errors are a parabola that is known exactly.
 """
 
-import equinox as eqx
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from ..body.body import Body
-from ..body.kinematics import Transforms
-from ..body.pose import Pose
-from ..body.skin import LinearSkin
-from .hang import all_bones
-from .simplex import simplex_least_squares
+from .simplex import eliminate, simplex_least_squares
 
-#: steps at most; the share of the squares below which a step is the last; lengths that are tried
-STEPS, ENOUGH, LENGTHS = 20, 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
-#: vertices of one block
-BLOCK = 1024
+#: the share of the squares below which a step of Gauss-Newton is the last; lengths that are tried
+ENOUGH, LENGTHS = 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
 
 
-def adapt_vertices(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Body:
-    """The weights and the rest place that serve each vertex best, by Gauss-Newton on both at once:
-    with the place eliminated, weights are least squares over the simplex."""
-    return adapt(body, all_bones(body.skeleton, poses), targets)[0]
+class Settled(NamedTuple):
+    """Vertices at their best."""
+
+    #: of the bones near each vertex
+    weights: Float[Array, "V K"]
+    rest: Float[Array, "V 3"]
+    #: the squares left of each
+    squares: Float[Array, "V"]
 
 
-def adapt(
-    body: Body, bones: Transforms, targets: Float[Array, "F V 3"], steps: int = STEPS
-) -> tuple[Body, float]:
-    """The body with the best weights and rest places for its bones, and the squares that are left."""
-    count, size = len(body.vertices), min(BLOCK, len(body.vertices))
-    aims = jnp.swapaxes(targets, 0, 1).reshape(count, -1)
-    before = body.skin.influence(body.skeleton.num_joints)
-    weights, rest, values = [], [], []
-    for first in range(0, count, size):
-        # blocks are equally long; what is in the last one twice is cut from its head
-        begin = min(first, count - size)
-        block = slice(begin, begin + size)
-        w, v, left = _adapt_block(before[block], body.vertices[block], bones, aims[block], steps)
-        weights.append(w[first - begin :])
-        rest.append(v[first - begin :])
-        values.append(left[first - begin :])
-    skin = LinearSkin(jnp.concatenate(weights))
-    body = eqx.tree_at(lambda b: (b.skin, b.vertices), body, (skin, jnp.concatenate(rest)))
-    return body, float(np.sum(np.asarray(jnp.concatenate(values)), dtype=float))
+def settle(
+    weights: Float[Array, "V K"],
+    rest: Float[Array, "V 3"],
+    near: Int[Array, "V K"],
+    bones: Float[Array, "F J 3 4"],
+    aims: Float[Array, "V N"],
+    steps: int,
+) -> Settled:
+    """Find the weights of the bones `near` each vertex, and its rest place, by Gauss-Newton on both at once, `steps` at most:
+    with the place eliminated, weights are least squares over the simplex.
 
-
-@eqx.filter_jit
-def _adapt_block(weights, rest, bones: Transforms, aims, steps: int):
-    count, frames = len(rest), len(bones.rotations)
-    turns = jnp.swapaxes(bones.rotations, 0, 1).reshape(weights.shape[1], -1)
+    **Arguments:** `aims`, where each vertex should be in all frames, 3 F numbers.
+    """
+    count, frames = len(rest), len(bones)
+    turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(bones.shape[1], -1)
 
     def slopes_of(shares):
-        return (shares @ turns).reshape(count, 3 * frames, 3)
+        return (spread_weights(shares, near, len(turns)) @ turns).reshape(count, 3 * frames, 3)
 
     def step(carry):
         weights, rest, _, left, number = carry
-        apart = images(bones, rest) - aims[:, None]
-        slopes = slopes_of(weights)
-        lift = jnp.linalg.solve(
-            jnp.swapaxes(slopes, 1, 2) @ slopes, jnp.swapaxes(slopes, 1, 2) @ jnp.swapaxes(apart, 1, 2)
-        )
-        # what is left of the images where the rest place follows
-        reduced = apart - jnp.swapaxes(slopes @ lift, 1, 2)
+        apart = images(bones, rest, near) - aims[:, None]
+        reduced, lift, slopes = _reduced(apart, slopes_of(weights))
         goal = simplex_least_squares(reduced @ jnp.swapaxes(reduced, 1, 2), jnp.zeros_like(weights), weights)
-        change, shift = goal - weights, -jnp.einsum("vaj,vj->va", lift, goal)
-        errors = jnp.einsum("vj,vjn->vn", weights, apart)
-        first = jnp.einsum("vj,vjn->vn", change, apart) + jnp.einsum("vna,va->vn", slopes, shift)
+        change, shift = goal - weights, -jnp.einsum("vak,vk->va", lift, goal)
+        errors = jnp.einsum("vk,vkn->vn", weights, apart)
+        first = jnp.einsum("vk,vkn->vn", change, apart) + jnp.einsum("vna,va->vn", slopes, shift)
         second = jnp.einsum("vna,va->vn", slopes_of(change), shift)
         # bilinear, so that errors along the step are a parabola, known exactly
         squares = jnp.stack([jnp.sum((errors + s * first + s * s * second) ** 2, 1) for s in LENGTHS])
@@ -85,12 +67,52 @@ def _adapt_block(weights, rest, bones: Transforms, aims, steps: int):
 
     none = jnp.full(count, jnp.inf, rest.dtype)
     weights, rest, _, left, _ = jax.lax.while_loop(unfinished, step, (weights, rest, none, none, 0))
-    return weights / jnp.sum(weights, 1, keepdims=True), rest, left
+    return Settled(weights / jnp.sum(weights, 1, keepdims=True), rest, left)
 
 
-def images(bones: Transforms, rest: Float[Array, "V 3"]) -> Float[Array, "V J N"]:
-    """Where each bone takes each vertex in all frames, 3 F numbers."""
-    affine = jnp.concatenate([bones.rotations, bones.translations[..., None]], -1)
+def promising_bones(
+    weights: Float[Array, "V J"],
+    rest: Float[Array, "V 3"],
+    bones: Float[Array, "F J 3 4"],
+    aims: Float[Array, "V N"],
+    real: Int[Array, ""],
+    count: int,
+) -> Int[Array, "V K"]:
+    """Choose `count` bones for each vertex: those that move it already, and of the others, the first `real` ones that there are,
+    those that would lower its squares most by a share in it, with the rest place that follows: as columns are priced in linear
+    programming."""
+    every = jnp.broadcast_to(jnp.arange(weights.shape[1]), weights.shape)
+    apart = images(bones, rest, every) - aims[:, None]
+    turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(weights.shape[1], -1)
+    reduced, _, _ = _reduced(apart, (weights @ turns).reshape(len(rest), -1, 3))
+    errors = jnp.einsum("vj,vjn->vn", weights, reduced)
+    towards = reduced - errors[:, None]
+    falls = jnp.maximum(-jnp.einsum("vjn,vn->vj", towards, errors), 0.0)
+    squares = jnp.sum(towards**2, 2)
+    tiny = jnp.finfo(falls.dtype).tiny
+    gains = falls**2 / (squares + tiny) - 1e-6 * squares / (jnp.max(squares, 1, keepdims=True) + tiny)
+    gains = jnp.where(jnp.arange(weights.shape[1]) < real, gains, -jnp.inf)
+    return jnp.argsort(jnp.where(weights > 0, -jnp.inf, -gains), axis=1)[:, :count]
+
+
+def _reduced(apart: Float[Array, "V K N"], slopes: Float[Array, "V N 3"]):
+    """What is left of images where the rest place follows, by how much it does, and the slopes."""
+    normal = jnp.einsum("vna,vnb->abv", slopes, slopes)
+    lift = jnp.moveaxis(eliminate(normal, jnp.einsum("vna,vkn->akv", slopes, apart)), -1, 0)
+    return apart - jnp.einsum("vna,vak->vkn", slopes, lift), lift, slopes
+
+
+def spread_weights(weights: Float[Array, "V K"], near: Int[Array, "V K"], count: int) -> Float[Array, "V J"]:
+    """Write weights of the bones near each vertex as those of all bones."""
+    rows = jnp.arange(len(weights))[:, None]
+    return jnp.zeros((len(weights), count), weights.dtype).at[rows, near].add(weights)
+
+
+def images(
+    bones: Float[Array, "F J 3 4"], rest: Float[Array, "V 3"], near: Int[Array, "V K"]
+) -> Float[Array, "V K N"]:
+    """Compute where bones near each vertex take it in all frames, 3 F numbers."""
     places = jnp.concatenate([rest, jnp.ones_like(rest[:, :1])], 1)
-    count = affine.shape[1]
-    return (places @ affine.transpose(3, 1, 0, 2).reshape(4, -1)).reshape(len(rest), count, -1)
+    count = bones.shape[1]
+    every = (places @ bones.transpose(3, 1, 0, 2).reshape(4, -1)).reshape(len(rest), count, -1)
+    return jnp.take_along_axis(every, near[:, :, None], 1)

@@ -9,8 +9,8 @@ from ..geometry.laplacian import vertex_adjacency
 from .hang import Bones
 from .simplex import simplex_least_squares
 
-#: problems are solved so many at a time, or a multiple, so that few shapes are compiled
-BATCH = 4096
+#: so many problems are solved at a time, with a multiple of so many columns: few shapes are compiled
+BATCH, WIDTH = 2048, 8
 
 
 def bones_around(body: Body) -> list[list[int]]:
@@ -47,15 +47,27 @@ def fit_blends(
     grams: Float[np.ndarray, "C K K"], real: Bool[np.ndarray, "C K"]
 ) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C K"]]:
     """The least squares over the simplex, and the weights, of the real columns."""
+    count, columns = real.shape
+    room = -columns % WIDTH
+    wide = np.pad(grams, ((0, 0), (0, room), (0, room)))
+    real = np.pad(real, ((0, 0), (0, room)))
+    parts = [
+        _fit(wide[first : first + BATCH], real[first : first + BATCH]) for first in range(0, count, BATCH)
+    ]
+    weights = np.concatenate(parts)[:, :columns]
+    return np.einsum("ck,ckl,cl->c", weights, grams, weights), weights
+
+
+def _fit(grams: Float[np.ndarray, "C K K"], real: Bool[np.ndarray, "C K"]) -> Float[np.ndarray, "C K"]:
+    """The weights of at most `BATCH` problems."""
     own = np.where(real, np.einsum("ckk->ck", grams), np.inf)
     start = np.eye(grams.shape[1])[np.argmin(own, 1)]
     size = np.maximum(own.min(1), 1e-12)[:, None, None]
-    room = -len(grams) % BATCH
+    room = BATCH - len(grams)
     filled = [
         np.concatenate([array, np.broadcast_to(array[:1], (room, *array.shape[1:]))])
         for array in (grams / size, start, real)
     ]
     scaled, begin, free = (jnp.asarray(array) for array in filled)
     weights = simplex_least_squares(scaled, jnp.zeros(begin.shape), begin, free)
-    weights = np.asarray(weights, float)[: len(grams)]
-    return np.einsum("ck,ckl,cl->c", weights, grams, weights), weights
+    return np.asarray(weights, float)[: len(grams)]

@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..body.kinematics import Transforms, forward_kinematics
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
+from ..geometry import rotation
 from .centres import Seams, find_centres, find_seams
+from .posing import world_motions
 from .surface import Surface
 from .tree import least_tree
 
@@ -29,11 +29,12 @@ class Bones(NamedTuple):
 
 
 def bone_motions(skeleton: Skeleton, poses: Pose) -> Bones:
-    """Where the bones are in every frame."""
-    bones = all_bones(skeleton, poses)
-    scale = np.asarray(poses.scale, float)[:, None]
-    rotations = np.asarray(bones.rotations, float) / scale[..., None, None]
-    return Bones(rotations, np.asarray(bones.translations, float) / scale[..., None])
+    """Where the bones are in every frame; in NumPy, as trees of other joints would each be compiled anew."""
+    local = np.asarray(_matrices(poses.rotations), float).swapaxes(0, 1)
+    shifts = np.asarray(poses.translations, float).swapaxes(0, 1)
+    centres = np.asarray(skeleton.centres, float)
+    found = world_motions(centres, np.array(skeleton.parents), local, shifts)
+    return Bones(*(part.swapaxes(0, 1) for part in found))
 
 
 def hang_children(
@@ -127,7 +128,4 @@ def common_points(rows: Sequence[tuple], bones: Bones, size: float) -> tuple[np.
     return found.points, found.residuals
 
 
-@eqx.filter_jit
-def all_bones(skeleton: Skeleton, poses: Pose) -> Transforms:
-    """The bones of all poses, with the poses' scale."""
-    return jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)
+_matrices = jax.jit(rotation.to_matrix)

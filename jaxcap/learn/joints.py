@@ -1,4 +1,4 @@
-"""Joints' centres and orientations with the poses of all meshes: Gauss-Newton on an arrow."""
+"""Joints' centres and orientations with the poses of all meshes, as one problem with an arrow."""
 
 from typing import NamedTuple
 
@@ -15,10 +15,15 @@ from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from ..body.skeleton import Skeleton
 from ..body.skin.swing_twist import SwingTwistSkin
 from ..body.symmetry import length_differences
+from ..energy.term import AbstractEnergy
+from ..fit.linearise import body_tangent, frame_rows
 from ..fit.solvers.block_arrow import BlockArrow, Unknowns
 from ..fit.solvers.block_banded import BlockBanded
+from ..fit.solvers.descent import ConstrainedInfo, Constraints
 from ..fit.solvers.equalities import Equalities
-from ..fit.solvers.structured import damped
+from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ..fit.solvers.minimise import minimise
+from ..fit.solvers.problem import AbstractProblem
 from ..geometry import rotation
 from ..geometry.laplacian import Conformance, apply
 from ..geometry.patches import Blocks, laplacian_rows, make_blocks
@@ -27,6 +32,8 @@ from .objective import objective
 
 #: vertices from which curvature is estimated, at least
 SAMPLES = 4000
+#: steps for the same anchors; the least damping of the next one; the share of Q that ends them
+STEPS, LEAST, RTOL = 2, 1e-7, 1e-12
 
 
 class Curvature(eqx.Module):
@@ -48,11 +55,87 @@ def make_curvature(metric: Conformance, samples: int = SAMPLES) -> Curvature:
     return Curvature(jnp.asarray(vertices), make_blocks(metric, vertices), weight)
 
 
+class Standing(eqx.Module):
+    """Where joints are at rest, how they are turned there, and the poses."""
+
+    centres: Float[Array, "J 3"]
+    orientations: Float[Array, "J 4"]
+    poses: Pose
+
+
+class JointProblem(AbstractProblem[Standing]):
+    """Half of Q by joints and poses, with energies of a user's own (Adaptation, 3.2.2).
+
+    The unknowns are the numbers of all poses, and of every joint below a root its centre and,
+    where the skin knows twist axes, two numbers of its orientation (a roll about the twist axis
+    changes nothing). The bones of left and right `pairs` of joints stay equally long, which is
+    the limit of the paper's heavy `lambda Q_sym` (eqs. 3.23 to 3.26). Anchors bend steps along what no motion tells of a
+    centre, and are no part of what is minimised: they hold, and pull with a `strength`.
+    """
+
+    body: Body
+    targets: Float[Array, "F V 3"]
+    metric: Conformance
+    curvature: Curvature
+    anchors: Anchors | None = None
+    strength: float | Float[Array, ""] = 0.0
+    terms: AbstractEnergy | None = None
+    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        return shared_slots(self.body)
+
+    def start(self, poses: Pose) -> Standing:
+        """Start from the joints as they are."""
+        skeleton = self.body.skeleton
+        return Standing(skeleton.centres, skeleton.orientations, poses)
+
+    def body_at(self, y: Standing, s: Float[Array, "S"] | None = None) -> Body:
+        """Make the body of joints, moved along a tangent where one is given."""
+        there = eqx.tree_at(
+            lambda b: (b.skeleton.centres, b.skeleton.orientations), self.body, (y.centres, y.orientations)
+        )
+        if s is None:
+            return there
+        moved = jnp.zeros(6 * len(y.centres), s.dtype).at[np.array(self.slots, int)].set(s).reshape(-1, 6)
+        joints = move_joints(there.skeleton, moved[:, :3], moved[:, 3:])
+        return eqx.tree_at(lambda b: b.skeleton, there, joints)
+
+    def value(self, y: Standing) -> Float[Array, ""]:
+        return 0.5 * objective(self.body_at(y), y.poses, self.targets, self.metric, self.terms)
+
+    def retract(self, y: Standing, d: Unknowns) -> Standing:
+        joints = self.body_at(y, d[1]).skeleton
+        poses = jax.vmap(retract, (None, 0, 0))(self.body.skeleton, y.poses, d[0])
+        return Standing(joints.centres, joints.orientations, poses)
+
+    def scales(self) -> Unknowns:
+        dtype = self.targets.dtype
+        shape = len(self.targets), self.body.skeleton.num_dofs
+        return jnp.ones(shape, dtype), jnp.ones(len(self.slots), dtype)
+
+    def information(self, y: Standing) -> ConstrainedInfo:
+        body, slots = self.body_at(y), self.slots
+        arrow, side = normal_equations(body, y.poses, self.targets, self.metric, self.curvature, slots)
+        if self.anchors is not None:
+            arrow, side = _anchored(arrow, side, body.skeleton, self.anchors, slots, self.strength)
+        if self.terms is not None:
+            arrow, side = _with_terms(arrow, side, self.terms, y, self)
+        differences, by_centre = length_differences(body.skeleton, np.array(self.pairs, int).reshape(-1, 2))
+        full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
+        rows = full.reshape(len(differences), 6 * len(y.centres))[:, np.array(slots, int)]
+        constraints = Constraints(equalities=Equalities(rows, -differences))
+        gradient = jax.tree.map(jnp.negative, side)
+        return ConstrainedInfo(self.value(y), gradient, arrow, constraints=constraints)  # pyright: ignore[reportCallIssue]
+
+
 class JointStep(NamedTuple):
     """What one improvement of joints and poses leaves."""
 
     body: Body
     poses: Pose
+    #: Q, and what a user's own energies add
     value: float
     damping: float
 
@@ -66,36 +149,37 @@ def improve_joints(
     pairs: Int[np.ndarray, "P 2"],
     damping: float,
     value: float,
-    tries: int = 5,
+    steps: int = STEPS,
     given: Given | None = None,
+    terms: AbstractEnergy | None = None,
 ) -> JointStep:
-    """One step of Gauss-Newton (Adaptation, 3.2.2) that never raises Q.
+    """Some steps of Levenberg-Marquardt on a `JointProblem` from Q = `value`, which they never raise.
 
-    The unknowns are the numbers of all poses, and of every joint below a root its centre and,
-    where the skin knows twist axes, two numbers of its orientation (a roll about the twist axis
-    changes nothing). The bones of left and right `pairs` of joints stay equally long, which is
-    the limit of the paper's heavy `lambda Q_sym` (eqs. 3.23 to 3.26). Where a step would raise
-    Q it is damped more, up to `tries` times, and then left. What no motion tells of a centre is left
-    to where a skeleton has it, `given`, or else to the cut between parts.
+    What no motion tells of a centre is left to where a skeleton has it, `given`, or else to the cut between parts. Anchors
+    that would raise Q only keep centres from going further.
     """
-    slots, bones = shared_slots(body), tuple(map(tuple, np.asarray(pairs, int).tolist()))
-    equations = normal_equations(body, poses, targets, metric, curvature, slots)
     anchors = (
         cut_anchors(body, poses, metric, value / targets.size)
         if given is None
         else given_anchors(body, poses, given)
     )
-    strengths = jnp.asarray([1.0, 0.0], targets.dtype)
-    pulled, held = (_anchored(*equations, body.skeleton, anchors, slots, strength) for strength in strengths)
-    for number in range(tries):
-        # anchors that would raise Q only keep centres from going further
-        shares = jnp.asarray(damping, targets.dtype)
-        trial = _step(body, poses, held if number else pulled, shares, bones, slots)
-        trial_value = float(objective(*trial, targets, metric))
-        if trial_value < value:
-            return JointStep(*trial, trial_value, max(damping / 5.0, 1e-7))
-        damping = max(10.0 * damping, 1e-5) if number else damping
-    return JointStep(body, poses, value, damping)
+    mirrored = tuple(map(tuple, np.asarray(pairs, int).tolist()))
+    shares = jnp.asarray(damping, targets.dtype)
+    for strength in (1.0, 0.0):
+        strength = jnp.asarray(strength, targets.dtype)
+        problem = JointProblem(body, targets, metric, curvature, anchors, strength, terms, mirrored)
+        y, left, shares = _descend(problem, problem.start(poses), shares, steps)
+        if float(left) < value:
+            there = problem.body_at(y)
+            return JointStep(there, y.poses, float(left), max(float(shares), LEAST))
+    return JointStep(body, poses, value, max(float(shares), LEAST))
+
+
+@eqx.filter_jit
+def _descend(problem: JointProblem, start: Standing, damping: Float[Array, ""], steps: int):
+    solver = LevenbergMarquardt(rtol=RTOL, relative=True)
+    found = minimise(problem, start, solver, steps, damping)
+    return found.y, 2.0 * problem.value(found.y), found.damping
 
 
 def shared_slots(body: Body) -> tuple[int, ...]:
@@ -146,7 +230,7 @@ def _anchored(
     skeleton: Skeleton,
     anchors: Anchors,
     slots: tuple[int, ...],
-    strength: Float[Array, ""],
+    strength: float | Float[Array, ""],
 ) -> tuple[BlockArrow, Unknowns]:
     """The equations with the hold of anchors on centres, in the measure of the data: what the
     curvature is for a turn of one radian; they also pull, with the given strength."""
@@ -164,19 +248,29 @@ def _anchored(
     return BlockArrow(arrow.frames, arrow.coupling, shared), (side[0], pulled)
 
 
-@eqx.filter_jit
-def _step(body, poses, equations, damping, bones, slots) -> tuple[Body, Pose]:
-    skeleton = body.skeleton
-    slots = np.array(slots, int)
-    differences, by_centre = length_differences(skeleton, np.array(bones, int).reshape(-1, 2))
-    full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
-    rows = full.reshape(len(differences), 6 * skeleton.num_joints)[:, slots]
-    arrow, side = equations
-    by_frame, shared = damped(arrow, damping).factorise().solve(side, Equalities(rows, -differences))
-    moved = jnp.zeros(6 * skeleton.num_joints, shared.dtype).at[slots].set(shared).reshape(-1, 6)
-    joints = move_joints(skeleton, moved[:, :3], moved[:, 3:])
-    new_poses = jax.vmap(retract, (None, 0, 0))(skeleton, poses, by_frame)
-    return eqx.tree_at(lambda b: b.skeleton, body, joints), new_poses
+def _with_terms(
+    arrow: BlockArrow, side: Unknowns, terms: AbstractEnergy, y: Standing, problem: JointProblem
+) -> tuple[BlockArrow, Unknowns]:
+    """The equations with energies of every frame."""
+    body, count = problem.body_at(y), len(problem.slots)
+    dofs = body.skeleton.num_dofs
+
+    def body_at(s):
+        return problem.body_at(y, s)
+
+    tangent = body_tangent(body_at, body, count, turns=True) if count else None
+
+    def of_frame(pose):
+        residual, rows = frame_rows(terms, body, pose, body_at if count else None, tangent)
+        return rows.T @ rows, rows.T @ residual
+
+    with jax.default_matmul_precision("highest"):
+        grams, slopes = jax.lax.map(of_frame, y.poses)
+    frames = BlockBanded(arrow.frames.blocks.at[:, 0].add(grams[:, :dofs, :dofs]))
+    coupling = arrow.coupling + grams[:, :dofs, dofs:]
+    shared = arrow.shared + jnp.sum(grams[:, dofs:, dofs:], 0)
+    sides = side[0] - slopes[:, :dofs], side[1] - jnp.sum(slopes[:, dofs:], 0)
+    return BlockArrow(frames, coupling, shared), sides
 
 
 def move_joints(skeleton: Skeleton, shifts: Float[Array, "J 3"], turns: Float[Array, "J 3"]) -> Skeleton:

@@ -1,7 +1,7 @@
 """Learn an animatable body from registered meshes: three improvements in turn, until Q is least."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -11,21 +11,24 @@ from jaxtyping import Float, Int
 
 from ..arguments import checked
 from ..body.body import Body, take_vertices
-from ..body.pose import Motion
+from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
+from ..energy.check import check_numbers
+from ..energy.term import AbstractEnergy, sum_of, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
-from .adapt import adapt_vertices
 from .anchors import Given
 from .coarse import Coarse, coarse_alpha, coarsen
 from .exchange import exchange
 from .graft import Graft
 from .joints import Curvature, improve_joints, make_curvature
+from .limbs import is_simple
+from .linear import VERTICES, improve_linear
 from .objective import objective
-from .projection import improve_all, projectable
+from .projection import adapt_all
 from .start import SkinName, Start, start_free, start_from_motion, start_from_skeleton
 from .state import LearnState
-from .vertices import VertexSolver, carry_back
+from .vertices import carry_back, solve_vertices
 from .weights import improve_weights
 
 _LOG = logging.getLogger(__name__)
@@ -34,12 +37,14 @@ _LOG = logging.getLogger(__name__)
 ENOUGH = 8e-3
 #: the share of all rounds that may go to the coarse mesh
 COARSE_SHARE = 2 / 3
-#: the same where all unknowns can be improved at once, and the alpha up to which they are
-SLOW, LOOSE = 0.05, 1.0
+#: the alpha up to which bodies under a linear skin are learned by bones, with all that vertices can make of them
+LOOSE = 1.0
+#: what a unit of an energy of a user's own counts for each vertex, metres squared
+UNIT = 1e-3**2
 #: damping of the first step of joints and poses
 FIRST_DAMPING = 1e-3
-#: steps of Gauss-Newton on joints and poses, before the first round and in each
-FIRST_STEPS, STEPS = 4, 2
+#: improvements of joints and poses, some steps each, before the first round and in each
+FIRST_STEPS, STEPS = 2, 1
 #: rounds after which joints are exchanged, rounds of each trial, and how many of these
 EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 3
 #: sweeps over the weights, at most, in the first round on a mesh and in others
@@ -77,6 +82,7 @@ def learn_body(
     keep_joints: bool = False,
     free_bones: bool = False,
     rounds: int = 30,
+    terms: AbstractEnergy | Sequence[AbstractEnergy] = (),
     on_round: Callable[[LearnState], None] | None = None,
     resume: LearnState | None = None,
 ) -> Learned:
@@ -96,22 +102,34 @@ def learn_body(
     equally long, in pairs that are found or given as `(P, 2)` indices of joints; `skeleton`, which
     stands in the first mesh, replaces the joints that would be found: a prior for them beside what motion
     tells, or with `keep_joints` all that counts; `free_bones` hang on
-    nothing, and blend linearly. `on_round` sees the state after every round; `resume` goes on
+    nothing, and blend linearly; `terms`, an energy or several, are of the posed body with all vertices, and move joints and
+    poses: a unit of them weighs as much as vertices that are a millimetre off in the mean. With them no joints are exchanged. `on_round` sees the state after every round; `resume` goes on
     from one, to the same result.
 
-    **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned.
+    **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned, and `InputError` for
+    energies of vertices or joints that there are not.
     """
     exchanging: Exchanging = "no" if skeleton is not None else "free" if joints is None else "fixed"
     given = None if skeleton is None else Given(skeleton.centres, keep_joints)
-    fine = _stage(meshes, alpha, "", given)
-    coarse = coarsen(meshes)
+    whole = sum_of((terms,) if isinstance(terms, AbstractEnergy) else terms)
+    if whole is not None:
+        # trees of other joints would be told by other energies
+        exchanging = "no"
+    fine = _stage(
+        meshes, alpha, "", given, None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
+    )
+    simple = skeleton is None or is_simple(skeleton)
+    loose = skin == "lbs" and alpha < LOOSE and whole is None and simple
+    coarse = coarsen(meshes, VERTICES) if loose else coarsen(meshes)
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("finding parts and joints")
-        start = _start(meshes, joints, skin, symmetry, skeleton, free_bones)
+        start = _start(coarse.meshes if loose else meshes, joints, skin, symmetry, skeleton, free_bones)
+        if whole is not None:
+            check_numbers(whole, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
-        if thinned:
+        if thinned and not loose:
             state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume
@@ -119,11 +137,12 @@ def learn_body(
         stage = _stage(
             coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE, given
         )
-        state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging)
+        state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
         _LOG.info("carrying the body over to all vertices")
-        state = state._replace(body=_refine(state, meshes, coarse, _projects(state, stage)))
+        state = state._replace(body=_refine(state, meshes, coarse, loose))
     # joints that were exchanged on the coarse mesh stay
-    state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging)
+    if not (thinned and loose):
+        state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging, loose)
     return Learned(state.body, state.motion, state.pairs, state.history, state.curve)
 
 
@@ -132,15 +151,26 @@ class _Stage(NamedTuple):
 
     meshes: MeshSequence
     metric: Conformance
-    vertices: VertexSolver
     curvature: Curvature
     prefix: str
     given: Given | None
+    terms: AbstractEnergy | None
 
 
-def _stage(meshes: MeshSequence, alpha: float, prefix: str, given: Given | None) -> _Stage:
+def _stage(
+    meshes: MeshSequence,
+    alpha: float,
+    prefix: str,
+    given: Given | None,
+    terms: AbstractEnergy | None = None,
+) -> _Stage:
     metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
-    return _Stage(meshes, metric, VertexSolver(metric), make_curvature(metric), prefix, given)
+    return _Stage(meshes, metric, make_curvature(metric), prefix, given, terms)
+
+
+def _value(body: Body, poses: Pose, stage: _Stage) -> float:
+    """Q, and what a user's own energies add."""
+    return float(objective(body, poses, stage.meshes.vertices, stage.metric, stage.terms))
 
 
 def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> Start:
@@ -161,7 +191,7 @@ def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse, loose: bool
     body = take_vertices(state.body, jnp.asarray(coarse.nearest), meshes.faces)
     rest = carry_back(body, state.motion.poses, meshes.vertices)
     body = eqx.tree_at(lambda b: b.vertices, body, rest)
-    return adapt_vertices(body, state.motion.poses, meshes.vertices) if loose else body
+    return adapt_all(body, state.motion.poses, meshes.vertices)[0] if loose else body
 
 
 def _improve(
@@ -170,21 +200,25 @@ def _improve(
     rounds: int,
     on_round: Callable[[LearnState], None] | None,
     exchanging: Exchanging,
+    loose: bool,
 ) -> LearnState:
     """Rounds on one mesh until one of them lowers Q by little, or as many are over. After the first
     few, and where rounds alone gain little, joints that are too many are exchanged for joints that
     are missing, until that gains nothing either."""
     if not _values(state, stage):
-        value = float(objective(state.body, state.motion.poses, stage.meshes.vertices, stage.metric))
+        value = _value(state.body, state.motion.poses, stage)
         state = state._replace(history=(*state.history, (stage.prefix + "start", value)))
-        if state.round == 0:
+        if state.round == 0 and not loose:
             state = _improve_joints(state, stage, FIRST_STEPS)
+    if loose:
+        free = exchanging == "free"
+        return improve_linear(
+            state, stage.meshes.vertices, rounds, on_round, exchanging != "no", free, stage.prefix
+        )
     while state.round < rounds:
         settled = _settled(state, stage)
         first = state.round >= EXCHANGE_AFTER and not _has(state, stage, "exchange")
         before = state.history[-1][1]
-        if settled:
-            state = _project(state, stage)
         if exchanging != "no" and (first or settled):
             state = _exchange(state, stage, exchanging == "free")
             if settled and state.history[-1][1] > (1 - ENOUGH) * before:
@@ -198,31 +232,12 @@ def _improve(
     return state
 
 
-def _projects(state: LearnState, stage: _Stage) -> bool:
-    loose = float(stage.metric.alpha) < LOOSE
-    return loose and projectable(state.body, len(stage.meshes.vertices))
-
-
-def _project(state: LearnState, stage: _Stage) -> LearnState:
-    """All unknowns at once, where vertices hardly hang together, by which rounds alone creep."""
-    body, poses, targets = state.body, state.motion.poses, stage.meshes.vertices
-    if not _projects(state, stage):
-        return state
-    _LOG.info("improving all unknowns at once")
-    found = improve_all(body, poses, targets, state.pairs)
-    value = float(objective(found.body, found.poses, targets, stage.metric))
-    before = state.history[-1][1]
-    if value < before:
-        state = state._replace(body=found.body, motion=Motion(found.poses, state.motion.rate))
-    return state._replace(history=(*state.history, (stage.prefix + "projection", min(value, before))))
-
-
 def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
     targets = stage.meshes.vertices
     _LOG.info("exchanging joints")
 
     def improve(before: LearnState, made: Graft) -> LearnState:
-        value = float(objective(made.body, made.poses, targets, stage.metric))
+        value = _value(made.body, made.poses, stage)
         after = before._replace(
             body=made.body,
             motion=Motion(made.poses, before.motion.rate),
@@ -251,12 +266,10 @@ def _values(state: LearnState, stage: _Stage) -> list[float]:
 def _settled(state: LearnState, stage: _Stage) -> bool:
     """Whether the last round on this mesh lowered Q by little."""
     values, length = _values(state, stage), 2 + STEPS
-    # neither is part of a round
-    other = {stage.prefix + "exchange", stage.prefix + "projection"}
-    if any(name in other for name, _ in state.history[-length:]):
+    # that is no part of a round
+    if any(name == stage.prefix + "exchange" for name, _ in state.history[-length:]):
         return False
-    enough = SLOW if _projects(state, stage) else ENOUGH
-    return len(values) > 2 * length and values[-1] > (1 - enough) * values[-1 - length]
+    return len(values) > 2 * length and values[-1] > (1 - ENOUGH) * values[-1 - length]
 
 
 def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
@@ -268,7 +281,7 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=far).body
     state = _keep(state, better, stage, "weights")
     _LOG.info("round %d: rest vertices", state.round + 1)
-    rest = stage.vertices.solve(state.body, poses, targets)
+    rest = solve_vertices(state.body, poses, targets, stage.metric)
     state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
     _LOG.info("round %d: joints and poses", state.round + 1)
     state = _improve_joints(state, stage, STEPS)
@@ -278,7 +291,7 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
 def _keep(state: LearnState, body: Body, stage: _Stage, step: str) -> LearnState:
     """The state with a better body; where rounding made it worse, as it was."""
     before = state.history[-1][1]
-    value = float(objective(body, state.motion.poses, stage.meshes.vertices, stage.metric))
+    value = _value(body, state.motion.poses, stage)
     kept = body if value <= before else state.body
     return state._replace(body=kept, history=(*state.history, (stage.prefix + step, min(value, before))))
 
@@ -295,6 +308,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             state.damping,
             state.history[-1][1],
             given=stage.given,
+            terms=stage.terms,
         )
         state = state._replace(
             body=found.body,

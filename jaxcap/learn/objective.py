@@ -7,17 +7,28 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
+from ..energy.term import AbstractEnergy
 from ..geometry.laplacian import Conformance, energy
 
 
 @eqx.filter_jit
 def objective(
-    body: Body, poses: Pose, targets: Float[Array, "F V 3"], metric: Conformance
+    body: Body,
+    poses: Pose,
+    targets: Float[Array, "F V 3"],
+    metric: Conformance,
+    terms: AbstractEnergy | None = None,
 ) -> Float[Array, ""]:
-    """`Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2` over all meshes (Adaptation, eq. 3.19)."""
+    """`Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2` over all meshes (Adaptation, eq. 3.19), and what energies of the posed
+    body add."""
 
     def of_frame(frame):
         pose, target = frame
-        return energy(metric, target - pose_body(body, pose).vertices)
+        posed = pose_body(body, pose)
+        value = energy(metric, target - posed.vertices)
+        if terms is None:
+            return value
+        r = terms.residual(posed)
+        return value + r @ r
 
     return jnp.sum(jax.lax.map(of_frame, (poses, targets)))

@@ -42,14 +42,14 @@ def pose_moments(skeleton: Skeleton, moments: Moments) -> Pose:
     shifts = np.zeros((count, frames, 3))
     descent = skeleton.descent
     # turned as the parts are, each root's whole tree first goes where its points are
-    world_r, world_t = _forward(centres, parents, local, shifts)
+    world_r, world_t = world_motions(centres, parents, local, shifts)
     for j in free:
         below = np.flatnonzero(descent[j])
         there, here, _ = _turned(moments.at(below), world_r[below], world_t[below])
         shifts[j] = (there - here) / moments.mass[below].sum()
     least = np.inf
     for _ in range(SWEEPS):
-        world_r, world_t = _forward(centres, parents, local, shifts)
+        world_r, world_t = world_motions(centres, parents, local, shifts)
         for j in [*reversed(turning), *turning]:
             below = np.flatnonzero(descent[j] & (moments.mass > 0))
             if len(below) == 0:
@@ -106,10 +106,10 @@ def _back(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
     return np.einsum("fba,fbc->fac", parent, child)
 
 
-def _forward(
+def world_motions(
     centres: np.ndarray, parents: np.ndarray, local: np.ndarray, shifts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """World transforms of the bones, (J, F, 3, 3) and (J, F, 3)."""
+    """World transforms of bones by their turns in their parents' frames and their shifts: (J, F, 3, 3) and (J, F, 3)."""
     world_r, world_t = np.empty_like(local), np.empty_like(shifts)
     for j, parent in enumerate(parents):
         shift = shifts[j] + centres[j] - np.einsum("fab,b->fa", local[j], centres[j])

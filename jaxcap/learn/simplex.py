@@ -67,11 +67,11 @@ def _active_set(gram, linear, start, free, sums):
             [jnp.where(support, linear, 0.0)[:, None], jnp.where(support[:, None], sums.T[:, :, None], 0.0)],
             1,
         )
-        solved = _eliminate(matrix, sides)
+        solved = eliminate(matrix, sides)
         plain, reach = solved[:, 0], solved[:, 1:]
         surplus = jnp.einsum("gk,kn->gn", sums, plain) - 1.0
         # multipliers of the sums, by the Schur complement
-        multipliers = _eliminate(jnp.einsum("gk,khn->ghn", sums, reach), surplus[:, None])[:, 0]
+        multipliers = eliminate(jnp.einsum("gk,khn->ghn", sums, reach), surplus[:, None])[:, 0]
         goal = plain - jnp.einsum("kgn,gn->kn", reach, multipliers)
         # walk towards the goal as far as no weight turns negative
         falls = support & (goal < 0.0)
@@ -111,8 +111,8 @@ def _active_set(gram, linear, start, free, sums):
     return weights / (sums.T @ (sums @ weights))
 
 
-def _eliminate(matrix: Float[Array, "K K N"], sides: Float[Array, "K S N"]) -> Float[Array, "K S N"]:
-    """Solve positive definite systems by Gauss and Jordan, which need no pivots there."""
+def eliminate(matrix: Float[Array, "K K N"], sides: Float[Array, "K S N"]) -> Float[Array, "K S N"]:
+    """Solve N positive definite systems by Gauss and Jordan, which need no pivots there."""
 
     def column(i, table):
         row = table[i] / table[i, i]

@@ -5,7 +5,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 
 def conjugate_gradients(
@@ -14,7 +14,7 @@ def conjugate_gradients(
     precondition: Callable[[PyTree], PyTree],
     *,
     tolerance: float | Float[Array, ""],
-    max_steps: int,
+    max_steps: int | Int[Array, ""],
 ) -> PyTree:
     """Solve `A x = side` for a symmetric positive definite `A`, from zero, until the residual is a share `tolerance` of the
     right side in the Euclidean norm.

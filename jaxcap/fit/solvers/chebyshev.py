@@ -1,0 +1,32 @@
+"""Approximate inverses of symmetric matrices that are known by their products and by bounds of their eigenvalues."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def chebyshev(
+    product: Callable[[Array], Array],
+    side: Array,
+    low: float | Float[Array, ""],
+    high: float | Float[Array, ""],
+    steps: int,
+) -> Array:
+    """Solve `A x = side` roughly, by Chebyshev's iteration from zero: linear and symmetric in the right side, so that it may be
+    a preconditioner of conjugate gradients.
+
+    **Arguments:** `low` and `high` bound the eigenvalues of `A`, above zero. **Source:** Golub and Varga 1961.
+    """
+    middle, radius = (high + low) / 2, (high - low) / 2
+
+    def step(carry, _):
+        x, left, move, share = carry
+        x, left = x + move, left - product(move)
+        after = 1.0 / (2.0 * middle / radius - share)
+        return (x, left, after * share * move + 2.0 * after / radius * left, after), None
+
+    start = jnp.zeros_like(side), side, side / middle, radius / middle
+    (x, _, move, _), _ = jax.lax.scan(step, start, length=steps)
+    return x + move
