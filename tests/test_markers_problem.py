@@ -10,7 +10,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxcap.energy.term import AbstractEnergy
-from jaxcap.markers.problem import RIDGE, CalibrationEstimate, make_problem, slid
+from jaxcap.markers.problem import RIDGE, CalibrationEstimate, make_calibration_problem, slid
 from jaxcap.markers.robust import UNBOUNDED
 from jaxcap.markers.solve_calibration import solve_calibration
 from jaxcap.markers.subject import marker_places
@@ -38,7 +38,7 @@ def scene(rng, models=None, terms=()):
     frames = seen_by(subject, motion, rng, 0.003)
     seen = np.array(frames.seen)
     seen[1, 3] = False
-    problem = make_problem(
+    problem = make_calibration_problem(
         wrong(subject, rng), jnp.asarray(frames.places), jnp.asarray(seen), JOINTS, ((2, 4),), terms=terms
     )
     dofs = subject.skeleton.num_dofs

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import optimistix as optx
+from jax.core import Tracer
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, Float, Int
 
@@ -122,7 +123,7 @@ def _check_seen(problem: SequenceProblem, start: SequenceEstimate) -> None:
 def _check_bounds(problem: SequenceProblem, start: SequenceEstimate) -> None:
     for name, unknown in problem.unknowns.items():
         ends = unknown.bounds(start.values[name])
-        if ends is None or any(isinstance(end, jax.core.Tracer) for end in ends):
+        if ends is None or any(isinstance(end, Tracer) for end in ends):
             continue
         crossed = np.flatnonzero(np.asarray(ends[0]) > np.asarray(ends[1]))
         if len(crossed):

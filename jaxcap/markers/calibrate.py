@@ -20,7 +20,7 @@ from .adjust import Fit, adjust
 from .choose import choose_frames
 from .matched import match_markers
 from .null_space import Hardly, describe_precision, hardly_known, shared_covariance
-from .problem import make_problem
+from .problem import make_calibration_problem
 from .shared import Trust, solved_joints
 from .skin import shift_variances
 from .solve import solve_markers
@@ -115,7 +115,9 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
         again = subject is template and not explained[used].all()
         _LOG.info("fitting %d frames together%s", len(chosen), ", roughly" if again else "")
         # to find exchanged labels a rough fit will do
-        problem = make_problem(template, places, seen, joints, pairs, trust, robust=robust, terms=terms)
+        problem = make_calibration_problem(
+            template, places, seen, joints, pairs, trust, robust=robust, terms=terms
+        )
         fit = adjust(problem, subject, take_poses(motion.poses, chosen), skin=skin, steps=steps, rough=again)
         subject, poses = fit.problem.subject(fit.estimate), fit.estimate.poses
         if not again:

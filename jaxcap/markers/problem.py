@@ -260,7 +260,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return value, (sides, side), BlockArrow(BlockBanded(blocks[:, None]), coupling, matrix)
 
 
-def make_problem(
+def make_calibration_problem(
     template: Subject,
     places: Float[Array, "F M 3"],
     seen: Bool[Array, "F M"],
