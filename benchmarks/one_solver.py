@@ -3,7 +3,7 @@
     python -m benchmarks.one_solver [--frames 120]
 
 On the embedded human with 120 marks on its surface, in float64 but where it is said: a window of tracking (poses, smooth turns), a
-calibration (poses, joint centres, rest places of marks), an adaptation (poses, joints with their surface). Each minimum is compared with that of
+calibration (poses, joint centres, rest places of marks), an adaptation (poses, joints with their surface), a calibration from markers. Each minimum is compared with that of
 a dense Gauss-Newton solver, and the derivatives of a shared number or a pose by a weight and by one datum with central
 differences. Then the cost of linearising and of solving, with frames doubled three times. Run it from the root of the checkout.
 """
@@ -18,11 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from benchmarks._markers import Trouble, performer, scene_of
 from benchmarks.report import finish, progress
 from jaxcap.body.anatomy import rest_deviations
 from jaxcap.body.body import Body, pose_body, take_vertices
 from jaxcap.body.human import human
-from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.pose import Motion, Pose, rest_pose, retract
 from jaxcap.body.shape_modes import Modes, joint_modes
 from jaxcap.energy.landmarks import VertexLandmarks
 from jaxcap.energy.prior import RestPrior
@@ -34,6 +35,10 @@ from jaxcap.fit.solvers.block_banded import BlockBanded
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.unknowns import AbstractUnknown, JointCentres, RestVertices, ShapeCoefficients
+from jaxcap.markers.matched import match_markers
+from jaxcap.markers.problem import CalibrationEstimate, make_calibration_problem
+from jaxcap.markers.shared import Trust, solved_joints
+from jaxcap.markers.solve_calibration import solve_calibration
 
 MARKS = 120
 NOISE = 0.003
@@ -159,6 +164,53 @@ def minima(problem: SequenceProblem, start: SequenceEstimate) -> dict[str, float
     }
 
 
+def marker_recipe() -> dict[str, float]:
+    """The minimum of a calibration from markers: what a dense Newton step would still gain, and derivatives of its lengths by a place and
+    by a deviation against central differences."""
+    rng = np.random.default_rng(3)
+    truth = performer(dtype=jnp.float64)
+    skeleton = truth.skeleton
+    tangents = 0.3 * rng.normal(size=(8, skeleton.num_dofs))
+    poses = jax.vmap(retract, (None, None, 0))(skeleton, rest_pose(skeleton), jnp.asarray(tangents))
+    seen = scene_of(truth, Motion(poses, 30.0), Trouble(), 0)
+    joints = solved_joints(truth, np.ones(truth.num_markers, bool))
+    frames = match_markers(truth, seen.frames)
+    places = jnp.asarray(frames.places, jnp.float64)
+    # a template that is trusted more than usual, so that differences of minima have enough digits
+    trust = Trust(lengths=0.02, joints=0.002, placements=0.005)
+    problem = make_calibration_problem(seen.template, places, jnp.asarray(frames.seen), joints, trust=trust)
+    none = jnp.zeros((0, truth.num_markers, 3))
+    start = CalibrationEstimate(poses, jnp.zeros(3 * (len(joints) + truth.num_markers)), none)
+    ends = jnp.asarray([joint for joint in joints if skeleton.parents[joint] in joints])
+    starts = jnp.asarray(skeleton.parents)[ends]
+
+    @eqx.filter_jit
+    def lengths(changes, start):
+        there = eqx.tree_at(
+            lambda p: (p.places, p.deviations),
+            problem,
+            (problem.places.at[2, 7, 1].add(changes[0]), problem.deviations.at[5].add(changes[1])),
+        )
+        found = solve_calibration(there, start, max_steps=400)
+        centres = found.subject.skeleton.centres
+        return jnp.linalg.norm(centres[ends] - centres[starts], axis=1), found
+
+    zero = jnp.zeros(2)
+    found = lengths(zero, start)[1]
+    _, gradient, hessian = problem.normal_equations(found.estimate)
+    side, _ = ravel_pytree(gradient)
+    left = float(side @ jnp.linalg.solve(hessian.as_matrix(), side)) / float(found.energy)
+    worst = 0.0
+    for way in jnp.eye(2):
+        column = jax.jvp(lambda c: lengths(c, found.estimate)[0], (zero,), (way,))[1]
+        near, far = (
+            (lengths(h * way, found.estimate)[0] - lengths(-h * way, found.estimate)[0]) / (2 * h)
+            for h in (3e-4, 6e-4)
+        )
+        worst = max(worst, float(jnp.abs((4 * near - far) / 3 - column).max() / jnp.abs(column).max()))
+    return {"left_to_gain": left, "derivative_apart": worst, "trustworthy": bool(found.trustworthy)}
+
+
 def least_seconds(function, *arguments, repeats: int = 5) -> tuple[float, float]:
     """Seconds of the first call, and the least of some others."""
     begun = time.perf_counter()
@@ -212,6 +264,10 @@ def main():
             f"{name}_derivative_apart": ("<=", 1e-5),
             f"{name}_float32_mm": ("<=", 0.1),
         }
+    found = marker_recipe()
+    progress(f"markers: {found}")
+    figures |= {f"markers_{key}": value for key, value in found.items()}
+    limits |= {"markers_left_to_gain": ("<=", 1e-8), "markers_derivative_apart": ("<=", 1e-5)}
     for count in (frames // 4, frames // 2, frames, 2 * frames):
         problem, poses = scene(body, shared_unknowns(body, modes)["adaptation"], count)
         with jax.enable_x64(False):
