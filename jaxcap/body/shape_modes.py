@@ -1,7 +1,5 @@
 """Ways in which a body at rest may change, joints and surface together, by a few numbers."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +7,6 @@ from jaxtyping import Array, Float
 
 from .body import Body
 from .skeleton import Skeleton
-from .symmetry import length_differences
 
 
 class Modes(eqx.Module):
@@ -30,15 +27,6 @@ def moved(body: Body, modes: Modes, amounts: Float[Array, "K"]) -> Body:
             body.vertices + jnp.tensordot(amounts, modes.vertices, 1),
         ),
     )
-
-
-def bone_differences(
-    body: Body, modes: Modes, mirrored: Sequence[tuple[int, int]]
-) -> tuple[Float[Array, "B"], Float[Array, "B K"]]:
-    """By how much bones of the left are longer than those of the right, metres, and how that changes with the amounts
-    of the modes (eq. 4.13)."""
-    differences, by_centre = length_differences(body.skeleton, mirrored)
-    return differences, jnp.einsum("bja,kja->bk", by_centre, modes.centres)
 
 
 def joint_modes(body: Body, follow: bool = True) -> Modes:

@@ -41,11 +41,6 @@ class Improved(NamedTuple):
     damping: float
 
 
-def projectable(body: Body) -> bool:
-    """Tell whether `improve_all` can be used."""
-    return isinstance(body.skin, LinearSkin) and is_simple(body.skeleton)
-
-
 def improve_all(
     body: Body,
     poses: Pose,
