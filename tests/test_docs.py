@@ -105,4 +105,4 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     page = (tmp_path / "site" / "papers" / "kineben" / "index.html").read_text("utf-8")
     # a function of a table leads to its reference
-    assert re.search(r'href="[^"]*reference/[^"]*#jaxcap\.fit\.gauss_newton\.damped_step"', page)
+    assert re.search(r'href="[^"]*reference/[^"]*#jaxcap\.fit\.solvers\.gauss_newton\.damped_step"', page)
