@@ -26,7 +26,7 @@ from .turning import Turning, free_turning, turning_equations, turning_square
 #: information on every number of a pose, 1/radian^2 and 1/metre^2: what no marker shows stays
 RIDGE = 1.0
 #: frames that are linearised at once
-BATCH = 10
+BATCH = 5
 
 
 class CalibrationEstimate(eqx.Module):

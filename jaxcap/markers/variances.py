@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..fit.solvers.cholesky import factorise
-from .problem import RIDGE, CalibrationEstimate, CalibrationProblem, slid
+from .problem import BATCH, RIDGE, CalibrationEstimate, CalibrationProblem, slid
 from .residuals import linearise
 from .robust import kernel
 from .turning import turning_equations
@@ -30,7 +30,7 @@ def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Fl
     information = subject.weights / problem.deviations**2
     used = problem.seen & (subject.weights > 0)
 
-    def of_frame(sums, frame):
+    def of_frame(frame):
         pose, place, there, phi = frame
         rows = linearise(slid(subject, y.slides, phi), pose, place)
         squared = jnp.sum(rows.residual**2, 1)
@@ -40,11 +40,10 @@ def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Fl
         gram = gram + RIDGE * jnp.eye(dofs, dtype=gram.dtype)
         leverage = jnp.sum((flat * factorise(gram).solve(flat.T).T).reshape(len(slopes), -1), 1)
         left = jnp.maximum(3.0 * slopes - leverage, 0.0)
-        return (sums[0] + slopes * squared, sums[1] + left), None
+        return slopes * squared, left
 
-    none = jnp.zeros_like(problem.deviations)
     frames = y.poses, problem.places, used, problem.features
-    (squares, left), _ = jax.lax.scan(of_frame, (none, none), frames)
+    squares, left = (jnp.sum(each, 0) for each in jax.lax.map(of_frame, frames, batch_size=BATCH))
     left = jnp.maximum(left - 3.0, 0.0)
     common = jnp.sum(squares) / jnp.maximum(jnp.sum(left), 1.0)
     variance = jnp.clip((squares + LEAN * common) / (left + LEAN), common / 9.0, common * 100.0)
