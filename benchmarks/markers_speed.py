@@ -70,7 +70,7 @@ def main() -> None:
     limits = {
         "solve_frames_per_second": (">=", 1500.0),
         "stream_median_ms": ("<=", 3.0),
-        "calibrate_seconds": ("<=", 6.0),
+        "calibrate_seconds": ("<=", 3.0),
     }
     sizes = {"frames": count, "markers": subject.num_markers, "numbers": subject.skeleton.num_dofs}
     seconds = {"solve_first": solving[0], "calibrate_first": calibrating[0], "solve": solving[1:]}
