@@ -1,4 +1,4 @@
-"""What the poses of an adaptation minimise, as energies and problems (Adaptation, eq. 4.3)."""
+"""Problems that an adaptation minimises (Adaptation, eq. 4.3)."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,7 @@ UNIT = 0.003**2 * ALIKE
 
 
 class Belief(eqx.Module):
-    """Where the amounts of the modes are, before any pair is looked at."""
+    """A normal prior of the amounts of modes."""
 
     #: from where they stand
     expected: Float[Array, "K"]
@@ -134,7 +134,7 @@ def stack_pairs(parts: Sequence[Pairs]) -> Pairs:
 
 
 def unstack(whole, count: int) -> list:
-    """What `stack` made one of, frame by frame."""
+    """Split stacked poses or pairs into those of single frames."""
     return [jax.tree.map(lambda leaf, i=i: leaf[i], whole) for i in range(count)]
 
 

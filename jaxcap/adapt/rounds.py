@@ -130,7 +130,9 @@ def _step(
 
 @eqx.filter_jit
 def step_of(problem: SequenceProblem, poses: Pose) -> tuple[Body, Pose, Float[Array, "K"]]:
-    """One Gauss-Newton step on all poses and the amounts of modes, whatever it is worth: the body, the poses, and the amounts."""
+    """Take one Gauss-Newton step on all poses and the amounts of modes, even where it raises the energy.
+
+    Returns the body, the poses and the amounts."""
     found = take_step(problem, problem.start(poses), NormalDescent(relative=True), DAMPING)
     return problem.body_at(found.values), found.poses, found.values["modes"]
 

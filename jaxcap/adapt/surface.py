@@ -58,7 +58,7 @@ class ShapeTerm(eqx.Module):
 
 
 class Coupling(eqx.Module):
-    """Which couples of vertices the pairs of all frames join."""
+    """List the couples of vertices that pairs of any frame join."""
 
     edges: Int[Array, "E 2"]
     #: the block that each two of a pair's vertices couple: a vertex's own, or behind all of these an edge's

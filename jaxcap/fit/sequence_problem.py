@@ -1,6 +1,6 @@
 """Many frames and what they share as one least-squares problem, linearised frame by frame."""
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -170,9 +170,8 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         """Sum `|r|^2 / 2`, `J^T r` and `J^T J` one frame at a time."""
         own, same = split_frames(self.frames)
         dofs, count, dtype = self.body.skeleton.num_dofs, self.num_shared, self.body.vertices.dtype
-        body, tangent, body_at = self.body_at(y.values), self.body_tangent(y.values), None
-        if count:
-            body_at = lambda s: self.body_at(y.values, s)  # noqa: E731
+        body, tangent = self.body_at(y.values), self.body_tangent(y.values)
+        body_at = partial(self.body_at, y.values) if count else None
 
         def add(total, rows, residual):
             value, side, matrix = total
@@ -218,8 +217,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         if not self.num_shared:
             return None
         turns = any("orientations" in unknown.moves for unknown in self.unknowns.values())
-        body_at: Callable = lambda s: self.body_at(values, s)  # noqa: E731
-        return body_tangent(body_at, self.body_at(values), self.num_shared, turns)
+        return body_tangent(partial(self.body_at, values), self.body_at(values), self.num_shared, turns)
 
     def _charts(self, boxes: PoseBoxes, poses: Pose) -> BoxChart:
         return jax.vmap(box_chart, (None, None, 0))(boxes, self.body.skeleton, poses)

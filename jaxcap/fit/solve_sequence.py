@@ -17,7 +17,7 @@ from ..energy.check import check_numbers, explained
 from ..energy.stacked import join_frame, num_frames_of, split_frames
 from ..errors import InputError
 from .sequence_problem import SequenceEstimate, SequenceProblem
-from .solvers.implicit import implicit_minimum, is_stationary
+from .solvers.implicit import implicit_minimum, is_trustworthy
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import AnySolver
 
@@ -68,7 +68,7 @@ def solve_sequence(
     solver = LevenbergMarquardt() if solver is None else solver
     start = start if isinstance(start, SequenceEstimate) else problem.start(poses)
     found = implicit_minimum(problem, start, solver, max_steps, _onto)
-    trustworthy = is_stationary(problem, found.y) & (found.result == optx.RESULTS.successful)
+    trustworthy = is_trustworthy(problem, found)
     estimate, energy = found.y, 2.0 * problem.value(found.y)
     return SequenceSolution(
         problem.body_at(estimate.values),

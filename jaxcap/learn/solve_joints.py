@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..body.body import Body
 from ..body.pose import Pose
-from ..fit.solvers.implicit import implicit_minimum, is_stationary
+from ..fit.solvers.implicit import implicit_minimum, is_trustworthy
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..geometry.laplacian import Conformance
 from .joints import Curvature, JointProblem, Standing
@@ -41,5 +41,5 @@ def solve_joints(
     problem = JointProblem(body, targets, metric, curvature)
     solver = LevenbergMarquardt(rtol=0.0, atol=1e-12, damping=1e-3, relative=True)
     found = implicit_minimum(problem, start, solver, max_steps)
-    trustworthy = is_stationary(problem, found.y) & (found.result == optx.RESULTS.successful)
+    trustworthy = is_trustworthy(problem, found)
     return JointSolution(problem.body_at(found.y), found.y.poses, found.result, trustworthy)

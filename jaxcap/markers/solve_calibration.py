@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..arguments import checked
 from ..body.pose import Pose
-from ..fit.solvers.implicit import implicit_minimum, is_stationary
+from ..fit.solvers.implicit import implicit_minimum, is_trustworthy
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..fit.solvers.minimise import AnySolver
 from .problem import CalibrationEstimate, CalibrationProblem
@@ -45,7 +45,7 @@ def solve_calibration(
     """
     solver = LevenbergMarquardt(0.0, 1e-10, damping=1e-6, relative=True) if solver is None else solver
     found = implicit_minimum(problem, start, solver, max_steps)
-    trustworthy = is_stationary(problem, found.y) & (found.result == optx.RESULTS.successful)
+    trustworthy = is_trustworthy(problem, found)
     return CalibrationSolution(
         problem.subject(found.y),
         found.y.poses,

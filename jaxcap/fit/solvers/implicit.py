@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from .conjugate_gradients import conjugate_gradients
@@ -36,14 +37,15 @@ def implicit_minimum(
     return eqx.tree_at(lambda m: m.y, rest, y, is_leaf=lambda x: x is None)
 
 
-def is_stationary(problem: AbstractProblem, y: Any) -> Bool[Array, ""]:
-    """Tell whether what a Newton step within the constraints would gain is a small share of the energy, so that derivatives by the
-    implicit function theorem hold."""
-    arrays, rest = eqx.partition((problem, y), eqx.is_array)
+def is_trustworthy(problem: AbstractProblem, found: Minimum) -> Bool[Array, ""]:
+    """Tell whether a minimum converged and what a Newton step within the constraints would still gain is a small share of its energy, so
+    that derivatives by the implicit function theorem hold."""
+    arrays, rest = eqx.partition((problem, found.y), eqx.is_array)
     info = _information(*eqx.combine(jax.lax.stop_gradient(arrays), rest))
     inside = _inside(info)
     left, value = 0.5 * _dot(info.grad, inside.solve(info.grad)), info.as_min()
-    return left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
+    small = left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
+    return small & (found.result == optx.RESULTS.successful)
 
 
 class _Inside(eqx.Module):
