@@ -24,6 +24,8 @@ NEAR, FACING = 0.05, 0.8
 #: a body explains at least the first share of the points around it where they are a person's, as curled up in a box or
 #: along a post it does not; of somebody with a load the second, if those are this share of its height in length
 EXPLAINED, LOADED, UPRIGHT = 0.62, 0.42, 0.85
+#: nobody folds to less than this share of the own height
+FOLDED = 0.4
 #: points further from a body than this share of its height are of something else
 FAR = 0.15
 #: something else may be a person where it has at least this share of the points, and a height and a width between
@@ -88,7 +90,8 @@ def check_actor(task: Task, state: AdaptState, where: str) -> None:
     far = np.flatnonzero((apart > FAR * height) & (scan.points[:, 1] > floor))
     for group in large_groups(scan.points[far], height, len(scan.points)):
         rows = far[group]
-        if is_person(_likeness_alone(task, make_cloud(scan.points[rows], scan.normals[rows]))):
+        other = _likeness_alone(task, make_cloud(scan.points[rows], scan.normals[rows]))
+        if is_person(other) and other.length >= FOLDED:
             place = ", ".join(f"{value:.2f}" for value in np.median(scan.points[rows], 0))
             raise InputError(
                 f"{where}: there is more than one person in this scan, the other around ({place}); cut the scans so that "

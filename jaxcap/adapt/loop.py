@@ -112,6 +112,7 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
         cameras=task.cameras,
         boxes=task.boxes,
         terms=task.terms,
+        already=size,
     )
     motion = stack_poses(poses, task.rate)
     state = AdaptState(0, body, size * step, motion, weight=weight)

@@ -35,9 +35,11 @@ def fit_size(
     cameras: Sequence[Camera] = (),
     boxes: PoseBoxes | None = None,
     terms: AbstractEnergy | None = None,
+    already: float = 1.0,
 ) -> tuple[Body, list[Pose], float]:
-    """The body as large as the actor, its poses in some scans, and how large: new pairs, and a step of all poses
-    and of the size that they share. Joints and vertices do the rest later. `cameras`, `boxes` and `terms` as in `fit_pose`."""
+    """Scale the body to the actor, with its poses in some scans: new pairs, and a step of all poses and of the size
+    that they share, in turn. Joints and vertices do the rest later. `cameras`, `boxes` and `terms` as in `fit_pose`;
+    `already` is how many times as large as the template the body is. Return body, poses and its further scale."""
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=LENGTHS)
     count = len(scans)
 
@@ -49,7 +51,7 @@ def fit_size(
         ]
         stacked = stack_pairs(pairs)
         problem = window_problem(body, stacked, prior, weight, 0.0, np.arange(count), boxes, terms=terms)
-        unknown = {"size": Size(SMALLEST, LARGEST)}
+        unknown = {"size": Size(SMALLEST / already, LARGEST / already)}
         return eqx.tree_at(lambda p: (p.unknowns, p.between), problem, (unknown, ()))
 
     start = SequenceEstimate(stack(poses), {"size": jnp.zeros((), body.vertices.dtype)})

@@ -1,7 +1,6 @@
 """What the frames of a sequence may share as unknowns, and how each makes the body that they pose."""
 
 import abc
-import math
 from collections.abc import Sequence
 from typing import ClassVar, Generic, TypeVar
 
@@ -56,11 +55,15 @@ class AbstractUnknown(eqx.Module, Generic[Value]):
         return jnp.ones(self.size(body), body.vertices.dtype)
 
 
+def _number(given: float | Float[Array, ""] | None) -> Float[Array, ""] | None:
+    return None if given is None else jnp.asarray(given, float)
+
+
 class Size(AbstractUnknown[Float[Array, ""]]):
     """The size of the whole body about the origin, within bounds; its value is the logarithm."""
 
-    smallest: float = eqx.field(static=True, default=0.0)
-    largest: float = eqx.field(static=True, default=math.inf)
+    smallest: Float[Array, ""] | None = eqx.field(converter=_number, default=None)
+    largest: Float[Array, ""] | None = eqx.field(converter=_number, default=None)
 
     def size(self, body):
         return 1
@@ -77,10 +80,11 @@ class Size(AbstractUnknown[Float[Array, ""]]):
         return value + d[0]
 
     def bounds(self, value):
-        if self.smallest <= 0 and math.isinf(self.largest):
+        if self.smallest is None and self.largest is None:
             return None
-        ends = (math.log(self.smallest) if self.smallest > 0 else -math.inf, math.log(self.largest))
-        return tuple(jnp.asarray([end], value.dtype) - value for end in ends)
+        low = -jnp.inf if self.smallest is None else jnp.log(self.smallest).astype(value.dtype)
+        high = jnp.inf if self.largest is None else jnp.log(self.largest).astype(value.dtype)
+        return jnp.reshape(low - value, (1,)), jnp.reshape(high - value, (1,))
 
 
 class JointCentres(AbstractUnknown[Float[Array, "C 3"]]):
