@@ -32,6 +32,7 @@ from jaxcap.fit.correspond import (
     make_scan,
     places_on,
 )
+from jaxcap.fit.frame_equations import frame_equations
 from jaxcap.fit.linearise import body_tangent, frame_rows, vertex_maps
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import mesh_edges
@@ -71,6 +72,27 @@ def test_rows_of_poses_and_modes_against_central_differences(rng, corners, kind)
     value, found = rows()
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
     np.testing.assert_allclose(value, residual(zero), atol=1e-12)
+
+
+@pytest.mark.parametrize(("corners", "shared"), [(1, False), (1, True), (3, True)])
+def test_equations_of_a_frame_are_those_of_its_rows(rng, corners, shared):
+    """Pairs that are more than the vertices, whether or not they are summed over these, beside other terms."""
+    pairs, modes = random_pairs(BODY, rng, 3 * len(BODY.vertices), corners), some_modes(rng, "people")
+    energy = 0.3 * (2.0 * PairDistances(pairs)) + 0.1 * PRIOR
+    pose = random_pose(BODY.skeleton, rng, 0.6)
+
+    @eqx.filter_jit
+    def both():
+        def at(z):
+            return moved(BODY, modes, z)
+
+        body_at, tangent = (at, body_tangent(at, BODY, len(modes.centres), False)) if shared else (None, None)
+        residual, rows = frame_rows(energy, BODY, pose, body_at, tangent)
+        written = 0.5 * residual @ residual, rows.T @ residual, rows.T @ rows
+        return written, frame_equations(energy, BODY, pose, body_at, tangent)
+
+    for expected, found in zip(*both(), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-13 * float(jnp.max(jnp.abs(expected))))
 
 
 def test_shape_is_the_dense_least_squares_solution(rng):

@@ -16,6 +16,9 @@ from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
 from ..energy.vertices import AbstractVertexEnergy
 from ..geometry import rotation
 
+#: places whose rows are summed at once: as many as stay in a core's cache
+BATCH = 64
+
 
 class BodyTangent(eqx.Module):
     """How a body at rest moves with S numbers that all frames share."""
@@ -113,24 +116,49 @@ def place_rows(
     directions: Float[Array, "C K R 3"],
     tangent: BodyTangent | None = None,
 ) -> Float[Array, "C R N"]:
-    """Rows `sum_k n_k . dx_k/d[d, s]` of places between K vertices each, by the pose and by what is shared."""
+    """Compute rows `sum_k n_k . dx_k/d[d, s]` of places between K vertices each, by the pose and by what is shared.
+
+    Where places have more corners than the body has vertices, each vertex is differentiated once, along the three axes."""
+    count = len(posed.vertices)
+    if vertices.size <= count:
+        every = vertices.reshape(-1)
+        rows = _skin_rows(posed, every, directions.reshape(-1, *directions.shape[2:]), tangent)
+        return jnp.sum(rows.reshape(*vertices.shape, *rows.shape[1:]), 1)
+    along_axes = vertex_rows(posed, tangent)
+
+    def of_place(place):
+        corners, along = place
+        moved = along_axes[corners].reshape(-1, along_axes.shape[2])
+        # summed by hand: a product for every place is slow on a CPU
+        along = jnp.swapaxes(along, 1, 2).reshape(len(moved), -1)
+        return sum(along[i, :, None] * moved[i] for i in range(len(moved)))
+
+    return jax.lax.map(of_place, (vertices, directions), batch_size=BATCH)
+
+
+def vertex_rows(posed: Posed, tangent: BodyTangent | None = None) -> Float[Array, "V 3 N"]:
+    """Differentiate all posed vertices by the pose and by what is shared."""
+    count, dtype = len(posed.vertices), posed.vertices.dtype
+    axes = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (count, 3, 3))
+    return _skin_rows(posed, jnp.arange(count), axes, tangent)
+
+
+def _skin_rows(
+    posed: Posed,
+    vertices: Int[Array, "C"],
+    directions: Float[Array, "C R 3"],
+    tangent: BodyTangent | None,
+) -> Float[Array, "C R N"]:
+    """Compute the rows of single vertices along their directions."""
     body, pose = posed.body, posed.pose
     skeleton = body.skeleton
-    every = vertices.reshape(-1)
     rates = pose_rates(skeleton, pose, posed.transforms)
     if tangent is not None:
         known = range(3) if tangent.turns is None else range(6)
         slots = np.array([6 * joint + number for joint in range(skeleton.num_joints) for number in known])
         rates = stack_rates(rates, take_rates(joint_rates(skeleton, pose, posed.transforms), slots))
-    rows = body.skin.take(every).jacobian(
-        body.vertices[every],
-        directions.reshape(-1, *directions.shape[2:]),
-        skeleton,
-        pose,
-        posed.transforms,
-        rates,
-    )
-    rows = jnp.sum(rows.reshape(*vertices.shape, *rows.shape[1:]), 1)
+    skin = body.skin.take(vertices)
+    rows = skin.jacobian(body.vertices[vertices], directions, skeleton, pose, posed.transforms, rates)
     if tangent is None:
         return rows
     dofs = skeleton.num_dofs
@@ -138,8 +166,8 @@ def place_rows(
         tangent.centres if tangent.turns is None else jnp.concatenate([tangent.centres, tangent.turns], 1)
     )
     maps, _ = vertex_maps(body, pose)
-    pulled = jnp.einsum("ckra,ckab->ckrb", directions, maps[vertices])
-    carried = jnp.einsum("ckrb,ckbs->crs", pulled, tangent.vertices[vertices])
+    pulled = jnp.einsum("cra,cab->crb", directions, maps[vertices])
+    carried = jnp.einsum("crb,cbs->crs", pulled, tangent.vertices[vertices])
     turned = rows[:, :, dofs:] @ by_joint.reshape(-1, by_joint.shape[2])
     return jnp.concatenate([rows[:, :, :dofs], carried + turned], 2)
 

@@ -8,6 +8,7 @@ from ..body.pose import Pose, retract
 from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, chart_equations, move_within
 from ..body.skeleton import Skeleton, dof_layout
 from ..energy.term import AbstractEnergy
+from .frame_equations import frame_equations
 from .linearise import linearise as linearise
 from .solvers.dense import Dense
 from .solvers.descent import ConstrainedInfo, Constraints
@@ -34,14 +35,13 @@ class PoseProblem(AbstractDenseProblem[Pose]):
 
     def information(self, y: Pose):
         scales = self.scales()
-        residual, jacobian = linearise(self.energy, self.body, y)
-        matrix, gradient, bounds = jacobian.T @ jacobian, jacobian.T @ residual, None
+        value, gradient, matrix = frame_equations(self.energy, self.body, y)
+        bounds = None
         if self.boxes is not None:
             chart = self._chart(self.boxes, y)
             matrix, gradient = chart_equations(chart, matrix, gradient)
             bounds = Constraints(chart.low / scales, chart.high / scales)
         hessian = Dense(matrix * scales[:, None] * scales)
-        value = 0.5 * (residual @ residual)
         return ConstrainedInfo(value, gradient * scales, hessian, constraints=bounds)  # pyright: ignore[reportCallIssue]
 
     def retract(self, y: Pose, d: Float[Array, "D"]):

@@ -14,7 +14,8 @@ from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, move_within
 from ..body.symmetry import length_differences
 from ..energy.stacked import AbstractNeighbourEnergy, AbstractSharedEnergy, join_frame, split_frames
 from ..energy.term import AbstractEnergy
-from .linearise import BodyTangent, body_tangent, frame_rows
+from .frame_equations import frame_equations
+from .linearise import BodyTangent, body_tangent
 from .problem import pose_scales
 from .solvers.block_arrow import BlockArrow
 from .solvers.block_banded import BlockBanded
@@ -173,16 +174,15 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         body, tangent = self.body_at(y.values), self.body_tangent(y.values)
         body_at = partial(self.body_at, y.values) if count else None
 
-        def add(total, rows, residual):
-            value, side, matrix = total
-            common = rows[:, -count:] if count else rows[:, :0]
-            return value + 0.5 * (residual @ residual), side + common.T @ residual, matrix + common.T @ common
-
         def of_frame(total, frame):
             pose, arrays = frame
-            residual, rows = frame_rows(join_frame(arrays, same), body, pose, body_at, tangent)
-            mine, common = rows[:, :dofs], rows[:, dofs:]
-            return add(total, rows, residual), (mine.T @ mine, mine.T @ common, mine.T @ residual)
+            value, side, matrix = frame_equations(join_frame(arrays, same), body, pose, body_at, tangent)
+            shared = value, side[dofs:], matrix[dofs:, dofs:]
+            return jax.tree.map(jnp.add, total, shared), (
+                matrix[:dofs, :dofs],
+                matrix[:dofs, dofs:],
+                side[:dofs],
+            )
 
         none = jnp.zeros((), dtype), jnp.zeros(count, dtype), jnp.zeros((count, count), dtype)
         with jax.default_matmul_precision("highest"):
@@ -200,8 +200,9 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
                     for before in range(later + 1):
                         blocks = blocks.at[here, before].add(banded.blocks[:, later, later - before])
                 total = jax.tree.map(jnp.add, total, banded.total)
-            body_rows, residuals = self._shared_rows(y.values)
-            value, side, shared = add(total, body_rows, residuals)
+            rows, residual = self._shared_rows(y.values)
+            own = 0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows
+            value, side, shared = jax.tree.map(jnp.add, total, own)
         arrow = BlockArrow(BlockBanded(blocks), coupling, shared)
         if self.boxes is not None:
             turn = self._charts(self.boxes, y.poses).turn

@@ -1,0 +1,79 @@
+"""Normal equations of one frame, by its pose and by what all frames share."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..body.body import Body, Posed, pose_body
+from ..body.pose import Pose
+from ..energy.term import AbstractEnergy, Sum, Weighted, bare, terms_of
+from ..energy.vertices import AbstractVertexEnergy
+from .linearise import BodyTangent, frame_rows, vertex_rows
+
+#: `|r|^2 / 2`, `J^T r` and `J^T J`
+Equations = tuple[Float[Array, ""], Float[Array, "N"], Float[Array, "N N"]]
+
+
+def frame_equations(
+    energy: AbstractEnergy,
+    body: Body,
+    pose: Pose,
+    body_at: Callable[[Float[Array, "S"]], Body] | None = None,
+    tangent: BodyTangent | None = None,
+) -> Equations:
+    """Compute `|r|^2 / 2`, `J^T r` and `J^T J` of a frame by `[d, s]`; arguments as of `frame_rows`.
+
+    A term with more rows than the vertices have coordinates is summed over each vertex first: no row is written out for it."""
+    posed = pose_body(body, pose)
+    summed, others = [], []
+    for term in terms_of(energy):
+        (summed if _is_summed(term, posed) else others).append(term)
+    total = None
+    if others:
+        residual, rows = frame_rows(Sum(tuple(others)), body, pose, body_at, tangent)
+        total = 0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows
+    if summed:
+        parts = [_vertex_sums(term, posed) for term in summed]
+        value, sides, matrices = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
+        moved = vertex_rows(posed, tangent)
+        # by hand: a product for every vertex is slow on a CPU
+        pulled = jnp.stack([sum(matrices[:, a, b, None] * moved[:, b] for b in range(3)) for a in range(3)], 1)  # fmt: skip
+        flat = moved.reshape(-1, moved.shape[2])
+        own = value, flat.T @ sides.reshape(-1), flat.T @ pulled.reshape(flat.shape)
+        total = own if total is None else tuple(a + b for a, b in zip(total, own, strict=True))
+    assert total is not None
+    return total  # pyright: ignore[reportReturnType]
+
+
+def _is_summed(term: AbstractEnergy, posed: Posed) -> bool:
+    energy = bare(term)
+    if not isinstance(energy, AbstractVertexEnergy):
+        return False
+    vertices, directions = energy.slopes(posed)
+    single = vertices.ndim == 1 or vertices.shape[1] == 1
+    return single and directions.size // 3 > posed.vertices.size
+
+
+def _vertex_sums(
+    term: AbstractEnergy, posed: Posed
+) -> tuple[Float[Array, ""], Float[Array, "V 3"], Float[Array, "V 3 3"]]:
+    """Compute `|r|^2 / 2` with its gradient and Gauss-Newton Hessian by each vertex."""
+    energy = bare(term)
+    assert isinstance(energy, AbstractVertexEnergy)
+    vertices, directions = energy.slopes(posed)
+    vertices, directions = vertices.reshape(-1), directions.reshape(len(vertices), -1, 3)
+    residual = energy.residual(posed).reshape(directions.shape[:2])
+    weight = _weight(term)
+    sides = weight * jnp.sum(directions * residual[:, :, None], 1)
+    matrices = weight * jnp.sum(directions[:, :, :, None] * directions[:, :, None, :], 1)
+    count, dtype = len(posed.vertices), directions.dtype
+    return (
+        0.5 * weight * jnp.sum(residual**2),
+        jnp.zeros((count, 3), dtype).at[vertices].add(sides),
+        jnp.zeros((count, 3, 3), dtype).at[vertices].add(matrices),
+    )
+
+
+def _weight(term: AbstractEnergy) -> Float[Array, ""] | float:
+    return term.weight * _weight(term.energy) if isinstance(term, Weighted) else 1.0
