@@ -103,7 +103,7 @@ class NearestVertex(AbstractAssignment):
         chosen = np.flatnonzero(surface.seen)
         if not len(chosen):
             return _nothing(scan, 1)
-        apart, nearest = KDTree(surface.vertices[chosen]).query(scan.points, distance_upper_bound=reach)
+        apart, nearest = KDTree(surface.vertices[chosen]).query(scan.points, distance_upper_bound=reach, workers=-1)
         found = np.isfinite(apart)
         row = np.where(found, chosen[np.minimum(nearest, len(chosen) - 1)], 0)
         shares = np.ones((len(row), 1))
@@ -146,7 +146,7 @@ class NearestOnSurface(AbstractAssignment):
 
 def nearest_points(surface: Surface, scan: Scan, reach: float) -> Assigned:
     """Every vertex with the point of a scan nearest to it."""
-    apart, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach)
+    apart, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach, workers=-1)
     found = np.isfinite(apart) & surface.seen
     place = np.where(found, np.minimum(nearest, len(scan.points) - 1), 0)
     every = np.arange(len(surface.vertices))[:, None]

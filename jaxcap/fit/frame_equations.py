@@ -1,9 +1,10 @@
 """Normal equations of one frame, by its pose and by what all frames share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
 from ..body.pose import Pose
@@ -11,8 +12,8 @@ from ..energy.term import AbstractEnergy, Sum, Weighted, bare, terms_of
 from ..energy.vertices import AbstractVertexEnergy
 from .linearise import BodyTangent, frame_rows, vertex_rows
 
-#: `|r|^2 / 2`, `J^T r` and `J^T J`
-Equations = tuple[Float[Array, ""], Float[Array, "N"], Float[Array, "N N"]]
+#: `|r|^2 / 2`, its gradient `J^T r` and its Gauss-Newton Hessian `J^T J`
+Equations = tuple[Float[Array, ""], Float[Array, "..."], Float[Array, "..."]]
 
 
 def frame_equations(
@@ -26,24 +27,33 @@ def frame_equations(
 
     A term with more rows than the vertices have coordinates is summed over each vertex first: no row is written out for it."""
     posed = pose_body(body, pose)
-    summed, others = [], []
-    for term in terms_of(energy):
-        (summed if _is_summed(term, posed) else others).append(term)
-    total = None
+    summed = [term for term in terms_of(energy) if _is_summed(term, posed)]
+    others = [term for term in terms_of(energy) if not _is_summed(term, posed)]
+    parts = []
     if others:
         residual, rows = frame_rows(Sum(tuple(others)), body, pose, body_at, tangent)
-        total = 0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows
+        parts.append((0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows))
     if summed:
-        parts = [_vertex_sums(term, posed) for term in summed]
-        value, sides, matrices = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
-        moved = vertex_rows(posed, tangent)
-        # by hand: a product for every vertex is slow on a CPU
-        pulled = jnp.stack([sum(matrices[:, a, b, None] * moved[:, b] for b in range(3)) for a in range(3)], 1)  # fmt: skip
-        flat = moved.reshape(-1, moved.shape[2])
-        own = value, flat.T @ sides.reshape(-1), flat.T @ pulled.reshape(flat.shape)
-        total = own if total is None else tuple(a + b for a, b in zip(total, own, strict=True))
-    assert total is not None
-    return total  # pyright: ignore[reportReturnType]
+        parts.append(
+            _pulled_back(_total([_vertex_sums(term, posed) for term in summed]), vertex_rows(posed, tangent))
+        )
+    return _total(parts)
+
+
+def _total(parts: Sequence[Equations]) -> Equations:
+    return jax.tree.map(lambda *some: sum(some[1:], some[0]), *parts)
+
+
+def _pulled_back(equations: Equations, moved: Float[Array, "V 3 N"]) -> Equations:
+    """Turn equations of the vertices into those of what moves them."""
+    value, sides, matrices = equations
+    # by hand: a product for every vertex is slow on a CPU
+    across = [
+        sum((matrices[:, a, b, None] * moved[:, b] for b in (1, 2)), matrices[:, a, 0, None] * moved[:, 0])
+        for a in range(3)
+    ]
+    flat = moved.reshape(-1, moved.shape[2])
+    return value, flat.T @ sides.reshape(-1), flat.T @ jnp.stack(across, 1).reshape(flat.shape)
 
 
 def _is_summed(term: AbstractEnergy, posed: Posed) -> bool:
@@ -55,10 +65,8 @@ def _is_summed(term: AbstractEnergy, posed: Posed) -> bool:
     return single and directions.size // 3 > posed.vertices.size
 
 
-def _vertex_sums(
-    term: AbstractEnergy, posed: Posed
-) -> tuple[Float[Array, ""], Float[Array, "V 3"], Float[Array, "V 3 3"]]:
-    """Compute `|r|^2 / 2` with its gradient and Gauss-Newton Hessian by each vertex."""
+def _vertex_sums(term: AbstractEnergy, posed: Posed) -> Equations:
+    """Compute the equations of a term by each vertex, `(V, 3)` and `(V, 3, 3)`."""
     energy = bare(term)
     assert isinstance(energy, AbstractVertexEnergy)
     vertices, directions = energy.slopes(posed)

@@ -93,7 +93,7 @@ def _dot(a: Float[np.ndarray, "3 N"], b: Float[np.ndarray, "3 N"]) -> Float[np.n
 def _nearest_corners(points, vertices, faces, reach: float) -> OnSurface:
     """The nearest corner of all triangles; the first triangle of each corner stands for it."""
     used, first = np.unique(faces, return_index=True)
-    apart, nearest = KDTree(np.asarray(vertices, float)[used]).query(points)
+    apart, nearest = KDTree(np.asarray(vertices, float)[used]).query(points, workers=-1)
     triangles, corner = np.divmod(first[nearest], 3)
     # what lies beyond reach is as good as at its end
     return OnSurface(triangles, np.eye(3)[corner], np.minimum(apart, np.nextafter(reach, np.inf)))
@@ -111,6 +111,7 @@ def _improve(best: OnSurface, points, corners, alike, middles, radii) -> None:
             points[left],
             list(range(1, count + 1)),  # pyright: ignore[reportArgumentType]
             distance_upper_bound=np.nextafter(np.max(best.distances[left]) + largest, np.inf),
+            workers=-1,
         )
         # where there is none the distance is infinite, and the number one too many
         near = np.minimum(near, len(alike) - 1)
