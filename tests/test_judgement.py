@@ -259,6 +259,17 @@ def test_parts_without_points_are_told(rng):
     assert set(unseen(shown)) == {"LeftForeArm", "LeftHand"}
 
 
+def test_parts_beside_one_without_points_need_more_of_them(rng):
+    """A forearm that takes a few points of the trunk is as much of a guess as the upper arm that has none."""
+    usual = learned(3, rng)
+    judgement = judge_evidence(
+        SURFACE, usual, gather_evidence(SURFACE, REST, scan(REST, rng), sensors_of(usual))
+    )
+    there = {"LeftArm": 0.0, "LeftForeArm": 0.4, "RightForeArm": 0.4}
+    support = np.array([there.get(part, 1.0) for part in judgement.parts])
+    assert set(eqx.tree_at(lambda j: j.support, judgement, support).unseen) == {"LeftArm", "LeftForeArm"}
+
+
 def test_a_fault_at_the_limit_does_not_flicker(rng):
     """After a frame that was not good, one has to lie further within the limits."""
     usual = learned(3, rng)

@@ -116,6 +116,6 @@ def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
     surface = judged_surface(tracker.body)
     usual = nothing_usual(surface)
     support = jnp.zeros(len(surface.joints), number.dtype)
-    judgement = Judgement(usual.level, number, number, support, surface.names, surface.joints)
+    judgement = Judgement(usual.level, number, number, support, surface.names, surface.joints, surface.above)
     state = start_state(tracker, pose)
     return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, Patience(), 0.0)

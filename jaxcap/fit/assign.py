@@ -103,7 +103,9 @@ class NearestVertex(AbstractAssignment):
         chosen = np.flatnonzero(surface.seen)
         if not len(chosen):
             return _nothing(scan, 1)
-        apart, nearest = KDTree(surface.vertices[chosen]).query(scan.points, distance_upper_bound=reach, workers=-1)
+        apart, nearest = KDTree(surface.vertices[chosen]).query(
+            scan.points, distance_upper_bound=reach, workers=-1
+        )
         found = np.isfinite(apart)
         row = np.where(found, chosen[np.minimum(nearest, len(chosen) - 1)], 0)
         shares = np.ones((len(row), 1))

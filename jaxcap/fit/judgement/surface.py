@@ -56,6 +56,8 @@ class JudgedSurface(eqx.Module):
     joints: tuple[str, ...] = eqx.field(static=True)
     #: number among these of each region's
     movers: tuple[int, ...] = eqx.field(static=True)
+    #: number among these of the joint that each hangs on, minus one for a root
+    above: tuple[int, ...] = eqx.field(static=True)
 
 
 def judged_surface(body: Body) -> JudgedSurface:
@@ -105,6 +107,7 @@ def judged_surface(body: Body) -> JudgedSurface:
         names=names,
         joints=tuple(body.skeleton.names[joint] for joint in moving),
         movers=tuple(moving.index(joint) for joint in movers),
+        above=tuple(_next_above(body.skeleton, joint, moving) for joint in moving),
     )
 
 
@@ -113,6 +116,14 @@ def _mover(skeleton: Skeleton, joint: int) -> int:
     while skeleton.kinds[joint] == "fixed" and skeleton.parents[joint] >= 0:
         joint = skeleton.parents[joint]
     return joint
+
+
+def _next_above(skeleton: Skeleton, joint: int, moving: Sequence[int]) -> int:
+    """Find the nearest ancestor that is in `moving`: its number there, minus one where there is none."""
+    joint = skeleton.parents[joint]
+    while joint >= 0 and joint not in moving:
+        joint = skeleton.parents[joint]
+    return list(moving).index(joint) if joint >= 0 else -1
 
 
 def region_name(joint: str) -> str:

@@ -26,8 +26,9 @@ DEVIATIONS = 5.0
 #: times of the limits that they are at most in a sequence that varies much, and of which an excess over the sequence's
 #: beginning (`Usual.base`) is held against them
 WIDEST = 2.0
-#: parts with so much less of the points than their share of the surface are not seen
-UNSEEN = 0.3
+#: parts with so much less of the points than their share of the surface are not seen; next to one that is not seen a part
+#: needs more, as points of what lies before it are taken for its own
+UNSEEN, UNSEEN_BESIDE = 0.3, 0.5
 #: share of the limits from which on a frame is doubtful; and after a frame that was not good, as a fault at the limit does
 #: not go away where noise has it below for a frame
 DOUBT, STILL = 0.7, 0.6
@@ -50,12 +51,20 @@ class Judgement(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     #: of the parts, by the joints that move them
     parts: tuple[str, ...] = eqx.field(static=True)
+    #: number of the part that each hangs on, minus one for the root
+    above: tuple[int, ...] = eqx.field(static=True)
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Parts of the body that no sensor shows, by their joints: their pose is a guess, whatever the verdict."""
-        there = zip(self.parts, np.asarray(self.support), strict=True)
-        return tuple(part for part, support in there if not support >= UNSEEN)
+        """Name the parts of the body that no sensor shows, by their joints: their pose is a guess, whatever the verdict."""
+        support = np.asarray(self.support)
+        hidden, hardly = ~(support >= UNSEEN), ~(support >= UNSEEN_BESIDE)
+        links = [(part, above) for part, above in enumerate(self.above) if above >= 0]
+        # along a chain from one that is hidden to the next that is hardly seen
+        for part, above in (*links, *reversed(links), *links):
+            beside = hidden[part] | hidden[above]
+            hidden[[part, above]] |= hardly[[part, above]] & beside
+        return tuple(np.array(self.parts)[hidden].tolist())
 
     @property
     def worst(self) -> float:
@@ -105,7 +114,7 @@ def judge_evidence(surface: JudgedSurface, usual: Usual, evidence: Evidence) -> 
     )
     tolerance = jnp.where(usual.frames > 0, 1.0, FIRST).astype(limits.dtype)
     doubt = jnp.where(usual.warned > 0, STILL, DOUBT).astype(limits.dtype)
-    return Judgement(shares, tolerance, doubt, evidence.support, surface.names, surface.joints)
+    return Judgement(shares, tolerance, doubt, evidence.support, surface.names, surface.joints, surface.above)
 
 
 def _limits(plain: Float[Array, "3 Q"], level: Float[Array, "3 Q"]) -> Float[Array, "3 Q"]:
