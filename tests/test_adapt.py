@@ -76,7 +76,7 @@ def test_rows_of_poses_and_modes_against_central_differences(rng, corners, kind)
 
 @pytest.mark.parametrize(("corners", "shared"), [(1, False), (1, True), (3, True)])
 def test_equations_of_a_frame_are_those_of_its_rows(rng, corners, shared):
-    """Pairs that are more than the vertices, whether or not they are summed over these, beside other terms."""
+    """Sum more pairs than there are vertices with another term; pairs at single vertices are summed over these first."""
     pairs, modes = random_pairs(BODY, rng, 3 * len(BODY.vertices), corners), some_modes(rng, "people")
     energy = 0.3 * (2.0 * PairDistances(pairs)) + 0.1 * PRIOR
     pose = random_pose(BODY.skeleton, rng, 0.6)

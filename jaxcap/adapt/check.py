@@ -24,7 +24,7 @@ NEAR, FACING = 0.05, 0.8
 #: a body explains at least the first share of the points around it where they are a person's, as curled up in a box or
 #: along a post it does not; of somebody with a load the second, if those are this share of its height in length
 EXPLAINED, LOADED, UPRIGHT = 0.62, 0.42, 0.85
-#: nobody folds to less than this share of the own height
+#: nobody folds to less than this share of their own height
 FOLDED = 0.4
 #: points further from a body than this share of its height are of something else
 FAR = 0.15

@@ -103,10 +103,10 @@ class NearestVertex(AbstractAssignment):
         chosen = np.flatnonzero(surface.seen)
         if not len(chosen):
             return _nothing(scan, 1)
-        apart, nearest = KDTree(surface.vertices[chosen]).query(
+        distances, nearest = KDTree(surface.vertices[chosen]).query(
             scan.points, distance_upper_bound=reach, workers=-1
         )
-        found = np.isfinite(apart)
+        found = np.isfinite(distances)
         row = np.where(found, chosen[np.minimum(nearest, len(chosen) - 1)], 0)
         shares = np.ones((len(row), 1))
         return Assigned(row[:, None], shares, scan.points, scan.normals, found.astype(float), "point")
@@ -148,8 +148,8 @@ class NearestOnSurface(AbstractAssignment):
 
 def nearest_points(surface: Surface, scan: Scan, reach: float) -> Assigned:
     """Every vertex with the point of a scan nearest to it."""
-    apart, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach, workers=-1)
-    found = np.isfinite(apart) & surface.seen
+    distances, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach, workers=-1)
+    found = np.isfinite(distances) & surface.seen
     place = np.where(found, np.minimum(nearest, len(scan.points) - 1), 0)
     every = np.arange(len(surface.vertices))[:, None]
     return Assigned(

@@ -8,9 +8,9 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
 from ..body.pose import Pose
-from ..energy.term import AbstractEnergy, Sum, Weighted, bare, terms_of
+from ..energy.term import AbstractEnergy, Sum, bare, terms_of
 from ..energy.vertices import AbstractVertexEnergy
-from .linearise import BodyTangent, frame_rows, vertex_rows
+from .linearise import BodyTangent, frame_rows, vertex_rows, weighted_slopes
 
 #: `|r|^2 / 2`, its gradient `J^T r` and its Gauss-Newton Hessian `J^T J`
 Equations = tuple[Float[Array, ""], Float[Array, "..."], Float[Array, "..."]]
@@ -26,17 +26,16 @@ def frame_equations(
     """Compute `|r|^2 / 2`, `J^T r` and `J^T J` of a frame by `[d, s]`; arguments as of `frame_rows`.
 
     A term with more rows than the vertices have coordinates is summed over each vertex first: no row is written out for it."""
-    posed = pose_body(body, pose)
-    summed = [term for term in terms_of(energy) if _is_summed(term, posed)]
-    others = [term for term in terms_of(energy) if not _is_summed(term, posed)]
+    posed, terms = pose_body(body, pose), terms_of(energy)
+    sums = [_vertex_sums(term, posed) for term in terms]
+    others = tuple(term for term, part in zip(terms, sums, strict=True) if part is None)
+    summed = [part for part in sums if part is not None]
     parts = []
     if others:
-        residual, rows = frame_rows(Sum(tuple(others)), body, pose, body_at, tangent)
+        residual, rows = frame_rows(Sum(others), body, pose, body_at, tangent)
         parts.append((0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows))
     if summed:
-        parts.append(
-            _pulled_back(_total([_vertex_sums(term, posed) for term in summed]), vertex_rows(posed, tangent))
-        )
+        parts.append(_pulled_back(_total(summed), vertex_rows(posed, tangent)))
     return _total(parts)
 
 
@@ -56,32 +55,20 @@ def _pulled_back(equations: Equations, moved: Float[Array, "V 3 N"]) -> Equation
     return value, flat.T @ sides.reshape(-1), flat.T @ jnp.stack(across, 1).reshape(flat.shape)
 
 
-def _is_summed(term: AbstractEnergy, posed: Posed) -> bool:
-    energy = bare(term)
-    if not isinstance(energy, AbstractVertexEnergy):
-        return False
-    vertices, directions = energy.slopes(posed)
-    single = vertices.ndim == 1 or vertices.shape[1] == 1
-    return single and directions.size // 3 > posed.vertices.size
-
-
-def _vertex_sums(term: AbstractEnergy, posed: Posed) -> Equations:
-    """Compute the equations of a term by each vertex, `(V, 3)` and `(V, 3, 3)`."""
-    energy = bare(term)
-    assert isinstance(energy, AbstractVertexEnergy)
-    vertices, directions = energy.slopes(posed)
-    vertices, directions = vertices.reshape(-1), directions.reshape(len(vertices), -1, 3)
-    residual = energy.residual(posed).reshape(directions.shape[:2])
-    weight = _weight(term)
-    sides = weight * jnp.sum(directions * residual[:, :, None], 1)
-    matrices = weight * jnp.sum(directions[:, :, :, None] * directions[:, :, None, :], 1)
+def _vertex_sums(term: AbstractEnergy, posed: Posed) -> Equations | None:
+    """Compute the equations of a term by each vertex, `(V, 3)` and `(V, 3, 3)`; None where its rows are fewer, or no vertex's own."""
+    if not isinstance(bare(term), AbstractVertexEnergy):
+        return None
+    vertices, directions = weighted_slopes(term, posed)
+    if vertices.shape[1] > 1 or directions.size // 3 <= posed.vertices.size:
+        return None
+    vertices, directions = vertices[:, 0], directions[:, 0]
+    residual = term.residual(posed)
+    sides = jnp.sum(directions * residual.reshape(directions.shape[:2])[:, :, None], 1)
+    matrices = jnp.sum(directions[:, :, :, None] * directions[:, :, None, :], 1)
     count, dtype = len(posed.vertices), directions.dtype
     return (
-        0.5 * weight * jnp.sum(residual**2),
+        0.5 * (residual @ residual),
         jnp.zeros((count, 3), dtype).at[vertices].add(sides),
         jnp.zeros((count, 3, 3), dtype).at[vertices].add(matrices),
     )
-
-
-def _weight(term: AbstractEnergy) -> Float[Array, ""] | float:
-    return term.weight * _weight(term.energy) if isinstance(term, Weighted) else 1.0

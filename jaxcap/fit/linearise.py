@@ -172,12 +172,16 @@ def _skin_rows(
     return jnp.concatenate([rows[:, :, :dofs], carried + turned], 2)
 
 
-def _vertex_rows(term: AbstractEnergy, posed: Posed, tangent: BodyTangent | None) -> Float[Array, "R N"]:
+def weighted_slopes(term: AbstractEnergy, posed: Posed) -> tuple[Int[Array, "C K"], Float[Array, "C K R 3"]]:
+    """Differentiate a weighted term over vertices by their positions, as `AbstractVertexEnergy.slopes` does."""
     if isinstance(term, Weighted):
-        return root(term.weight) * _vertex_rows(term.energy, posed, tangent)
+        vertices, directions = weighted_slopes(term.energy, posed)
+        return vertices, root(term.weight) * directions
     assert isinstance(term, AbstractVertexEnergy)
     vertices, directions = term.slopes(posed)
-    if vertices.ndim == 1:
-        vertices, directions = vertices[:, None], directions[:, None]
-    rows = place_rows(posed, vertices, directions, tangent)
+    return (vertices[:, None], directions[:, None]) if vertices.ndim == 1 else (vertices, directions)
+
+
+def _vertex_rows(term: AbstractEnergy, posed: Posed, tangent: BodyTangent | None) -> Float[Array, "R N"]:
+    rows = place_rows(posed, *weighted_slopes(term, posed), tangent)
     return rows.reshape(-1, rows.shape[2])

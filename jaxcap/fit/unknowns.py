@@ -82,7 +82,11 @@ class Size(AbstractUnknown[Float[Array, ""]]):
     def bounds(self, value):
         if self.smallest is None and self.largest is None:
             return None
-        low = -jnp.inf if self.smallest is None else jnp.log(self.smallest).astype(value.dtype)
+        low = (
+            -jnp.inf
+            if self.smallest is None
+            else jnp.log(jnp.maximum(self.smallest, 0.0)).astype(value.dtype)
+        )
         high = jnp.inf if self.largest is None else jnp.log(self.largest).astype(value.dtype)
         return jnp.reshape(low - value, (1,)), jnp.reshape(high - value, (1,))
 

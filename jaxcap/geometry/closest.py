@@ -93,10 +93,10 @@ def _dot(a: Float[np.ndarray, "3 N"], b: Float[np.ndarray, "3 N"]) -> Float[np.n
 def _nearest_corners(points, vertices, faces, reach: float) -> OnSurface:
     """The nearest corner of all triangles; the first triangle of each corner stands for it."""
     used, first = np.unique(faces, return_index=True)
-    apart, nearest = KDTree(np.asarray(vertices, float)[used]).query(points, workers=-1)
+    distances, nearest = KDTree(np.asarray(vertices, float)[used]).query(points, workers=-1)
     triangles, corner = np.divmod(first[nearest], 3)
     # what lies beyond reach is as good as at its end
-    return OnSurface(triangles, np.eye(3)[corner], np.minimum(apart, np.nextafter(reach, np.inf)))
+    return OnSurface(triangles, np.eye(3)[corner], np.minimum(distances, np.nextafter(reach, np.inf)))
 
 
 def _improve(best: OnSurface, points, corners, alike, middles, radii) -> None:

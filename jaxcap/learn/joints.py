@@ -16,7 +16,8 @@ from ..body.skeleton import Skeleton
 from ..body.skin.swing_twist import SwingTwistSkin
 from ..body.symmetry import length_differences
 from ..energy.term import AbstractEnergy
-from ..fit.linearise import body_tangent, frame_rows
+from ..fit.frame_equations import frame_equations
+from ..fit.linearise import body_tangent
 from ..fit.solvers.block_arrow import BlockArrow, Unknowns
 from ..fit.solvers.block_banded import BlockBanded
 from ..fit.solvers.descent import ConstrainedInfo, Constraints
@@ -261,11 +262,10 @@ def _with_terms(
     tangent = body_tangent(body_at, body, count, turns=True) if count else None
 
     def of_frame(pose):
-        residual, rows = frame_rows(terms, body, pose, body_at if count else None, tangent)
-        return rows.T @ rows, rows.T @ residual
+        return frame_equations(terms, body, pose, body_at if count else None, tangent)
 
     with jax.default_matmul_precision("highest"):
-        grams, slopes = jax.lax.map(of_frame, y.poses)
+        _, slopes, grams = jax.lax.map(of_frame, y.poses)
     frames = BlockBanded(arrow.frames.blocks.at[:, 0].add(grams[:, :dofs, :dofs]))
     coupling = arrow.coupling + grams[:, :dofs, dofs:]
     shared = arrow.shared + jnp.sum(grams[:, dofs:, dofs:], 0)

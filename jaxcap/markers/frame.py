@@ -10,7 +10,7 @@ from ..body.body import pose_body
 from ..body.pose import Pose, retract
 from ..energy.term import AbstractEnergy
 from ..fit.alternate import reweigh
-from ..fit.linearise import frame_rows
+from ..fit.frame_equations import frame_equations
 from ..fit.solvers.dense import Dense
 from ..fit.solvers.descent import ConstrainedInfo
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -71,8 +71,8 @@ class FrameProblem(AbstractProblem[Pose]):
         weighted = flat * jnp.repeat(slopes * self.precision, 3)[:, None]
         value, side, matrix = 0.5 * jnp.sum(costs), weighted.T @ rows.residual.reshape(-1), weighted.T @ flat
         if self.terms is not None:
-            r, j = frame_rows(self.terms, marker_body(self.subject), y, None, None)
-            value, side, matrix = value + 0.5 * (r @ r), side + j.T @ r, matrix + j.T @ j
+            own = frame_equations(self.terms, marker_body(self.subject), y)
+            value, side, matrix = value + own[0], side + own[1], matrix + own[2]
         # numbers that nothing tells stay
         told = jnp.diagonal(matrix) > UNTOLD
         return ConstrainedInfo(value, jnp.where(told, side, 0.0), Dense(matrix).among(told))  # pyright: ignore[reportCallIssue]

@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Float
 from ..body.body import pose_body
 from ..body.pose import Pose, retract
 from ..energy.term import AbstractEnergy, sum_of
-from ..fit.linearise import BodyTangent, body_tangent, frame_rows
+from ..fit.frame_equations import frame_equations
+from ..fit.linearise import BodyTangent, body_tangent
 from ..fit.solvers.block_arrow import BlockArrow, Unknowns
 from ..fit.solvers.block_banded import BlockBanded
 from ..fit.solvers.descent import ConstrainedInfo, Constraints
@@ -125,8 +126,8 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             matrix = matrix + RIDGE * jnp.eye(len(side), dtype=side.dtype) + flat.T @ flat
             side = side + flat.T @ (rows.residual * root[:, None]).reshape(-1)
             if self.terms is not None:
-                r, j = frame_rows(self.terms, marker_body(subject), pose, None, None)
-                matrix, side = matrix + j.T @ j, side + j.T @ r
+                _, own_side, own_matrix = frame_equations(self.terms, marker_body(subject), pose)
+                matrix, side = matrix + own_matrix, side + own_side
             return matrix, side
 
         return jax.lax.map(of_frame, self._frames(y), batch_size=BATCH)
@@ -244,11 +245,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         dofs, body = self.template.skeleton.num_dofs, marker_body(self.subject(y))
 
         def of_frame(total, pose):
-            r, rows = frame_rows(terms, body, pose, self._body_at(y), tangent)
-            mine, common = rows[:, :dofs], rows[:, dofs:]
-            value, side, matrix = total
-            total = value + 0.5 * (r @ r), side + common.T @ r, matrix + common.T @ common
-            return total, (mine.T @ mine, mine.T @ common, mine.T @ r)
+            value, side, matrix = frame_equations(terms, body, pose, self._body_at(y), tangent)
+            total = jax.tree.map(jnp.add, total, (value, side[dofs:], matrix[dofs:, dofs:]))
+            return total, (matrix[:dofs, :dofs], matrix[:dofs, dofs:], side[:dofs])
 
         shared = self.scales()[1]
         none = (

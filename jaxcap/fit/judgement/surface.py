@@ -107,7 +107,7 @@ def judged_surface(body: Body) -> JudgedSurface:
         names=names,
         joints=tuple(body.skeleton.names[joint] for joint in moving),
         movers=tuple(moving.index(joint) for joint in movers),
-        above=tuple(_next_above(body.skeleton, joint, moving) for joint in moving),
+        above=tuple(_next_above(body.skeleton.parents, joint, moving) for joint in moving),
     )
 
 
@@ -118,12 +118,12 @@ def _mover(skeleton: Skeleton, joint: int) -> int:
     return joint
 
 
-def _next_above(skeleton: Skeleton, joint: int, moving: Sequence[int]) -> int:
-    """Find the nearest ancestor that is in `moving`: its number there, minus one where there is none."""
-    joint = skeleton.parents[joint]
-    while joint >= 0 and joint not in moving:
-        joint = skeleton.parents[joint]
-    return list(moving).index(joint) if joint >= 0 else -1
+def _next_above(parents: Sequence[int], joint: int, among: Sequence[int]) -> int:
+    """Find the number in `among` of the nearest ancestor that is there, minus one where there is none."""
+    joint = parents[joint]
+    while joint >= 0 and joint not in among:
+        joint = parents[joint]
+    return among.index(joint) if joint >= 0 else -1
 
 
 def region_name(joint: str) -> str:
@@ -163,11 +163,9 @@ def _hang_together(
     skin between them may fold into each other."""
     together = np.eye(len(joints), dtype=bool)
     for region, joint in enumerate(joints):
-        above = parents[joint]
-        while above >= 0 and above not in joints:
-            above = parents[above]
+        above = _next_above(parents, joint, joints)
         if above >= 0:
-            limb = np.array([name == names[joints.index(above)] for name in names])
+            limb = np.array([name == names[above] for name in names])
             together[region] |= limb
             together[:, region] |= limb
     return together

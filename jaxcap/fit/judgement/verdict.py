@@ -28,7 +28,7 @@ DEVIATIONS = 5.0
 WIDEST = 2.0
 #: parts with so much less of the points than their share of the surface are not seen; next to one that is not seen a part
 #: needs more, as points of what lies before it are taken for its own
-UNSEEN, UNSEEN_BESIDE = 0.3, 0.5
+UNSEEN, UNSEEN_ADJACENT = 0.3, 0.5
 #: share of the limits from which on a frame is doubtful; and after a frame that was not good, as a fault at the limit does
 #: not go away where noise has it below for a frame
 DOUBT, STILL = 0.7, 0.6
@@ -58,12 +58,11 @@ class Judgement(eqx.Module):
     def unseen(self) -> tuple[str, ...]:
         """Name the parts of the body that no sensor shows, by their joints: their pose is a guess, whatever the verdict."""
         support = np.asarray(self.support)
-        hidden, hardly = ~(support >= UNSEEN), ~(support >= UNSEEN_BESIDE)
-        links = [(part, above) for part, above in enumerate(self.above) if above >= 0]
-        # along a chain from one that is hidden to the next that is hardly seen
-        for part, above in (*links, *reversed(links), *links):
-            beside = hidden[part] | hidden[above]
-            hidden[[part, above]] |= hardly[[part, above]] & beside
+        hidden, sparse = ~(support >= UNSEEN), ~(support >= UNSEEN_ADJACENT)
+        links = [[part, above] for part, above in enumerate(self.above) if above >= 0]
+        # parents come first: up the tree, then down it, reaches every part along a chain
+        for link in (*reversed(links), *links):
+            hidden[link] |= sparse[link] & hidden[link].any()
         return tuple(np.array(self.parts)[hidden].tolist())
 
     @property
