@@ -3,7 +3,8 @@
     python -m benchmarks.one_solver [--frames 120]
 
 On the embedded human with 120 marks on its surface, in float64 but where it is said: a window of tracking (poses, smooth turns), a
-calibration (poses, joint centres, rest places of marks), an adaptation (poses, joints with their surface), a calibration from markers. Each minimum is compared with that of
+calibration (poses, joint centres, rest places of marks), an adaptation (poses, joints with their surface), a calibration from markers, joints
+and poses of learning. Each minimum is compared with that of
 a dense Gauss-Newton solver, and the derivatives of a shared number or a pose by a weight and by one datum with central
 differences. Then the cost of linearising and of solving, with frames doubled three times. Run it from the root of the checkout.
 """
@@ -21,7 +22,7 @@ from jax.flatten_util import ravel_pytree
 from benchmarks._markers import Trouble, performer, scene_of
 from benchmarks.report import finish, progress
 from jaxcap.body.anatomy import rest_deviations
-from jaxcap.body.body import Body, pose_body, take_vertices
+from jaxcap.body.body import Body, deform_all, pose_body, take_vertices
 from jaxcap.body.human import human
 from jaxcap.body.pose import Motion, Pose, rest_pose, retract
 from jaxcap.body.shape_modes import Modes, joint_modes
@@ -35,6 +36,9 @@ from jaxcap.fit.solvers.block_banded import BlockBanded
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.unknowns import AbstractUnknown, JointCentres, RestVertices, ShapeCoefficients
+from jaxcap.geometry.laplacian import make_conformance
+from jaxcap.learn.joints import make_curvature
+from jaxcap.learn.solve_joints import solve_joints
 from jaxcap.markers.matched import match_markers
 from jaxcap.markers.problem import CalibrationEstimate, make_calibration_problem
 from jaxcap.markers.shared import Trust, solved_joints
@@ -211,6 +215,37 @@ def marker_recipe() -> dict[str, float]:
     return {"left_to_gain": left, "derivative_apart": worst, "trustworthy": bool(found.trustworthy)}
 
 
+def learning_recipe() -> dict[str, float]:
+    """The minimum of learning's joints and poses: derivatives of posed vertices by the weight of shape and by a datum against central
+    differences. Centres along hinges' axes are told by nothing, so that lengths have no derivative."""
+    rng = np.random.default_rng(4)
+    body = in_precision(human(resolution="low", joints="tracking"), jnp.float64)
+    skeleton = body.skeleton
+    tangents = 0.3 * rng.normal(size=(6, skeleton.num_dofs))
+    poses = jax.vmap(retract, (None, None, 0))(skeleton, rest_pose(skeleton), jnp.asarray(tangents))
+    targets = deform_all(body, poses) + NOISE * rng.normal(size=(6, len(body.vertices), 3))
+    metric = make_conformance(np.asarray(body.faces), len(body.vertices), 10.0)
+    curvature = make_curvature(metric)
+
+    @eqx.filter_jit
+    def places(changes, body, poses):
+        there = eqx.tree_at(lambda m: m.alpha, metric, metric.alpha * (1.0 + changes[0]))
+        found = solve_joints(body, poses, targets.at[2, 700, 1].add(changes[1]), there, curvature, 200)
+        return deform_all(found.body, found.poses)[:, ::50], found
+
+    zero = jnp.zeros(2)
+    found = places(zero, body, poses)[1]
+    worst = 0.0
+    for way in jnp.eye(2):
+        column = jax.jvp(lambda c: places(c, body, poses)[0], (zero,), (way,))[1]
+        near, far = (
+            (places(h * way, found.body, found.poses)[0] - places(-h * way, found.body, found.poses)[0]) / (2 * h)
+            for h in (1e-2, 2e-2)
+        )
+        worst = max(worst, float(jnp.abs((4 * near - far) / 3 - column).max() / jnp.abs(column).max()))
+    return {"derivative_apart": worst, "trustworthy": bool(found.trustworthy)}
+
+
 def least_seconds(function, *arguments, repeats: int = 5) -> tuple[float, float]:
     """Seconds of the first call, and the least of some others."""
     begun = time.perf_counter()
@@ -268,6 +303,10 @@ def main():
     progress(f"markers: {found}")
     figures |= {f"markers_{key}": value for key, value in found.items()}
     limits |= {"markers_left_to_gain": ("<=", 1e-8), "markers_derivative_apart": ("<=", 1e-5)}
+    found = learning_recipe()
+    progress(f"learning: {found}")
+    figures |= {f"learning_{key}": value for key, value in found.items()}
+    limits |= {"learning_derivative_apart": ("<=", 1e-5)}
     for count in (frames // 4, frames // 2, frames, 2 * frames):
         problem, poses = scene(body, shared_unknowns(body, modes)["adaptation"], count)
         with jax.enable_x64(False):

@@ -138,7 +138,6 @@ from .fit.solvers.flat import flat_problem as flat_problem
 from .fit.solvers.gauss_newton import GaussNewton as GaussNewton
 from .fit.solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .fit.solvers.minimise import AbstractManifoldSolver as AbstractManifoldSolver
-from .fit.solvers.structured import StructuredCholesky as StructuredCholesky
 from .fit.track import Tracker as Tracker
 from .fit.track import make_tracker as make_tracker
 from .fit.track import start_state as start_state
@@ -153,6 +152,7 @@ from .fit.unknowns import JointOrientations as JointOrientations
 from .fit.unknowns import RestVertices as RestVertices
 from .fit.unknowns import ShapeCoefficients as ShapeCoefficients
 from .fit.unknowns import Size as Size
+from .fit.unknowns import SkinningWeights as SkinningWeights
 from .fit.visible import visible_vertices as visible_vertices
 from .geometry.camera import Camera as Camera
 from .geometry.camera import look_at as look_at

@@ -64,7 +64,7 @@ def test_rows_of_poses_and_modes_against_central_differences(rng, corners, kind)
 
     @eqx.filter_jit
     def rows():
-        tangent = body_tangent(lambda z: moved(BODY, modes, z), BODY, len(modes.centres), False)
+        tangent = body_tangent(lambda z: moved(BODY, modes, z), BODY, len(modes.centres))
         return frame_rows(energy, BODY, pose, None, tangent)
 
     zero, h = np.zeros(dofs + len(modes.centres)), 1e-6
@@ -86,7 +86,7 @@ def test_equations_of_a_frame_are_those_of_its_rows(rng, corners, shared):
         def at(z):
             return moved(BODY, modes, z)
 
-        body_at, tangent = (at, body_tangent(at, BODY, len(modes.centres), False)) if shared else (None, None)
+        body_at, tangent = (at, body_tangent(at, BODY, len(modes.centres))) if shared else (None, None)
         residual, rows = frame_rows(energy, BODY, pose, body_at, tangent)
         written = 0.5 * residual @ residual, rows.T @ residual, rows.T @ rows
         return written, frame_equations(energy, BODY, pose, body_at, tangent)

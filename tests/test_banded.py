@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.solvers.block_banded import BlockBanded, banded_equations
+from jaxcap.fit.solvers.block_banded import BlockBanded
 from jaxcap.fit.solvers.boxes import solve_boxed
 
 SHAPES = [(1, 0, 3), (6, 1, 4), (11, 2, 5), (7, 3, 1), (2, 2, 3)]
 
+diagonal_inverse = jax.jit(lambda banded: banded.factorise().diagonal_inverse())
 solve, boxed = jax.jit(lambda banded, sides: banded.solve(sides)), jax.jit(solve_boxed)
 
 
@@ -18,6 +19,20 @@ def random_rows(rng, frames, width, dofs):
     count = frames + width
     slopes = rng.normal(size=(count, width + 1, 2 * dofs, dofs))
     return slopes, rng.normal(size=(count, 2 * dofs))
+
+
+def banded_equations(slopes, residuals):
+    """Sum `J^T J` and `J^T r` of rows that each touch successive frames: rows `k` by the numbers of the frames from `k` on."""
+    count, width, _, dofs = slopes.shape
+    blocks = jnp.zeros((count + width - 1, width, dofs, dofs), slopes.dtype)
+    sides = jnp.zeros((count + width - 1, dofs), slopes.dtype)
+    for later in range(width):
+        here = slice(later, later + count)
+        sides = sides.at[here].add(jnp.einsum("krd,kr->kd", slopes[:, later], residuals))
+        for before in range(later + 1):
+            products = jnp.einsum("kri,krj->kij", slopes[:, later], slopes[:, later - before])
+            blocks = blocks.at[here, before].add(products)
+    return BlockBanded(blocks), sides
 
 
 def random_banded(rng, frames, width, dofs):
@@ -48,6 +63,14 @@ def test_solution_is_that_of_the_dense_matrix(rng, frames, width, dofs):
         np.testing.assert_allclose(
             np.ravel(product(jnp.asarray(x))), dense @ x.ravel(), rtol=1e-12, atol=1e-12
         )
+
+
+@pytest.mark.parametrize(("frames", "width", "dofs"), SHAPES)
+def test_blocks_of_the_inverse_are_those_of_the_dense_inverse(rng, frames, width, dofs):
+    banded, _ = random_banded(rng, frames, width, dofs)
+    inverse = np.linalg.inv(dense_of(banded)).reshape(frames, dofs, frames, dofs)
+    expected = inverse[np.arange(frames), :, np.arange(frames)]
+    np.testing.assert_allclose(diagonal_inverse(banded), expected, rtol=1e-9, atol=1e-11)
 
 
 def test_equations_are_those_of_the_rows(rng):

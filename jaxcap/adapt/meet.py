@@ -54,6 +54,7 @@ def told(
         temporal=0.0 if task.settings.unordered else motion_energy(body.skeleton, state.motion),
         shape=shape_energy(shape_prior_of(task, state), body),
         symmetry=symmetry_energy(body.skeleton, task.mirrored),
+        own=0.0 if task.terms is None else pose_energy(task.terms, body, stack(poses)),
     )
     reached = (name, 1000 * float(np.sqrt(terms.data)))
     return state._replace(history=(*state.history, reached), terms=(*state.terms, terms))

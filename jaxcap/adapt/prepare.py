@@ -10,8 +10,9 @@ from ..body.body import Body, body_height
 from ..body.pose import Pose
 from ..body.pose_boxes import PoseBoxes
 from ..body.symmetry import mirrored_joints
+from ..energy.check import OwnTerms, own_terms
 from ..energy.prior import RestPrior
-from ..energy.term import AbstractEnergy, sum_of
+from ..energy.term import AbstractEnergy
 from ..errors import InputError
 from ..fit.correspond import Scan
 from ..geometry.camera import Camera
@@ -36,7 +37,7 @@ def make_task(
     boxes: PoseBoxes | None = None,
     shape: ShapePrior | None = None,
     mesh: Callable[[int], Scan] | None = None,
-    terms: Sequence[AbstractEnergy] = (),
+    terms: OwnTerms = (),
     whole: Body | None = None,
 ) -> Task:
     """What `adapt_body` is to do. Poses are held near rest as far as anatomy says, bones of the left are as long as those
@@ -86,5 +87,5 @@ def make_task(
         boxes=boxes,
         shape=shape,
         mesh=mesh,
-        terms=sum_of(terms),
+        terms=own_terms("adapt_body", terms, template),
     )

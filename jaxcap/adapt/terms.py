@@ -30,6 +30,8 @@ class Terms(NamedTuple):
     shape: float
     #: summed squared differences of paired bones' lengths (eq. 4.13), metres squared
     symmetry: float
+    #: mean over frames of the energies of a user's own, in units of a log-likelihood
+    own: float = 0.0
 
 
 def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:

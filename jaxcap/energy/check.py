@@ -2,8 +2,10 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
@@ -12,7 +14,10 @@ from ..arguments import describe
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, rest_pose
 from ..errors import InputError
-from .term import AbstractEnergy, bare, name_of, terms_of
+from .term import AbstractEnergy, Weighted, bare, name_of, sum_of, terms_of
+
+#: energies of a user's own: one or several
+OwnTerms = AbstractEnergy | Sequence[AbstractEnergy]
 
 #: fields of energies that are numbers of vertices or of joints
 _NUMBERS = {"vertices": "vertices", "bones": "joints", "joints": "joints"}
@@ -29,27 +34,99 @@ def flat_terms(energy: AbstractEnergy) -> list[AbstractEnergy]:
 
 
 def check_numbers(energy: AbstractEnergy, body: Body) -> None:
-    """That an energy is of vertices and joints that the body has: JAX would take the last one for any beyond.
+    """Check that an energy is of vertices and joints that the body has, where JAX would take the last one for any beyond, and that
+    weights are at least zero, where less would count as none.
 
     Traced arrays, whose values are not known, are not looked at.
 
-    **Raises:** `InputError` with the energy, the field, the number and how many there are.
+    **Raises:** `InputError` with the energy, the field, what was found and what is expected.
     """
     counts = {"vertices": len(body.vertices), "joints": body.skeleton.num_joints}
-    for term in map(bare, flat_terms(energy)):
+    for term in flat_terms(energy):
+        _check_weight(term)
         for field, what in _NUMBERS.items():
-            numbers = getattr(term, field, None)
-            if isinstance(numbers, Tracer) or not isinstance(numbers, (jax.Array, np.ndarray)):
-                continue
-            if not np.issubdtype(numbers.dtype, np.integer) or not numbers.size:
-                continue
-            values = np.asarray(numbers)
-            wrong = (values < 0) | (values >= counts[what])
-            if wrong.any():
+            numbers = getattr(bare(term), field, None)
+            if isinstance(numbers, (jax.Array, np.ndarray)) and np.issubdtype(numbers.dtype, np.integer):
+                check_indices(name_of(term), field, numbers, what, counts[what])
+
+
+def check_indices(owner: str, field: str, numbers: Any, what: str, count: int) -> None:
+    """Check that numbers of vertices or joints are among those that a body has.
+
+    **Raises:** `InputError` with the first that is not.
+    """
+    if isinstance(numbers, Tracer):
+        return
+    values = np.asarray(numbers, int)
+    wrong = (values < 0) | (values >= count)
+    if wrong.any():
+        raise InputError(
+            f"{owner}: `{field}` has {int(values[wrong][0])}, and the body has {count} {what}; expected are 0 to {count - 1}."
+        )
+
+
+def _check_weight(term: AbstractEnergy) -> None:
+    while isinstance(term, Weighted):
+        if not isinstance(term.weight, Tracer):
+            weight = np.asarray(term.weight)
+            # written so that what is no number counts as wrong
+            if not (weight >= 0).all():
                 raise InputError(
-                    f"{name_of(term)}: `{field}` has {int(values[wrong][0])}, and the body has {counts[what]} {what}; "
-                    f"expected are 0 to {counts[what] - 1}."
+                    f"{name_of(term)}: its weight is {float(weight.min()):g}; expected is a number of at least 0."
                 )
+        term = term.energy
+
+
+def own_terms(where: str, terms: OwnTerms, body: Body) -> AbstractEnergy | None:
+    """Add up energies of a user's own, one or several, after a check that they can be evaluated for a body; None where
+    there are none.
+
+    **Raises:** `InputError` with the term for what is no energy, for arrays that do not fit the body or have NaN, for weights below zero
+    and for a residual that is not one row.
+    """
+    given = (terms,) if isinstance(terms, AbstractEnergy) else tuple(terms)
+    for term in given:
+        if not isinstance(term, AbstractEnergy):
+            raise InputError(
+                f"{where}: `terms` has a {type(term).__name__}; expected are energies, such as make_floor(body)."
+            )
+        check_numbers(term, body)
+        for part in flat_terms(term):
+            _check_finite(part)
+            _check_residual(part, body, rest_pose(body.skeleton))
+    return sum_of(given)
+
+
+def _check_finite(term: AbstractEnergy) -> None:
+    term = bare(term)
+    for field in dataclasses.fields(term):
+        for leaf in jax.tree.leaves(getattr(term, field.name)):
+            if (
+                eqx.is_inexact_array_like(leaf)
+                and not isinstance(leaf, Tracer)
+                and np.isnan(np.asarray(leaf)).any()
+            ):
+                raise InputError(
+                    f"{type(term).__name__}: `{field.name}` has NaN; give numbers, and a weight of zero to what is not known."
+                )
+
+
+def _check_residual(term: AbstractEnergy, body: Body, pose: Pose) -> None:
+    """Check that a residual is one row, and the same in each call."""
+    lengths = []
+    for _ in range(2):
+        try:
+            shape = jax.eval_shape(lambda: term.residual(pose_body(body, pose)))
+        except Exception as found:
+            raise InputError(_words(term, body, str(found).splitlines()[0])) from found
+        if len(getattr(shape, "shape", ())) != 1:
+            given = getattr(shape, "shape", type(shape).__name__)
+            raise InputError(_words(term, body, f"it is {given}, not one row (R,)"))
+        lengths.append(shape.shape[0])
+    if lengths[0] != lengths[1]:
+        raise InputError(
+            _words(term, body, f"its length changes from call to call, from {lengths[0]} to {lengths[1]}")
+        )
 
 
 @contextlib.contextmanager
@@ -62,16 +139,9 @@ def explained(energy: AbstractEnergy, body: Body, pose: Pose | None = None) -> I
         yield
     except InputError:
         raise
-    except (TypeError, ValueError, IndexError, AttributeError) as error:
-        pose = rest_pose(body.skeleton) if pose is None else pose
+    except (TypeError, ValueError, IndexError, AttributeError):
         for term in flat_terms(energy):
-            try:
-                shape = jax.eval_shape(lambda term=term: term.residual(pose_body(body, pose)))
-            except Exception as found:
-                raise InputError(_words(term, body, str(found).splitlines()[0])) from error
-            if len(getattr(shape, "shape", ())) != 1:
-                given = getattr(shape, "shape", type(shape).__name__)
-                raise InputError(_words(term, body, f"it is {given}, not one row (R,)")) from error
+            _check_residual(term, body, rest_pose(body.skeleton) if pose is None else pose)
         raise
 
 

@@ -9,12 +9,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import minimise
 from .solvers.problem import AbstractProblem
 
+_DONE, _UNFINISHED = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
 _LOG = logging.getLogger(__name__)
 
 #: damping from which on steps are too short to tell anything
@@ -48,14 +50,16 @@ def alternate(
     **Arguments:** `remake(y)` makes the problem at `y`, always of the same shapes; `rounds` of `steps` each. A new problem may be worth more
     than the last one where that had come: after `uphill` rounds in a row that do not better the best one by a share `enough` the rounds end. The best is kept.
     """
-    y, best, worse, history = start, None, 0, []
+    y, best, worse, history, lowered = start, None, 0, [], math.inf
     damping = jnp.asarray(solver.damping, float)
     for number in range(rounds + 1):
         problem = remake(y)
         value = float(_value(problem, y))
         history.append(value)
-        if best is None or value < best.value * (1 - enough):
-            best, worse = Alternation(y, problem, value, ()), 0
+        if best is None or value < best.value:
+            best = Alternation(y, problem, value, ())
+        if value < lowered * (1 - enough) or not history[1:]:
+            lowered, worse = value, 0
         else:
             worse += 1
         if number == rounds or worse > uphill or not math.isfinite(value):
@@ -74,7 +78,7 @@ class Renewal(NamedTuple):
     problem: Any
     #: `|r|^2` after every step; a rise marks a new problem
     history: tuple[float, ...]
-    #: whether the last renewal hardly changed the problem
+    #: whether the last renewal hardly changed the problem, and the solver was able to step
     settled: bool
 
 
@@ -107,6 +111,8 @@ def renew(
         if len(history) > most:
             return Renewal(found.y, problem, tuple(history), False)
         problem, y, settled = renewed(number, problem, found.y)
+        if not (found.result == _DONE or found.result == _UNFINISHED):
+            return Renewal(y, problem, tuple(history), False)
         if settled:
             break
     return Renewal(y, problem, tuple(history), settled)

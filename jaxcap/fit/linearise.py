@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int
 
 from ..body.body import Body, Posed, pose_body
@@ -27,6 +28,8 @@ class BodyTangent(eqx.Module):
     #: turns of the joints' orientations on the right, radians a unit; none where no number turns them
     turns: Float[Array, "J 3 S"] | None
     vertices: Float[Array, "V 3 S"]
+    #: derivatives of all other arrays of the body, such as skinning weights, with S as their last axis; None for those that stay
+    others: Body
 
 
 def linearise(
@@ -78,23 +81,47 @@ def frame_rows(
     return jnp.concatenate([r for r, _ in rows]), jnp.concatenate([j for _, j in rows])
 
 
-def body_tangent(
-    body_at: Callable[[Float[Array, "S"]], Body], body: Body, count: int, turns: bool
-) -> BodyTangent:
-    """Differentiate the body of `count` shared numbers at zero; `turns` says whether these turn joints' orientations."""
+def body_tangent(body_at: Callable[[Float[Array, "S"]], Body], body: Body, count: int) -> BodyTangent:
+    """Differentiate the body of `count` shared numbers at zero; `body` is the one at zero."""
+    zero = jnp.zeros(count, body.vertices.dtype)
+    changed = _changed(body_at, zero)
+    by_number = jax.jacfwd(lambda s: eqx.filter(body_at(s), changed))(zero)
+    centres, turns, vertices = _in_closed_form(by_number)
+    if centres is None:
+        centres = jnp.zeros((*body.skeleton.centres.shape, count), zero.dtype)
+    if vertices is None:
+        vertices = jnp.zeros((*body.vertices.shape, count), zero.dtype)
+    if turns is not None:
+        # of q exp(w) it is q (0, w) / 2
+        back = jax.vmap(
+            lambda q, rates: jax.vmap(lambda rate: rotation.multiply(rotation.conjugate(q), rate), 1, 1)(
+                rates
+            )
+        )(body.skeleton.orientations, turns)
+        turns = 2.0 * back[:, 1:]
+    others = eqx.tree_at(_in_closed_form, by_number, replace=(None, None, None), is_leaf=_is_none)
+    return BodyTangent(centres, turns, vertices, others)
 
-    def moved(s):
-        there = body_at(s)
-        return there.skeleton.centres, there.skeleton.orientations, there.vertices
 
-    centres, orientations, vertices = jax.jacfwd(moved)(jnp.zeros(count, body.vertices.dtype))
-    if not turns:
-        return BodyTangent(centres, None, vertices)
-    # of q exp(w) it is q (0, w) / 2
-    back = jax.vmap(
-        lambda q, rates: jax.vmap(lambda rate: rotation.multiply(rotation.conjugate(q), rate), 1, 1)(rates)
-    )(body.skeleton.orientations, orientations)
-    return BodyTangent(centres, 2.0 * back[:, 1:], vertices)
+def _in_closed_form(body: Body):
+    return body.skeleton.centres, body.skeleton.orientations, body.vertices
+
+
+def _changed(body_at: Callable[[Float[Array, "S"]], Body], zero: Float[Array, "S"]) -> Body:
+    """Find which arrays of a body depend on what is shared: a tree of truths."""
+
+    def arrays(s):
+        return [leaf for leaf in jax.tree.leaves(body_at(s)) if eqx.is_inexact_array(leaf)]
+
+    program = jax.make_jaxpr(arrays)(zero).jaxpr
+    count = len(program.outvars)
+    depends = iter([dce_jaxpr(program, [k == each for k in range(count)])[1][0] for each in range(count)])
+    body = eqx.filter_eval_shape(body_at, zero)
+    return jax.tree.map(lambda leaf: _is_inexact(leaf) and next(depends), body)
+
+
+def _is_inexact(leaf: object) -> bool:
+    return isinstance(leaf, jax.ShapeDtypeStruct) and jnp.issubdtype(leaf.dtype, jnp.inexact)
 
 
 def vertex_maps(body: Body, pose: Pose) -> tuple[Float[Array, "V 3 3"], Float[Array, "V 3"]]:
@@ -168,8 +195,28 @@ def _skin_rows(
     maps, _ = vertex_maps(body, pose)
     pulled = jnp.einsum("cra,cab->crb", directions, maps[vertices])
     carried = jnp.einsum("crb,cbs->crs", pulled, tangent.vertices[vertices])
-    turned = rows[:, :, dofs:] @ by_joint.reshape(-1, by_joint.shape[2])
-    return jnp.concatenate([rows[:, :, :dofs], carried + turned], 2)
+    shared = carried + rows[:, :, dofs:] @ by_joint.reshape(-1, by_joint.shape[2])
+    if jax.tree.leaves(tangent.others):
+        moved = _moved_by_others(body, pose, tangent.others)[vertices]
+        shared = shared + jnp.einsum("cra,cas->crs", directions, moved)
+    return jnp.concatenate([rows[:, :, :dofs], shared], 2)
+
+
+def _moved_by_others(body: Body, pose: Pose, others: Body) -> Float[Array, "V 3 S"]:
+    """Differentiate posed vertices by what is shared through arrays of the body that have no closed form here."""
+    truths = jax.tree.map(lambda leaf: leaf is not None, others, is_leaf=_is_none)
+    changed, rest = eqx.partition(body, truths)
+
+    def moved(direction):
+        return jax.jvp(
+            lambda arrays: pose_body(eqx.combine(arrays, rest), pose).vertices, (changed,), (direction,)
+        )[1]
+
+    return jax.vmap(moved, -1, -1)(others)
+
+
+def _is_none(node: object) -> bool:
+    return node is None
 
 
 def weighted_slopes(term: AbstractEnergy, posed: Posed) -> tuple[Int[Array, "C K"], Float[Array, "C K R 3"]]:

@@ -50,6 +50,9 @@ class PoseProblem(AbstractDenseProblem[Pose]):
             return retract(skeleton, y, d)
         return move_within(self.boxes, skeleton, y, self._chart(self.boxes, y), d)
 
+    def constraint(self):
+        return None if self.boxes is None else "boxes of poses"
+
     def scales(self):
         return pose_scales(self.body.skeleton)
 

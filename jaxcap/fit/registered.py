@@ -1,7 +1,5 @@
 """Fit a body to registered meshes: every vertex of the body knows its place in the mesh."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose, project
-from ..energy.check import check_numbers
+from ..energy.check import OwnTerms, own_terms
 from ..energy.landmarks import VertexLandmarks
 from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..errors import InputError
@@ -47,7 +45,7 @@ def fit_meshes(
     start: Pose | None = None,
     vertices: Int[Array | np.ndarray, "C"] | None = None,
     max_steps: int = 40,
-    terms: Sequence[AbstractEnergy] = (),
+    terms: OwnTerms = (),
 ) -> MeshFit:
     """The poses of a body in which its vertices come nearest to those of registered meshes, by
     Levenberg-Marquardt from `procrustes_poses`; every mesh by itself, compiled once.
@@ -70,9 +68,8 @@ def fit_meshes(
     places = sequence.vertices.astype(body.vertices.dtype)
     poses = procrustes_poses(body, sequence) if start is None else start
     chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
-    for term in terms:
-        check_numbers(term, body)
-    poses, rmse, steps, converged = _fit_all(body, poses, places, chosen, tuple(terms), max_steps)
+    own = own_terms("fit_meshes", terms, body)
+    poses, rmse, steps, converged = _fit_all(body, poses, places, chosen, own, max_steps)
     return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
 
 
@@ -125,7 +122,7 @@ def _fit_all(
     starts: Pose,
     places: Float[Array, "F V 3"],
     chosen: Int[Array, "C"],
-    terms: tuple[AbstractEnergy, ...],
+    own: AbstractEnergy | None,
     max_steps: int,
 ) -> tuple[Pose, Float[Array, "F"], Int[Array, "F"], Bool[Array, "F"]]:
     def one(frame):
@@ -135,7 +132,7 @@ def _fit_all(
         weights = known[chosen].astype(place.dtype)
         weights = EVIDENCE * weights / jnp.maximum(weights.sum(), 1.0)
         landmarks = VertexLandmarks(chosen, place[chosen], weights)
-        energy = Sum((landmarks, *(part for term in terms for part in terms_of(term))))
+        energy = Sum((landmarks, *(() if own is None else terms_of(own))))
         solution = solve(energy, body, start, LevenbergMarquardt(), max_steps)
         gaps = jnp.sum((pose_body(body, solution.pose).vertices - place) ** 2, 1)
         total = known.sum()

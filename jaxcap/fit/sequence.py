@@ -13,7 +13,7 @@ import numpy as np
 from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
-from ..energy.term import AbstractEnergy
+from ..energy.check import OwnTerms
 from ..errors import InputError
 from ..observe import Cloud, CloudFrames, Scan, as_cloud
 from .check import check_cloud
@@ -143,7 +143,7 @@ def track(
     search: FirstSearch = "auto",
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
-    terms: Sequence[AbstractEnergy] = (),
+    terms: OwnTerms = (),
 ) -> Motion:
     """The motion of a body through a sequence of clouds (Kineben, section 3.3).
 
@@ -155,11 +155,11 @@ def track(
     **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in
     another unit.
     """
-    if tracker is not None and terms:
+    if tracker is not None and terms != ():
         raise InputError(
             "track: terms were given beside a tracker; give them to make_tracker(body, terms=...)."
         )
-    tracker = make_tracker(body, terms=tuple(terms)) if tracker is None else tracker
+    tracker = make_tracker(body, terms=terms) if tracker is None else tracker
     checked = (_checked(body, number, cloud) for number, cloud in enumerate(_each(clouds)))
     poses, verdicts, unseen = [], [], []
     for frame in track_frames(tracker, checked, start, search=search, sigma=sigma, up=up):

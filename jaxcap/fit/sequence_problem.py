@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..body.body import Body, Posed, pose_body
+from ..arguments import check_fields
+from ..body.body import Body, pose_body
 from ..body.pose import Pose, project, rest_pose, retract
 from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, move_within
 from ..body.symmetry import length_differences
@@ -16,6 +17,7 @@ from ..energy.stacked import AbstractNeighbourEnergy, AbstractSharedEnergy, join
 from ..energy.term import AbstractEnergy
 from .frame_equations import frame_equations
 from .linearise import BodyTangent, body_tangent
+from .neighbours import window_equations, window_residuals
 from .problem import pose_scales
 from .solvers.block_arrow import BlockArrow
 from .solvers.block_banded import BlockBanded
@@ -23,6 +25,9 @@ from .solvers.descent import ConstrainedInfo, Constraints
 from .solvers.equalities import Equalities
 from .solvers.problem import AbstractProblem
 from .unknowns import AbstractUnknown, make_body, split_tangent
+
+#: steps that bring mirrored bones to one length
+EQUALISING = 8
 
 
 class SequenceEstimate(eqx.Module):
@@ -62,6 +67,9 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
     held: Bool[Array, "F"] | None = None
     mirrored: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
+    def __check_init__(self):
+        check_fields(self)
+
     @property
     def num_frames(self) -> int:
         return self.times.shape[0]
@@ -94,7 +102,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             poses = jax.vmap(retract, (None, 0, 0))(skeleton, y.poses, d[0])
         else:
             move = jax.vmap(move_within, (None, None, 0, 0, 0))
-            poses = move(self.boxes, skeleton, y.poses, self._charts(self.boxes, y.poses), d[0])
+            poses = move(self.boxes, skeleton, y.poses, self.charts(y.poses), d[0])
         held = self.held
         if held is not None:
             # to the last bit
@@ -123,11 +131,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         zero = jnp.zeros((), body.vertices.dtype)
         total, _ = jax.lax.scan(jax.checkpoint(of_frame), zero, (y.poses, own))
         for term in self.between:
-            r = jax.lax.map(
-                lambda window, term=term: _neighbour_residual(term, body, *window),
-                self._windows(term, y.poses),
-            )
-            total = total + 0.5 * jnp.sum(r**2)
+            total = total + 0.5 * jnp.sum(window_residuals(term, body, y.poses, self.times) ** 2)
         for r in self._shared_residuals(y.values):
             total = total + 0.5 * (r @ r)
         return total
@@ -142,10 +146,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             )
         ]
         for term in self.between:
-            windows = self._windows(term, y.poses)
-            rows.append(
-                jax.vmap(lambda *window, term=term: _neighbour_residual(term, body, *window))(*windows)
-            )
+            rows.append(window_residuals(term, body, y.poses, self.times))
         return jnp.concatenate([r.reshape(-1) for r in rows] + self._shared_residuals(y.values))
 
     def linearise(self, y: SequenceEstimate):
@@ -190,7 +191,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             width = max([1, *(term.frames for term in self.between)])
             blocks = jnp.zeros((self.num_frames, width, dofs, dofs), dtype).at[:, 0].set(own_blocks)
             for term in self.between:
-                banded = self._between_equations(term, y)
+                banded = window_equations(term, partial(self.body_at, y.values), count, y.poses, self.times)
                 number = term.frames
                 windows = self.num_frames - number + 1
                 for later in range(number):
@@ -205,7 +206,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             value, side, shared = jax.tree.map(jnp.add, total, own)
         arrow = BlockArrow(BlockBanded(blocks), coupling, shared)
         if self.boxes is not None:
-            turn = self._charts(self.boxes, y.poses).turn
+            turn = self.charts(y.poses).turn
             arrow, sides = arrow.turned(turn), jnp.einsum("fai,fa->fi", turn, sides, precision="highest")
         return value, (sides, side), arrow
 
@@ -217,70 +218,82 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         """Differentiate the body by what is shared."""
         if not self.num_shared:
             return None
-        turns = any("orientations" in unknown.moves for unknown in self.unknowns.values())
-        return body_tangent(partial(self.body_at, values), self.body_at(values), self.num_shared, turns)
+        return body_tangent(partial(self.body_at, values), self.body_at(values), self.num_shared)
 
-    def _charts(self, boxes: PoseBoxes, poses: Pose) -> BoxChart:
-        return jax.vmap(box_chart, (None, None, 0))(boxes, self.body.skeleton, poses)
+    def charts(self, poses: Pose) -> BoxChart:
+        """Make the charts of the boxes about poses; `boxes` are given."""
+        assert self.boxes is not None
+        return jax.vmap(box_chart, (None, None, 0))(self.boxes, self.body.skeleton, poses)
+
+    def within(self, y: SequenceEstimate) -> SequenceEstimate:
+        """Bring shared values that are out of their unknowns' bounds to the nearest that are not, and bones that are to be equally long
+        to one length, by the least change."""
+
+        def inside(name: str, value: Any) -> Any:
+            ends = self.unknowns[name].bounds(value)
+            return (
+                value
+                if ends is None
+                else self.unknowns[name].retract(value, jnp.clip(jnp.zeros_like(ends[0]), *ends))
+            )
+
+        values = {name: inside(name, value) for name, value in y.values.items()}
+        if self.mirrored:
+            s = self.scales()[1]
+
+            def equalise(_, values):
+                rows, lacking = self._equalities(values)
+                return self._moved(values, s * jnp.linalg.lstsq(rows, lacking)[0])
+
+            values = jax.lax.fori_loop(0, EQUALISING, equalise, values)
+        return SequenceEstimate(y.poses, values)
+
+    def constraint(self):
+        bounded = [
+            name
+            for name in sorted(self.unknowns)
+            if self.unknowns[name].bounds(self.unknowns[name].start(self.body))
+        ]
+        names = [f"bounds of the unknown '{name}'" for name in bounded]
+        names += ["boxes of poses"] * (self.boxes is not None) + ["bones of equal length"] * bool(
+            self.mirrored
+        )
+        return " and ".join(names) or None
 
     def _constraints(self, y: SequenceEstimate) -> Constraints | None:
+        low, high = self._bounds(y)
+        equalities = Equalities(*self._equalities(y.values)) if self.mirrored else None
+        return None if low is None and equalities is None else Constraints(low, high, equalities)
+
+    def _equalities(self, values: dict[str, Any]) -> tuple[Float[Array, "C S"], Float[Array, "C"]]:
+        """Linearise the differences of mirrored bones' lengths, and what these lack of zero."""
+        body, tangent = self.body_at(values), self.body_tangent(values)
+        assert tangent is not None
+        differences, by_centre = length_differences(body.skeleton, self.mirrored)
+        rows = jnp.einsum("bja,jas->bs", by_centre, tangent.centres)
+        return rows * self.scales()[1], -differences
+
+    def _bounds(self, y: SequenceEstimate) -> tuple[SequenceTangent, SequenceTangent] | tuple[None, None]:
         x, s = self.scales()
-        bounds = {name: self.unknowns[name].bounds(y.values[name]) for name in sorted(self.unknowns)}
-        if self.boxes is not None or self.held is not None or any(bounds.values()):
-            low, high = jnp.full_like(x, -jnp.inf), jnp.full_like(x, jnp.inf)
-            if self.boxes is not None:
-                charts = self._charts(self.boxes, y.poses)
-                low, high = charts.low / x, charts.high / x
-            if self.held is not None:
-                low, high = (jnp.where(self.held[:, None], 0.0, end) for end in (low, high))
-            free = [
-                bounds[name] or (jnp.full(size, -jnp.inf), jnp.full(size, jnp.inf))
-                for name, size in ((name, self.unknowns[name].size(self.body)) for name in bounds)
-            ]
-            none = jnp.zeros(0, s.dtype)
-            least, most = (jnp.concatenate([none, *(ends[i] for ends in free)]) / s for i in range(2))
-            return Constraints((low, least), (high, most))
-        if self.mirrored:
-            body, tangent = self.body_at(y.values), self.body_tangent(y.values)
-            assert tangent is not None
-            differences, by_centre = length_differences(body.skeleton, self.mirrored)
-            rows = jnp.einsum("bja,jas->bs", by_centre, tangent.centres) * s
-            return Constraints(equalities=Equalities(rows, -differences))
-        return None
-
-    def _windows(self, term: AbstractNeighbourEnergy, poses: Pose):
-        number, windows = term.frames, self.num_frames - term.frames + 1
-        stacked = jax.tree.map(
-            lambda leaf: jnp.stack([leaf[i : i + windows] for i in range(number)], 1), poses
-        )
-        gaps = jnp.diff(self.times)
-        return stacked, jnp.stack([gaps[i : i + windows] for i in range(number - 1)], 1)
-
-    def _between_equations(self, term: AbstractNeighbourEnergy, y: SequenceEstimate) -> "_WindowEquations":
-        number, dofs, count = term.frames, self.body.skeleton.num_dofs, self.num_shared
-
-        def of_window(total, window):
-            poses, gaps = window
-
-            def moved(d):
-                body = self.body_at(y.values, d[number * dofs :])
-                steps = d[: number * dofs].reshape(number, dofs)
-                there = jax.vmap(retract, (None, 0, 0))(body.skeleton, poses, steps)
-                r = _neighbour_residual(term, body, there, gaps)
-                return r, r
-
-            zero = jnp.zeros(number * dofs + count, self.body.vertices.dtype)
-            rows, r = jax.jacfwd(moved, has_aux=True)(zero)
-            mine, common = rows[:, : number * dofs].reshape(len(r), number, dofs), rows[:, number * dofs :]
-            value, side, matrix = total
-            total = value + 0.5 * (r @ r), side + common.T @ r, matrix + common.T @ common
-            blocks = jnp.einsum("rai,rbj->abij", mine, mine)
-            return total, (blocks, jnp.einsum("rai,rs->ais", mine, common), jnp.einsum("rai,r->ai", mine, r))
-
-        dtype = self.body.vertices.dtype
-        none = jnp.zeros((), dtype), jnp.zeros(count, dtype), jnp.zeros((count, count), dtype)
-        total, (blocks, coupling, sides) = jax.lax.scan(of_window, none, self._windows(term, y.poses))
-        return _WindowEquations(total, blocks, coupling, sides)
+        names = sorted(self.unknowns)
+        bounds = [self.unknowns[name].bounds(y.values[name]) for name in names]
+        if self.boxes is None and self.held is None and not any(bounds):
+            return None, None
+        low, high = jnp.full_like(x, -jnp.inf), jnp.full_like(x, jnp.inf)
+        if self.boxes is not None:
+            charts = self.charts(y.poses)
+            low, high = charts.low / x, charts.high / x
+        if self.held is not None:
+            low, high = (jnp.where(self.held[:, None], 0.0, end) for end in (low, high))
+        free = [
+            ends or (jnp.full(size, -jnp.inf), jnp.full(size, jnp.inf))
+            for ends, size in zip(
+                bounds, (self.unknowns[name].size(self.body) for name in names), strict=True
+            )
+        ]
+        none = jnp.zeros(0, s.dtype)
+        least, most = (jnp.concatenate([none, *(ends[i] for ends in free)]) / s for i in range(2))
+        return (low, least), (high, most)
 
     def _shared_residuals(self, values: dict[str, Any]) -> list[Float[Array, "R"]]:
         body = self.body_at(values)
@@ -296,19 +309,3 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             return r, r
 
         return jax.jacfwd(moved, has_aux=True)(jnp.zeros(self.num_shared, self.body.vertices.dtype))
-
-
-class _WindowEquations(eqx.Module):
-    """Normal equations of the windows of one energy, of `n` frames each."""
-
-    #: value, right side and matrix of what is shared
-    total: tuple[Float[Array, ""], Float[Array, "S"], Float[Array, "S S"]]
-    blocks: Float[Array, "K n n D D"]
-    coupling: Float[Array, "K n D S"]
-    sides: Float[Array, "K n D"]
-
-
-def _neighbour_residual(term: AbstractNeighbourEnergy, body: Body, poses: Pose, gaps: Float[Array, "W"]):
-    each = [jax.tree.map(lambda leaf, i=i: leaf[i], poses) for i in range(term.frames)]
-    posed: tuple[Posed, ...] = tuple(pose_body(body, pose) for pose in each)
-    return term.residual(posed, gaps)

@@ -9,9 +9,9 @@ from ..arguments import check_fields, checked
 from ..body.anatomy import rest_deviations
 from ..body.body import Body
 from ..body.pose import Pose, difference, retract
-from ..energy.check import check_numbers
+from ..energy.check import OwnTerms, own_terms
 from ..energy.prior import PosePrior, RestPrior, tangent_deviations
-from ..energy.term import AbstractEnergy, Sum
+from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..observe import Cloud
 from .em import (
     Estimate,
@@ -61,7 +61,7 @@ class TrackState(eqx.Module):
 def make_tracker(
     body: Body,
     mixture: Mixture | None = None,
-    terms: tuple[AbstractEnergy, ...] = (),
+    terms: OwnTerms = (),
     *,
     motion_deviation: tuple[float, float] = (0.05, 0.3),
     rest_deviation: float = 1.0,
@@ -76,8 +76,7 @@ def make_tracker(
     a frame strays from its prediction; `rest_deviation` in radians, how far joints stray from
     rest whose anatomy is not known (`body.anatomy`); `terms` are further energies, in units of a log-likelihood.
     """
-    for term in terms:
-        check_numbers(term, body)
+    own = own_terms("track", terms, body)
     bones = body.skin.parts()
     return Tracker(
         body=body,
@@ -88,7 +87,7 @@ def make_tracker(
         momentum=jnp.asarray(momentum),
         sigma_growth=jnp.asarray(sigma_growth),
         sigma_start=jnp.asarray(sigma_start),
-        terms=terms,
+        terms=() if own is None else terms_of(own),
         iterations=iterations,
     )
 

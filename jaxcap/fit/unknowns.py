@@ -2,15 +2,19 @@
 
 import abc
 from collections.abc import Sequence
-from typing import ClassVar, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..arguments import check_fields
 from ..body.body import Body
 from ..body.shape_modes import Modes, moved
+from ..errors import InputError
 from ..geometry import rotation
 
 Value = TypeVar("Value")
@@ -19,12 +23,9 @@ Value = TypeVar("Value")
 class AbstractUnknown(eqx.Module, Generic[Value]):
     """An unknown that all frames share: a value of its own, and the body that follows from it.
 
-    Tangents `d (N,)` are flat arrays, by metres, radians or shares of one, whatever `scales` brings to one measure. `moves` names what
-    of a body changes with the value: "joints" and "surface" at rest, "orientations" of the joints; of anything else
-    derivatives are automatic.
+    Tangents `d (N,)` are flat arrays, by metres, radians or shares of one, whatever `scales` brings to one measure. `apply` may
+    change any array of a body: which ones it does is found from it.
     """
-
-    moves: ClassVar[frozenset[str]] = frozenset({"joints", "surface"})
 
     def __check_init__(self):
         check_fields(self)
@@ -64,6 +65,12 @@ class Size(AbstractUnknown[Float[Array, ""]]):
 
     smallest: Float[Array, ""] | None = eqx.field(converter=_number, default=None)
     largest: Float[Array, ""] | None = eqx.field(converter=_number, default=None)
+
+    def __check_init__(self):
+        super().__check_init__()
+        for name, end in (("smallest", self.smallest), ("largest", self.largest)):
+            if isinstance(end, jax.Array) and not isinstance(end, Tracer) and not end > 0:
+                raise InputError(f"Size: `{name}` is {float(end):g}; expected is a factor above 0.")
 
     def size(self, body):
         return 1
@@ -113,8 +120,6 @@ class JointCentres(AbstractUnknown[Float[Array, "C 3"]]):
 class JointOrientations(AbstractUnknown[Float[Array, "C 4"]]):
     """The orientations of some joints, where twist ends and swing begins; its value is quaternions by which they turn, on
     the right. A roll about a twist axis changes nothing, so that tangents are two numbers a joint, radians."""
-
-    moves: ClassVar[frozenset[str]] = frozenset({"orientations"})
 
     joints: tuple[int, ...] = eqx.field(static=True)
 
@@ -180,6 +185,47 @@ class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):
 
     def retract(self, value, d):
         return value + d.reshape(value.shape)
+
+
+class SkinningWeights(AbstractUnknown[Float[Array, "C K"]]):
+    """The skinning weights of some vertices for some bones, at least zero and together as much as at the start; its value is
+    these weights, and the last of the bones has what the others leave."""
+
+    vertices: tuple[int, ...] = eqx.field(static=True)
+    bones: tuple[int, ...] = eqx.field(static=True)
+
+    def size(self, body):
+        return len(self.vertices) * (len(self.bones) - 1)
+
+    def start(self, body):
+        return self._weights(body)[self._places()]
+
+    def apply(self, body, value):
+        changed = self._weights(body).at[self._places()].set(value)
+        return eqx.tree_at(lambda b: b.skin.weights, body, changed)
+
+    def retract(self, value, d):
+        whole = jnp.sum(value, 1, keepdims=True)
+        most = jnp.maximum(value[:, :-1] + d.reshape(len(value), -1), 0.0)
+        share = jnp.sum(most, 1, keepdims=True)
+        most = most * jnp.where(share > whole, whole / jnp.where(share > 0, share, 1.0), 1.0)
+        return jnp.concatenate([most, jnp.maximum(whole - jnp.sum(most, 1, keepdims=True), 0.0)], 1)
+
+    def bounds(self, value):
+        most = value[:, :-1]
+        return -most.reshape(-1), (jnp.sum(value, 1, keepdims=True) - most).reshape(-1)
+
+    def _places(self):
+        return np.array(self.vertices, int)[:, None], np.array(self.bones, int)
+
+    def _weights(self, body: Body) -> Float[Array, "V J"]:
+        weights = getattr(body.skin, "weights", None)
+        if weights is None:
+            raise InputError(
+                f"SkinningWeights: a {type(body.skin).__name__} has no one weight for each vertex and bone; give a body with a LinearSkin or a "
+                "DualQuaternionSkin."
+            )
+        return weights
 
 
 def make_body(body: Body, unknowns: dict[str, AbstractUnknown], values: dict) -> Body:

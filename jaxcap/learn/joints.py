@@ -116,6 +116,9 @@ class JointProblem(AbstractProblem[Standing]):
         shape = len(self.targets), self.body.skeleton.num_dofs
         return jnp.ones(shape, dtype), jnp.ones(len(self.slots), dtype)
 
+    def constraint(self):
+        return "bones of equal length" if self.pairs else None
+
     def information(self, y: Standing) -> ConstrainedInfo:
         body, slots = self.body_at(y), self.slots
         arrow, side = normal_equations(body, y.poses, self.targets, self.metric, self.curvature, slots)
@@ -259,7 +262,7 @@ def _with_terms(
     def body_at(s):
         return problem.body_at(y, s)
 
-    tangent = body_tangent(body_at, body, count, turns=True) if count else None
+    tangent = body_tangent(body_at, body, count) if count else None
 
     def of_frame(pose):
         return frame_equations(terms, body, pose, body_at if count else None, tangent)

@@ -1,7 +1,7 @@
 """Learn an animatable body from registered meshes: three improvements in turn, until Q is least."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -13,7 +13,7 @@ from ..arguments import checked
 from ..body.body import Body, take_vertices
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
-from ..energy.check import check_numbers
+from ..energy.check import OwnTerms, own_terms
 from ..energy.term import AbstractEnergy, sum_of, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
@@ -82,7 +82,7 @@ def learn_body(
     keep_joints: bool = False,
     free_bones: bool = False,
     rounds: int = 30,
-    terms: AbstractEnergy | Sequence[AbstractEnergy] = (),
+    terms: OwnTerms = (),
     on_round: Callable[[LearnState], None] | None = None,
     resume: LearnState | None = None,
 ) -> Learned:
@@ -125,8 +125,7 @@ def learn_body(
     if resume is None:
         _LOG.info("finding parts and joints")
         start = _start(coarse.meshes if loose else meshes, joints, skin, symmetry, skeleton, free_bones)
-        if whole is not None:
-            check_numbers(whole, start.body)
+        own_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
         if thinned and not loose:

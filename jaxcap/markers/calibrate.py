@@ -13,8 +13,7 @@ from threadpoolctl import threadpool_limits
 from ..arguments import checked
 from ..body.pose import Motion, take_poses
 from ..body.symmetry import bones_of
-from ..energy.check import check_numbers
-from ..energy.term import AbstractEnergy, sum_of
+from ..energy.check import OwnTerms, own_terms
 from ..observe import MarkerFrames
 from .adjust import Fit, adjust
 from .choose import choose_frames
@@ -73,7 +72,7 @@ def calibrate(
     count: int = 100,
     trust: Trust = Trust(),
     steps: int = 240,
-    terms: Sequence[AbstractEnergy] = (),
+    terms: OwnTerms = (),
 ) -> Calibration:
     """The performer's skeleton and the places of the markers on it, from a template.
 
@@ -91,13 +90,11 @@ def calibrate(
     """
     # threads of BLAS and those of XLA wait for each other, and matrices of frames are small
     with threadpool_limits(1, "blas"):
-        return _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, tuple(terms))
+        return _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, terms)
 
 
 def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, terms) -> Calibration:
-    energy = sum_of(terms)
-    if energy is not None:
-        check_numbers(energy, marker_body(subject))
+    own_terms("calibrate", terms, marker_body(subject))
     matched = match_markers(subject, frames)
     used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
     if used.any(0).sum() < 3:

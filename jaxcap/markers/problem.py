@@ -1,6 +1,5 @@
 """All poses, joint centres and places of markers as one problem: a bundle adjustment with block-arrow equations."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from ..body.body import pose_body
 from ..body.pose import Pose, retract
-from ..energy.term import AbstractEnergy, sum_of
+from ..energy.check import OwnTerms, own_terms
+from ..energy.term import AbstractEnergy
 from ..fit.frame_equations import frame_equations
 from ..fit.linearise import BodyTangent, body_tangent
 from ..fit.solvers.block_arrow import BlockArrow, Unknowns
@@ -85,6 +85,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     def scales(self) -> Unknowns:
         dtype, size = self.places.dtype, len(self.prior) + 3 * self.features.shape[1] * self.features.shape[2]
         return jnp.ones((len(self.places), self.template.skeleton.num_dofs), dtype), jnp.ones(size, dtype)
+
+    def constraint(self):
+        return "bones of equal length" if self.pairs else None
 
     def information(self, y):
         value, gradient, hessian = self.normal_equations(y)
@@ -231,9 +234,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     def _term_tangent(self, y: CalibrationEstimate) -> BodyTangent | None:
         if self.terms is None:
             return None
-        return body_tangent(
-            self._body_at(y), marker_body(self.subject(y)), len(self.prior) + y.slides.size, False
-        )
+        return body_tangent(self._body_at(y), marker_body(self.subject(y)), len(self.prior) + y.slides.size)
 
     def _body_at(self, y: CalibrationEstimate):
         return lambda s: marker_body(
@@ -268,7 +269,7 @@ def make_calibration_problem(
     trust: Trust = Trust(),
     *,
     robust: bool = True,
-    terms: Sequence[AbstractEnergy] = (),
+    terms: OwnTerms = (),
 ) -> CalibrationProblem:
     """Make a problem about a template, with its deviations, free turns and skin that does not slide."""
     dtype = places.dtype
@@ -282,7 +283,7 @@ def make_calibration_problem(
         jnp.zeros((*seen.shape, 0), dtype),
         jnp.ones((), dtype),
         jnp.asarray(BOUND if robust else UNBOUNDED, dtype),
-        sum_of(terms),
+        own_terms("make_calibration_problem", terms, marker_body(template)),
         joints,
         pairs,
     )

@@ -1,7 +1,6 @@
 """The motion of a known subject through frames of markers."""
 
 import logging
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -13,8 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
 from ..body.pose import Motion, Pose
-from ..energy.check import check_numbers
-from ..energy.term import AbstractEnergy, sum_of
+from ..energy.check import OwnTerms, own_terms
 from ..geometry.stacking import concatenate
 from ..observe import MarkerFrames
 from .frame import Search, SolvedFrame, solve_frame
@@ -55,7 +53,7 @@ def solve_markers(
     frames: MarkerFrames,
     search: Search = Search(),
     *,
-    terms: Sequence[AbstractEnergy] = (),
+    terms: OwnTerms = (),
 ) -> MarkerSolution:
     """The pose of every frame, each started at the one before it.
 
@@ -74,9 +72,7 @@ def solve_markers(
     used = seen & (np.asarray(subject.weights) > 0)
     enough = used.sum(1) >= LEAST
     _LOG.info("solving %d frames", len(places))
-    energy = sum_of(terms)
-    if energy is not None:
-        check_numbers(energy, marker_body(subject))
+    energy = own_terms("solve_markers", terms, marker_body(subject))
     solved = _in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search, energy)
     _LOG.info("solving frames again that no pose explains")
     solved = _again(subject, places, used, enough, solved, energy)

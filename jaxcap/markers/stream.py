@@ -1,6 +1,5 @@
 """One frame of markers at a time, for live use."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,8 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..arguments import checked
 from ..body.pose import Pose, rest_pose
-from ..energy.check import check_numbers
-from ..energy.term import AbstractEnergy, sum_of
+from ..energy.check import OwnTerms, own_terms
+from ..energy.term import AbstractEnergy
+from ..errors import InputError
 from .frame import Search, solve_frame
 from .guess import guess_poses
 from .solve import DOUBT, FAR, LEAST
@@ -43,12 +43,10 @@ class StreamState(NamedTuple):
 
 @checked
 def make_streamer(
-    subject: Subject, search: Search = LIVE, terms: Sequence[AbstractEnergy] = ()
+    subject: Subject, search: Search = LIVE, terms: OwnTerms = ()
 ) -> tuple[Streamer, StreamState]:
     """Make a streamer, already compiled, and the state before the first frame; `terms` as those of `solve_markers`."""
-    energy = sum_of(terms)
-    if energy is not None:
-        check_numbers(energy, marker_body(subject))
+    energy = own_terms("make_streamer", terms, marker_body(subject))
     streamer = Streamer(subject, search, energy)
     pose = rest_pose(subject.skeleton)
     count, dtype = subject.num_markers, subject.offsets.dtype
@@ -76,6 +74,11 @@ def stream_frame(
     """
     subject = streamer.subject
     places = np.asarray(places)
+    if len(places) != subject.num_markers:
+        raise InputError(
+            f"stream_frame: `places` are of {len(places)} markers, and the subject has {subject.num_markers}; give one row for each, in the "
+            "subject's order, NaN where it is not seen."
+        )
     there = np.isfinite(places).all(1) & (np.asarray(subject.weights) > 0)
     there = there if seen is None else there & np.asarray(seen)
     if there.sum() < LEAST:

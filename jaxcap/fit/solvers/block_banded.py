@@ -132,22 +132,28 @@ class BandedFactor(AbstractFactor):
         none = jnp.zeros((self.blocks.shape[1], *sides.shape[1:]), sides.dtype)
         return self.scale[:, :, None] * jax.lax.scan(one, none, (self.blocks, sides), reverse=True)[1]
 
+    def diagonal_inverse(self) -> Float[Array, "F D D"]:
+        """Compute the blocks on the diagonal of the inverse, in time linear in the number of frames: from the last frame on, each by
+        those within the band after it (Takahashi, Fagan and Chin 1973)."""
+        frames, width, dofs, _ = self.blocks.shape
+        reach = width - 1
+        # what is below each block of the factor's diagonal: of the frame w later, L_{f+w, f}
+        below = [jnp.roll(self.blocks[:, w], -w, 0).at[frames - w :].set(0.0) for w in range(1, width)]
+        below = jnp.stack(below, 1) if reach else jnp.zeros((frames, 0, dofs, dofs), self.blocks.dtype)
 
-def banded_equations(
-    slopes: Float[Array, "K B R D"], residuals: Float[Array, "K R"]
-) -> tuple[BlockBanded, Float[Array, "F D"]]:
-    """Sum `J^T J` and `J^T r` of `F = K + W` frames over rows that each touch successive ones: rows `k` by the numbers of
-    the frames `k` to `k + W`."""
-    count, width, _, dofs = slopes.shape
-    blocks = jnp.zeros((count + width - 1, width, dofs, dofs), slopes.dtype)
-    sides = jnp.zeros((count + width - 1, dofs), slopes.dtype)
-    for later in range(width):
-        here = slice(later, later + count)
-        sides = sides.at[here].add(_einsum("krd,kr->kd", slopes[:, later], residuals))
-        for before in range(later + 1):
-            products = _einsum("kri,krj->kij", slopes[:, later], slopes[:, later - before])
-            blocks = blocks.at[here, before].add(products)
-    return BlockBanded(blocks), sides
+        def one(later, row):
+            """Inverse blocks of the `W` frames after this one with each other, `later (W, W, D, D)`."""
+            corner, under = row
+            slopes = _einsum("wij,jk->wik", under, corner)
+            across = -_einsum("vwij,wjk->vik", later, slopes)
+            own = _einsum("ji,jk->ik", corner, corner) - _einsum("wij,wik->jk", slopes, across)
+            whole = jnp.zeros((width, width, dofs, dofs), own.dtype).at[1:, 1:].set(later)
+            whole = whole.at[0, 0].set(own).at[1:, 0].set(across).at[0, 1:].set(jnp.swapaxes(across, 1, 2))
+            return whole[:reach, :reach], own
+
+        none = jnp.zeros((reach, reach, dofs, dofs), self.blocks.dtype)
+        _, own = jax.lax.scan(one, none, (self.blocks[:, 0], below), reverse=True)
+        return own * self.scale[:, :, None] * self.scale[:, None, :]
 
 
 def frames_before(each: Shaped[Array, "F *D"], width: int) -> Shaped[Array, "F B *D"]:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .dense import Dense
+from .equalities import Equalities
 from .structured import AbstractStructured
 
 #: how often at most the rest is solved
@@ -33,6 +34,7 @@ def solve_boxed(
     side: PyTree[Array],
     low: PyTree[Array],
     high: PyTree[Array],
+    equalities: Equalities | None = None,
 ) -> PyTree[Array]:
     """The `x` in `[low, high]` that makes `x^T A x / 2 - b^T x` least, with `A` positive definite; for normal
     equations `A = J^T J` and `b = J^T r`. All but a structured matrix are pytrees like the unknowns.
@@ -43,21 +45,25 @@ def solve_boxed(
     it goes on until nothing changes. Then the solution is exact; a few rounds do. Where it has not come
     to rest after `RELEASES` rounds nothing is let go any more, and the solution is within its bounds all the same.
 
+    With `equalities` of what is shared, which then has no bounds, the least among those that keep them.
+
     Bounds may be infinite; with all of them infinite the first round is the last. Differentiable by all arguments: those
     that are fixed are held to be the same nearby, and the last solution is differentiated alone.
     """
     system = matrix if isinstance(matrix, AbstractStructured) else Dense(matrix)
     low, high = (jax.tree.map(lambda end, b: end.astype(b.dtype), ends, side) for ends in (low, high))
-    at = _find_fixed(*jax.lax.stop_gradient((system, side, low, high)))
-    return jax.tree.map(jnp.clip, _solve_free(system, side, at, low, high), low, high)
+    at = _find_fixed(*jax.lax.stop_gradient((system, side, low, high, equalities)))
+    return jax.tree.map(jnp.clip, _solve_free(system, side, at, low, high, equalities), low, high)
 
 
-def _find_fixed(system: AbstractStructured, side: PyTree, low: PyTree, high: PyTree) -> PyTree:
+def _find_fixed(
+    system: AbstractStructured, side: PyTree, low: PyTree, high: PyTree, equalities: Equalities | None
+) -> PyTree:
     def going_on(state: _Round) -> Bool[Array, ""]:
         return ~state.settled & (state.count < ROUNDS)
 
     def once(state: _Round) -> _Round:
-        step = _solve_free(system, side, state.after, low, high)
+        step = _solve_free(system, side, state.after, low, high, equalities)
         inwards = _drawn_inwards(system, side, step, state.after)
 
         def fix(at, x, least, most, inward):
@@ -73,14 +79,23 @@ def _find_fixed(system: AbstractStructured, side: PyTree, low: PyTree, high: PyT
     return jax.lax.while_loop(going_on, once, start).at
 
 
-def _solve_free(system: AbstractStructured, side: PyTree, at: PyTree, low: PyTree, high: PyTree) -> PyTree:
+def _solve_free(
+    system: AbstractStructured,
+    side: PyTree,
+    at: PyTree,
+    low: PyTree,
+    high: PyTree,
+    equalities: Equalities | None,
+) -> PyTree:
     """The free numbers by what is left of the system, the fixed ones at their bound."""
     free = jax.tree.map(lambda a: a == 0, at)
     fixed = jax.tree.map(
         lambda a, least, most: jnp.where(a == 0, 0.0, jnp.where(a < 0, least, most)), at, low, high
     )
     known = jax.tree.map(lambda f, b, a: jnp.where(f, b - a, 0.0), free, side, system.mv(fixed))
-    return jax.tree.map(jnp.where, free, system.among(free).solve(known), fixed)
+    left = system.among(free)
+    found = left.solve(known) if equalities is None else left.factorise().solve(known, equalities)
+    return jax.tree.map(jnp.where, free, found, fixed)
 
 
 def _drawn_inwards(system: AbstractStructured, side: PyTree, step: PyTree, at: PyTree) -> PyTree:

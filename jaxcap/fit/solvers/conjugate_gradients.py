@@ -15,37 +15,51 @@ def conjugate_gradients(
     *,
     tolerance: float | Float[Array, ""],
     max_steps: int | Int[Array, ""],
+    unsolved: float | None = None,
 ) -> PyTree:
     """Solve `A x = side` for a symmetric positive definite `A`, from zero, until the residual is a share `tolerance` of the
     right side in the Euclidean norm.
 
+    It ends before where a direction has no positive curvature, as `A` is not positive definite then, and keeps what it has. The result is not a number
+    where the residual is still above a share `unsolved`, if given.
+
     Differentiable in both modes by what `product` and `side` depend on: a derivative is one more solve. JAX's own `cg` cannot be
     transposed where only the right side is unknown, as in the derivative of a minimum.
     """
-    solve = partial(_iterate, precondition=precondition, tolerance=tolerance, max_steps=max_steps)
+    solve = partial(
+        _iterate, precondition=precondition, tolerance=tolerance, max_steps=max_steps, unsolved=unsolved
+    )
     return jax.lax.custom_linear_solve(product, side, solve, symmetric=True)
 
 
-def _iterate(product, side, *, precondition, tolerance, max_steps):
+def _iterate(product, side, *, precondition, tolerance, max_steps, unsolved):
     """Iterate as Hestenes and Stiefel (1952) do."""
-    enough = tolerance**2 * _dot(side, side)
+    whole = _dot(side, side)
 
     def unfinished(carry):
-        _, left, _, _, count = carry
-        return (_dot(left, left) > enough) & (count < max_steps)
+        _, left, _, _, positive, count = carry
+        return (_dot(left, left) > tolerance**2 * whole) & positive & (count < max_steps)
 
     def step(carry):
-        x, left, slope, direction, count = carry
+        x, left, slope, direction, _, count = carry
         image = product(direction)
-        length = slope / _dot(direction, image)
+        curvature = _dot(direction, image)
+        positive = curvature > 0
+        length = jnp.where(positive, slope / curvature, 0.0)
         x, left = _add(x, length, direction), _add(left, -length, image)
         lifted = precondition(left)
         new = _dot(left, lifted)
-        return x, left, new, _add(lifted, new / slope, direction), count + 1
+        return x, left, new, _add(lifted, new / slope, direction), positive, count + 1
 
     lifted = precondition(side)
-    start = jax.tree.map(jnp.zeros_like, side), side, _dot(side, lifted), lifted, jnp.array(0)
-    return jax.lax.while_loop(unfinished, step, start)[0]
+    zero = jax.tree.map(jnp.zeros_like, side)
+    start = zero, side, _dot(side, lifted), lifted, jnp.array(True), jnp.array(0)
+    x, left, *_ = jax.lax.while_loop(unfinished, step, start)
+    if unsolved is None:
+        return x
+    # written so that numbers that are none count as unsolved
+    solved = _dot(left, left) <= unsolved**2 * whole
+    return jax.tree.map(lambda leaf: jnp.where(solved, leaf, jnp.nan), x)
 
 
 def _dot(a: PyTree, b: PyTree) -> Float[Array, ""]:

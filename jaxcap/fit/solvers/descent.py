@@ -16,7 +16,7 @@ from .structured import AbstractStructured, damped
 
 class Constraints(eqx.Module):
     """What a step from the point of linearisation has to keep, by scaled tangents: bounds on each number, which may be
-    infinite, or linear equations of what is shared."""
+    infinite, and linear equations of what is shared, which then has no bounds."""
 
     low: PyTree[Array] | None = None
     high: PyTree[Array] | None = None
@@ -68,9 +68,9 @@ class NormalDescent(optx.AbstractDescent):
 
 
 def _solve(matrix: AbstractStructured, side: PyTree, constraints: Constraints | None) -> PyTree:
-    if constraints is not None and constraints.low is not None:
-        return solve_boxed(matrix, side, constraints.low, constraints.high)
     equalities = None if constraints is None else constraints.equalities
+    if constraints is not None and constraints.low is not None:
+        return solve_boxed(matrix, side, constraints.low, constraints.high, equalities)
     return matrix.factorise().solve(side, equalities)
 
 

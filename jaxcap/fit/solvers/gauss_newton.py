@@ -41,11 +41,15 @@ class GaussNewton(AbstractManifoldSolver):
     max_halvings: int = 12
     norm: Callable[[PyTree], Array] = optx.max_norm
 
+    @property
+    def needs_rows(self):
+        return True
+
     def init(self, fn, y, args: Any, options, f_struct, aux_struct, tags):
-        del fn, options, f_struct, aux_struct, tags
-        energy = energy_of(args, y)
+        del fn, f_struct, aux_struct, tags
+        energy, length = energy_of(args, y), options.get("history", HISTORY)
         return GaussNewtonState(
-            energy, jnp.array(0), jnp.array(False), jnp.array(True), jnp.full(HISTORY, jnp.nan, energy.dtype)
+            energy, jnp.array(0), jnp.array(False), jnp.array(True), jnp.full(length, jnp.nan, energy.dtype)
         )
 
     def step(self, fn, y, args: Any, options, state: GaussNewtonState, tags):
@@ -113,7 +117,8 @@ def try_damped_step(
     The matrix is first brought to a unit diagonal, so that float32 loses nothing to units; what
     rounding may take from a zero curvature is given back. Where rounding takes more, the step is not a number.
     """
-    normal = jacobian.T @ jacobian + jnp.diag(damping)
+    with jax.default_matmul_precision("highest"):
+        normal, side = jacobian.T @ jacobian + jnp.diag(damping), jacobian.T @ residual
     factor = factorise(normal, 10 * float(jnp.finfo(normal.dtype).eps))
-    step = -factor.solve(jacobian.T @ residual)
+    step = -factor.solve(side)
     return step, jnp.isfinite(step).all()

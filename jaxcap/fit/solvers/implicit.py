@@ -14,9 +14,10 @@ from .descent import ConstrainedInfo
 from .equalities import Equalities
 from .minimise import AnySolver, Minimum, minimise
 from .problem import AbstractProblem
+from .structured import AbstractStructured
 
-#: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end
-DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE = 200, 1e-12
+#: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end, not below so many roundings
+DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE, DERIVATIVE_ROUNDINGS = 200, 1e-12, 10
 #: the share of the energy that a Newton step may still gain at a solution whose derivative is trusted
 STATIONARY = 1e-6
 
@@ -45,7 +46,25 @@ def is_trustworthy(problem: AbstractProblem, found: Minimum) -> Bool[Array, ""]:
     inside = _inside(info)
     left, value = 0.5 * _dot(info.grad, inside.solve(info.grad)), info.as_min()
     small = left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
-    return small & (found.result == optx.RESULTS.successful)
+    return small & _is_within(info) & (found.result == optx.RESULTS.successful)
+
+
+def _is_within(info: ConstrainedInfo) -> Bool[Array, ""]:
+    """Tell whether a point keeps its bounds, but for rounding."""
+    constraints = info.constraints
+    if constraints is None or constraints.low is None:
+        return jnp.array(True)
+    kept = jax.tree.map(
+        lambda low, high: jnp.all((low <= _room(low)) & (high >= -_room(high))),
+        constraints.low,
+        constraints.high,
+    )
+    return jnp.stack(jax.tree.leaves(kept)).all()
+
+
+def _room(end: Float[Array, "..."]) -> float:
+    """How near to a bound counts as at it."""
+    return 1e3 * float(jnp.finfo(end.dtype).eps)
 
 
 class _Inside(eqx.Module):
@@ -75,20 +94,35 @@ class _Inside(eqx.Module):
 
 def _inside(info: ConstrainedInfo) -> _Inside:
     hessian: Any = info.hessian
-    every = jax.tree.map(lambda leaf: jnp.ones(leaf.shape, bool), info.grad)
+    constraints, free = info.constraints, free_numbers(info)
+    equalities = None if constraints is None else constraints.equalities
+    if constraints is not None and constraints.low is not None:
+        hessian = hessian.among(free)
+    return _Inside(_factor(hessian), free, None if equalities is None else equalities.rows)
+
+
+def free_numbers(info: ConstrainedInfo) -> Any:
+    """Tell which numbers are not pressed against a bound."""
     constraints = info.constraints
-    if constraints is None:
-        return _Inside(hessian.factorise(), every, None)
-    if constraints.low is not None:
+    if constraints is None or constraints.low is None:
+        return jax.tree.map(lambda leaf: jnp.ones(leaf.shape, bool), info.grad)
 
-        def open_(low, high, slope):
-            room = 1e3 * jnp.finfo(slope.dtype).eps
-            return ~((low >= -room) & (slope > 0)) & ~((high <= room) & (slope < 0)) & (low < high)
+    def is_free(low, high, slope):
+        room = _room(slope)
+        return ~((low >= -room) & (slope > 0)) & ~((high <= room) & (slope < 0)) & (low < high)
 
-        free = jax.tree.map(open_, constraints.low, constraints.high, info.grad)
-        return _Inside(hessian.among(free).factorise(), free, None)
-    equalities = constraints.equalities
-    return _Inside(hessian.factorise(), every, None if equalities is None else equalities.rows)
+    return jax.tree.map(is_free, constraints.low, constraints.high, info.grad)
+
+
+def _factor(hessian: AbstractStructured) -> Any:
+    """Factor with a little on the diagonal, the same for all numbers: along directions that nothing holds, rounding would otherwise
+    move the solution at will; so it stays the shortest."""
+    diagonal = jax.tree.leaves(hessian.diagonal())
+    largest = jnp.max(jnp.concatenate([jnp.ravel(leaf) for leaf in diagonal]))
+    little = jnp.where(largest > 0, largest, 1.0) * jnp.finfo(largest.dtype).eps ** 0.6
+    return hessian.add_diagonal(
+        jax.tree.map(lambda leaf: jnp.full_like(leaf, little), hessian.diagonal())
+    ).factorise()
 
 
 def _dot(a: Any, b: Any) -> Float[Array, ""]:
@@ -96,6 +130,7 @@ def _dot(a: Any, b: Any) -> Float[Array, ""]:
 
 
 @eqx.filter_jit
+@jax.default_matmul_precision("highest")
 def _information(problem: AbstractProblem, y: Any):
     return problem.information(y)
 
@@ -115,7 +150,8 @@ def _descend(problem, start, solver, max_steps):
 def _implicit(primals, tangents):
     """At a minimum the gradient `g(d; p)` of the Lagrangian by the tangent vanishes for every value of the parameters `p`, so that
     `d' = -(dg/dd)^-1 (dg/dp) p'`, with the whole Hessian: conjugate gradients on its products, with the factor of the
-    Gauss-Newton equations as preconditioner. Equations that are kept stay so to first order, and the gradients are projected
+    Gauss-Newton equations as preconditioner. Directions that nothing holds have no part in it; where there is no such derivative
+    it is not a number. Equations that are kept stay so to first order, and the gradients are projected
     onto what they leave free (Gould, Hribar and Nocedal 2001)."""
     problem, start, solver, max_steps, onto = primals
     y, rest = _minimum(problem, start, solver, max_steps, onto)
@@ -151,12 +187,14 @@ def _implicit(primals, tangents):
         # the shortest step that keeps the equations as they change, and then what is left to do within them
         first = inside.solve(zero, -of_parameters(violation, jnp.zeros(len(inside.rows), inside.rows.dtype)))
         side = jax.tree.map(jnp.subtract, side, curvature(first))
+    eps = float(jnp.finfo(info.as_min().dtype).eps)
     step = conjugate_gradients(
         curvature,
         inside.project(side),
         inside.solve,
-        tolerance=DERIVATIVE_TOLERANCE,
+        tolerance=max(DERIVATIVE_TOLERANCE, DERIVATIVE_ROUNDINGS * eps),
         max_steps=DERIVATIVE_STEPS,
+        unsolved=eps**0.5,
     )
     step = jax.tree.map(jnp.add, first, step)
     _, tangent = eqx.filter_jvp(moved, (problem, zero), (tangents[0], step))

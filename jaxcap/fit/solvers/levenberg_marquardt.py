@@ -10,6 +10,7 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from ...errors import InputError
 from .descent import NormalDescent
 from .minimise import HISTORY, AbstractManifoldSolver
 from .problem import AbstractNestedProblem, AbstractProblem
@@ -82,6 +83,10 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         )
         self.search = optx.ClassicalTrustRegion()
 
+    @property
+    def needs_rows(self):
+        return not isinstance(self.descent, NormalDescent)
+
     def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
         del fn, f_struct, aux_struct, tags
         info = jax.tree.map(
@@ -100,7 +105,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             num_steps=jnp.array(0),
             terminate=jnp.array(False),
             result=optx.RESULTS.successful,
-            history=jnp.full(HISTORY, jnp.nan, value.dtype),
+            history=jnp.full(options.get("history", HISTORY), jnp.nan, value.dtype),
         )
 
     def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
@@ -116,13 +121,15 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         before, after = info.as_min(), there.as_min()
         change, length = jnp.abs(before - after), self.norm(step)
         # the energy cannot tell here whether a step helps
-        hidden = change <= ROUNDINGS * jnp.finfo(before.dtype).eps * jnp.abs(before)
+        visible = ROUNDINGS * jnp.finfo(before.dtype).eps * jnp.abs(before)
+        hidden = change <= visible
         shorter = length < state.taken
         accept = jnp.where(hidden, shorter, accept)
         search_state = where(hidden, state.search_state, search_state)
         step_size = jnp.where(hidden, state.step_size, step_size)
-        # a step that is not a number is not small, and the search refuses it
-        small = length < self.atol
+        # a step that is not a number is not small, and the search refuses it; a small one that was refused ends nothing, but where
+        # it would have gained less than is seen
+        small = (length < self.atol) & (accept | (jnp.abs(info.compute_grad_dot(step)) <= visible))
         flat = change < self.rtol * jnp.abs(before)
         # there is no damping beyond this; one that was too little for a factor will not be enough
         most = state.step_size <= jnp.finfo(step_size.dtype).eps
@@ -134,8 +141,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             taken=jnp.where(hidden & shorter, length, jnp.inf),
             length=jnp.where(accept, length, state.length),
             num_steps=state.num_steps + 1,
-            terminate=small | (accept & flat) | (hidden & ~shorter),
-            result=_outcome(before, jnp.isfinite(length) | ~most),
+            terminate=small | (accept & flat) | (hidden & ~shorter) | (most & ~accept),
+            result=_outcome(before, jnp.isfinite(length) | ~most, accept | ~most),
             history=state.history.at[state.num_steps].set(
                 2.0 * jnp.where(accept, after, before), mode="drop"
             ),
@@ -143,10 +150,16 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         return where(accept, candidate, y), state, None
 
     def _linearised(self, problem: Any, y: Any) -> Any:
-        if isinstance(self.descent, NormalDescent):
+        if not self.needs_rows:
             return problem.information(y)
+        scales = problem.scales()
+        if not eqx.is_array(scales):
+            raise InputError(
+                f"LevenbergMarquardt: `linear_solver` takes problems whose unknowns are one flat array, and those of {type(problem).__name__} "
+                "are not; leave it out."
+            )
         residual, jacobian = problem.linearise(y)
-        rows = lx.MatrixLinearOperator(jacobian * problem.scales())
+        rows = lx.MatrixLinearOperator(jacobian * scales)
         return optx.FunctionInfo.ResidualJac(residual, rows)  # pyright: ignore[reportCallIssue]
 
     def _try(self, problem: AbstractProblem, y: Any, whole: PyTree) -> tuple[PyTree, Any, Any]:
@@ -178,12 +191,13 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         return y, aux, {"history": state.history, "damping": 1.0 / state.step_size, "length": state.length}
 
 
-def _outcome(value: Float[Array, ""], solvable: Bool[Array, ""]) -> optx.RESULTS:
-    """What ends the solver: numbers that are not finite, or equations that no damping makes solvable."""
-    good, unsolved, bad = optx.RESULTS.successful, optx.RESULTS.singular, optx.RESULTS.nonfinite
-    # optimistix inherits this result from lineax, which pyright does not follow
-    result = optx.RESULTS.where(solvable, good, unsolved)  # pyright: ignore[reportArgumentType]
-    return optx.RESULTS.where(jnp.isfinite(value), result, bad)
+def _outcome(value: Float[Array, ""], solvable: Bool[Array, ""], able: Bool[Array, ""]) -> optx.RESULTS:
+    """What ends the solver: numbers that are not finite, equations that no damping makes solvable, or an energy that falls
+    along no step, however short."""
+    kinds: Any = optx.RESULTS
+    result = kinds.where(able, kinds.successful, kinds.nonlinear_divergence)
+    result = kinds.where(solvable, result, kinds.singular)
+    return kinds.where(jnp.isfinite(value), result, kinds.nonfinite)
 
 
 def _if(condition: Bool[Array, ""], function: Callable, argument: PyTree, otherwise: PyTree) -> PyTree:

@@ -1,5 +1,6 @@
 """Minimise a sum of squares over a manifold with any of the solvers here."""
 
+import abc
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from ...errors import InputError
 from .flat import flat_problem
 from .problem import AbstractProblem
 
-#: longest history of energies that a solver keeps
+#: how many energies a solver keeps where nobody says how many steps it may take
 HISTORY = 256
 #: charts that solvers which know no manifold work in, one after the other
 CHARTS = 4
@@ -23,9 +24,14 @@ class AbstractManifoldSolver(optx.AbstractLeastSquaresSolver):
     """A least-squares solver that moves by `AbstractProblem.retract`.
 
     It takes an `AbstractProblem` as `args`, ignores `fn`, and leaves the energy after each step in
-    `stats["history"]`, `(HISTORY,)`, NaN beyond the last. optimistix's own solvers add a step
+    `stats["history"]`, one for each step that it may take, NaN beyond the last. optimistix's own solvers add a step
     to the unknown, which leaves the manifold.
     """
+
+    @property
+    @abc.abstractmethod
+    def needs_rows(self) -> bool:
+        """Whether it works on all rows of the Jacobian, and so keeps no constraints."""
 
     def __check_init__(self):
         check_fields(self)
@@ -35,7 +41,7 @@ class Minimum(eqx.Module):
     """Where a solver ended."""
 
     y: Any
-    #: `|r|^2` after each step, NaN beyond the last
+    #: `|r|^2` after each step, NaN beyond the last; of solvers in charts, after each of these
     history: Float[Array, "H"]
     num_steps: Int[Array, ""]
     #: `RESULTS.successful`, or why the solver stopped before it converged
@@ -60,19 +66,27 @@ def minimise(
     """Minimise `|r|^2` from a start near the minimum. Derivatives through it are not defined; those of the minimum are
     the callers' to define.
 
-    **Arguments:** `solver`, one of this package or any of optimistix's, which works in charts that are centred anew `CHARTS` times;
+    **Arguments:** `solver`, one of this package or any of optimistix's, which works in charts that are centred anew `CHARTS` times, with as many steps in each;
     `damping` of the first step, in place of the solver's own: that of an earlier `Minimum` goes on from there.
 
-    **Raises:** `InputError` for something else, and for a least-squares solver where a problem has no rows.
+    **Raises:** `InputError` for something else, for a solver that needs all rows of the Jacobian where a problem has none, and for one that
+    keeps no constraints where a problem has some.
     """
-    if not isinstance(solver, AbstractManifoldSolver):
-        return _minimise_flat(problem, start, solver, max_steps)
+    _check_solver(problem, solver)
+    # sums of squares are differences of large numbers, on which accelerators otherwise save digits
+    with jax.default_matmul_precision("highest"):
+        if not isinstance(solver, AbstractManifoldSolver):
+            return _minimise_flat(problem, start, solver, max_steps)
+        return _minimise(problem, start, solver, max_steps, damping)
+
+
+def _minimise(problem, start, solver: AbstractManifoldSolver, max_steps: int, damping) -> Minimum:
     found = optx.least_squares(
         lambda y, problem: problem.value(y),
         solver,
         start,
         args=problem,
-        options={} if damping is None else {"damping": damping},
+        options={"history": max_steps} | ({} if damping is None else {"damping": damping}),
         max_steps=max_steps,
         throw=False,
     )
@@ -82,31 +96,42 @@ def minimise(
     return Minimum(found.value, stats["history"], stats["num_steps"], found.result, *last)
 
 
-def _minimise_flat(problem: AbstractProblem, start: Any, solver: AnySolver, max_steps: int) -> Minimum:
-    if not isinstance(solver, optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser):
+def _check_solver(problem: AbstractProblem, solver: Any) -> None:
+    if not isinstance(solver, AnySolver):
         raise InputError(
             f"{type(solver).__name__} is no solver of least squares; give LevenbergMarquardt(), or a least-squares solver or minimiser of optimistix."
         )
-    squares = isinstance(solver, optx.AbstractLeastSquaresSolver)
-    if squares and not hasattr(problem, "residual"):
+    manifold = isinstance(solver, AbstractManifoldSolver)
+    if manifold and not solver.needs_rows:
+        return
+    name, constraint = type(solver).__name__, problem.constraint()
+    if constraint is not None:
         raise InputError(
-            f"{type(solver).__name__} needs all rows of the Jacobian, which {type(problem).__name__} never writes out; give "
+            f"{name} keeps no constraints, and the problem has {constraint}; give LevenbergMarquardt()."
+        )
+    if not isinstance(solver, optx.AbstractMinimiser) and not hasattr(
+        problem, "linearise" if manifold else "residual"
+    ):
+        raise InputError(
+            f"{name} needs all rows of the Jacobian, which {type(problem).__name__} never writes out; give "
             "LevenbergMarquardt() or a minimiser such as optimistix.BFGS."
         )
+
+
+def _minimise_flat(problem: AbstractProblem, start: Any, solver: Any, max_steps: int) -> Minimum:
+    squares, charts = isinstance(solver, optx.AbstractLeastSquaresSolver), min(CHARTS, max_steps)
 
     def in_chart(y, _):
         flat = flat_problem(problem, y)
         run: Any = optx.least_squares if squares else optx.minimise
         function = (lambda d, flat: flat.residual(d)) if squares else (lambda d, flat: flat.value(d))
-        steps = -(-max_steps // CHARTS)
-        found = run(function, solver, flat.start, args=flat, max_steps=steps, throw=False)
+        found = run(function, solver, flat.start, args=flat, max_steps=max_steps // charts, throw=False)
         y = flat.back(found.value)
         return y, (2.0 * problem.value(y), found.stats["num_steps"], found.result)
 
-    y, (values, steps, results) = jax.lax.scan(in_chart, start, length=CHARTS)
-    history = jnp.full(HISTORY, jnp.nan, values.dtype).at[:CHARTS].set(values)
+    y, (values, steps, results) = jax.lax.scan(in_chart, start, length=charts)
     last = jax.tree.map(lambda leaf: leaf[-1], results)
-    return Minimum(y, history, jnp.sum(steps), last, jnp.ones_like(values[0]), jnp.inf * values[0])
+    return Minimum(y, values, jnp.sum(steps), last, jnp.ones_like(values[0]), jnp.inf * values[0])
 
 
 def take_step(
@@ -114,7 +139,8 @@ def take_step(
 ) -> Any:
     """Take one damped step from `y`, whatever it is worth; none where its equations cannot be solved. Differentiable by every array
     of the problem."""
-    info = problem.information(y)
+    with jax.default_matmul_precision("highest"):
+        info = problem.information(y)
     zero = jax.tree.map(jnp.zeros_like, problem.scales())
     state = descent.query(zero, info, descent.init(zero, info))
     step, _ = descent.step(1.0 / jnp.asarray(damping, info.as_min().dtype), state)

@@ -38,6 +38,10 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
         """How much of each number of a tangent counts as one unit: brings metres and
         radians to one measure, for dampings that are isotropic."""
 
+    def constraint(self) -> str | None:
+        """Name what a step has to keep, for a sentence that refuses solvers that would not; None where steps are free."""
+        return None
+
 
 class AbstractNestedProblem(AbstractProblem[Unknown]):
     """A problem some of whose unknowns are cheap to improve by themselves, such as poses where what frames share is given.

@@ -86,61 +86,6 @@ def damped(matrix: Structured, share: Float[Array, ""]) -> Structured:
     return matrix.add_diagonal(jax.tree.map(raised, matrix.diagonal()))
 
 
-class StructuredCholesky(lx.AbstractLinearSolver):
-    """Solve with an `AbstractStructured` matrix by its own factorisation.
-
-    The matrix may come with the damping that `optx.DampedNewtonDescent` puts on it. Where it is not positive
-    definite the result is `RESULTS.singular` and the solution is not a number.
-    """
-
-    def init(self, operator, options) -> AbstractFactor:
-        del options
-        matrix, damping = split_damping(operator)
-        return matrix.add_diagonal(
-            jax.tree.map(lambda leaf: jnp.full_like(leaf, damping), matrix.diagonal())
-        ).factorise()
-
-    def compute(self, state: AbstractFactor, vector, options):
-        del options
-        solution = state.solve(vector)
-        finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(solution)]).all()
-        return solution, lx.RESULTS.where(finite, lx.RESULTS.successful, lx.RESULTS.singular), {}
-
-    def transpose(self, state, options):
-        return state, options
-
-    def conj(self, state, options):
-        return state, options
-
-    def assume_full_rank(self):
-        return True
-
-
-def split_damping(operator: lx.AbstractLinearOperator) -> tuple[AbstractStructured, Float[Array, ""]]:
-    """Find the structured matrix inside sums with multiples of the identity, and what these add up to.
-
-    **Raises:** `TypeError` for any other operator.
-    """
-    if isinstance(operator, AbstractStructured):
-        return operator, jnp.zeros((), jax.tree.leaves(operator.in_structure())[0].dtype)
-    if isinstance(operator, lx.TaggedLinearOperator):
-        return split_damping(operator.operator)
-    if isinstance(operator, lx.AddLinearOperator):
-        matrix, damping = split_damping(operator.operator1)
-        return matrix, damping + _multiple(operator.operator2)
-    raise TypeError(
-        f"A {type(operator).__name__} has no structure to solve by; give a matrix of normal equations."
-    )
-
-
-def _multiple(operator: lx.AbstractLinearOperator):
-    if isinstance(operator, lx.IdentityLinearOperator):
-        return 1.0
-    if isinstance(operator, lx.MulLinearOperator):
-        return operator.scalar * _multiple(operator.operator)
-    raise TypeError(f"A {type(operator).__name__} is no multiple of the identity.")
-
-
 for _question in (lx.is_symmetric, lx.is_positive_semidefinite):
     _question.register(AbstractStructured)(lambda operator: True)
 for _question in (
