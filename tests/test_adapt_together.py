@@ -11,8 +11,8 @@ from adapt_scene import make_scene, task_of
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.meet import stacked_pairs
-from jaxcap.adapt.objective import ALIKE, Belief, shared_problem, stack, unstack
+from jaxcap.adapt.meet import Meetings
+from jaxcap.adapt.objective import ALIKE, Belief, shared_problem, stack, stack_pairs, unstack
 from jaxcap.adapt.rounds import adapt_round, step_of
 from jaxcap.adapt.shape_prior import own_shape_prior
 from jaxcap.adapt.surface import adapt_shape, adapt_together
@@ -22,7 +22,7 @@ from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import length_differences
 from jaxcap.energy.pairs import PairDistances, num_pairs, pair_directions
 from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.correspond import make_scan, places_on
+from jaxcap.fit.correspond import places_on
 from jaxcap.geometry.mesh import mesh_edges
 
 FRAMES = 3
@@ -209,11 +209,15 @@ def test_a_round_takes_one_step_where_it_is_told_to():
     rng, template = np.random.default_rng(2), scene[0]
     poses = [retract(template.skeleton, p, jnp.asarray(0.02 * rng.normal(size=DOFS))) for p in scene[2]]
     state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), weight=1e-6)
-    scans = {n: make_scan(task.cloud(n)) for n in state.chosen}
-    pairs = stacked_pairs(task, template, [state.motion[n] for n in state.chosen], list(scans.values()))
+    meetings, chosen = Meetings(task), state.chosen
+    starts = [state.motion[n] for n in chosen]
+    pairs = stack_pairs(meetings.pairs(template, chosen, starts))
+    # they hold where nothing has changed, and are found anew where a pose has
+    assert meetings.pairs(template, chosen, starts)[1] is meetings.pairs(template, chosen, starts)[1]
+    assert meetings.pairs(template, (5,), starts[:1])[0] is not meetings.pairs(template, (5,), starts[1:2])[0]
     told = []
     for number in (2, 3):
-        state = adapt_round(task, state, scans, Stage("adapt", 1, number))
+        state = adapt_round(task, state, meetings, Stage("adapt", 1, number))
         told.append(state.terms[-1].data)
     assert pairs.vertices.shape[-1] == 1
     assert told[1] < told[0]

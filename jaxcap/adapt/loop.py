@@ -17,7 +17,7 @@ from ..fit.likeliest import likelier_pose
 from ..fit.sequence import track_frames
 from ..fit.turn_over import turn_over
 from .flagged import flag_frames
-from .meet import pairs_at, pose_at, some_of, told
+from .meet import Meetings, pairs_at, poses_at, some_of, told
 from .rounds import adapt_round
 from .rounds import shape_weight as shape_weight
 from .rounds import spread_frames as spread_frames
@@ -62,7 +62,7 @@ def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> I
 
     Memory is that of the clouds of the chosen frames, or of one window.
     """
-    scans: dict[int, Scan] = {}
+    meetings = Meetings(task)
     stages = plan(task.settings)
     for number, stage in enumerate(stages):
         if state is not None and number < state.done:
@@ -73,7 +73,7 @@ def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> I
         else:
             assert state is not None
             if stage.name == "adapt":
-                state = adapt_round(task, state, scans, stage)
+                state = adapt_round(task, state, meetings, stage)
             else:
                 state = yield from _STAGES[stage.name](task, state, stage, every)
         if number + 1 == len(stages):
@@ -116,7 +116,7 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
     )
     motion = stack_poses(poses, task.rate)
     state = AdaptState(0, body, size * step, motion, weight=weight)
-    state = told(task, state, "size", range(len(scans)), scans)
+    state = told(task.some(frames), state, "size", range(len(frames)))
     if settings.pose is None:
         # first poses are often at rest and later ones are not: a prior that is right is worth one a number
         worth = max(state.terms[0].pose, float(body.skeleton.num_dofs))
@@ -239,7 +239,8 @@ def _poses(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     while state.within < len(there):
         some = there[state.within :][: every or None]
         poses = {n: state.motion[n] for n in there}
-        poses |= {n: pose_at(task, state, task.scan(n), poses[n], steps=5) for n in some}
+        found = poses_at(task, state, (task.scan(n) for n in some), (poses[n] for n in some), steps=5)
+        poses |= dict(zip(some, found, strict=True))
         state = state._replace(motion=_every_frame(task, poses), within=state.within + len(some))
         if state.within < len(there):
             yield state

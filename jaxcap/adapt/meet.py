@@ -1,14 +1,15 @@
 """How a body meets the scans of a task: pairs, the poses they lead to, and distances (Adaptation, 4.1.2)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from ..body.body import Body
 from ..body.pose import Pose
 from ..fit.correspond import Pairs, Scan
-from .objective import mean_square, stack, stack_pairs
-from .pose import fit_pose, pairs_of
+from ..parallel import parallel_map
+from .objective import mean_square, stack
+from .pose import fit_pose, pairs_of, same_pose
 from .reference import shape_prior_of
 from .shape_prior import shape_energy
 from .task import AdaptState, Task
@@ -36,18 +37,53 @@ def pose_at(task: Task, state: AdaptState, scan: Scan, start: Pose, *, steps: in
     ).pose
 
 
-def stacked_pairs(task: Task, body: Body, poses: Sequence[Pose], scans: Sequence[Scan]) -> Pairs:
-    """The pairs of several frames."""
-    return stack_pairs([pairs_at(task, body, p, s) for p, s in zip(poses, scans, strict=True)])
+def poses_at(
+    task: Task, state: AdaptState, scans: Iterable[Scan], starts: Iterable[Pose], *, steps: int
+) -> Iterator[Pose]:
+    """Find the poses of the body in several scans, each by itself, on all cores."""
+    both = zip(scans, starts, strict=True)
+    return parallel_map(lambda each: pose_at(task, state, *each, steps=steps), both)
+
+
+class Meetings:
+    """The scans of some frames, and the pairs that were found in each last, which hold until the body or its pose changes."""
+
+    def __init__(self, task: Task):
+        self._task = task
+        self._scans: dict[int, Scan] = {}
+        self._pairs: dict[int, tuple[Body, Pose, Pairs]] = {}
+
+    def scans(self, frames: Sequence[int]) -> list[Scan]:
+        """Get the scans of some frames, and forget all others."""
+        for gone in set(self._scans) - set(frames):
+            del self._scans[gone]
+            self._pairs.pop(gone, None)
+        for frame in frames:
+            if frame not in self._scans:
+                self._scans[frame] = self._task.scan(frame)
+        return [self._scans[frame] for frame in frames]
+
+    def pairs(self, body: Body, frames: Sequence[int], poses: Sequence[Pose]) -> list[Pairs]:
+        """Find the pairs of a body with the scans of some frames, on all cores."""
+        scans = self.scans(frames)
+        anew = [number for number, n in enumerate(frames) if not self._holds(n, body, poses[number])]
+        found = parallel_map(lambda k: pairs_at(self._task, body, poses[k], scans[k]), anew)
+        for number, pairs in zip(anew, found, strict=True):
+            self._pairs[frames[number]] = body, poses[number], pairs
+        return [self._pairs[frame][2] for frame in frames]
+
+    def _holds(self, frame: int, body: Body, pose: Pose) -> bool:
+        known = self._pairs.get(frame)
+        return known is not None and known[0] is body and same_pose(known[1], pose)
 
 
 def told(
-    task: Task, state: AdaptState, name: str, frames: Sequence[int], scans: Sequence[Scan] | None = None
+    task: Task, state: AdaptState, name: str, frames: Sequence[int], meetings: Meetings | None = None
 ) -> AdaptState:
-    """With what a stage has reached in some frames, whose scans may be at hand."""
-    scans = [task.scan(n) for n in frames] if scans is None else scans
+    """With what a stage has reached in some frames, whose scans and pairs may be known."""
     body, poses = state.body, [state.motion[n] for n in frames]
-    squares = [mean_square(body, p, pairs_at(task, body, p, s)) for p, s in zip(poses, scans, strict=True)]
+    pairs = (Meetings(task) if meetings is None else meetings).pairs(body, frames, poses)
+    squares = [mean_square(body, pose, some) for pose, some in zip(poses, pairs, strict=True)]
     terms = Terms(
         data=float(np.mean(squares)),
         pose=pose_energy(task.prior, body, stack(poses)),

@@ -1,5 +1,7 @@
 """One round of an adaptation: proportions, or joints and vertices, with the poses of some frames (Adaptation, 4.1.4)."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,45 +12,46 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose, stack_poses
 from ..body.sample import unlike_poses
 from ..body.shape_modes import Modes, joint_modes
-from ..fit.correspond import Scan
+from ..fit.correspond import Pairs
 from ..fit.sequence_problem import SequenceProblem
 from ..fit.solvers.descent import NormalDescent
 from ..fit.solvers.minimise import take_step
 from .beside import centres_beside, make_beside
-from .meet import pose_at, stacked_pairs, told
-from .objective import Belief, shared_problem, stack, unstack
+from .meet import Meetings, poses_at, told
+from .objective import Belief, shared_problem, stack, stack_pairs, unstack
 from .people import People, person, traits_like
 from .pose import brought_in
 from .reference import reference, shape_prior_of
 from .surface import adapt_shape, adapt_together
 from .task import AdaptState, Settings, Stage, Task
 
+#: finds the stacked pairs of a body in the poses of the frames of a round
+PairsOfAll = Callable[[Body, list[Pose]], Pairs]
 #: squared distances along the surface count by this share while a person is sought: the skin of another slides
 SLIDING = 0.005
 #: the share of each curvature that a step on all poses and modes is damped by
 DAMPING = 1e-3
 
 
-def adapt_round(task: Task, state: AdaptState, held: dict[int, Scan], stage: Stage) -> AdaptState:
-    """One round of what all frames share, with the poses of some; `held` keeps the scans of these."""
+def adapt_round(task: Task, state: AdaptState, meetings: Meetings, stage: Stage) -> AdaptState:
+    """One round of what all frames share, with the poses of some; `meetings` keeps the scans of these."""
     settings = task.settings
     if stage.number == 0 and stage.round == 1 and task.people is not None:
         state = _as_person(task.people, state)
     chosen = state.chosen or spread_frames(state, settings.frames, stage.frames)
     poses = [state.motion[n] for n in chosen]
-    for gone in set(held) - set(chosen):
-        del held[gone]
-    for n in set(chosen) - set(held):
-        held[n] = task.scan(n)
-    scans = [held[n] for n in chosen]
     if stage.round == 1:
-        poses = [pose_at(task, state, scan, pose, steps=6) for scan, pose in zip(scans, poses, strict=True)]
+        poses = list(poses_at(task, state, meetings.scans(chosen), poses, steps=6))
+
+    def pairs_of_all(body: Body, poses: list[Pose]) -> Pairs:
+        return stack_pairs(meetings.pairs(body, chosen, poses))
+
     if stage.number == 0:
-        body, poses, traits = _proportions(task, state, poses, scans)
+        body, poses, traits = _proportions(task, state, poses, pairs_of_all)
         # vertices are adapted to frames that are chosen anew
         chosen_next = () if stage.round == settings.alone else chosen
     else:
-        body, poses = _surface(task, state, poses, scans, stage)
+        body, poses = _surface(task, state, poses, pairs_of_all, stage)
         traits, chosen_next = state.traits, chosen
     if task.boxes is not None:
         poses = [brought_in(task.boxes, body.skeleton, pose) for pose in poses]
@@ -56,7 +59,7 @@ def adapt_round(task: Task, state: AdaptState, held: dict[int, Scan], stage: Sta
     for n, pose in zip(chosen, poses, strict=True):
         every[n] = pose
     state = state._replace(body=body, motion=stack_poses(every, task.rate), chosen=chosen_next, traits=traits)
-    return told(task, state, str(stage), chosen, scans)
+    return told(task, state, str(stage), chosen, meetings)
 
 
 def spread_frames(state: AdaptState, count: int, among: int | None = None) -> tuple[int, ...]:
@@ -79,43 +82,43 @@ def _as_person(people: People, state: AdaptState) -> AdaptState:
 
 
 def _proportions(
-    task: Task, state: AdaptState, poses: list[Pose], scans: list[Scan]
+    task: Task, state: AdaptState, poses: list[Pose], pairs_of_all: PairsOfAll
 ) -> tuple[Body, list[Pose], tuple[float, ...]]:
     """Joints and surface together: by the traits of people where these are known, else by joints that take their skin
     with them."""
     if task.people is None:
         modes, belief = joint_modes(state.body), _joints_beside(task, state)
-        body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored)
+        body, together, _ = _step(task, state, poses, pairs_of_all, modes, belief, task.mirrored)
         return body, unstack(together, len(poses)), state.traits
     standing = task.people.standing + jnp.asarray(state.traits)
     # what no person explains is the same in all frames, which therefore count as one
     belief = Belief(-standing, jnp.full_like(standing, len(poses) ** -0.5))
-    body, together, amounts = _step(task, state, poses, scans, task.people.modes, belief, (), SLIDING)
+    body, together, amounts = _step(task, state, poses, pairs_of_all, task.people.modes, belief, (), SLIDING)
     traits = np.array(state.traits) + np.asarray(amounts, float)
     return body, unstack(together, len(poses)), tuple(traits.tolist())
 
 
 def _surface(
-    task: Task, state: AdaptState, poses: list[Pose], scans: list[Scan], stage: Stage
+    task: Task, state: AdaptState, poses: list[Pose], pairs_of_all: PairsOfAll, stage: Stage
 ) -> tuple[Body, list[Pose]]:
     """Joints within their skin, and then the vertices; or both at once."""
     modes, belief = joint_modes(state.body, follow=False), _joints_beside(task, state)
     shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
     if task.settings.together:
-        pairs = stacked_pairs(task, state.body, poses, scans)
+        pairs = pairs_of_all(state.body, poses)
         problem = _problem(task, state, pairs, modes, belief, task.mirrored)
         body, together = adapt_together(problem, stack(poses), pairs, shape, weight)
         return body, unstack(together, len(poses))
-    body, together, _ = _step(task, state, poses, scans, modes, belief, task.mirrored)
+    body, together, _ = _step(task, state, poses, pairs_of_all, modes, belief, task.mirrored)
     poses = unstack(together, len(poses))
-    return adapt_shape(body, together, stacked_pairs(task, body, poses, scans), shape, weight), poses
+    return adapt_shape(body, together, pairs_of_all(body, poses), shape, weight), poses
 
 
 def _step(
     task: Task,
     state: AdaptState,
     poses: list[Pose],
-    scans: list[Scan],
+    pairs_of_all: PairsOfAll,
     modes: Modes,
     belief: Belief,
     mirrored: tuple[tuple[int, int], ...],
@@ -123,7 +126,7 @@ def _step(
 ) -> tuple[Body, Pose, Float[Array, "K"]]:
     """The body a step along its modes further, its poses stacked, and how far it went; `sliding` is the most that squared
     distances along the surface count."""
-    pairs = stacked_pairs(task, state.body, poses, scans)
+    pairs = pairs_of_all(state.body, poses)
     pairs = eqx.tree_at(lambda p: p.along, pairs, jnp.minimum(pairs.along, sliding))
     return step_of(_problem(task, state, pairs, modes, belief, mirrored), stack(poses))
 

@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -20,7 +19,7 @@ from ..fit.alternate import alternate
 from ..fit.sequence_problem import SequenceEstimate, SequenceProblem
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from .objective import stack, stack_pairs, unstack, window_problem
-from .pose import LENGTHS, UPHILL, brought_in
+from .pose import LENGTHS, UPHILL, brought_in, same_pose
 
 #: frames of a window, and by how many the next one is further on
 FRAMES, STRIDE = 11, 5
@@ -88,7 +87,7 @@ def smooth_windows(
 
     def pairs_of_frame(frame: int, pose: Pose) -> Pairs:
         # a held frame, and one that the window before left, is where it was
-        if frame not in known or not _same(known[frame][0], pose):
+        if frame not in known or not same_pose(known[frame][0], pose):
             known[frame] = pose, pairs_at(frame, pose)
         return known[frame][1]
 
@@ -125,10 +124,6 @@ def smooth_windows(
         poses[start:stop] = unstack(best.y.poses, stop - start)
         start = stop if stop == len(poses) else min(start + stride, len(poses) - frames)
         yield list(poses), start
-
-
-def _same(a: Pose, b: Pose) -> bool:
-    return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
 def temporal_energy(

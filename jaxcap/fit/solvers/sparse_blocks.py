@@ -71,7 +71,8 @@ class SparseFactor(AbstractFactor):
         return jnp.einsum("vab,vb->va", self.inverses, side)
 
     def solve(self, side: Float[Array, "V 3"], equalities: Equalities | None = None) -> Float[Array, "V 3"]:
-        del equalities
+        if equalities is not None:
+            raise NotImplementedError("Vertices by themselves keep no equations.")
         tolerance = self.matrix.tolerance
         return conjugate_gradients(
             self.matrix.mv, side, self.precondition, tolerance=tolerance, max_steps=STEPS
