@@ -177,8 +177,12 @@ def test_sentences_in_full():
         jc.retract(
             BODY.skeleton, jc.Pose(jnp.ones((J + 1, 3)), jnp.ones((J + 1, 4)), jnp.ones(())), jnp.zeros(3)
         )
-    with pytest.raises(InputError, match="make_tracker: `terms` is a JointLimits; expected is a sequence"):
-        jc.make_tracker(BODY, None, EXAMPLES["JointLimits"])
+    with pytest.raises(
+        InputError, match="make_tracker: `terms` is 3; expected is an AbstractEnergy or a sequence of"
+    ):
+        jc.make_tracker(BODY, None, 3)
+    with pytest.raises(InputError, match="RestPrior: its residual cannot be evaluated for a body of"):
+        jc.make_tracker(BODY, None, jc.RestPrior(jnp.ones((J + 1, 3))))
     with pytest.raises(InputError, match="stack_poses: `poses` is a Pose; expected is a sequence of Pose"):
         jc.stack_poses(POSE)
 

@@ -242,8 +242,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             s = self.scales()[1]
 
             def equalise(_, values):
-                rows, lacking = self._equalities(values)
-                return self._moved(values, s * jnp.linalg.lstsq(rows, lacking)[0])
+                return self._moved(values, s * Equalities(*self._equalities(values)).least_change())
 
             values = jax.lax.fori_loop(0, EQUALISING, equalise, values)
         return SequenceEstimate(y.poses, values)

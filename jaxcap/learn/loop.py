@@ -124,11 +124,13 @@ def learn_body(
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("finding parts and joints")
-        start = _start(coarse.meshes if loose else meshes, joints, skin, symmetry, skeleton, free_bones)
+        # a given skeleton is bound to the whole surface, whose triangles are those of a mesh
+        whole_mesh = skeleton is not None and not loose
+        start = _start(meshes if whole_mesh else coarse.meshes, joints, skin, symmetry, skeleton, free_bones)
         own_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
-        if thinned and not loose:
+        if thinned and whole_mesh:
             state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume

@@ -112,7 +112,8 @@ def _solve_chunk(subject: Subject, start: Pose, places, seen, search: Search, en
 
     def follow(pose, frame):
         solved = solve_frame(subject, pose, frame[0], frame[1], search, energy)
-        return solved.pose, solved
+        kept = jax.tree.map(lambda new, old: jnp.where(frame[1].any(), new, old), solved.pose, pose)
+        return kept, solved._replace(pose=kept)
 
     return jax.lax.scan(follow, far.pose, (places, seen))[1]
 

@@ -15,25 +15,32 @@ def conjugate_gradients(
     *,
     tolerance: float | Float[Array, ""],
     max_steps: int | Int[Array, ""],
+    project: Callable[[PyTree], PyTree] | None = None,
     unsolved: float | None = None,
 ) -> PyTree:
     """Solve `A x = side` for a symmetric positive definite `A`, from zero, until the residual is a share `tolerance` of the
     right side in the Euclidean norm.
 
-    It ends before where a direction has no positive curvature, as `A` is not positive definite then, and keeps what it has. The result is not a number
-    where the residual is still above a share `unsolved`, if given.
+    `project` leaves of a right side what the system can meet, where it is one within constraints. It ends before where a direction has no positive curvature, as `A` is not positive definite then, and keeps what it has. The result is not a number
+    where the residual is still above a share `unsolved`, if given, in the norm of the preconditioner.
 
     Differentiable in both modes by what `product` and `side` depend on: a derivative is one more solve. JAX's own `cg` cannot be
     transposed where only the right side is unknown, as in the derivative of a minimum.
     """
     solve = partial(
-        _iterate, precondition=precondition, tolerance=tolerance, max_steps=max_steps, unsolved=unsolved
+        _iterate,
+        precondition=precondition,
+        tolerance=tolerance,
+        max_steps=max_steps,
+        project=project,
+        unsolved=unsolved,
     )
     return jax.lax.custom_linear_solve(product, side, solve, symmetric=True)
 
 
-def _iterate(product, side, *, precondition, tolerance, max_steps, unsolved):
+def _iterate(product, side, *, precondition, tolerance, max_steps, project, unsolved):
     """Iterate as Hestenes and Stiefel (1952) do."""
+    side = side if project is None else project(side)
     whole = _dot(side, side)
 
     def unfinished(carry):
@@ -54,11 +61,11 @@ def _iterate(product, side, *, precondition, tolerance, max_steps, unsolved):
     lifted = precondition(side)
     zero = jax.tree.map(jnp.zeros_like, side)
     start = zero, side, _dot(side, lifted), lifted, jnp.array(True), jnp.array(0)
-    x, left, *_ = jax.lax.while_loop(unfinished, step, start)
+    x, _, slope, *_ = jax.lax.while_loop(unfinished, step, start)
     if unsolved is None:
         return x
     # written so that numbers that are none count as unsolved
-    solved = _dot(left, left) <= unsolved**2 * whole
+    solved = jnp.abs(slope) <= unsolved**2 * start[2]
     return jax.tree.map(lambda leaf: jnp.where(solved, leaf, jnp.nan), x)
 
 

@@ -14,6 +14,10 @@ class Equalities(eqx.Module):
     rows: Float[Array, "C S"]
     values: Float[Array, "C"]
 
+    def least_change(self) -> Float[Array, "S"]:
+        """Find the shortest `s` that keeps them."""
+        return jnp.linalg.lstsq(self.rows, self.values)[0]
+
 
 def keep_equalities(
     solve: Callable[[Array], Array], free: Float[Array, "S"], equalities: Equalities | None

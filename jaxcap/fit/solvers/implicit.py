@@ -14,10 +14,12 @@ from .descent import ConstrainedInfo
 from .equalities import Equalities
 from .minimise import AnySolver, Minimum, minimise
 from .problem import AbstractProblem
-from .structured import AbstractStructured
+from .structured import AbstractStructured, damped
 
 #: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end, not below so many roundings
 DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE, DERIVATIVE_ROUNDINGS = 200, 1e-12, 10
+#: the share of each curvature that is added to it is such a power of the precision
+LITTLE = 0.7
 #: the share of the energy that a Newton step may still gain at a solution whose derivative is trusted
 STATIONARY = 1e-6
 
@@ -71,6 +73,8 @@ class _Inside(eqx.Module):
     """Equations within constraints: numbers that are pressed against their bound stay, and steps keep linear equations."""
 
     factor: Any
+    #: what the factor has more on its diagonal, so that rounding moves nothing far along directions that nothing holds
+    little: Any
     free: Any
     rows: Float[Array, "C S"] | None
 
@@ -98,7 +102,10 @@ def _inside(info: ConstrainedInfo) -> _Inside:
     equalities = None if constraints is None else constraints.equalities
     if constraints is not None and constraints.low is not None:
         hessian = hessian.among(free)
-    return _Inside(_factor(hessian), free, None if equalities is None else equalities.rows)
+    dtype = info.as_min().dtype
+    held = damped(hessian, jnp.asarray(jnp.finfo(dtype).eps ** LITTLE, dtype))
+    little = jax.tree.map(jnp.subtract, held.diagonal(), hessian.diagonal())
+    return _Inside(held.factorise(), little, free, None if equalities is None else equalities.rows)
 
 
 def free_numbers(info: ConstrainedInfo) -> Any:
@@ -112,17 +119,6 @@ def free_numbers(info: ConstrainedInfo) -> Any:
         return ~((low >= -room) & (slope > 0)) & ~((high <= room) & (slope < 0)) & (low < high)
 
     return jax.tree.map(is_free, constraints.low, constraints.high, info.grad)
-
-
-def _factor(hessian: AbstractStructured) -> Any:
-    """Factor with a little on the diagonal, the same for all numbers: along directions that nothing holds, rounding would otherwise
-    move the solution at will; so it stays the shortest."""
-    diagonal = jax.tree.leaves(hessian.diagonal())
-    largest = jnp.max(jnp.concatenate([jnp.ravel(leaf) for leaf in diagonal]))
-    little = jnp.where(largest > 0, largest, 1.0) * jnp.finfo(largest.dtype).eps ** 0.6
-    return hessian.add_diagonal(
-        jax.tree.map(lambda leaf: jnp.full_like(leaf, little), hessian.diagonal())
-    ).factorise()
 
 
 def _dot(a: Any, b: Any) -> Float[Array, ""]:
@@ -180,7 +176,8 @@ def _implicit(primals, tangents):
         return jax.tree.map(lambda none, part: none if part is None else part, none, change, is_leaf=_is_none)
 
     def curvature(d):
-        return inside.project(jax.jvp(lambda d: gradient(problem, d), (zero,), (d,))[1])
+        bent = jax.jvp(lambda d: gradient(problem, d), (zero,), (d,))[1]
+        return inside.project(jax.tree.map(lambda b, a, d: b + a * d, bent, inside.little, d))
 
     side, first = jax.tree.map(jnp.negative, of_parameters(gradient, zero)), zero
     if inside.rows is not None:
@@ -194,6 +191,7 @@ def _implicit(primals, tangents):
         inside.solve,
         tolerance=max(DERIVATIVE_TOLERANCE, DERIVATIVE_ROUNDINGS * eps),
         max_steps=DERIVATIVE_STEPS,
+        project=inside.project,
         unsolved=eps**0.5,
     )
     step = jax.tree.map(jnp.add, first, step)

@@ -17,6 +17,8 @@ from .problem import AbstractNestedProblem, AbstractProblem
 
 #: changes of the energy count from so many roundings of it
 ROUNDINGS = 4
+#: a step may gain next to nothing: such a power of the precision, as a share of the energy
+GAIN = 0.75
 
 
 class SolverState(eqx.Module):
@@ -121,15 +123,16 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         before, after = info.as_min(), there.as_min()
         change, length = jnp.abs(before - after), self.norm(step)
         # the energy cannot tell here whether a step helps
-        visible = ROUNDINGS * jnp.finfo(before.dtype).eps * jnp.abs(before)
-        hidden = change <= visible
+        eps = jnp.finfo(before.dtype).eps
+        hidden = change <= ROUNDINGS * eps * jnp.abs(before)
         shorter = length < state.taken
         accept = jnp.where(hidden, shorter, accept)
         search_state = where(hidden, state.search_state, search_state)
         step_size = jnp.where(hidden, state.step_size, step_size)
         # a step that is not a number is not small, and the search refuses it; a small one that was refused ends nothing, but where
-        # it would have gained less than is seen
-        small = (length < self.atol) & (accept | (jnp.abs(info.compute_grad_dot(step)) <= visible))
+        # it would have gained next to nothing
+        nothing = jnp.abs(info.compute_grad_dot(step)) <= eps**GAIN * jnp.abs(before)
+        small = (length < self.atol) & (accept | nothing)
         flat = change < self.rtol * jnp.abs(before)
         # there is no damping beyond this; one that was too little for a factor will not be enough
         most = state.step_size <= jnp.finfo(step_size.dtype).eps
