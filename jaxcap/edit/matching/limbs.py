@@ -121,9 +121,12 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
     for last, above in enumerate(ancestors):
         reach[above] = np.maximum(reach[above], along[last] - along[above])
 
+    def between(above: list[int], first: int, last: int) -> list[int]:
+        return above[above.index(first) + 1 : above.index(last)]
+
     def passed(above: list[int], first: int, last: int, part: str) -> int:
-        between = above[above.index(first) + 1 : above.index(last)]
-        return sum(part not in names[joint].parts and not names[joint].helper for joint in between)
+        joints = between(above, first, last)
+        return sum(part not in names[joint].parts and not names[joint].helper for joint in joints)
 
     for last, above in enumerate(ancestors):
         # a joint that is called otherwise is the end of no such limb
@@ -131,6 +134,11 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
             continue
         for first, middle in combinations(above[-LONGEST:-1], 2):
             if points[kind[0]][first] <= DENIES or points[kind[1]][middle] <= DENIES:
+                continue
+            # what is called the joint of the hip is the thigh only where the knee hangs on it
+            if "hip_side" in names[first].parts and not all(
+                names[joint].helper for joint in between(above, first, middle)
+            ):
                 continue
             upper, lower = along[middle] - along[first], along[last] - along[middle]
             if min(upper, lower) < 1e-6 or max(upper, lower) > 5 * min(upper, lower):
