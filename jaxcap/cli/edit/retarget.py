@@ -60,7 +60,7 @@ class Retarget:
     by: Literal["auto", "surface", "names"] = "auto"
     """By what source and target are aligned; auto takes the surface where --source has the target's mesh."""
     names: OptionalFile = None
-    """A table of the joints that match, in place of what names and trees show: JSON as a refusal or --write-names writes it, or a text file with a
+    """A table of joints that match, which goes before what names and trees show: JSON as a refusal or --write-names writes it, or a text file with a
     joint of the source and one of the target in each line."""
     write_names: OptionalFile = None
     """Write the table of the joints that match as JSON, to be changed and given by --names."""
@@ -223,8 +223,9 @@ class Retarget:
         path = self.write_names or self.out.with_name(f"{self.out.stem}_names.json")
         if path.exists() and not self.overwrite:
             return f"{path} is there already; fill it in and give it by --names, or give --overwrite to have a new one."
-        write_joint_names(path, error.names, sorted(set(target.names) - set(error.names.values())))
-        return f"{path} has what was found: fill it in and give it by --names."
+        blank = dict.fromkeys(error.open, "")
+        write_joint_names(path, error.names | blank, sorted(set(target.names) - set(error.names.values())))
+        return f'{path} has what was found: fill in what is "" there, as far as you like, and give it by --names.'
 
     def stand(self, motion: Motion, source: Body | Skeleton, target: Body, found: Found) -> Found:
         if isinstance(source, Body):
