@@ -57,6 +57,9 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
             "where they are joints of two skeletons",
         ),
     ),
+    "joint names": (
+        ("edit retarget MOTION TARGET -o motion.bvh --names {file}", "takes the joints that match from it"),
+    ),
     "journal": (("track BODY CLOUDS -o {folder} --resume", "goes on with the run"),),
     "unfinished": (
         ("track BODY CLOUDS -o {file} --resume", "goes on with the run"),
