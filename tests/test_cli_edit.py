@@ -386,6 +386,42 @@ def test_a_floor_in_another_unit_is_told(capsys, folder):
     assert "--floor is 80 m, and the lowest joint of the motion is at" in capsys.readouterr().err
 
 
+def test_two_files_that_do_not_say_their_units(capsys, folder):
+    """`info` proposes the unit of each, and both can be given."""
+    person = build()
+    still = jc.stack_poses([jc.rest_pose(person)] * 2)
+    for name in ("one.bvh", "two.bvh", "cm.bvh"):
+        jc.write_bvh(folder / name, person, still, unit="cm" if name == "cm.bvh" else "dm")
+    jc.save_motion(folder / "metres.npz", still, person)
+    next_line = runs(capsys, "info", folder / "one.bvh").splitlines()[-1]
+    assert (
+        "view" in next_line
+        and f"edit retarget {folder / 'one.bvh'} human -o human.npz --unit dm`" in next_line
+    )
+    assert "--unit 0.1`" in runs(capsys, "info", folder / "one.bvh", "--unit", 0.1)
+    assert "--unit" not in runs(capsys, "info", folder / "cm.bvh")
+    words = (
+        "edit",
+        "retarget",
+        folder / "one.bvh",
+        folder / "two.bvh",
+        "-o",
+        folder / "both.npz",
+        "--unit",
+        "dm",
+    )
+    said = fails(capsys, *words)
+    assert (
+        "say by --unit what the motion's lengths are in or by --target-unit what the target's lengths are in"
+        in said
+    )
+    assert "1 m becomes 1.000 m" in runs(capsys, *words, "--target-unit", "dm")
+    said = fails(capsys, *words[:3], folder / "metres.npz", *words[4:], "--overwrite", "--target-unit", "dm")
+    assert "metres.npz: this says its unit itself; leave --target-unit dm out" in said
+    jc.write_bvh(folder / "vast.bvh", person, still, unit=1e-9)
+    assert "no usual unit makes it a person's" in runs(capsys, "info", folder / "vast.bvh")
+
+
 def test_a_skeleton_is_retargeted_to_itself(capsys, folder):
     runs(capsys, "edit", "retarget", folder / "a.npz", folder / "b.bvh", "-o", folder / "same.bvh")
     skeleton, moved = read_motion(folder / "same.bvh")
