@@ -79,7 +79,7 @@ OTHERS = (
 FILES = (
     *BODIES, *MOTIONS, *MESHES, *MARKERS, *FOREIGN, *BROKEN, *OTHERS,
     "subject.npz", "limits.npz", "meshes.npz", "clouds.npz", "joints.npz", "02.asf", "bones.skl", "limits.cst", "parts.vj",
-    "cameras.json", "constraints.json", "marks.txt", "names.txt", "folder of clouds", "folder of meshes", "run", "scans",
+    "cameras.json", "constraints.json", "marks.txt", "names.txt", "names.json", "folder of clouds", "folder of meshes", "run", "scans",
 )  # fmt: skip
 
 
@@ -230,6 +230,7 @@ def _write_texts(folder: Path) -> None:
         "constraints.json": {
             "format": "jaxcap constraints", "version": 1, "constraints": [{"joint": "nobody", "target": [0, 0, 0]}],
         },
+        "names.json": {"format": "jaxcap joint names", "version": 1, "names": {"root": "part0", "spine": "", "head": None}},
         "report.json": {"frames": 3, "unit": "m"},
         "scan.json": {"views": 8, "body arrays": "abc"},
         "statistics.json": {"rate": 30.0, "frames": [{"frame": 0, "state": "lost", "sigma": 0.1, "cloud": "a"}]},

@@ -167,8 +167,8 @@ def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, folder)
         table["names"][other] = side + part
     (folder / "armed_names.json").write_text(json.dumps(table))
     told = runs(capsys, *words, folder / "armed.npz", "--names", folder / "armed_names.json")
-    # without arms no shoulders showed: clavicles and chest are still null in the table
-    assert "17 joints of the source match" in told and "LowerArm_Left" not in told
+    # clavicles and chest are still "" in the table, and show as soon as there are arms
+    assert "20 joints of the source match" in told and "LowerArm_Left" not in told
 
 
 @pytest.mark.parametrize(
@@ -384,6 +384,42 @@ def test_a_floor_in_another_unit_is_told(capsys, folder):
     main(["edit", "retarget", *(str(folder / name) for name in ("a.npz", "b.bvh")), "-o", str(folder / "far.npz"),
           "--floor", "80"])  # fmt: skip
     assert "--floor is 80 m, and the lowest joint of the motion is at" in capsys.readouterr().err
+
+
+def test_two_files_that_do_not_say_their_units(capsys, folder):
+    """`info` proposes the unit of each, and both can be given."""
+    person = build()
+    still = jc.stack_poses([jc.rest_pose(person)] * 2)
+    for name in ("one.bvh", "two.bvh", "cm.bvh"):
+        jc.write_bvh(folder / name, person, still, unit="cm" if name == "cm.bvh" else "dm")
+    jc.save_motion(folder / "metres.npz", still, person)
+    next_line = runs(capsys, "info", folder / "one.bvh").splitlines()[-1]
+    assert (
+        "view" in next_line
+        and f"edit retarget {folder / 'one.bvh'} human -o human.npz --unit dm`" in next_line
+    )
+    assert "--unit 0.1`" in runs(capsys, "info", folder / "one.bvh", "--unit", 0.1)
+    assert "--unit" not in runs(capsys, "info", folder / "cm.bvh")
+    words = (
+        "edit",
+        "retarget",
+        folder / "one.bvh",
+        folder / "two.bvh",
+        "-o",
+        folder / "both.npz",
+        "--unit",
+        "dm",
+    )
+    said = fails(capsys, *words)
+    assert (
+        "say by --unit what the motion's lengths are in or by --target-unit what the target's lengths are in"
+        in said
+    )
+    assert "1 m becomes 1.000 m" in runs(capsys, *words, "--target-unit", "dm")
+    said = fails(capsys, *words[:3], folder / "metres.npz", *words[4:], "--overwrite", "--target-unit", "dm")
+    assert "metres.npz: this says its unit itself; leave --target-unit dm out" in said
+    jc.write_bvh(folder / "vast.bvh", person, still, unit=1e-9)
+    assert "no usual unit makes it a person's" in runs(capsys, "info", folder / "vast.bvh")
 
 
 def test_a_skeleton_is_retargeted_to_itself(capsys, folder):

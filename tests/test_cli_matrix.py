@@ -132,6 +132,7 @@ def test_info_knows_every_file(inside, name):
         "constraints:": ("constraints.json",), "limits": ("limits.npz", "limits.cst"), "journal:": ("journal", "unfinished"),
         "statistics:": ("statistics.csv", "statistics.json"), "checkpoint:": ("run.partial",), "parts:": ("parts.vj",),
         "vertices:": ("marks.txt",), "pairs of words:": ("names.txt",), "scans of": ("scans",),
+        "table of joints: 1 that match, 1 without": ("names.json",),
     }  # fmt: skip
     for start, names in sorts.items():
         if name in names:

@@ -70,6 +70,9 @@ def test_names_of_many_programs_say_side_and_part():
         "DEF-shin.R": ("right", "shin"),
         "Right Upper Arm": ("right", "upper_arm"),
         "lowerleg02.R": ("right", "shin"),
+        "J_Bip_L_HipJoint": ("left", "hip_side"),
+        "Skel_RHipJoint": ("right", "hip_side"),
+        "DEF-FingerBase.L": ("left", "palm"),
     }
     for name, (side, part) in said.items():
         found = read_name(name)
@@ -88,6 +91,23 @@ def test_every_joint_matches_whatever_it_is_called(scheme):
     # both are built in one order
     assert found.pairs == {joint: joint for joint in range(target.num_joints)}
     assert not found.unmatched_source and not found.unmatched_target and not found.warnings
+
+
+@pytest.mark.parametrize("prefix", ["", "J_Bip_", "Skel_", "DEF-", "ORG-", "Bip01_", "mixamorig:", "jnt_"])
+def test_a_joint_between_pelvis_and_thigh_is_not_the_thigh(prefix):
+    """Whatever stands before the names; and where there is no other thigh, it is the thigh."""
+    scheme = " ".join(prefix + name for name in SCHEMES["poser"].replace("{s}", "{s}_").split())
+    target = build()
+    hung = [(name, "{s}HipJoint" if name == "{s}UpLeg" else parent, place) for name, parent, place in PERSON]
+    hung.insert(1, ("{s}HipJoint", "Hips", (0.02, 1.0, 0)))
+    called = dict(zip([name for name, _, _ in PERSON], scheme.split(), strict=True))
+    called["{s}HipJoint"] = prefix + "{s}_HipJoint"
+    source = build([(called[n], called[p] if p else None, c) for n, p, c in hung], sides="LR")
+    found = match_joints(source, target).names
+    assert found[f"{prefix}L_HipJoint"] is None and found[f"{prefix}R_Thigh"] == "RightUpLeg"
+    scheme = scheme.replace("Thigh", "Hip_Joint").replace("Shin", "Knee_Joint")
+    found = match_joints(build(sides="LR", scheme=scheme), target).names
+    assert found[f"{prefix}L_Hip_Joint"] == "LeftUpLeg" and found[f"{prefix}R_Knee_Joint"] == "RightLeg"
 
 
 def test_sides_without_names_are_where_the_toes_say():

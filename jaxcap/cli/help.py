@@ -77,6 +77,7 @@ MOVED = {
     "scan": {"points": "", "vertices": "", "rate": INPUT},
     "evaluate": {"points": INPUT},
     "edit cut": {"frames": BASICS},
+    "edit retarget": {"target-unit": INPUT},
 }
 #: columns before what an option means, and of a line at most
 COLUMN, WIDEST = 26, 110

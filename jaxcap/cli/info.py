@@ -15,7 +15,7 @@ from ..io.registry import (
     SKELETON_READERS,
 )
 from .contents.arrays import tell_arrays
-from .contents.bodies import tell_body, tell_mesh, tell_moving, tell_skinned
+from .contents.bodies import tell_body, tell_bvh, tell_mesh, tell_moving, tell_skinned
 from .contents.folders import tell_clouds, tell_folder
 from .contents.next_verb import next_verbs
 from .contents.texts import (
@@ -49,7 +49,12 @@ class Info:
     """Unit of the file's lengths, where it does not say it: m, dm, cm, mm, in or ft."""
 
     def run(self) -> None:
-        say(next_verbs(self.tell(), self.file))
+        path = Path(self.file)
+        if identify(path) == "bvh":
+            kind, unit = tell_bvh(path, self.unit)
+            say(next_verbs(kind, self.file, unit))
+        else:
+            say(next_verbs(self.tell(), self.file))
 
     def tell(self) -> str:
         """Say what is there, and return its kind. Raises `InputError`."""
@@ -67,7 +72,7 @@ class Info:
                 return tell_skinned(path)
             case "mesh":
                 return tell_mesh(path, unit)
-            case "bvh" | "amc":
+            case "amc":
                 return tell_moving(path, self.unit)
             case "asf":
                 return tell_asf(path)

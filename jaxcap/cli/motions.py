@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
@@ -28,6 +30,11 @@ def load_motion_of(body: Body, path: str | Path, unit: str | None = None) -> Mot
 def load_skeleton(spec: str | Path, unit: str | None = None) -> Skeleton:
     """Read a skeleton: that of `human` with options, or of any file that has one. Raises `InputError`."""
     return load_body(str(spec))[0].skeleton if names_human(str(spec)) else read_skeleton(spec, unit)
+
+
+def extent(skeleton: Skeleton) -> float:
+    """Find the longest side of the box around the joints at rest, metres."""
+    return float(np.ptp(np.asarray(skeleton.centres, float), axis=0).max())
 
 
 def tell_clip(path: str | Path) -> None:

@@ -5,13 +5,14 @@
      "version": 1,
      "names": {
       "Pelvis": "Hips",
-      "Weapon_R": null
+      "Weapon_R": null,
+      "Bone_12": ""
      },
      "unmatched": ["LThumb"]
     }
 
-`names` leads from each joint of a source to one of a target, or to null where it has no match. `unmatched` are joints of the target that nothing leads
-to; it is for the reader of the file. A file may also be the table alone.
+`names` leads from each joint of a source to one of a target, to null where it has no match, or to "" where nothing is said of it. `unmatched` are
+joints of the target that nothing leads to; it is for the reader of the file. A file may also be the table alone.
 """
 
 import json
@@ -39,10 +40,10 @@ def write_joint_names(
 
 @reads("a table of joints")
 def read_joint_names(path: str | Path) -> dict[str, str | None]:
-    """Read a table that `write_joint_names` or a person wrote.
+    """Read a table that `write_joint_names` or a person wrote; joints of which it says nothing are left out.
 
     **Raises:** `InputError` where the file cannot be read, is no JSON, has another format or version, or an entry is not a name that leads to
-    a name or to null.
+    a name, to null or to "".
     """
     text = read_text(path)
     twice: list[str] = []
@@ -81,4 +82,4 @@ def read_joint_names(path: str | Path) -> dict[str, str | None]:
             raise InputError(
                 f"{path}: '{here}' leads to {json.dumps(there)[:40]}; give the name of a joint of the target, or null."
             )
-    return names
+    return {here: there for here, there in names.items() if there != ""}

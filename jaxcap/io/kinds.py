@@ -42,6 +42,7 @@ WORDS = {
     "cameras": "a file of cameras",
     "constraints": "a file of constraints for `jaxcap ik`",
     "scan": "the settings of a scan",
+    "joint names": "a table of joints that match",
     "report": "a report",
     "json": "a JSON file of another kind",
     "text": "a text file",
@@ -184,14 +185,23 @@ def kind_of_json(content: Any) -> str:
     """Return the kind of what a JSON file holds."""
     if not isinstance(content, Mapping):
         return "json"
-    if content.get("format") == "jaxcap constraints":
-        return "constraints"
+    formats = {"jaxcap constraints": "constraints", "jaxcap joint names": "joint names"}
+    form = content.get("format")
+    if isinstance(form, str) and form in formats:
+        return formats[form]
     kinds = {"cameras": "cameras", "constraints": "constraints", "body arrays": "scan", "joints": "keys"}
     found = next((kind for name, kind in kinds.items() if name in content), None)
     if found == "keys" and "rate" not in content:
         found = None
     if found is None and {"rate", "frames"} <= content.keys():
         return "statistics"
+    if (
+        found is None
+        and content
+        and form is None
+        and all(isinstance(v, str | None) for v in content.values())
+    ):
+        return "joint names"
     return found or ("report" if content else "json")
 
 

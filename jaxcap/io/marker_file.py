@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from ..errors import InputError
 from ..observe import MarkerFrames
-from .text import LARGEST, UNITS, check_rate, unit_scale
+from .text import LARGEST, check_rate, likely_units, unit_scale
 
 #: metres between which the longest side of the markers of one frame has to be
 SIZE = (0.2, 5.0)
@@ -144,10 +144,7 @@ def check_extent(
     if np.isnan(extent) or size[0] <= extent <= size[1]:
         return
     length = extent / scale
-    likely = [
-        unit for unit in ("m", "mm", "cm", "in", "dm", "ft") if size[0] <= length * UNITS[unit] <= size[1]
-    ]
-    likely.sort(key=lambda unit: abs(np.log(length * UNITS[unit] / 1.7)))
+    likely = likely_units(length, size)
     hint = (
         f"this looks like {UNIT_NAMES[likely[0]]}: {asked.format(likely[0])}" if likely else "check the unit"
     )

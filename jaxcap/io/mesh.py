@@ -20,7 +20,7 @@ from .inside import InsideResolver
 from .kinds import wrong_kind
 from .obj import read_obj, write_obj
 from .off import read_off
-from .text import LARGEST, UNITS, unit_scale
+from .text import BODY, LARGEST, likely_units, unit_scale
 
 #: suffixes that `read_mesh` knows
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
@@ -167,11 +167,10 @@ def check_size(extent: float, where: str | Path, unit: str | float = "m") -> Non
 
     **Raises:** `InputError` naming the likely unit.
     """
-    if 0.3 <= extent <= 3.0:
+    if BODY[0] <= extent <= BODY[1]:
         return
     length = float(extent) / unit_scale(unit)
-    likely = [name for name in ("m", "mm", "cm", "in", "dm", "ft") if 0.3 <= length * UNITS[name] <= 3.0]
-    likely.sort(key=lambda name: abs(np.log(length * UNITS[name] / 1.7)))
+    likely = likely_units(length)
     hint = (
         f"looks like {_UNIT_NAMES[likely[0]]}: pass unit='{likely[0]}' or --unit {likely[0]}"
         if likely

@@ -18,6 +18,8 @@ RATES = (1e-6, 1e6)
 
 #: metres in one unit of each name
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+#: the longest side of a body, from and to, and about, metres
+BODY, USUAL = (0.3, 3.0), 1.7
 
 
 def unit_scale(unit: str | float) -> float:
@@ -36,6 +38,14 @@ def unit_scale(unit: str | float) -> float:
     if not (math.isfinite(unit) and unit > 0):
         raise InputError(f"{unit} metres cannot be a unit of length; give a number above zero.")
     return float(unit)
+
+
+def likely_units(length: float, size: tuple[float, float] = BODY) -> list[str]:
+    """Find the units in which a length in a file would be of a `size` in metres, the likeliest for a person first."""
+    likely = [
+        unit for unit in ("m", "mm", "cm", "in", "dm", "ft") if size[0] <= length * UNITS[unit] <= size[1]
+    ]
+    return sorted(likely, key=lambda unit: abs(math.log(length * UNITS[unit] / USUAL)))
 
 
 def read_text(path: str | Path) -> str:

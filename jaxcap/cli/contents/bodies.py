@@ -9,8 +9,9 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.mesh import check_mesh, read_mesh
-from ...io.registry import read_skinned
-from ..motions import load_motion, tell_clip
+from ...io.registry import DEFAULT_UNITS, read_skinned
+from ...io.text import BODY, UNITS, likely_units
+from ..motions import extent, load_motion, tell_clip
 from ..say import say
 
 
@@ -48,6 +49,21 @@ def tell_skinned(path: Path) -> str:
         tell_motion(motion)
     tell_body(body)
     return "skinned" if motion is None else "animated"
+
+
+def tell_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
+    """Say what a BVH file holds, which does not say its unit, and return its kind and the unit that a verb has to be given."""
+    skeleton, motion = load_motion(path, unit)
+    tell_motion(motion)
+    tell_skeleton(skeleton)
+    reach = extent(skeleton)
+    if unit is not None or BODY[0] <= reach <= BODY[1] or skeleton.num_joints == 1:
+        return "motion", unit
+    own = DEFAULT_UNITS[".bvh"]
+    likely = likely_units(reach / UNITS[own])
+    fits = f"in {likely[0]} it would be a person's" if likely else "no usual unit makes it a person's"
+    say(f"unit: read in {own}, its joints reach over {reach:.3g} m at rest; {fits}")
+    return "motion", likely[0] if likely else "UNIT"
 
 
 def tell_moving(path: Path, unit: str | None) -> str:

@@ -57,6 +57,9 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
             "where they are joints of two skeletons",
         ),
     ),
+    "joint names": (
+        ("edit retarget MOTION TARGET -o motion.bvh --names {file}", "takes the joints that match from it"),
+    ),
     "journal": (("track BODY CLOUDS -o {folder} --resume", "goes on with the run"),),
     "unfinished": (
         ("track BODY CLOUDS -o {file} --resume", "goes on with the run"),
@@ -77,8 +80,11 @@ OTHERS = {
 }
 
 
-def next_verbs(kind: str, file: str) -> str:
-    """Return a line with the commands that follow for a file of some kind, or what else can be done with it."""
+def next_verbs(kind: str, file: str, unit: str | None = None) -> str:
+    """Return a line with the commands that follow for a file of some kind, or what else can be done with it.
+
+    **Arguments:** `unit` of lengths, where the commands have to be given it.
+    """
     if kind not in COMMANDS:
         return OTHERS.get(kind, "no verb reads this")
     words = {
@@ -86,7 +92,10 @@ def next_verbs(kind: str, file: str) -> str:
         "folder": _quoted(str(Path(file).parent)),
         "stem": _quoted(file.removesuffix(".partial")),
     }
-    return "next: " + "; ".join(f"`jaxcap {line.format(**words)}` {what}" for line, what in COMMANDS[kind])
+    ending = "" if unit is None else f" --unit {unit}"
+    return "next: " + "; ".join(
+        f"`jaxcap {line.format(**words)}{ending}` {what}" for line, what in COMMANDS[kind]
+    )
 
 
 def _quoted(word: str) -> str:

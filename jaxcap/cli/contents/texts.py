@@ -9,6 +9,7 @@ from ...io.asf import read_asf
 from ...io.cameras import read_cameras
 from ...io.cst import read_cst
 from ...io.door import reads
+from ...io.joint_names import read_joint_names
 from ...io.journal import read_header, read_records
 from ...io.kinds import kind_of_json
 from ...io.registry import read_marker_file, read_skeleton
@@ -47,6 +48,11 @@ def tell_json(path: Path) -> str:
         tell_statistics(path)
     elif kind == "keys":
         say(f"keys: of {len(content['joints'])} joints, {content.get('frames', 0)} frames")
+    elif kind == "joint names":
+        names = list(read_joint_names(path).values())
+        say(
+            f"table of joints: {len(names) - names.count(None)} that match, {names.count(None)} without a match"
+        )
     elif kind == "json":
         raise InputError(
             f"{path}: there is nothing in this JSON that a verb reads; cameras are in a list 'cameras', constraints in a "

@@ -10,10 +10,9 @@ from ...errors import InputError
 from ...io.clip import suffix_of
 from ...io.registry import SKELETON_READERS, read_skeleton, write_motion
 from ..convert_way import OWN_UNIT
-from ..motions import load_motion, load_motion_of
+from ..motions import extent, load_motion, load_motion_of
 from ..options import MotionSpec, arg
 from ..say import say
-from .skeletons import extent
 
 MotionFile = MotionSpec
 OutMotion = Annotated[Path, arg(aliases=("-o",), metavar="OUT")]

@@ -20,13 +20,14 @@ from ...edit.retargeting.retarget_shape import retarget_shape
 from ...edit.retargeting.soles import floor_under, ground, lowest, sole_heights
 from ...errors import InputError
 from ...io.joint_names import write_joint_names
+from ..motions import extent
 from ..options import BODY_WORDS, BodySpec, Flag, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion
 from ..say import progress, say, warn
 from ..sources import load_body
 from .files import MotionFile, OutMotion, read_edited, save
 from .pairs import names_of, point_pair, table_of
-from .skeletons import OTHER_UNIT, extent, load_target, skeleton_of
+from .skeletons import OTHER_UNIT, load_target, says_unit, skeleton_of
 
 #: a floor that is further from the lowest joint is likely to be in another unit, metres
 FAR = 5.0
@@ -60,7 +61,7 @@ class Retarget:
     by: Literal["auto", "surface", "names"] = "auto"
     """By what source and target are aligned; auto takes the surface where --source has the target's mesh."""
     names: OptionalFile = None
-    """A table of the joints that match, in place of what names and trees show: JSON as a refusal or --write-names writes it, or a text file with a
+    """A table of joints that match, which goes before what names and trees show: JSON as a refusal or --write-names writes it, or a text file with a
     joint of the source and one of the target in each line."""
     write_names: OptionalFile = None
     """Write the table of the joints that match as JSON, to be changed and given by --names."""
@@ -75,12 +76,14 @@ class Retarget:
     """How high the source's floor lies, metres; as high as its lowest point where not given."""
     unit: OptionalUnit = None
     """Unit of the motion's lengths, in place of what it says."""
+    target_unit: OptionalUnit = None
+    """Unit of the target's lengths, where its file does not say it."""
     overwrite: Flag = False
     """Replace the motion where it is there."""
 
     def run(self) -> None:
         self.check()
-        source, target = self.source_body(), load_target(self.target)
+        source, target = self.source_body(), load_target(self.target, self.target_unit)
         skeleton, motion = self.read(source)
         self.check_units(skeleton, skeleton_of(target))
         given = skeleton if source is None else source
@@ -155,8 +158,20 @@ class Retarget:
         if not 1 / OTHER_UNIT < reaches[0] / max(reaches[1], 1e-9) < OTHER_UNIT:
             raise InputError(
                 f"{self.motion}: its joints reach over {reaches[0]:.3g} m at rest and those of {self.target} over "
-                f"{reaches[1]:.3g} m; say by --unit what the motion's lengths are in."
+                f"{reaches[1]:.3g} m; {self.units_to_say()}."
             )
+
+    def units_to_say(self) -> str:
+        """What to do where the two are of other sizes than people are."""
+        says = [
+            f"by {option} what the {which}'s lengths are in"
+            for option, which, file in (
+                ("--unit", "motion", self.motion),
+                ("--target-unit", "target", self.target),
+            )
+            if not says_unit(file)
+        ]
+        return f"say {' or '.join(says)}" if says else "one of the files is wrong about its unit"
 
     def floor_for(self, motion: Motion, source: Body | Skeleton, up: np.ndarray) -> float:
         """What the user says, or what the source stands on."""
@@ -223,8 +238,9 @@ class Retarget:
         path = self.write_names or self.out.with_name(f"{self.out.stem}_names.json")
         if path.exists() and not self.overwrite:
             return f"{path} is there already; fill it in and give it by --names, or give --overwrite to have a new one."
-        write_joint_names(path, error.names, sorted(set(target.names) - set(error.names.values())))
-        return f"{path} has what was found: fill it in and give it by --names."
+        blank = dict.fromkeys(error.open, "")
+        write_joint_names(path, error.names | blank, sorted(set(target.names) - set(error.names.values())))
+        return f'{path} has what was found: fill in what is "" there, as far as you like, and give it by --names.'
 
     def stand(self, motion: Motion, source: Body | Skeleton, target: Body, found: Found) -> Found:
         if isinstance(source, Body):

@@ -10,8 +10,9 @@ from ...errors import InputError
 from ...io.clip import suffix_of
 from ...io.kinds import identify
 from ...io.registry import BODY_SUFFIXES, SKELETON_READERS
+from ..convert_way import OWN_UNIT
 from ..motions import load_skeleton
-from ..sources import load_body
+from ..sources import load_body, names_human
 
 #: skeletons whose joints are no further apart at rest are the same, metres
 SAME = 1e-3
@@ -19,17 +20,19 @@ SAME = 1e-3
 OTHER_UNIT = 5.0
 
 
-def extent(skeleton: Skeleton) -> float:
-    """Longest side of the box around the joints at rest, metres."""
-    return float(np.ptp(np.asarray(skeleton.centres, float), axis=0).max())
-
-
-def load_target(spec: str) -> Body | Skeleton:
+def load_target(spec: str, unit: str | None = None) -> Body | Skeleton:
     """A body, or a skeleton from any file that has one and no body. Raises `InputError`."""
+    if unit and says_unit(spec):
+        raise InputError(f"{spec}: this says its unit itself; leave --target-unit {unit} out.")
     alone = suffix_of(spec) in SKELETON_READERS and suffix_of(spec) not in BODY_SUFFIXES
     if alone or identify(spec) in ("motion", "amass", "subject"):
-        return load_skeleton(spec)
-    return load_body(spec)[0]
+        return load_skeleton(spec, unit)
+    return load_body(spec, unit=unit or "m")[0]
+
+
+def says_unit(spec: str | Path) -> bool:
+    """Whether a body or a motion is in metres, or says what it is in."""
+    return names_human(str(spec)) or suffix_of(spec) in OWN_UNIT
 
 
 def skeleton_of(owner: Body | Skeleton) -> Skeleton:

@@ -20,6 +20,8 @@ HELPER, PASSED = -3.0, -1.0
 #: how much longer the upper and the lower bone of a limb may be than the other without loss, as logarithms, and what more
 #: of it costs: of a person's limbs the lower bone is hardly ever the longer one
 UPPER, LOWER, COST = 0.4, 0.1, 4.0
+#: the share of the points of its names that the lengths of a limb's bones may cost
+UNLIKE = 0.5
 #: a limb needs so many points by its names where it has no twin, and a pair so many each where no name says anything
 ALONE, UNNAMED = 5.0, -1.2
 #: by so many points more than all others the limbs of a body without names have to be likely
@@ -121,9 +123,12 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
     for last, above in enumerate(ancestors):
         reach[above] = np.maximum(reach[above], along[last] - along[above])
 
+    def between(above: list[int], first: int, last: int) -> list[int]:
+        return above[above.index(first) + 1 : above.index(last)]
+
     def passed(above: list[int], first: int, last: int, part: str) -> int:
-        between = above[above.index(first) + 1 : above.index(last)]
-        return sum(part not in names[joint].parts and not names[joint].helper for joint in between)
+        joints = between(above, first, last)
+        return sum(part not in names[joint].parts and not names[joint].helper for joint in joints)
 
     for last, above in enumerate(ancestors):
         # a joint that is called otherwise is the end of no such limb
@@ -131,6 +136,11 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
             continue
         for first, middle in combinations(above[-LONGEST:-1], 2):
             if points[kind[0]][first] <= DENIES or points[kind[1]][middle] <= DENIES:
+                continue
+            # what is called the joint of the hip is the thigh only where the knee hangs on it
+            if "hip_side" in names[first].parts and not all(
+                names[joint].helper for joint in between(above, first, middle)
+            ):
                 continue
             upper, lower = along[middle] - along[first], along[last] - along[middle]
             if min(upper, lower) < 1e-6 or max(upper, lower) > 5 * min(upper, lower):
@@ -146,9 +156,12 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
             # beyond a hand or a foot there is less than half of a limb, unless it carries something
             beyond = min(max(0.0, reach[last] / (upper + lower) - 0.5), 0.5)
             skipped = passed(above, first, middle, kind[0]) + passed(above, middle, last, kind[1])
-            score = named + PASSED * skipped - COST * beyond
             ratio = np.log(upper / lower)
-            score -= COST * max(0.0, ratio - UPPER, -ratio - LOWER)
+            uneven = COST * max(0.0, ratio - UPPER, -ratio - LOWER)
+            # bones that speak so much against names that may say it are of no such limb: its middle joint is another one
+            if named > 0 and uneven > UNLIKE * named:
+                continue
+            score = named + PASSED * skipped - COST * beyond - uneven
             found.append(Limb((first, middle, last), next(iter(sides), None), named, float(score)))
     if not found:
         return []

@@ -1,23 +1,30 @@
 """Match the joints of two skeletons."""
 
-from collections.abc import Iterable, Mapping
-
-import numpy as np
+from collections.abc import Mapping
+from itertools import pairwise
 
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from .matches import JointMatches, UnmatchedJoints
-from .names import ARM, LEG, Side, plain_name
-from .person import LIMBS, Person, find_person
+from .matches import JointMatches, UnmatchedJoints, names_to_start
+from .names import Side
+from .pairing import SIDES, follow_ends, pair_alike, pair_joints
+from .person import Person, find_person
 from .reference import find_reference
+from .sides import UnknownSides, backward, swap_sides
+from .table import (
+    Table,
+    make_table,
+    overruled,
+    table_to_start,
+    told_kinds,
+    told_of_source,
+    told_of_target,
+)
 
 #: so many joints match at least
 LEAST = 3
-SIDES: tuple[Side, Side] = ("left", "right")
 #: joints without a match that a refusal lists
 SAID = 12
-#: a joint that is nearer to the end of an upper arm or thigh, as a share of its length, is not on the bone but of the next joint
-ON_BONE = 0.05
 
 
 def match_joints(
@@ -33,163 +40,95 @@ def match_joints(
     lengths where they are not. Spine and neck are matched from the hips to the head; where their numbers of joints differ, joints share rotations.
     Whatever is left matches where it is called alike and hangs on joints that match.
 
-    **Arguments:** `names` leads from joints of the source to those of the target, or to None; where it is given nothing else matches. `motion` of
-    the source is for files whose rest pose is not that of a person.
+    **Arguments:** `names` leads from joints of the source to those of the target, or to None for a joint that has no match; it overrules names and
+    trees for these joints, and shows which limbs they belong to. `motion` of the source is for files whose rest pose is not that of a person.
 
-    **Raises:** `UnmatchedJoints`, a `ValueError`, where both arms or both legs have no match, or fewer than three joints match; `ValueError` for a
-    name that a skeleton does not have, or two joints for one, or where neither rest nor motion shows how the person stands.
+    **Raises:** `UnmatchedJoints`, a `ValueError`, where both arms or both legs have no match, fewer than three joints match, or left and right do not
+    show; `ValueError` for a name that a skeleton does not have, two joints for one, a limb of the table whose joints do not hang on each other, or
+    where neither rest nor motion shows how the person stands.
     """
-    persons = find_person(source), find_person(target)
-    if names is not None:
-        pairs = _named(source, target, names)
-        there = find_reference(target, persons[1], None, "target")
-        here = find_reference(source, _carried(there.person, pairs), motion, "source")
-        followed = {joint: (match, match, 0.0) for joint, match in pairs.items()}
-    else:
-        stands = (
-            find_reference(source, persons[0], motion, "source"),
-            find_reference(target, persons[1], None, "target"),
-        )
-        here, there = stands
-        pairs, followed = _matched(here.person, there.person)
-        _called_alike(source, target, pairs, followed)
-    _to_the_end_of_bones(source, there.person, pairs, followed)
-    found = JointMatches(source, target, pairs, followed, (here, there), ())
+    table = make_table(source, target, names or {})
+    there = find_person(target, told_of_target(source, target, table))
+    here = _person(source, target, there, table)
+    try:
+        stood = find_reference(target, there, None, "target", told_kinds(there, table))
+        there = stood.person
+        here = _person(source, target, there, table)
+        stands = find_reference(source, here, motion, "source", told_kinds(there, table)), stood
+    except UnknownSides as error:
+        persons = _sides_of(here, error), there
+        raise _refused(str(error), (source, target), persons, table, alike=not error.swapped) from None
+    here = stands[0].person
+    pairs, followed = pair_joints(here, there, table)
+    pair_alike(source, target, pairs, followed, table)
+    follow_ends(source, there, pairs, followed)
+    found = JointMatches(source, target, pairs, followed, stands, ())
     if len(pairs) < LEAST:
-        raise UnmatchedJoints(
+        sentence = (
             f"{len(pairs)} joints of the source ({', '.join(source.names)}) match one of the target "
-            f"({', '.join(target.names)}); say which do with a table of names from source to target.",
-            found.names,
+            f"({', '.join(target.names)}); say which do with a table of names from source to target."
         )
-    return found._replace(warnings=tuple(_check_limbs(found, names is not None)))
+        raise _refused(sentence, (source, target), (here, there), table, pairs)
+    _check_chains(found, table)
+    return found._replace(warnings=(*_facing(found, table), *_check_limbs(found, table)))
 
 
-def _named(source: Skeleton, target: Skeleton, names: Mapping[str, str | None]) -> dict[int, int]:
-    given = {here: there for here, there in names.items() if there is not None}
-    for words, own, which in ((names, source.names, "source"), (given.values(), target.names, "target")):
-        for name in words:
-            if name not in own:
-                raise ValueError(f"There is no joint '{name}' in the {which}, which has {', '.join(own)}.")
-    pairs: dict[int, int] = {}
-    for here, there in given.items():
-        joint = target.names.index(there)
-        if joint in pairs:
-            raise ValueError(
-                f"The joints '{source.names[pairs[joint]]}' and '{here}' of the source are both given for '{there}'; give one of them."
-            )
-        pairs[joint] = source.names.index(here)
-    return pairs
+def _person(source: Skeleton, target: Skeleton, there: Person, table: Table) -> Person:
+    """The person of the source, as names, tree and table show it."""
+    return overruled(find_person(source, told_of_source(target, there, table)), there, table)
 
 
-def _carried(person: Person, pairs: Mapping[int, int]) -> Person:
-    """The person of the target in the source, by the joints that match."""
-
-    def own(joint: int) -> int:
-        return pairs.get(joint, -1)
-
-    def chain(joints: Iterable[int]) -> tuple[int, ...]:
-        return tuple(own(joint) for joint in joints if own(joint) >= 0)
-
-    limbs = {key: own(joint) for key, joint in person.parts.items()}
-    parts = {}
-    for kind, names in (("leg", LEG), ("arm", ARM)):
-        for side in SIDES:
-            if all(limbs.get((side, part), -1) >= 0 for part in names):
-                kept = (*LIMBS[kind], "palm")
-                parts |= {
-                    (side, part): limbs[side, part] for part in kept if limbs.get((side, part), -1) >= 0
-                }
-    return Person(
-        own(person.pelvis), chain(person.spine), chain(person.neck), own(person.head), parts, {}, ()
-    )
+def _sides_of(person: Person, error: UnknownSides) -> Person:
+    """A person whose sides are wrong with them exchanged, and one whose sides do not show without limbs."""
+    return swap_sides(person) if error.swapped else person._replace(parts={}, fingers={})
 
 
-def _matched(source: Person, target: Person) -> tuple[dict[int, int], dict[int, tuple[int, int, float]]]:
-    pairs = {there: source.parts[key] for key, there in target.parts.items() if key in source.parts}
-    if source.pelvis >= 0 and target.pelvis >= 0:
-        pairs[target.pelvis] = source.pelvis
-    if source.head >= 0 and target.head >= 0:
-        pairs[target.head] = source.head
-    for (side, finger, number), there in target.fingers.items():
-        alike = [finger, *({"finger": ["middle", "index"], "thumb": []}.get(finger, ["finger"]))]
-        here = [
-            source.fingers[side, name, number] for name in alike if (side, name, number) in source.fingers
-        ]
-        if here:
-            pairs[there] = here[0]
-    followed = {there: (here, here, 0.0) for there, here in pairs.items()}
-    if source.pelvis >= 0 and target.pelvis >= 0:
-        spine = _shared([source.pelvis, *source.spine], target.spine)
-        chest = source.spine[-1] if source.spine else source.pelvis
-        if source.neck or source.head < 0 or target.head < 0:
-            neck = _shared([chest, *source.neck], target.neck)
-        else:
-            steps = len(target.neck) + 1
-            neck = {there: (chest, source.head, (k + 1) / steps) for k, there in enumerate(target.neck)}
-        for there, (a, b, share) in {**spine, **neck}.items():
-            followed[there] = (a, b, share)
-            if share == 0.0:
-                pairs[there] = a
-    return pairs, followed
+def _refused(
+    sentence: str,
+    skeletons: tuple[Skeleton, Skeleton],
+    persons: tuple[Person, Person],
+    table: Table,
+    pairs: Mapping[int, int] | None = None,
+    *,
+    alike: bool = True,
+) -> UnmatchedJoints:
+    """A refusal with a table to start from."""
+    found = pair_joints(*persons, table)[0] if pairs is None else pairs
+    chosen = table_to_start(*skeletons, persons[1] if alike else None, found, table)
+    return UnmatchedJoints(sentence, *names_to_start(*skeletons, chosen, table.none))
 
 
-def _shared(source: list[int], target: tuple[int, ...]) -> dict[int, tuple[int, int, float]]:
-    """Joints of a chain of the target as places along one of the source, whose first joint is above the target's chain; the last are the same."""
-    count, found = len(source) - 1, {}
-    for place, joint in enumerate(target if count else ()):
-        along = (place + 1) * count / len(target)
-        low = int(np.floor(along + 1e-9))
-        share = max(along - low, 0.0)
-        found[joint] = (
-            (source[low], source[low], 0.0) if share < 1e-9 else (source[low], source[low + 1], share)
-        )
-    return found
-
-
-def _called_alike(source: Skeleton, target: Skeleton, pairs: dict[int, int], followed) -> None:
-    """Match what is left and called alike, where what it hangs on matches."""
-    plain = {}
-    for joint, name in enumerate(source.names):
-        plain.setdefault(plain_name(name), []).append(joint)
-    taken = set(pairs.values())
-    called = [plain_name(name) for name in target.names]
-    for joint, name in enumerate(called):
-        here = plain.get(name, [])
-        if joint in followed or len(here) != 1 or here[0] in taken or called.count(name) > 1:
-            continue
-        above = target.parents[joint]
-        while above >= 0 and above not in pairs:
-            above = target.parents[above]
-        if above >= 0 and not source.descent[pairs[above], here[0]]:
-            continue
-        pairs[joint] = here[0]
-        followed[joint] = (here[0], here[0], 0.0)
-        taken.add(here[0])
-
-
-def _to_the_end_of_bones(source: Skeleton, target: Person, pairs: Mapping[int, int], followed) -> None:
-    """Let upper arms and thighs turn as the far ends of the source's bones do, where twist joints lie along them: then elbows and knees bend as much
-    as the source's."""
-    centres = np.asarray(source.centres, float)
+def _check_chains(matches: JointMatches, table: Table) -> None:
+    """That the joints of limbs that a table is of hang on each other. Raises `ValueError`."""
+    person, names = matches.stands[1].person, matches.source.names
     for side in SIDES:
         for kind in ("leg", "arm"):
-            limb = target.limb(side, kind)
-            if not limb or limb[0] not in pairs or limb[1] not in pairs:
+            limb = person.limb(side, kind)
+            own = [matches.pairs[joint] for joint in limb if joint in matches.pairs]
+            if not set(limb) & set(table.pairs):
                 continue
-            first, joint = pairs[limb[0]], source.parents[pairs[limb[1]]]
-            end = centres[pairs[limb[1]]]
-            while joint >= 0 and joint != first:
-                if np.linalg.norm(end - centres[joint]) > ON_BONE * np.linalg.norm(end - centres[first]):
-                    if source.descent[first, joint]:
-                        followed[limb[0]] = (joint, joint, 0.0)
-                    break
-                joint = source.parents[joint]
+            for above, below in pairwise(own):
+                if not matches.source.descent[above, below]:
+                    raise ValueError(
+                        f"By the table of names {', '.join(names[joint] for joint in own)} are the {side} {kind}, and {names[below]} does not hang "
+                        f"on {names[above]}; mend the table."
+                    )
 
 
-def _check_limbs(matches: JointMatches, by_table: bool) -> list[str]:
+def _facing(matches: JointMatches, table: Table) -> list[str]:
+    """A warning where the sides of a table make a person look backwards."""
+    looks = [backward(stand.person, stand.places, stand.axes) for stand in matches.stands]
+    if not table.pairs or looks[0] == looks[1]:
+        return []
+    return [
+        "by the table of names the left is where by the toes the right is, so left and right of the motion are exchanged unless the file is mirrored"
+    ]
+
+
+def _check_limbs(matches: JointMatches, table: Table) -> list[str]:
     """Warnings of limbs without a match.
 
-    **Raises:** `UnmatchedJoints` where no arm or no leg has one, unless a table says so.
+    **Raises:** `UnmatchedJoints` where no arm or no leg has one, unless a table is given and no joint of the source is left that could be of one.
     """
     here, there = (stand.person for stand in matches.stands)
     said = []
@@ -211,12 +150,15 @@ def _check_limbs(matches: JointMatches, by_table: bool) -> list[str]:
         elif sides or (own and len(matches.unmatched_target) >= LEAST):
             whose, other = ("target", "source") if sides else ("source", "target")
             sentence = f"no {kind} of the {whose} has a match in the {other}"
-            if not by_table:
-                left = list(matches.unmatched_source)[:SAID]
-                raise UnmatchedJoints(
-                    f"N{sentence[1:]}, neither by names nor by the tree; joints of the source without a match: "
-                    f"{', '.join(left) or 'none'}; say which joints match by a table of names.",
-                    matches.names,
+            left = list(matches.unmatched_source)
+            if left or not table.given:
+                raise _refused(
+                    f"N{sentence[1:]}, neither by names nor by the tree{' nor by the table' if table.given else ''}; joints of the source without a "
+                    f"match: {', '.join(left[:SAID]) or 'none'}; say which joints match by a table of names.",
+                    (matches.source, matches.target),
+                    (here, there),
+                    table,
+                    matches.pairs,
                 )
             said.append(f"{sentence} by the table of names")
         elif own:

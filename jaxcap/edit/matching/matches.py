@@ -1,5 +1,6 @@
 """Say which joints of two skeletons match, and what becomes of those that do not."""
 
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from ...body.skeleton import Skeleton
@@ -7,11 +8,16 @@ from .reference import Reference
 
 
 class UnmatchedJoints(ValueError):
-    """Say that limbs have no match; `names` is a table to start from, None where a joint of the source has no match."""
+    """Say that limbs have no match.
 
-    def __init__(self, message: str, names: dict[str, str | None]):
+    `names` is a table to start from; None where the table that was given says that a joint of the source has no match. `open` are the joints of
+    the source that nothing is known of.
+    """
+
+    def __init__(self, message: str, names: dict[str, str | None], open: tuple[str, ...] = ()):
         super().__init__(message)
         self.names = names
+        self.open = open
 
 
 class JointMatches(NamedTuple):
@@ -73,7 +79,9 @@ class JointMatches(NamedTuple):
             if joint in self.followed:
                 a, b, share = self.followed[joint]
                 found[name] = (
-                    f"turns {share:.0%} of the way from {self.source.names[a]} to {self.source.names[b]}"
+                    f"turns with {self.source.names[a]}"
+                    if a == b
+                    else f"turns {share:.0%} of the way from {self.source.names[a]} to {self.source.names[b]}"
                 )
             else:
                 parent = self.target.parents[joint]
@@ -100,6 +108,20 @@ class JointMatches(NamedTuple):
                 f"the source's rest pose does not stand; frame {frame}, in which it stands straightest, takes its place"
             )
         return said
+
+
+def names_to_start(
+    source: Skeleton, target: Skeleton, pairs: Mapping[int, int], none: Collection[int]
+) -> tuple[dict[str, str | None], tuple[str, ...]]:
+    """Write pairs as a table of names for `UnmatchedJoints`, with the joints of the source that are open."""
+    found = {here: target.names[there] for there, here in pairs.items()}
+    names = {
+        name: found.get(joint) for joint, name in enumerate(source.names) if joint in found or joint in none
+    }
+    left = (
+        name for joint, name in enumerate(source.names) if name not in names and not _is_end(source, joint)
+    )
+    return names, tuple(left)
 
 
 def _is_end(skeleton: Skeleton, joint: int) -> bool:

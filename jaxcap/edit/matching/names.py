@@ -6,6 +6,7 @@ scheme and the upper arm in another; the tree then decides (`limbs`).
 """
 
 import re
+from itertools import dropwhile
 from typing import Literal, NamedTuple
 
 Side = Literal["left", "right"]
@@ -34,7 +35,8 @@ _PARTS: dict[tuple[str, ...], str] = {
     ("hand",): "wrist carpus",
     ("hand", "palm"): "hand",
     ("palm",): "palm fingerbase",
-    ("hip_side",): "hipjoint buttock",
+    ("hip_side", "thigh"): "hipjoint",
+    ("hip_side",): "buttock",
     ("pelvis",): "hips pelvis root cog spinebase hipcenter hipcentre lowerbody",
     (
         "spine",
@@ -112,9 +114,12 @@ def read_name(name: str) -> JointName:
         else:
             kept.append(word)
     side = next(iter(sides)) if len(sides) == 1 else None
-    parts = _parts("".join(kept), side) or _parts("".join(word for word in kept if word not in _EMPTY), side)
+    bare = "".join(word for word in kept if word not in _EMPTY)
+    # words before the part are a prefix; one behind it, as in HipJoint or FingerBase, may be of it
+    parts = _parts("".join(kept), side) or _parts("".join(dropwhile(_EMPTY.__contains__, kept)), side)
+    parts = parts or _parts(bare, side)
     if not parts and not sides:
-        side, parts, helper = _glued("".join(word for word in kept if word not in _EMPTY), helper)
+        side, parts, helper = _glued(bare, helper)
     return JointName(side, parts, number, helper)
 
 

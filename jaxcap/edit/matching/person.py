@@ -1,5 +1,6 @@
 """Name the joints of a person: limbs, trunk, neck, head, hands and feet, whatever the file calls them."""
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,8 +14,6 @@ from .names import ARM, FINGERS, LEG, JointName, Side, read_name
 
 #: parts of one limb, from the trunk on
 LIMBS = {"leg": (*LEG, "toes"), "arm": ("clavicle", *ARM)}
-#: toes point forward by so many of their lengths at least where they say which side is left
-POINTED = 0.3
 
 
 class Person(NamedTuple):
@@ -35,12 +34,20 @@ class Person(NamedTuple):
     def limb(self, side: Side, kind: str) -> tuple[int, ...]:
         """Thigh, shin and foot of a "leg", or upper arm, forearm and hand of an "arm"; empty where it is not there."""
         names = LEG if kind == "leg" else ARM
-        return tuple(self.parts[side, part] for part in names) if (side, names[0]) in self.parts else ()
+        return (
+            tuple(self.parts[side, part] for part in names)
+            if all((side, part) in self.parts for part in names)
+            else ()
+        )
 
 
-def find_person(skeleton: Skeleton) -> Person:
-    """Find a person in a skeleton, by the names of its joints and by its tree; no pose counts."""
-    names = [read_name(name) for name in skeleton.names]
+def find_person(skeleton: Skeleton, told: Mapping[int, JointName] | None = None) -> Person:
+    """Find a person in a skeleton, by the names of its joints and by its tree; no pose counts.
+
+    **Arguments:** `told` is what the names of some joints say in place of what they are.
+    """
+    told = told or {}
+    names = [told.get(joint) or read_name(name) for joint, name in enumerate(skeleton.names)]
     limbs = find_limbs(skeleton, names)
     parts: dict[tuple[Side, str], int] = {}
     for kind, found in (("leg", limbs.legs), ("arm", limbs.arms)):
@@ -60,39 +67,6 @@ def find_person(skeleton: Skeleton) -> Person:
         if found and not any(limb.side for limb in found)
     )
     return Person(pelvis, spine, neck, head, parts, fingers, sideless)
-
-
-def settle_sides(person: Person, places: Float[np.ndarray, "J 3"], up: Float[np.ndarray, "3"]) -> Person:
-    """Find left and right of limbs without sides in their names, by the joints' places in a pose that stands along `up`: by limbs that have
-    sides, or by the toes, which point forward.
-
-    **Raises:** `ValueError` where neither shows the sides, or the toes show that names and places contradict each other.
-    """
-    left = np.zeros(3)
-    for kind, part in (("leg", "thigh"), ("arm", "upper_arm")):
-        if kind not in person.sideless and ("left", part) in person.parts and ("right", part) in person.parts:
-            left += places[person.parts["left", part]] - places[person.parts["right", part]]
-    forward = _forward(person, places, up)
-    if forward is not None and left.any() and np.cross(up, forward) @ left < 0:
-        raise ValueError(
-            "By the names of its joints this person's left is where by its toes the right is: the names are swapped, or the file is "
-            "mirrored; say which joints match by a table of names."
-        )
-    if not person.sideless:
-        return person
-    if not left.any():
-        if forward is None:
-            raise ValueError(
-                "No name says which limbs are left and right, and no toes show where the front is; say which joints match by a table of "
-                "names."
-            )
-        left = np.cross(up, forward)
-    for kind in person.sideless:
-        first = "thigh" if kind == "leg" else "upper_arm"
-        across = places[person.parts["left", first]] - places[person.parts["right", first]]
-        if across @ left < 0:
-            person = _swapped(person, kind)
-    return person
 
 
 def trunk_direction(
@@ -271,32 +245,6 @@ def _hand(skeleton: Skeleton, names: list[JointName], parts, fingers, side: Side
 
 def _below(skeleton: Skeleton, joint: int) -> list[int]:
     return [below for below in np.flatnonzero(skeleton.descent[joint]).tolist() if below != joint]
-
-
-def _forward(person: Person, places: np.ndarray, up: np.ndarray) -> np.ndarray | None:
-    """Where the toes point, level; None where they are not there or point nowhere."""
-    feet = [
-        (person.parts.get((side, "foot")), person.parts.get((side, "toes"))) for side in ("left", "right")
-    ]
-    steps = [places[toes] - places[foot] for foot, toes in feet if foot is not None and toes is not None]
-    if not steps:
-        return None
-    level = sum(step - (step @ up) * up for step in steps)
-    assert isinstance(level, np.ndarray)
-    return level if np.linalg.norm(level) > POINTED * sum(np.linalg.norm(step) for step in steps) else None
-
-
-def _swapped(person: Person, kind: str) -> Person:
-    """With left and right of one kind of limb exchanged."""
-    own = {*LIMBS[kind], *(("palm",) if kind == "arm" else ())}
-    other: dict[Side, Side] = {"left": "right", "right": "left"}
-    parts = {
-        (other[side] if part in own else side, part): joint for (side, part), joint in person.parts.items()
-    }
-    fingers = person.fingers
-    if kind == "arm":
-        fingers = {(other[side], finger, n): joint for (side, finger, n), joint in fingers.items()}
-    return person._replace(parts=parts, fingers=fingers)
 
 
 def nearest_up(direction: Float[np.ndarray, "3"], within: float) -> Float[np.ndarray, "3"]:

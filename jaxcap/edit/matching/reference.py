@@ -4,6 +4,7 @@ Rest poses of files need not be poses of a person: where joints have frames of t
 BVH file lie along one axis until the first frame. Then the frame of the motion in which the person stands straightest takes the place of rest.
 """
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
 from ...geometry.axes import nearest_axis
-from .person import Person, nearest_up, settle_sides, trunk_direction
+from .person import Person, nearest_up, trunk_direction
+from .sides import UnknownSides, settle_sides
 
 #: cosine between trunk and legs of somebody who stands, at most, and how long a leg is of its bones, at least
 STANDS, STRETCHED = -0.5, 0.7
@@ -37,17 +39,20 @@ class Reference(NamedTuple):
     up: Float[np.ndarray, "3"] | None
 
 
-def find_reference(skeleton: Skeleton, person: Person, motion: Motion | None, which: str) -> Reference:
+def find_reference(
+    skeleton: Skeleton, person: Person, motion: Motion | None, which: str, told: Collection[str] = ()
+) -> Reference:
     """Find the pose in which a person stands: rest, or else the straightest frame of a motion; and the sides of limbs without sides in their names.
 
-    **Arguments:** `which` is "source" or "target", for sentences.
+    **Arguments:** `which` is "source" or "target", for sentences. `told` are kinds of limbs whose sides a table says.
 
-    **Raises:** `ValueError` where the person stands neither at rest nor in any frame, or left and right do not show.
+    **Raises:** `ValueError` where the person stands neither at rest nor in any frame; `UnknownSides`, which is one too, where left and right do
+    not show.
     """
     rest = np.asarray(skeleton.centres, float)
     still = np.tile([1.0, 0, 0, 0], (len(rest), 1))
     if standing(person, rest) > 0:
-        return _reference(person, rest, still, None, which)
+        return _reference(person, rest, still, None, which, told)
     if motion is None or len(motion) == 0:
         raise ValueError(
             f"The rest pose of the {which} is not that of somebody who stands, so it cannot be compared with another one; "
@@ -66,7 +71,7 @@ def find_reference(skeleton: Skeleton, person: Person, motion: Motion | None, wh
             f"The {which} stands neither at rest nor in any frame, legs below the trunk, so its rest pose cannot be compared with another "
             "one; give a motion with a frame in which it stands."
         )
-    return _reference(person, places[best], turns[best], int(frames[best]), which)
+    return _reference(person, places[best], turns[best], int(frames[best]), which, told)
 
 
 def posed(skeleton: Skeleton, poses: Pose) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F J 4"]]:
@@ -112,7 +117,12 @@ def standing(person: Person, places: Float[np.ndarray, "J 3"]) -> float:
 
 
 def _reference(
-    person: Person, places: np.ndarray, turns: np.ndarray, frame: int | None, which: str
+    person: Person,
+    places: np.ndarray,
+    turns: np.ndarray,
+    frame: int | None,
+    which: str,
+    told: Collection[str],
 ) -> Reference:
     trunk = trunk_direction(person, places)
     up = None
@@ -123,9 +133,9 @@ def _reference(
         return Reference(person, places, turns, frame, None, up)
     along = nearest_up(trunk, NEAR)
     try:
-        person = settle_sides(person, places, along)
-    except ValueError as error:
-        raise ValueError(f"In the {which}: {error}") from None
+        person = settle_sides(person, places, along, told)
+    except UnknownSides as error:
+        raise UnknownSides(f"In the {which}: {error}", error.swapped) from None
     left = np.zeros(3)
     for part in ("thigh", "upper_arm"):
         if ("left", part) in person.parts and ("right", part) in person.parts:

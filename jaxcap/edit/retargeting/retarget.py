@@ -40,15 +40,15 @@ def retarget(
     middle of the hips follows that of the source, scaled by the ratio of the leg lengths about the floor, so that feet keep to it;
     without matched legs the root does, scaled by the ratio of all matched bones. Heights are along `vertical`.
 
-    **Arguments:** `names` leads from joints of the source to those of the target, or to None; where it is given nothing else
-    matches. `floor` is how high the floor of the source lies, metres; where it is not given, the lowest joint stands on it
+    **Arguments:** `names` leads from joints of the source to those of the target, or to None for a joint that has no match, and
+    overrules what names and trees show. `floor` is how high the floor of the source lies, metres; where it is not given, the lowest joint stands on it
     (`floor_of`), which is some centimetres too high for a body whose soles are below its toes' joints: the feet then miss the floor by
     that times one less the ratio. `plan` is what `plan_retarget` found for this motion, where it is known already; `names` then says
     nothing, and the warnings of its matches are the caller's to pass on.
 
-    **Warns:** `UserWarning` where one arm or one leg has no match, or where a table leaves limbs out.
+    **Warns:** `UserWarning` where one arm or one leg has no match, or where a table puts left where the right is.
 
-    **Raises:** `UnmatchedJoints`, a `ValueError`, where both arms or both legs have no match; `ValueError` for a name that a skeleton does
+    **Raises:** `UnmatchedJoints`, a `ValueError`, where both arms or both legs have no match or left and right do not show; `ValueError` for a name that a skeleton does
     not have, where fewer than three joints match, where neither rest nor motion stands, or when the motion has other joints than
     `source`.
     """

@@ -1,0 +1,140 @@
+"""Pair the joints of two persons, and say which bones the bones of the target turn with."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...body.skeleton import Skeleton
+from .names import Side, plain_name
+from .person import Person
+from .table import Table
+
+SIDES: tuple[Side, Side] = ("left", "right")
+#: a joint that is nearer to the end of an upper arm or thigh, as a share of its length, is not on the bone but of the next joint
+ON_BONE = 0.05
+
+#: joint of the target -> (a, b, share) of the source
+Followed = dict[int, tuple[int, int, float]]
+
+
+def pair_joints(source: Person, target: Person, table: Table) -> tuple[dict[int, int], Followed]:
+    """Pair joints that are the same joint of a person, from target to source, and say what each joint of the target follows.
+
+    **Arguments:** `source` has the joints of the `table` where the target has them.
+    """
+    pairs = {there: source.parts[key] for key, there in target.parts.items() if key in source.parts}
+    if source.pelvis >= 0 and target.pelvis >= 0:
+        pairs[target.pelvis] = source.pelvis
+    if source.head >= 0 and target.head >= 0:
+        pairs[target.head] = source.head
+    for (side, finger, number), there in target.fingers.items():
+        alike = [finger, *({"finger": ["middle", "index"], "thumb": []}.get(finger, ["finger"]))]
+        here = [
+            source.fingers[side, name, number] for name in alike if (side, name, number) in source.fingers
+        ]
+        if here:
+            pairs[there] = here[0]
+    given = table.given
+    pairs = {there: here for there, here in pairs.items() if here not in given and there not in table.pairs}
+    pairs |= table.pairs
+    followed = {there: (here, here, 0.0) for there, here in pairs.items()}
+    taken = {*pairs.values(), *table.none}
+    for there, (a, b, share) in _trunk(source, target, table).items():
+        if there in table.pairs:
+            continue
+        followed[there] = (a, b, share)
+        if share == 0.0 and a not in taken:
+            pairs[there] = a
+            taken.add(a)
+    return pairs, followed
+
+
+def _trunk(source: Person, target: Person, table: Table) -> Followed:
+    """What the spine and the neck of the target follow."""
+    if source.pelvis < 0 or target.pelvis < 0:
+        return {}
+    spine = _shared([source.pelvis, *source.spine], target.spine, table)
+    chest = source.spine[-1] if source.spine else source.pelvis
+    if source.neck or source.head < 0 or target.head < 0:
+        return spine | _shared([chest, *source.neck], target.neck, table)
+    steps = len(target.neck) + 1
+    return spine | {there: (chest, source.head, (k + 1) / steps) for k, there in enumerate(target.neck)}
+
+
+def _shared(source: Sequence[int], target: Sequence[int], table: Table) -> Followed:
+    """Joints of a chain of the target as places along one of the source, whose first joint is above the target's chain; the last are the same, and so
+    are those of the table."""
+    count, found = len(source) - 1, {}
+    if not count:
+        return found
+    known = {0: 0, len(target): count} | {
+        place: source.index(table.pairs[joint])
+        for place, joint in enumerate(target, 1)
+        if table.pairs.get(joint) in source
+    }
+    places = sorted(known)
+    # joints that the table has for something else, or for nothing, are no place to be at
+    closed = [joint in table.given for joint in source]
+    for place, joint in enumerate(target, 1):
+        along = float(np.interp(place, places, [known[each] for each in places]))
+        low = int(np.floor(along + 1e-9))
+        share = max(along - low, 0.0)
+        if share >= 1e-9:
+            found[joint] = (source[low], source[low + 1], share)
+            continue
+        above = max((k for k in range(low) if not closed[k]), default=0)
+        below = min((k for k in range(low + 1, count + 1) if not closed[k]), default=above)
+        if not closed[low] or below == above:
+            found[joint] = (source[low], source[low], 0.0)
+        else:
+            found[joint] = (source[above], source[below], (low - above) / (below - above))
+    return found
+
+
+def pair_alike(
+    source: Skeleton, target: Skeleton, pairs: dict[int, int], followed: Followed, table: Table
+) -> None:
+    """Pair what is left and called alike, where it hangs on joints that match and those below it are below it in both."""
+    plain = {}
+    for joint, name in enumerate(source.names):
+        plain.setdefault(plain_name(name), []).append(joint)
+    taken = {*pairs.values(), *table.none}
+    called = [plain_name(name) for name in target.names]
+    for joint, name in enumerate(called):
+        here = plain.get(name, [])
+        if joint in followed or len(here) != 1 or here[0] in taken or called.count(name) > 1:
+            continue
+        above = target.parents[joint]
+        while above >= 0 and above not in pairs:
+            above = target.parents[above]
+        if above >= 0 and not source.descent[pairs[above], here[0]]:
+            continue
+        if any(not source.descent[here[0], own] for own in _matched_below(target, joint, pairs)):
+            continue
+        pairs[joint] = here[0]
+        followed[joint] = (here[0], here[0], 0.0)
+        taken.add(here[0])
+
+
+def _matched_below(target: Skeleton, joint: int, pairs: Mapping[int, int]) -> list[int]:
+    """The joints of the source that match one below a joint of the target."""
+    return [here for there, here in pairs.items() if there != joint and target.descent[joint, there]]
+
+
+def follow_ends(source: Skeleton, target: Person, pairs: Mapping[int, int], followed: Followed) -> None:
+    """Let upper arms and thighs turn as the far ends of the source's bones do, where twist joints lie along them: then elbows and knees bend as much
+    as the source's."""
+    centres = np.asarray(source.centres, float)
+    for side in SIDES:
+        for kind in ("leg", "arm"):
+            limb = target.limb(side, kind)
+            if not limb or limb[0] not in pairs or limb[1] not in pairs:
+                continue
+            first, joint = pairs[limb[0]], source.parents[pairs[limb[1]]]
+            end = centres[pairs[limb[1]]]
+            while joint >= 0 and joint != first:
+                if np.linalg.norm(end - centres[joint]) > ON_BONE * np.linalg.norm(end - centres[first]):
+                    if source.descent[first, joint]:
+                        followed[limb[0]] = (joint, joint, 0.0)
+                    break
+                joint = source.parents[joint]

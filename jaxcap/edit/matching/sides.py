@@ -1,0 +1,112 @@
+"""Find which limbs of a person are left and which right, and whether names and places agree on it."""
+
+from collections.abc import Collection
+
+import numpy as np
+from jaxtyping import Float
+
+from .names import Side
+from .person import LIMBS, Person
+
+#: toes point forward by so many of their lengths at least where they say which side is left
+POINTED = 0.3
+
+
+class UnknownSides(ValueError):
+    """Say that left and right do not show, or, where they are `swapped`, that names and places contradict each other."""
+
+    def __init__(self, message: str, swapped: bool = False):
+        super().__init__(message)
+        self.swapped = swapped
+
+
+def settle_sides(
+    person: Person,
+    places: Float[np.ndarray, "J 3"],
+    up: Float[np.ndarray, "3"],
+    told: Collection[str] = (),
+) -> Person:
+    """Find left and right of limbs without sides in their names, by the joints' places in a pose that stands along `up`: by limbs that have
+    sides, or by the toes, which point forward.
+
+    **Arguments:** `told` are kinds of limbs whose sides are said by somebody who knows: toes do not count against these.
+
+    **Raises:** `UnknownSides` where neither shows the sides, the toes show that names and places contradict each other, or legs and arms do.
+    """
+    across = _across(person, places, up)
+    if len(across) == 2 and across["leg"] @ across["arm"] < 0:
+        raise UnknownSides(
+            "The left leg is on the side of the right arm, by the names of joints or by the table of names: left and right of the legs are "
+            "swapped, or those of the arms; mend the table, or say which joints match by one."
+        )
+    forward = _forward(person, places, up)
+    named = sum((step for kind, step in across.items() if kind not in told), np.zeros(3))
+    if forward is not None and named.any() and np.cross(up, forward) @ named < 0:
+        raise UnknownSides(
+            "By the names of its joints this person's left is where by its toes the right is: the names are swapped, or the file is "
+            "mirrored; say which joints match by a table of names.",
+            swapped=True,
+        )
+    if not person.sideless:
+        return person
+    left = sum(across.values(), np.zeros(3))
+    if not left.any():
+        if forward is None:
+            raise UnknownSides(
+                "No name says which limbs are left and right, and no toes show where the front is; say by a table of names which joint is "
+                "which: one of a leg or of an arm is enough."
+            )
+        left = np.cross(up, forward)
+    for kind in person.sideless:
+        first = "thigh" if kind == "leg" else "upper_arm"
+        step = places[person.parts["left", first]] - places[person.parts["right", first]]
+        if step @ left < 0:
+            person = _swapped(person, kind)
+    return person
+
+
+def backward(person: Person, places: Float[np.ndarray, "J 3"], axes: Float[np.ndarray, "3 3"] | None) -> bool:
+    """Say whether the toes point backward for somebody with such `axes`, left, up and front."""
+    forward = None if axes is None else _forward(person, places, axes[:, 1])
+    return forward is not None and axes is not None and bool(forward @ axes[:, 2] < 0)
+
+
+def swap_sides(person: Person) -> Person:
+    """Exchange left and right of a person."""
+    return _swapped(_swapped(person, "leg"), "arm")
+
+
+def _across(person: Person, places: np.ndarray, up: np.ndarray) -> dict[str, np.ndarray]:
+    """Steps from right to left, level, of the kinds of limbs whose sides are known."""
+    found = {}
+    for kind, part in (("leg", "thigh"), ("arm", "upper_arm")):
+        if kind not in person.sideless and ("left", part) in person.parts and ("right", part) in person.parts:
+            step = places[person.parts["left", part]] - places[person.parts["right", part]]
+            found[kind] = step - (step @ up) * up
+    return found
+
+
+def _forward(person: Person, places: np.ndarray, up: np.ndarray) -> np.ndarray | None:
+    """Where the toes point, level; None where they are not there or point nowhere."""
+    feet = [
+        (person.parts.get((side, "foot")), person.parts.get((side, "toes"))) for side in ("left", "right")
+    ]
+    steps = [places[toes] - places[foot] for foot, toes in feet if foot is not None and toes is not None]
+    if not steps:
+        return None
+    level = sum(step - (step @ up) * up for step in steps)
+    assert isinstance(level, np.ndarray)
+    return level if np.linalg.norm(level) > POINTED * sum(np.linalg.norm(step) for step in steps) else None
+
+
+def _swapped(person: Person, kind: str) -> Person:
+    """With left and right of one kind of limb exchanged."""
+    own = {*LIMBS[kind], *(("palm",) if kind == "arm" else ())}
+    other: dict[Side, Side] = {"left": "right", "right": "left"}
+    parts = {
+        (other[side] if part in own else side, part): joint for (side, part), joint in person.parts.items()
+    }
+    fingers = person.fingers
+    if kind == "arm":
+        fingers = {(other[side], finger, n): joint for (side, finger, n), joint in fingers.items()}
+    return person._replace(parts=parts, fingers=fingers)
