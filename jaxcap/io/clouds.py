@@ -143,6 +143,8 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
         own = None if normals is None else _known(np.asarray(normals[rows], float))
         if faces is None:
             return here, own, NO_FACES
+        # before anything is computed of them
+        check_points(here, f"{path}[{frame}]")
         return here, vertex_normals(here, faces) if own is None else own, faces
 
     return Scans([f"{path}[{frame}]" for frame in frames], load)
