@@ -1,5 +1,6 @@
 """Bodies, skeletons and motions in lines of text."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.mesh import check_mesh, read_mesh
 from ...io.registry import read_skinned
+from ...io.text import shortened
 from ..motions import load_motion, tell_clip
 from ..say import say
+from .listing import indented, say_list
 
 
 def tell_body(body: Body) -> None:
@@ -27,11 +30,15 @@ def tell_skeleton(skeleton: Skeleton) -> None:
     """Say which joints a skeleton has, each below its parent."""
     kinds = [f"{skeleton.kinds.count(kind)} {kind}" for kind in dict.fromkeys(skeleton.kinds)]
     say(f"skeleton: {skeleton.num_joints} joints ({', '.join(kinds)}), {skeleton.num_dofs} parameters")
+    say_list(_joints(skeleton), skeleton.num_joints, "joints")
+
+
+def _joints(skeleton: Skeleton) -> Iterator[str]:
     for name, parent, kind, depth in zip(
         skeleton.names, skeleton.parents, skeleton.kinds, skeleton.depths, strict=True
     ):
-        above = "" if parent < 0 else f" on {skeleton.names[parent]}"
-        say(f"{'  ' * (int(depth) + 1)}{name} ({kind}{above})")
+        above = "" if parent < 0 else f" on {shortened(skeleton.names[parent])}"
+        yield indented(f"{shortened(name)} ({kind}{above})", int(depth))
 
 
 def tell_motion(motion: Motion) -> None:
