@@ -19,6 +19,7 @@ from ..io.registry import (
     SKELETON_READERS,
     SKELETON_WRITERS,
     SKINNED_READERS,
+    is_rigged,
     is_skinned,
 )
 
@@ -41,7 +42,7 @@ OWN_UNIT = (".npz", *SKINNED_READERS, ".asf", ".amc")
 def find_way(source: Path, target: Path) -> Way:
     """What the suffixes ask for. Raises `InputError` where there is no such way."""
     here, there = suffix_of(source), target.suffix.lower()
-    if there in BODY_WRITERS and (here == ".npz" or is_skinned(source)):
+    if there in BODY_WRITERS and (here == ".npz" or is_skinned(source) or is_rigged(source)):
         return "body"
     if here in SUFFIXES and there in MESH_WRITTEN:
         return "mesh"

@@ -21,7 +21,7 @@ from .frame_rows import pack, results_of, results_width, row_template, row_width
 from .heartbeat import doing
 from .options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, Skl, Unit, Up, Vj, arg
 from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
-from .say import progress, say, warn
+from .say import counted, progress, say, warn
 from .sources import Clouds, load_body, load_cloud
 from .terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
 from .timed import timed
@@ -120,7 +120,7 @@ class Track:
         results = results_of(template, rows)
         write_results(self.out, body.skeleton, results, self.rate, scans.names)
         say(
-            f"{len(rows)} frames in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
+            f"{counted(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
         for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):

@@ -13,7 +13,7 @@ from ...io.mesh import check_mesh, read_mesh
 from ...io.registry import read_skinned
 from ...io.text import shortened
 from ..motions import load_motion, tell_clip
-from ..say import say
+from ..say import counted, say
 from .listing import indented, say_list
 
 
@@ -29,7 +29,9 @@ def tell_body(body: Body) -> None:
 def tell_skeleton(skeleton: Skeleton) -> None:
     """Say which joints a skeleton has, each below its parent."""
     kinds = [f"{skeleton.kinds.count(kind)} {kind}" for kind in dict.fromkeys(skeleton.kinds)]
-    say(f"skeleton: {skeleton.num_joints} joints ({', '.join(kinds)}), {skeleton.num_dofs} parameters")
+    say(
+        f"skeleton: {counted(skeleton.num_joints, 'joint')} ({', '.join(kinds)}), {skeleton.num_dofs} parameters"
+    )
     say_list(_joints(skeleton), skeleton.num_joints, "joints")
 
 
@@ -44,7 +46,7 @@ def _joints(skeleton: Skeleton) -> Iterator[str]:
 def tell_motion(motion: Motion) -> None:
     """Say how long a motion is."""
     count = motion.num_frames
-    say(f"motion: {count} frames at {motion.rate:g} a second, {count / motion.rate:.2f} s")
+    say(f"motion: {counted(count, 'frame')} at {motion.rate:g} a second, {count / motion.rate:.2f} s")
 
 
 def tell_skinned(path: Path) -> str:
@@ -71,7 +73,7 @@ def tell_mesh(path: Path, unit: str) -> str:
     what = "mesh" if len(mesh.faces) else "cloud"
     normals = ", with normals" if mesh.normals is not None else ""
     say(
-        f"{what}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {metres(np.ptp(mesh.vertices, axis=0))}{normals}"
+        f"{what}: {counted(len(mesh.vertices), 'vertex', 'vertices')}, {counted(len(mesh.faces), 'face')}, {metres(np.ptp(mesh.vertices, axis=0))}{normals}"
     )
     if not len(mesh.faces):
         return "cloud"
