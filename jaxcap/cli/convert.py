@@ -81,7 +81,7 @@ class Convert:
             raise InputError(f"{self.source}: there is no such file; check the path.")
         # the human is what a body file would be
         own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
-        way: Way = "own" if own else find_way(Path("human.npz") if human else self.source, self.target)
+        way: Way = "own" if own else find_way(self.source, self.target, human)
         self.check(way)
         {
             "own": self.write_own,
