@@ -1,5 +1,8 @@
 """Whether the quaternions of USD prims are rotations: OpenUSD itself takes one of no length for no rotation."""
 
+# pxr fills its modules as it is imported and has no stubs
+# pyright: reportAttributeAccessIssue=false
+
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
