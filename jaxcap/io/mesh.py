@@ -114,7 +114,8 @@ def check_points(points: np.ndarray, where: str | Path) -> None:
     """Raises `InputError` where there are no points, or some are NaN, infinite or too large for any length."""
     if len(points) == 0:
         raise InputError(f"{where}: there are no points in it; give at least one.")
-    wrong = ~(np.abs(points) <= LARGEST).all(1)
+    # half floats do not hold a number so large: beside a double they become doubles
+    wrong = ~(np.abs(points) <= np.float64(LARGEST)).all(1)
     if wrong.any():
         why = "too large" if np.isfinite(points).all() else "NaN or infinite"
         raise InputError(
