@@ -15,6 +15,11 @@ import numpy as np
 from benchmarks._fuzz_scenes import JSONS, LONG, archive, gltf_files, usd_files
 from benchmarks._fuzz_seeds import ASF, HEADER
 
+#: the header of a mesh, for its numbers of vertices and faces
+_PLY = (
+    "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face {}\nproperty list uchar int vertex_indices\nend_header\n"
+)
 #: bytes that bombs inflate to
 BOMB = 2**30
 
@@ -215,7 +220,9 @@ def _meshes() -> Iterator[tuple[str, str, bytes]]:
                 "ply\nformat binary_little_endian 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n",
                 "ply\nformat binary_little_endian 1.0\nelement vertex -5\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
                 "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1e308 nan inf\n",
-                "ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nend_header\n255 1\n", "ply\nend_header\n", "ply\n" + "comment a\n" * 100_000,
+                "ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nend_header\n255 1\n", "ply\nend_header\n",
+                f"{_PLY.format(99999999999, 0)}0 0 0\n", f"{_PLY.format(3, 7)}0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", f"{_PLY.format(2, 0)}0 0 1e308\n0 1 2\n",
+                f"{_PLY.format(3, 1)}0 0 0\n1 0 0\n0 1 0\n3 0 1 99999999999\n", f"{_PLY.format(3, 1).replace('ascii', 'binary_little_endian')}{chr(0) * 36}", "ply\n" + "comment a\n" * 100_000,
                 "ply\nformat ascii 1.0\ncomment TextureFile ../../../../etc/passwd\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n"),
         "stl": ("solid\nfacet normal 0 0 1\nouter loop\nvertex nan 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n",
                 "solid\nfacet normal 0 0 1\nouter loop\nvertex 1e308 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n", "solid\n" + "vertex 0 0 0\n" * 7),

@@ -73,21 +73,31 @@ def outcome(format: str, path: Path) -> tuple[str, str]:
 
 
 def _outcome(reader: Callable[[Path], Any], path: Path) -> tuple[str, str]:
+    strange: list[warnings.WarningMessage] = []
     try:
-        # a warning is as good as a sentence, also where a run of tests makes errors of warnings
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = reader(path)
+        # a warning of ours is as good as a sentence, also where a run of tests makes errors of them; one of NumPy is not
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            try:
+                found = reader(path)
+            finally:
+                strange = [one for one in told if issubclass(one.category, RuntimeWarning)]
+        if strange:
+            return "foreign words", _warned(strange[0])
         for where, values in numbers(found):
             if not np.isfinite(values).all():
                 return "not finite", where
     except InputError as error:
-        return _sentence(error, path)
+        return ("foreign words", _warned(strange[0])) if strange else _sentence(error, path)
     except MemoryError as error:
         return "too much memory", _place(error)
     except Exception as error:
         return "traceback", _place(error)
     return "data", ""
+
+
+def _warned(warning: warnings.WarningMessage) -> str:
+    return f"warning: {warning.message} at {Path(warning.filename).name}:{warning.lineno}"
 
 
 def _sentence(error: InputError, path: Path) -> tuple[str, str]:

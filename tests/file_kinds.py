@@ -63,7 +63,7 @@ AMC = ":FULLY-SPECIFIED\n:DEGREES\n" + "".join(
 
 #: bodies, motions with and without their skeletons, and so on, by what makes them; sizes of meshes and markers are those
 #: of no body, so that nothing is fitted to them
-BODIES = ("body.npz", "skinned.glb", "skinned.gltf", "skinned.usda", "human")
+BODIES = ("body.npz", "skinned.glb", "skinned.gltf", "skinned.usda", "doll.obj", "human")
 ANIMATED = ("animated.glb", "animated.glb:Walk", "animated.usda")
 MOTIONS = ("motion.npz", "amass.npz", "walk.bvh", "02_01.amc", *ANIMATED)
 MESHES = ("ball.obj", "ball.off", "ball.ply", "ball.stl", "ball.glb", "cloud.ply")
@@ -117,6 +117,7 @@ def write_files(folder: Path) -> None:
     save_body(folder / "strange.npz", Body(strange, body.skin, body.vertices, body.faces))
     save_motion(folder / "strange motion.npz", motion, strange)
     _write_surfaces(folder)
+    _write_doll(folder)
     _write_learned(folder, body, motion)
     _write_markers(folder)
     _write_texts(folder)
@@ -178,6 +179,14 @@ def _write_surfaces(folder: Path) -> None:
         folder / "meshes.npz", MeshSequence(jnp.asarray(np.stack([vertices] * 2)), jnp.asarray(faces))
     )
     np.savez(folder / "clouds.npz", points=np.stack([vertices] * 2))
+
+
+def _write_doll(folder: Path) -> None:
+    """A mesh with the files beside it that make it a body."""
+    doll = chain_body("rigid")
+    write_mesh(folder / "doll.obj", Mesh(np.asarray(doll.vertices), np.asarray(doll.faces)))
+    write_skl(folder / "doll.skl", doll.skeleton)
+    write_vj(folder / "doll.vj", doll.skeleton, np.asarray(doll.skin.bones))
 
 
 def _write_learned(folder: Path, body, motion: Motion) -> None:

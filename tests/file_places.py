@@ -3,7 +3,7 @@
 from file_kinds import ANIMATED, BODIES, FILE, MARKERS, MESHES, MOTIONS, Place
 
 #: that are a mesh as well
-SKINNED = ("skinned.glb", "animated.glb", "skinned.gltf")
+SKINNED = ("skinned.glb", "animated.glb", "skinned.gltf", "doll.obj")
 CLOUDS = (*MESHES, *SKINNED, "meshes.npz", "clouds.npz", "folder of clouds", "folder of meshes", "scans")
 SURFACES = (*SKINNED, "meshes.npz", "folder of meshes", "ball.obj", "ball.off", "ball.ply", "ball.glb")
 #: bodies by themselves, and with motions

@@ -169,7 +169,11 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
     save_motion(inputs / "still.npz", load_motion(motion).slice(slice(0, 0)), skeleton)
     before = tree(tmp_path)
     for source, target, *options, said in (
-        (motion, "out.fbx", "cannot become"),
+        (motion, "out.fbx", "'.fbx' files are not written; write .glb"),
+        (motion, "out.gltf", "'.gltf' files are not written; write .glb"),
+        ("human", "out.gltf", "'.gltf' files are not written; write .glb"),
+        ("human", "out.ply", "human: the embedded body cannot become '.ply' files; write it as .glb"),
+        (motion, "out.foo", "cannot become '.foo' files; motions are read from"),
         (motion, "out.trc", "--motion", motion, "--motion is for a body that becomes a .glb"),
         (motion, "out.trc", "--as", "amass", "--as amass is for a motion that becomes an .npz"),
         (motion, "out.bvh", "--as", "amass", "is written as .npz"),

@@ -20,7 +20,7 @@ from jaxcap.io.clip import split_clip
 
 #: of each sort a few, for every run
 FEW = (
-    "body.npz", "motion.npz", "walk.bvh", "human", "skinned.gltf", "animated.glb:Walk", "animated.usda", "ball.obj", "ball.glb",
+    "body.npz", "motion.npz", "walk.bvh", "human", "skinned.gltf", "doll.obj", "animated.glb:Walk", "animated.usda", "ball.obj", "ball.glb",
     "takes.c3d", "walk.fbx", "empty.npz", "notes", "what.foo", "nothing.npz", "limits.npz", "clouds.npz", "bones.skl",
     "cameras.json", "folder of markers",
 )  # fmt: skip

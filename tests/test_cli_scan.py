@@ -11,13 +11,16 @@ from jaxcap.body.human import human
 from jaxcap.body.pose import Motion
 from jaxcap.cli import main
 from jaxcap.cli import scan as scan_module
+from jaxcap.cli.adapt import Adapt
+from jaxcap.cli.scan_rate import rate_of
 from jaxcap.demo.performance import walk_and_wave
+from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, ring_of_cameras
 from jaxcap.io.bvh import write_bvh
 from jaxcap.io.cameras import read_cameras, write_cameras
 from jaxcap.io.clouds import read_clouds
 from jaxcap.io.mesh import read_mesh
-from jaxcap.io.npz import load_motion, save_body, save_motion
+from jaxcap.io.npz import load_body, load_motion, save_body, save_motion
 
 FRAMES = 4
 SMALL = ("--views", 3, "--resolution", 80, 60)
@@ -68,6 +71,39 @@ def test_meshes_points_rates_and_bvh(inputs, tmp_path, capsys):
         "--points", 200, "--arc", 145,
     )  # fmt: skip
     assert [len(scan.points) for scan in read_clouds(tmp_path / "few")] == [200] * FRAMES
+
+
+def test_scans_say_their_rate_and_track_and_adapt_take_it(inputs, tmp_path, capsys):
+    """Of the motion, or of those that are taken of it; what a user says comes first."""
+    motion = load_motion(inputs / "motion.npz")
+    save_motion(tmp_path / "fast.npz", Motion(motion.poses, 120.0), load_body(inputs / "body.npz").skeleton)
+    fast, half = tmp_path / "fast", tmp_path / "half"
+    runs(capsys, "scan", inputs / "body.npz", tmp_path / "fast.npz", "-o", fast, *SMALL, "--npz")
+    runs(capsys, "scan", inputs / "body.npz", tmp_path / "fast.npz", "-o", half, *SMALL, "--rate", 60)
+    assert json.loads((fast / "scan.json").read_text())["rate"] == 120
+    assert json.loads((half / "scan.json").read_text())["rate"] == 60
+    for clouds in (fast, fast / "clouds.npz", fast / "scan_*.ply", fast / "scan_%04d.ply"):
+        assert rate_of(None, [str(clouds)]) == (120.0, fast / "scan.json")
+    assert rate_of(25.0, [str(fast)]) == (25.0, None)
+    assert rate_of(None, [str(inputs)]) == (30.0, None)
+    with pytest.raises(InputError, match="are 60 a second, and those of .* are 120; .* --rate"):
+        rate_of(None, [str(fast / "scan_0000.ply"), str(half / "scan_0000.ply")])
+    told = runs(capsys, "track", inputs / "body.npz", fast, "-o", tmp_path / "out", "--last", 1)
+    assert f"120 frames a second, as {fast / 'scan.json'} says" in told
+    assert load_motion(tmp_path / "out" / "motion.npz").rate == 120
+    asked = Adapt(str(inputs / "body.npz"), (str(fast),), tmp_path / "a.npz")
+    assert asked.settings()["rate"] == 120
+
+
+@pytest.mark.parametrize(("rate", "said"), [('"a"', "is 'a'; write a number"), ("true", "is True"), ("0", "0.0 frames a second cannot"),
+                                            ("1" + "0" * 400, "too many digits"), ("NaN", "nan frames a second cannot")])  # fmt: skip
+def test_a_rate_of_scans_that_is_none_is_told(tmp_path, rate, said):
+    (tmp_path / "scan.json").write_text(f'{{"body arrays": "a", "rate": {rate}}}')
+    with pytest.raises(InputError, match=rf"scan\.json: .*{said}"):
+        rate_of(None, [str(tmp_path)])
+    # a file of another program's
+    (tmp_path / "scan.json").write_text('{"rate": "fast"}')
+    assert rate_of(None, [str(tmp_path)]).file is None
 
 
 def test_a_stopped_run_goes_on_to_the_same_end(inputs, tmp_path, capsys, monkeypatch):
@@ -161,6 +197,7 @@ def test_empty_views_and_frames_are_told_by_number(inputs, tmp_path, capsys):
     ("more", "told"),
     [
         (("--views", 0), "0 views were asked for"),
+        (("--views", 10**9), "1000000000 views were asked for; give from 1 to 1000"),
         (("--arc", 500), "arc of cameras is 500 degrees"),
         (("--resolution", 4, 4), "4 x 4 pixels are too small"),
         (("--distance", -1), "-1 m from the body"),

@@ -185,6 +185,50 @@ def test_revolute_and_universal_bones_turn_about_their_stated_axes(toy, tmp_path
     np.testing.assert_allclose(asf.lengths["shin"], 8 * 0.0254 / 0.45)
 
 
+def pose_of(asf, tmp_path, thigh, shin, foot):
+    """Angles of the bones in degrees as the format has them."""
+    rows = "\n".join(
+        f"{name} {' '.join(map(str, angles))}"
+        for name, angles in (("root", [0] * 6), ("thigh", thigh), ("shin", [shin]), ("foot", foot))
+    )
+    (tmp_path / "one.amc").write_text(f":DEGREES\n1\n{rows}\n")
+    return read_amc(tmp_path / "one.amc", asf)[0]
+
+
+@pytest.mark.parametrize(
+    ("open_", "beyond", "within"),
+    [
+        (("(-inf inf)",) * 4, [], [([170, -80, 0], -175, [0, 0]), ([-170, 20, 3], 175, [0, 0])]),
+        (("(-160 inf)", "(-70 70)", "(-10 inf)", "(-45 90)"), [([-175, 0, 0], 0, [0, 0]), ([0, 0, 0], -30, [0, 0])], [([150, 0, 0], 175, [0, 0])]),
+        (("(-inf 20)", "(-70 70)", "(inf 90)", "(-45 90)"), [([40, 0, 0], 0, [0, 0])], [([-150, 0, 0], 170, [0, 0])]),
+        (("(-inf 20)", "(-70 70)", "(-inf 90)", "(-45 inf)"), [([0, 0, 0], 120, [0, 0]), ([0, 0, 0], 0, [-60, 0])], [([-150, 0, 0], -170, [170, 0])]),
+    ],
+)  # fmt: skip
+def test_an_open_end_is_no_limit_and_the_other_end_holds(toy, tmp_path, open_, beyond, within):
+    """Residuals, their derivatives and the nearest pose are finite whatever the angle."""
+    thigh, second, shin, foot = open_
+    text = ASF
+    for old, new in (("(-160.0 20.0)", thigh), ("(-70.0 70.0)", second), ("(-10.0 170.0)", shin), ("(-45 90)", foot)):  # fmt: skip
+        assert old in text
+        text = text.replace(old, new)
+    if shin == "(inf 90)":
+        # ends that are swapped are put right, and so the range is from 90 on
+        beyond = [*beyond, ([0, 0, 0], 60, [0, 0])]
+    toy.write_text(text)
+    asf = read_asf(toy)
+    for angles, inside in (*((one, False) for one in beyond), *((one, True) for one in within)):
+        pose, total = pose_of(asf, tmp_path, *angles), 0.0
+        for limits in (asf.ranges, asf.boxes):
+            residual = limits.residual(asf.skeleton, pose)
+            slopes = jax.grad(lambda p, limits=limits: (limits.residual(asf.skeleton, p) ** 2).sum(), allow_int=True)(pose)  # fmt: skip
+            nearest = limits.nearest(asf.skeleton, pose)
+            for numbers in (residual, *jax.tree.leaves(slopes), *jax.tree.leaves(nearest)):
+                assert np.isfinite(numbers).all()
+            total += float(np.abs(residual).sum())
+            np.testing.assert_allclose(limits.residual(asf.skeleton, nearest), 0, atol=1e-6)
+        assert (total < 1e-9) == inside, (angles, total)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -197,6 +241,12 @@ def test_revolute_and_universal_bones_turn_about_their_stated_axes(toy, tmp_path
         (":hierarchy", ":order", r"no ':hierarchy'"),
         ("name foot", "name shin", r"toy\.asf:36: the bone 'shin' stands twice"),
         ("           (-70 20)\n", "", r"'foot' has 2 dofs but 1 limits"),
+        ("(-10.0 170.0)", "(inf inf)", r"toy\.asf:32: a limit of 'shin' goes from one infinity to the same"),
+        (
+            "(-160.0 20.0)",
+            "(-inf -inf)",
+            r"toy\.asf:21: a limit of 'thigh' goes from one infinity to the same",
+        ),
     ],
 )
 def test_a_wrong_skeleton_is_told_with_its_line(toy, old, new, said):

@@ -91,6 +91,16 @@ def test_another_topology_is_named(tmp_path):
         assert f"{name}.off" in str(error.value)
 
 
+def test_half_floats_are_read(tmp_path):
+    vertices = bent(3).astype(np.float16)
+    np.savez(tmp_path / "m.npz", vertices=vertices, faces=FACES)
+    np.testing.assert_array_equal(read_meshes(tmp_path / "m.npz").vertices, vertices)
+    vertices[1, 2] = np.inf
+    np.savez(tmp_path / "m.npz", vertices=vertices, faces=FACES)
+    with pytest.raises(InputError, match="NaN or infinite, the first is point 2"):
+        read_meshes(tmp_path / "m.npz")
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -53,6 +53,9 @@ def test_a_body_of_kinebens_files(skeleton, tmp_path):
     np.testing.assert_array_equal(body.skin.parts(), bones)
     with pytest.raises(InputError, match="looks like centimetres: pass unit='cm'"):
         read_body(tmp_path / "a.off", tmp_path / "a.skl", tmp_path / "a.vj")
+    # files of its name beside it need not be given
+    np.testing.assert_array_equal(read_body(tmp_path / "a.off", unit="cm").skin.parts(), bones)
+    (tmp_path / "a.vj").unlink()
     with pytest.raises(InputError, match="only with a skeleton"):
         read_body(tmp_path / "a.off")
 

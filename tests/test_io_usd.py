@@ -231,6 +231,54 @@ def test_what_is_not_read_is_said(tmp_path):
             read_usd_body(tmp_path / name)
 
 
+def test_a_rotation_of_no_length_is_told_with_its_prim_and_time(tmp_path, rng):
+    """In an animation, at rest of it, and where the skeleton stands."""
+    from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+    body = askew()
+    motion = stack_poses([random_pose(body.skeleton, rng) for _ in range(3)])
+    for name, time, said in (
+        ("moving", 2.0, r"moving\.usda: '/Body/Skeleton/Motion\.rotations' has a quaternion of no length at time 2, of joint "),
+        ("still", None, r"still\.usda: '/Body/Skeleton/Motion\.rotations' has a quaternion of no length, of joint '"),
+        ("placed", None, r"placed\.usda: '/Body\.xformOp:orient' has a quaternion of no length; write a rotation there"),
+    ):  # fmt: skip
+        path = tmp_path / f"{name}.usda"
+        write_usd(path, body, motion)
+        stage = Usd.Stage.Open(str(path))
+        turns = UsdSkel.Animation(stage.GetPrimAtPath("/Body/Skeleton/Motion")).GetRotationsAttr()
+        if name == "placed":
+            UsdGeom.Xformable(stage.GetDefaultPrim()).AddOrientOp().Set(Gf.Quatf(0, 0, 0, 0))
+        else:
+            values = turns.Get(0)
+            values[1] = Gf.Quatf(0, 0, 0, 0)
+            if time is None:
+                turns.Clear()
+                turns.Set(values)
+            else:
+                turns.Set(values, time)
+        stage.Save()
+        with pytest.raises(InputError, match=said):
+            read_usd_body(path)
+
+
+def test_text_that_openusd_cannot_parse_is_told_by_its_line(tmp_path):
+    write_usd(tmp_path / "body.usda", chain_body())
+    text = (tmp_path / "body.usda").read_text()
+    line = text[: text.index("def Mesh")].count("\n") + 1
+    (tmp_path / "syntax.usda").write_text(text.replace("def Mesh", "dex Mesh"))
+    points = text.index("point3f[] points")
+    (tmp_path / "cut.usda").write_text(text[: points + 60])
+    (tmp_path / "layers.usda").write_text("#usda 1.0\n(\n    subLayers = [@./syntax.usda@]\n)\n")
+    for name, said in (
+        ("syntax", rf"syntax\.usda:{line}: 'dex Mesh .*' is not what belongs there, in /Body; this is not a whole USD file"),
+        ("cut", rf"cut\.usda:{text[:points].count(chr(10)) + 1}: .*(the text ends|is not what belongs there), in /Body/Surface"),
+        ("layers", rf"layers\.usda: .*syntax\.usda:{line}: 'dex Mesh"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said) as raised:
+            read_usd_body(tmp_path / f"{name}.usda")
+        assert "()" not in str(raised.value) and "pxrInternal" not in str(raised.value)
+
+
 @pytest.mark.parametrize("arc", ["sublayer", "reference", "payload"])
 def test_layers_outside_of_the_folder_are_not_read(tmp_path, rng, arc):
     """The body lies in a layer next to the file's folder; in the folder it is read."""

@@ -14,6 +14,7 @@ from browser import chromium, wait_for_node
 from helpers import chain_body
 
 import jaxcap as jc
+from jaxcap.cli import window
 from jaxcap.edit.ik import session as ik
 from jaxcap.errors import InputError
 from jaxcap.view import serve
@@ -21,7 +22,7 @@ from jaxcap.view.app import serve_contents
 from jaxcap.view.contents import Contents, make_take
 from jaxcap.view.door import Door
 from jaxcap.view.ik.window import serve_ik
-from jaxcap.view.serve import address, close_server, open_server
+from jaxcap.view.serve import address, address_elsewhere, close_server, open_server
 
 __all__ = ["chromium"]
 
@@ -249,3 +250,37 @@ def test_names_from_files_are_no_markup(chromium):
     assert page.locator("img[src*=evil]").count() == 0
     page.close()
     close_server(server)
+
+
+def test_other_machines_are_given_an_address_that_opens(server):
+    assert address_elsewhere(server) is None
+    everywhere = open_server(0, "0.0.0.0")
+    url = address_elsewhere(everywhere) or ""
+    assert urlsplit(url).hostname not in ("0.0.0.0", "127.0.0.1", "localhost")
+    assert urlsplit(url).path == urlsplit(address(everywhere)).path
+    assert urllib.request.urlopen(url, timeout=20).status == 200
+    close_server(everywhere)
+
+
+def test_the_command_tells_both_addresses(capsys, monkeypatch):
+    def end() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(window, "resting", end)
+    for host in ("0.0.0.0", "127.0.0.1"):
+        with pytest.raises(KeyboardInterrupt):
+            window.keep_window("view", "a", lambda server: None, 0, host, False)
+        told = capsys.readouterr().out
+        assert told.startswith("a: http://127.0.0.1:")
+        assert (", on other machines http://" in told) == (host == "0.0.0.0")
+
+
+def test_a_page_of_another_version_is_refused_in_silence(server, capfd):
+    """It has the token; viser would print a line of its own."""
+    url = urlsplit(address(server))
+    headers = {**upgrade(server), "Host": url.netloc, "Origin": f"http://{url.netloc}"}
+    for protocol in ("viser-v0.0.1", "chat"):
+        answer = ask(server, url.path, {**headers, "Sec-WebSocket-Protocol": protocol})
+        assert status(answer) == 101
+        assert b"Version mismatch" in answer
+    assert capfd.readouterr() == ("", "")

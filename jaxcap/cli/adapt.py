@@ -47,6 +47,7 @@ from .options import (
 from .outputs import nothing_left
 from .rounds import Rounds
 from .say import say, warn
+from .scan_rate import ScanRate, rate_of, tell_rate
 from .sources import Clouds, load_body
 from .terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 
@@ -133,8 +134,7 @@ class Adapt:
     """Unit of the scans, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
     up: Up = "y"
     """Axis that points up in the scans, and in a mesh as BODY. Results have y up."""
-    rate: float = 30.0
-    """Frames a second."""
+    rate: ScanRate = None
     vertices: OptionalCount = None
     """Reduce the template to about so many vertices, for speed."""
     resume: Flag = False
@@ -162,6 +162,7 @@ class Adapt:
         if len(scans) < 3:
             told = clouds_words(self.clouds)
             raise InputError(f"{told}: {len(scans)} scans are too few to adapt to; give at least 3.")
+        tell_rate(rate_of(self.rate, self.clouds))
         seen = look_through(scans, body)
         header |= fingerprint_of(body, seen.digests)
         finished = self.resume and self.out.is_file() and not self.kept.is_file()
@@ -271,7 +272,7 @@ class Adapt:
                 "above 0",
             ),
             "--report-every": (self.report_every, self.report_every >= 1, "at least 1"),
-            "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 frames a second"),
+            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames a second"),
         }
         for name, (value, fine, what) in wrong.items():
             if not fine:
@@ -301,7 +302,7 @@ class Adapt:
         return make_task(
             body,
             clouds,
-            self.rate,
+            rate_of(self.rate, self.clouds).frames,
             start=None if self.start is None else first_pose(self.start, skeleton),
             likely=None if priors is None else form(priors.prior),
             settings=Settings(
@@ -345,14 +346,14 @@ class Adapt:
             "pose_weight",
             "unit",
             "up",
-            "rate",
             "vertices",
             "first",
             "last",
         )
         files = {"cameras": hash_of(self.cameras), "start": hash_of(self.start)}
         plain = {name: getattr(self, name) for name in names}
-        return {**plain, "shape_weight": list(self.shape_weight), **files}
+        rate = rate_of(self.rate, self.clouds).frames
+        return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
 
 
 def _check_first(task: Task, state: AdaptState, where: str) -> None:

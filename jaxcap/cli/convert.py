@@ -29,7 +29,7 @@ from .convert_way import PURPOSES, Way, check_options, check_units, find_way
 from .motions import load_motion, load_motion_of, load_skeleton, tell_clip
 from .options import Flag, OptionalFile, OptionalUnit, arg
 from .outputs import check_absent
-from .say import say, warn
+from .say import counted, say, warn
 from .sources import load_body, names_human
 
 #: metres, and bones a vertex
@@ -81,7 +81,7 @@ class Convert:
             raise InputError(f"{self.source}: there is no such file; check the path.")
         # the human is what a body file would be
         own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
-        way: Way = "own" if own else find_way(Path("human.npz") if human else self.source, self.target)
+        way: Way = "own" if own else find_way(self.source, self.target, human)
         self.check(way)
         {
             "own": self.write_own,
@@ -153,7 +153,7 @@ class Convert:
             MANNERS[self.as_](self.target, skeleton, motion)
         else:
             write_motion(self.target, skeleton, motion, self.target_unit)
-        say(f"{self.target}: {motion.num_frames} frames at {motion.rate:g} a second")
+        say(f"{self.target}: {counted(motion.num_frames, 'frame')} at {motion.rate:g} a second")
 
     def write_points(self) -> None:
         # a label that is wrong is told before a long motion is read
@@ -167,7 +167,9 @@ class Convert:
         write_markers(self.target, frames, self.target_unit)
         for sentence in file.told:
             warn(f"{self.source.name}: {sentence}")
-        say(f"{self.target}: {len(frames.labels)} markers, {len(frames)} frames at {frames.rate:g} a second")
+        say(
+            f"{self.target}: {counted(len(frames.labels), 'marker')}, {counted(len(frames), 'frame')} at {frames.rate:g} a second"
+        )
 
     def write_mesh(self) -> None:
         mesh = read_mesh(self.source, self.unit or "m")

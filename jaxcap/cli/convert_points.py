@@ -14,7 +14,7 @@ from ..io.vertex_list import read_vertex_list
 from ..markers.fill import joint_frames
 from ..markers.vertex_markers import vertex_frames
 from ..observe import make_markers
-from .say import say
+from .say import counted, say
 
 
 def read_labels(words: Sequence[str]) -> dict[str, int]:
@@ -68,5 +68,5 @@ def write_points(
     write_markers(target, frames, unit)
     more = f" and {len(labels)} markers" if labels else ""
     say(
-        f"{target}: {skeleton.num_joints} joint centres{more}, {len(frames)} frames at {frames.rate:g} a second"
+        f"{target}: {skeleton.num_joints} joint centres{more}, {counted(len(frames), 'frame')} at {frames.rate:g} a second"
     )

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from ..errors import InputError
 from ..io.clip import suffix_of
-from ..io.foreign import FOREIGN
+from ..io.foreign import FOREIGN, INSTEAD
 from ..io.kinds import identify, wrong_kind
 from ..io.mesh import SUFFIXES
 from ..io.mesh import WRITTEN as MESH_WRITTEN
@@ -19,6 +19,7 @@ from ..io.registry import (
     SKELETON_READERS,
     SKELETON_WRITERS,
     SKINNED_READERS,
+    is_rigged,
     is_skinned,
 )
 
@@ -38,10 +39,21 @@ PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
 OWN_UNIT = (".npz", *SKINNED_READERS, ".asf", ".amc")
 
 
-def find_way(source: Path, target: Path) -> Way:
-    """What the suffixes ask for. Raises `InputError` where there is no such way."""
-    here, there = suffix_of(source), target.suffix.lower()
-    if there in BODY_WRITERS and (here == ".npz" or is_skinned(source)):
+#: all suffixes that something becomes
+WRITTEN = {*BODY_WRITERS, *MOTION_WRITERS, *MARKER_WRITERS, *SKELETON_WRITERS, *MESH_WRITTEN}
+
+
+def find_way(source: Path, target: Path, human: bool = False) -> Way:
+    """What the suffixes ask for; `human`, where the source is the embedded body. Raises `InputError` where there is no such
+    way."""
+    here, there = ".npz" if human else suffix_of(source), target.suffix.lower()
+    if there not in WRITTEN and there in INSTEAD:
+        raise InputError(f"{target}: '{there}' files are not written; write {INSTEAD[there]}.")
+    if human and there not in BODY_WRITERS:
+        raise InputError(
+            f"{source}: the embedded body cannot become {_files(there)}; write it as {', '.join((*BODY_WRITERS, '.npz'))}."
+        )
+    if there in BODY_WRITERS and (here == ".npz" or is_skinned(source) or is_rigged(source)):
         return "body"
     if here in SUFFIXES and there in MESH_WRITTEN:
         return "mesh"
@@ -57,12 +69,15 @@ def find_way(source: Path, target: Path) -> Way:
         raise wrong_kind(
             source, "something to convert", (*MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, *SUFFIXES)
         )
-    into = f"'{there}' files" if there else "a file without a suffix"
     raise InputError(
-        f"{source}: '{here}' files cannot become {into}; motions are read from {', '.join(MOTION_READERS)} and "
+        f"{source}: '{here}' files cannot become {_files(there)}; motions are read from {', '.join(MOTION_READERS)} and "
         f"written as {', '.join(MOTION_WRITERS)}, their joint centres as {', '.join(MARKER_WRITERS)}, skeletons as .skl, "
         f"bodies as {', '.join(BODY_WRITERS)} and with --as body as .npz, meshes as {', '.join(MESH_WRITTEN)}."
     )
+
+
+def _files(suffix: str) -> str:
+    return f"'{suffix}' files" if suffix else "a file without a suffix"
 
 
 def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:

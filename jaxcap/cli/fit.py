@@ -18,7 +18,7 @@ from ..observe import MeshSequence
 from ..report.pictures import error_pictures
 from .options import BodySpec, Flag, Unit, arg
 from .outputs import check_npz, make_folder
-from .say import say, warn
+from .say import counted, say, warn
 from .scoring import score_motion, tell_scores
 from .sources import load_body
 from .terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
@@ -75,7 +75,7 @@ class Fit:
         save_motion(self.out, fit.motion, body.skeleton)
         scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
         tell_scores({"all": scores}, each=True)
-        say(f"{self.out}: {fit.motion.num_frames} poses")
+        say(f"{self.out}: {counted(fit.motion.num_frames, 'pose')}")
         if self.report is not None:
             make_folder(self.report)
             write_json(self.report / "report.json", {"body": self.body, **scores.report()})

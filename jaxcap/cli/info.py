@@ -70,6 +70,9 @@ class Info:
         match kind:
             case "skinned" | "usd":
                 return tell_skinned(path)
+            case "rigged":
+                tell_body(load_body(self.file, unit=unit)[0])
+                return "rigged"
             case "mesh":
                 return tell_mesh(path, unit)
             case "amc":

@@ -21,6 +21,11 @@ def warn(text: str) -> None:
     write_line(sys.stderr, f"jaxcap: {text}")
 
 
+def counted(count: int, one: str, many: str = "") -> str:
+    """Write how many there are of something, as in "1 frame" and "3 bodies"; `many` where it is not `one` with an s."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
 def table(head: list[str], rows: list[list[str]]) -> None:
     """A table with aligned columns, the first to the left."""
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]

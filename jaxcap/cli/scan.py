@@ -103,7 +103,8 @@ class Scan:
 
     def scan_all(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion) -> None:
         """Scan all frames that are left, alone in the folder."""
-        begin_folder(self.out, self.settings(), (body, motion, cameras), self.resume, self.overwrite)
+        settings = {**self.settings(), "rate": motion.rate}
+        begin_folder(self.out, settings, (body, motion, cameras), self.resume, self.overwrite)
         write_cameras(self.out / "cameras.json", cameras)
         save_motion(self.out / "truth.npz", motion, body.skeleton)
         missing = [frame for frame in range(len(motion)) if not frame_path(self.out, frame).is_file()]

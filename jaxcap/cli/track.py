@@ -21,7 +21,8 @@ from .frame_rows import pack, results_of, results_width, row_template, row_width
 from .heartbeat import doing
 from .options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, Skl, Unit, Up, Vj, arg
 from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
-from .say import progress, say, warn
+from .say import counted, progress, say, warn
+from .scan_rate import Rate, ScanRate, rate_of, tell_rate
 from .sources import Clouds, load_body, load_cloud
 from .terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
 from .timed import timed
@@ -56,8 +57,7 @@ class Track:
     """Unit of mesh and clouds: m, dm, cm, mm, in or ft."""
     up: Up = "y"
     """Axis that points up in mesh and clouds. Results have y up."""
-    rate: float = 30.0
-    """Frames a second."""
+    rate: ScanRate = None
     normal_angle: float = 60.0
     """Largest angle between a point's normal and its vertex's, degrees."""
     sigma0: float = 0.1
@@ -92,16 +92,18 @@ class Track:
             floor=self.floor,
             prior=self.prior,
         )
+        rate = rate_of(self.rate, self.clouds)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         # the first cloud shows most of what may be wrong, before anything is written
         load_cloud(scans, 0, body, self.up)
         tracker = self.tracker(body, terms)
         header = {**self.settings(), **fingerprint(tracker, scans), **whose_poses(body.skeleton)}
         make_writable(self.out)
+        tell_rate(rate)
         with run_lock(self.out):
-            self.track(tracker, scans, header)
+            self.track(tracker, scans, rate, header)
 
-    def track(self, tracker: Tracker, scans: Scans, header: dict[str, object]) -> None:
+    def track(self, tracker: Tracker, scans: Scans, rate: Rate, header: dict[str, object]) -> None:
         """Track all frames that are left, and write the results, alone in the folder."""
         path, body = check_folder(self.out, JOURNAL, self.resume, self.overwrite), tracker.body
         template = row_template(tracker)
@@ -118,9 +120,9 @@ class Track:
         doing("writing the results")
         rows = journal.read(slice(results_width(template)))[: len(scans)]
         results = results_of(template, rows)
-        write_results(self.out, body.skeleton, results, self.rate, scans.names)
+        write_results(self.out, body.skeleton, results, rate.frames, scans.names)
         say(
-            f"{len(rows)} frames in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
+            f"{counted(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
         for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
@@ -147,7 +149,7 @@ class Track:
             "--outlier": (self.outlier, 0 < self.outlier < 1, "between 0 and 1"),
             "--damping": (self.damping, 0 <= self.damping < np.inf, "at least 0"),
             "--iterations": (self.iterations, self.iterations >= 1, "at least 1"),
-            "--rate": (self.rate, 0 < self.rate < np.inf, "above 0 frames a second"),
+            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames a second"),
         }
         for name, (value, fine, what) in wrong.items():
             if not fine:

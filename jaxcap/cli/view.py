@@ -8,6 +8,7 @@ import tyro
 
 from ..body.body import Body
 from ..errors import InputError
+from ..io.registry import is_rigged
 from ..view.app import serve_contents
 from ..view.load import load
 from ..view.serve import HOST
@@ -79,8 +80,8 @@ class View:
         )
 
     def bodies(self) -> tuple[list[tuple[str, Body]], list[str]]:
-        """The bodies that were asked for by name, and the files that are left."""
-        named = [name for name in self.files if names_human(name)]
+        """The bodies that were asked for by name or are a mesh with its bones beside it, and the files that are left."""
+        named = [name for name in self.files if names_human(name) or is_rigged(name)]
         return (
             [(name, load_body(name, unit=self.unit or "m", up=self.up)[0]) for name in (*self.body, *named)],
             [name for name in self.files if name not in named],

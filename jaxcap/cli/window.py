@@ -5,7 +5,7 @@ import webbrowser
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ..view.serve import address, close_server, open_server
+from ..view.serve import address, address_elsewhere, close_server, open_server
 from .heartbeat import resting
 from .options import arg
 from .say import say
@@ -31,7 +31,9 @@ def keep_window(
     server = open_server(port, host, f"jaxcap {verb}")
     try:
         fill(server)
-        say(f"{shown}: {address(server)} (Ctrl-C ends)")
+        elsewhere = address_elsewhere(server)
+        more = "" if elsewhere is None else f", on other machines {elsewhere}"
+        say(f"{shown}: {address(server)}{more} (Ctrl-C ends)")
         if browser:
             webbrowser.open(address(server))
         with resting():

@@ -12,6 +12,8 @@ from ..errors import InputError
 
 #: fewer pixels along a side make no picture, and more of them no depth camera's
 LEAST_PIXELS, MOST_PIXELS = 8, 25_000_000
+#: cameras of a ring, far more than anyone has built
+MOST_CAMERAS = 1000
 
 
 class Camera(eqx.Module):
@@ -129,11 +131,11 @@ def ring_of_cameras(
     y = 0, metres; `target (3,)`; `resolution`, width and height in pixels; `field_of_view` across the
     picture, degrees.
 
-    **Raises:** `InputError` for no cameras, an arc that is not above 0 and at most 360, a distance that
+    **Raises:** `InputError` for no cameras or too many, an arc that is not above 0 and at most 360, a distance that
     is not above 0, a height that is not finite, and what `look_at` refuses.
     """
-    if count < 1:
-        raise InputError(f"{count} views were asked for; give at least one.")
+    if not 1 <= count <= MOST_CAMERAS:
+        raise InputError(f"{count} views were asked for; give from 1 to {MOST_CAMERAS}.")
     if not 0 < arc <= 360:
         raise InputError(f"The arc of cameras is {arc:g} degrees; give more than 0 and at most 360.")
     if not 0 < distance < np.inf:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ..arguments import checked
@@ -104,12 +105,11 @@ def read_asf(path: str | Path) -> Asf:
         if "limits" in bone:
             words = " ".join(bone["limits"][1]).replace("(", " ").replace(")", " ").split()
             pairs = np.array(_bounds(words, f"{path}:{bone['limits'][0]}", name)) * turn
-            pairs = np.clip(pairs, -2 * np.pi, 2 * np.pi)
             if len(pairs) != 2 * len(dofs[name]):
                 raise InputError(
                     f"{path}:{bone['limits'][0]}: '{shortened(name)}' has {len(dofs[name])} dofs but {len(pairs) / 2:g} limits."
                 )
-            limits[name] = np.sort(pairs.reshape(-1, 2), 1)
+            limits[name] = _finite(np.sort(pairs.reshape(-1, 2), 1), f"{path}:{bone['limits'][0]}", name)
     order = _root_first(parents)
     position = (
         np.array(_vector(root, "position", "root", path)) * metres if "position" in root else np.zeros(3)
@@ -220,12 +220,26 @@ def _dofs(name: str, bone: dict, path) -> tuple[str, ...]:
 
 
 def _bounds(words: list[str], where: str, name: str) -> list[float]:
-    """Limits, where `inf` and `-inf` stand for none: two turns either way, as far as no joint turns."""
+    """Limits, where `inf` and `-inf` stand for none."""
     none = {"inf": math.inf, "+inf": math.inf, "-inf": -math.inf}
     what = f"the limits of '{shortened(name)}'"
     return [
         none[word.lower()] if word.lower() in none else parse_floats([word], where, what)[0] for word in words
     ]
+
+
+def _finite(pairs: Float[np.ndarray, "D 2"], where: str, name: str) -> Float[np.ndarray, "D 2"]:
+    """Ranges of angles with half a turn in place of an end that is open, and two turns, further than any joint turns, at
+    most; an end that is given stays an end. Raises `InputError` where both ends are the same infinity."""
+    lower, upper = pairs.T
+    if ((lower == np.inf) | (upper == -np.inf)).any():
+        raise InputError(
+            f"{where}: a limit of '{shortened(name)}' goes from one infinity to the same; write (-inf inf) where there is none."
+        )
+    below = np.where(np.isinf(upper), -np.pi, np.minimum(-np.pi, upper - np.pi))
+    above = np.where(np.isinf(lower), np.pi, np.maximum(np.pi, lower + np.pi))
+    ends = np.stack([np.where(np.isinf(lower), below, lower), np.where(np.isinf(upper), above, upper)], 1)
+    return np.clip(ends, -2 * np.pi, 2 * np.pi)
 
 
 def _vector(bone: dict, key: str, name: str, path, count: int = 3) -> list[float]:

@@ -100,8 +100,12 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
     held = array_names(path)
     faces, offsets = arrays.get("faces"), arrays.get("offsets")
     points, normals = arrays.get("points", arrays.get("vertices")), arrays.get("normals")
-    if points is None or points.dtype.kind not in "fiu" or "skin" in held:
+    if points is None or "skin" in held:
         raise wrong_arrays(path, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
+    if points.dtype.kind not in "fiu":
+        raise InputError(
+            f"{path}: '{'points' if 'points' in arrays else 'vertices'}' holds {points.dtype}; give numbers, (F, N, 3)."
+        )
     if offsets is None and points.ndim == 2:
         offsets = np.array([0, len(points)])
     if points.ndim != (3 if offsets is None else 2) or points.shape[-1] != 3:
@@ -143,6 +147,8 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
         own = None if normals is None else _known(np.asarray(normals[rows], float))
         if faces is None:
             return here, own, NO_FACES
+        # before anything is computed of them
+        check_points(here, f"{path}[{frame}]")
         return here, vertex_normals(here, faces) if own is None else own, faces
 
     return Scans([f"{path}[{frame}]" for frame in frames], load)

@@ -9,6 +9,16 @@ _VIDEO = "no pose is read from pictures; give clouds, meshes, depth as clouds, o
 
 #: pictures and pages, which this program writes and never reads
 PICTURES = (".png", ".jpg", ".jpeg", ".svg", ".html", ".pdf", ".gif", ".webp", ".tif", ".tiff", ".bmp")
+#: suffixes that are read, or other programs', and what is written in place of each
+INSTEAD: dict[str, str] = {
+    ".gltf": ".glb, which is the same in one file",
+    ".usd": ".usda as text or .usdc packed, which are the same",
+    ".fbx": ".glb, which Blender makes an .fbx of",
+    ".dae": ".glb, which Blender makes a .dae of",
+    ".vrm": ".glb, of which a .vrm is a kind",
+    ".amc": ".bvh, which holds a motion with its skeleton",
+    ".asf": ".skl, which holds a skeleton",
+}
 #: suffix -> what it is, and what to do
 FOREIGN: dict[str, tuple[str, str]] = {
     ".fbx": ("an FBX file", _IMPORT.format("FBX")),

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import InputError
 from .archive import array_names, kind_of
+from .beside import bones_beside
 from .clip import split_clip
 from .foreign import FOREIGN, PICTURES
 from .gltf_document import SUFFIXES as GLTF
@@ -31,6 +32,7 @@ WORDS = {
     "skinned": "a skinned body",
     "usd": "a USD file",
     "mesh": "a mesh or a cloud",
+    "rigged": "a mesh with its skeleton (.skl) and parts (.vj)",
     "bvh": "a motion with its skeleton (BVH)",
     "asf": "a skeleton with joint limits (ASF)",
     "amc": "a motion (AMC)",
@@ -51,6 +53,45 @@ WORDS = {
     "scans": "a folder of scans",
     "folder": "a folder",
     "picture": "a picture or a page",
+}
+#: several of a kind
+MANY = {
+    "body": "bodies",
+    "motion": "motions",
+    "amass": "motions in the manner of AMASS",
+    "subject": "subjects with their markers",
+    "limits": "files of joint limits",
+    "prior": "priors of poses",
+    "checkpoint": "checkpoints of runs that were stopped",
+    "keys": "files of keys",
+    "meshes": "files of registered meshes",
+    "clouds": "files of clouds",
+    "joints": "files of joint centres",
+    "arrays": "unmarked files of other arrays",
+    "damaged": "files that are no whole .npz",
+    "skinned": "skinned bodies",
+    "usd": "USD files",
+    "mesh": "meshes or clouds",
+    "rigged": "meshes with their skeletons (.skl) and parts (.vj)",
+    "bvh": "motions with their skeletons (BVH)",
+    "asf": "skeletons with joint limits (ASF)",
+    "amc": "motions (AMC)",
+    "skl": "skeletons of Kineben (.skl)",
+    "cst": "files of Kineben's joint limits (.cst)",
+    "vj": "files that say which joint moves each vertex (.vj)",
+    "markers": "files of markers",
+    "statistics": "statistics of tracking runs",
+    "cameras": "files of cameras",
+    "constraints": "files of constraints for `jaxcap ik`",
+    "scan": "settings of scans",
+    "report": "reports",
+    "json": "JSON files of another kind",
+    "text": "text files",
+    "journal": "journals of tracking runs",
+    "run": "folders of tracking runs",
+    "scans": "folders of scans",
+    "folder": "folders",
+    "picture": "pictures or pages",
 }
 #: by the format's name in an `.npz`
 _FORMATS = ("body", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
@@ -88,11 +129,12 @@ def identify(path: str | Path) -> str | None:
         return "journal"
     if path.name == "statistics.csv":
         return "statistics"
-    if suffix in GLTF:
-        return "skinned" if has_skin(path) else "mesh"
+    if suffix in GLTF and has_skin(path):
+        return "skinned"
     if suffix in _ARCHIVES:
         return _npz(path)
-    return _json(path) if suffix == ".json" else _SUFFIXES.get(suffix)
+    kind = _json(path) if suffix == ".json" else "mesh" if suffix in GLTF else _SUFFIXES.get(suffix)
+    return "rigged" if kind == "mesh" and bones_beside(path) else kind
 
 
 def kind_of_arrays(names: Iterable[str], form: str = "") -> str:
@@ -100,6 +142,9 @@ def kind_of_arrays(names: Iterable[str], form: str = "") -> str:
     there = set(names)
     if form.removeprefix("jaxcap ") in _FORMATS:
         return form.removeprefix("jaxcap ")
+    if "skin" in there:
+        # of a body without the name of its format
+        return "arrays"
     if "poses" in there and {"trans", "mocap_framerate", "mocap_frame_rate"} & there:
         return "amass"
     if "joints" in there and "points" not in there:

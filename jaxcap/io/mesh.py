@@ -20,6 +20,7 @@ from .inside import InsideResolver
 from .kinds import wrong_kind
 from .obj import read_obj, write_obj
 from .off import read_off
+from .ply_check import check_ply
 from .text import BODY, LARGEST, likely_units, unit_scale
 
 #: suffixes that `read_mesh` knows
@@ -113,7 +114,8 @@ def check_points(points: np.ndarray, where: str | Path) -> None:
     """Raises `InputError` where there are no points, or some are NaN, infinite or too large for any length."""
     if len(points) == 0:
         raise InputError(f"{where}: there are no points in it; give at least one.")
-    wrong = ~(np.abs(points) <= LARGEST).all(1)
+    # half floats do not hold a number so large: beside a double they become doubles
+    wrong = ~(np.abs(points) <= np.float64(LARGEST)).all(1)
     if wrong.any():
         why = "too large" if np.isfinite(points).all() else "NaN or infinite"
         raise InputError(
@@ -197,11 +199,15 @@ def load_by_trimesh(path: Path) -> Any:
 
     if path.suffix.lower() in (".glb", ".gltf"):
         check_scene(path)
+    elif path.suffix.lower() == ".ply":
+        check_ply(path)
     more: dict[str, Any] = {"resolver": InsideResolver(path), "skip_materials": True}
     if path.suffix.lower() == ".ply":
         # vertices stay as they are in the file, where trimesh would take them apart along seams of a texture
         more["fix_texture"] = False
-    loaded: Any = trimesh.load(path, process=False, **more)
+    # what cannot be is told by its place in the file, and not by NumPy
+    with np.errstate(all="ignore"):
+        loaded: Any = trimesh.load(path, process=False, **more)
     if isinstance(loaded, trimesh.Scene):
         loaded = loaded.to_geometry() if loaded.geometry else trimesh.Trimesh()
     return loaded
@@ -220,6 +226,8 @@ def _read_trimesh(path: Path):
     if not hasattr(loaded, "vertices"):
         raise InputError(f"{path}: this file holds no mesh and no points.")
     if path.suffix.lower() == ".stl":
+        # vertices that are no places cannot be held against each other
+        check_points(np.asarray(loaded.vertices, float), path)
         loaded.merge_vertices()
     vertices = np.array(loaded.vertices, float).reshape(-1, 3)
     faces = np.array(getattr(loaded, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)

@@ -118,8 +118,10 @@ def _read(path: Path) -> _File:
 def _arrays(path: Path) -> _File:
     arrays, held = load_arrays(path, lambda name: name in _ARRAYS), array_names(path)
     vertices = arrays.get("vertices")
-    if vertices is None or vertices.dtype.kind not in "fiu" or "skin" in held:
+    if vertices is None or "skin" in held:
         raise wrong_arrays(path, "without an array 'vertices' (F, V, 3) of numbers")
+    if vertices.dtype.kind not in "fiu":
+        raise InputError(f"{path}: 'vertices' holds {vertices.dtype}; give numbers, (F, V, 3).")
     if vertices.ndim == 2:
         vertices = vertices[None]
     if vertices.ndim != 3 or vertices.shape[-1] != 3 or not vertices.size:
@@ -132,9 +134,10 @@ def _arrays(path: Path) -> _File:
             path,
         )
     if faces is None or faces.dtype.kind not in "iu":
-        raise wrong_arrays(
-            path,
-            "without an array 'faces' (T, 3), or 'face_counts' and 'face_indices', of whole numbers",
+        held_as = "is not there" if faces is None else f"holds {faces.dtype}"
+        raise InputError(
+            f"{path}: an array 'faces' {held_as}; give the meshes' triangles as whole numbers, 'faces' (T, 3), or polygons as "
+            "'face_counts' and 'face_indices'."
         )
     if faces.ndim == 2 and faces.shape[1] > 3:
         faces = triangulate(np.full(len(faces), faces.shape[1]), faces.reshape(-1), path)

@@ -19,6 +19,7 @@ from ..observe import MarkerFrames
 from .amass import is_amass, read_amass, write_amass
 from .amc import read_amc
 from .asf import read_asf
+from .beside import bones_beside
 from .bvh import read_bvh, write_bvh
 from .c3d import read_c3d, write_c3d
 from .clip import split_clip, suffix_of
@@ -89,12 +90,15 @@ DEFAULT_UNITS = {".bvh": "cm"}
 
 
 def read_skeleton(path: str | Path, unit: str | float | None = None) -> Skeleton:
-    """A skeleton from `.skl`, `.bvh`, `.asf`, `.amc` with its `.asf`, a body or motion `.npz`, or a skinned `.glb`, `.gltf` or USD.
+    """A skeleton from `.skl`, `.bvh`, `.asf`, `.amc` with its `.asf`, a body or motion `.npz`, a skinned `.glb`, `.gltf` or USD, or
+    the `.skl` beside a mesh that is a body.
 
     `unit` is that of the file's lengths where the format does not say it: metres if not
     given, centimetres in BVH. Raises `InputError` where the suffix is unknown or the file is
     wrong.
     """
+    beside = bones_beside(path) if is_rigged(path) else None
+    path = path if beside is None else beside.skeleton
     return _of(SKELETON_READERS, path, "a skeleton")(Path(path), _unit(path, unit))
 
 
@@ -144,6 +148,11 @@ def is_skinned(path: str | Path) -> bool:
     return suffix in SKINNED_READERS and (suffix not in GLTF_READ or has_skin(file))
 
 
+def is_rigged(path: str | Path) -> bool:
+    """Whether a file is a mesh with the files beside it that make it a body, for `read_body`; what is skinned is none."""
+    return suffix_of(path) in SUFFIXES and not is_skinned(path) and bones_beside(path) is not None
+
+
 def clips_in(path: str | Path) -> tuple[str, ...]:
     """Return the names of the clips that a file holds, of which `path:NAME` chooses one; none of other formats."""
     return clips_of(split_clip(path)[0]) if suffix_of(path) in GLTF_READ else ()
@@ -167,7 +176,8 @@ def read_body(
     unit: str | float = "m",
 ) -> Body:
     """A body from one `.npz`, skinned `.glb`, `.gltf` or USD, or from a mesh with a skeleton (`.skl`) and parts (`.vj`),
-    whose vertices then move rigidly with their bones (Kineben, section 4.2).
+    whose vertices then move rigidly with their bones (Kineben, section 4.2); files of the mesh's own name beside it need
+    not be given.
 
     `unit` is that of mesh and skeleton. A mesh that cannot be a body's surface, or has no
     body's size, is an `InputError`, as is any file that is wrong or missing.
@@ -179,6 +189,8 @@ def read_body(
         return read_skinned(path)[0]
     if suffix not in SUFFIXES:
         raise wrong_kind(path, "a body", BODY_SUFFIXES)
+    if skeleton is None and parts is None and (beside := bones_beside(file)):
+        skeleton, parts = beside
     if skeleton is None and file.is_file() and suffix in GLTF_READ:
         # whatever else is wrong with it comes first
         read_document(file)

@@ -21,9 +21,11 @@ from .left_out import FIGURES, RIGID, SHAPES, warn_left_out
 from .mesh import check_faces, check_points
 from .meshes import triangulate
 from .surface import Surface, as_shares, joined
-from .text import LARGEST, check_rate, shortened
+from .text import LARGEST, check_rate
 from .usd import SUFFIXES as WRITTEN
 from .usd_child import check_usd
+from .usd_text import check_text, not_whole
+from .usd_turns import check_turns
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdSkel
@@ -54,30 +56,15 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
         raise InputError(
             f"{path}: USD is read by the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
         ) from None
-    _check_text(path)
+    check_text(path)
     check_usd(path)
     try:
         _check_layers(path)
         return _Skinned(path, Usd.Stage.Open(str(path))).read()
     except Tf.ErrorException as error:
-        # behind the place in OpenUSD's own source
-        reason = str(error).strip().splitlines()[-1].rsplit(" : ", 1)[-1].strip(" '.")
-        raise InputError(
-            f"{path}: this is not a whole USD file ({shortened(reason)}); export it again."
-        ) from None
+        raise not_whole(path, error) from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: this file holds text that is not UTF-8; export it again.") from None
-
-
-def _check_text(path: Path) -> None:
-    """That a layer of text is UTF-8. Raises `InputError` with the line."""
-    data = path.read_bytes()
-    try:
-        if data.startswith(b"#usda"):
-            data.decode()
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(f"{path}:{line}: this line is not UTF-8; export the file again.") from None
 
 
 def _check_layers(path: Path) -> None:
@@ -143,6 +130,9 @@ class _Skinned:
             raise InputError(
                 f"{self.path}: the joints of the skeleton are no tree with a root; export it again."
             )
+        check_turns(self.path, self.skeleton.GetPrim())
+        if animation := self.query.GetAnimQuery():
+            check_turns(self.path, animation.GetPrim())
         there = self.columns(self.query.GetJointWorldBindTransforms(), "bindTransforms", len(order))
         inverse = inverted(self.path, there)
         above, root = self.above(Usd.TimeCode.Default()), parents.index(-1)

@@ -21,7 +21,7 @@ import logging
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ HEADERS = {
 
 _patching = threading.Lock()
 
+Handler = Callable[[ServerConnection], Awaitable[None]]
 Answer = Callable[[ServerConnection, Request], Response | None]
 
 
@@ -69,6 +70,13 @@ class Door:
         # no name: what `localhost` resolves to may be another program's
         host = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
         return f"http://{_bracketed(host)}:{self.port}/{self.token}/"
+
+    @property
+    def address_elsewhere(self) -> str | None:
+        """The address to open on other machines, with the token; None where this server is for its own machine."""
+        if self.host not in EVERYWHERE:
+            return None
+        return f"http://{_bracketed(own_address(self.host))}:{self.port}/{self.token}/"
 
     def path(self, request: Request) -> str | None:
         """The path that is asked for below the token's, or None where the request is refused."""
@@ -130,7 +138,7 @@ def guarding(door: Door) -> Iterator[None]:
             if host == door.host and port is not None and port >= door.port:
                 process_request = door.guard(process_request)
                 door.guarded.append(port)
-                more["logger"] = _logger()
+                more["logger"], handler = _logger(), _quiet(handler)
             super().__init__(handler, host, port, process_request=process_request, **more)
 
     with _patching:
@@ -139,6 +147,22 @@ def guarding(door: Door) -> Iterator[None]:
             yield
         finally:
             module.serve = original
+
+
+def _quiet(handler: Handler) -> Handler:
+    """A handler of connections that logs what viser prints of one that is not of its own page's version."""
+    import rich
+    import viser
+
+    async def quiet(connection: ServerConnection) -> None:
+        if connection.subprotocol == f"viser-v{viser.__version__}":
+            await handler(connection)
+            return
+        with rich.get_console().capture() as printed:
+            await handler(connection)
+        logging.getLogger("jaxcap.view").info(printed.get().strip())
+
+    return quiet
 
 
 def _logger() -> logging.Logger:
@@ -150,6 +174,19 @@ def _logger() -> logging.Logger:
 
 def _is_fault(record: logging.LogRecord) -> bool:
     return record.getMessage() != "opening handshake failed"
+
+
+def own_address(host: str) -> str:
+    """The address of this machine in its network, as the system would send from it; its name where it is in none.
+
+    `host`, one of `EVERYWHERE`, says of which kind. Nothing is sent.
+    """
+    family, far = (socket.AF_INET6, "2001:db8::1") if host == "::" else (socket.AF_INET, "192.0.2.1")
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+        # these addresses are kept for documents (RFC 5737, RFC 3849)
+        probe.connect((far, 9))
+        return probe.getsockname()[0]
+    return socket.gethostname()
 
 
 def _bracketed(host: str) -> str:

@@ -105,6 +105,11 @@ def address(server: ViserServer) -> str:
     return _doors[server].address
 
 
+def address_elsewhere(server: ViserServer) -> str | None:
+    """The address to give a browser of another machine; None where the server listens for this machine alone."""
+    return _doors[server].address_elsewhere
+
+
 def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Event], None]) -> None:
     """Call `build(client, gone)` for every browser that opens the window, in a thread of its own.
 

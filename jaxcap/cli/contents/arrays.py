@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...body.limit_surface import LimitSurface
 from ...errors import InputError
 from ...io.amass import read_amass
 from ...io.archive import array_names, kind_of, load_arrays
@@ -16,9 +17,11 @@ from ...io.meshes import read_meshes
 from ...io.npz import get_array, load_body, load_kind, load_motion, skeleton_of
 from ...io.prior import carries_prior, load_prior
 from ...io.subject import load_subject
+from ...io.text import shortened
 from ..say import say
 from .bodies import metres, tell_body, tell_motion, tell_moving, tell_skeleton
 from .folders import tell_clouds
+from .listing import say_list
 
 
 @reads("an .npz file")
@@ -105,20 +108,28 @@ def _subject(path: Path) -> str:
 
 
 def _limits(path: Path) -> str:
-    for surface in load_limits(path).surfaces:
-        keyframes, primitives = surface.centres.shape[:2]
-        coupled = "" if surface.parent is None else f", {keyframes} keyframes of {surface.parent}"
-        say(
-            f"limits of {surface.joint}: {surface.chart.dimension} angles, {primitives} primitives in voxels from "
-            f"{np.degrees(4 * float(surface.unit)):.2g} degrees{coupled}"
-        )
+    surfaces = load_limits(path).surfaces
+    say_list(map(_limit, surfaces), len(surfaces), "limits")
     return "limits"
+
+
+def _limit(surface: LimitSurface) -> str:
+    keyframes, primitives = surface.centres.shape[:2]
+    coupled = "" if surface.parent is None else f", {keyframes} keyframes of {surface.parent}"
+    return (
+        f"limits of {surface.joint}: {surface.chart.dimension} angles, {primitives} primitives in voxels from "
+        f"{np.degrees(4 * float(surface.unit)):.2g} degrees{coupled}"
+    )
 
 
 def _prior(path: Path) -> str:
     prior = load_prior(path)
-    for (parent, child), weights in zip(prior.pairs, np.asarray(prior.weights), strict=True):
-        say(f"prior of {parent} and {child}: {int((weights > 0).sum())} components")
+    pairs = zip(prior.pairs, np.asarray(prior.weights), strict=True)
+    lines = (
+        f"prior of {parent} and {child}: {int((weights > 0).sum())} components"
+        for (parent, child), weights in pairs
+    )
+    say_list(lines, len(prior.pairs), "pairs")
     return "prior"
 
 
@@ -131,5 +142,5 @@ def _checkpoint(path: Path) -> str:
 
 
 def _others(arrays: Mapping[str, np.ndarray]) -> None:
-    for name, values in arrays.items():
-        say(f"{name}: {values.dtype} {values.shape}")
+    lines = (f"{shortened(name)}: {values.dtype} {values.shape}" for name, values in arrays.items())
+    say_list(lines, len(arrays), "arrays")

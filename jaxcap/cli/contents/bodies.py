@@ -1,5 +1,6 @@
 """Bodies, skeletons and motions in lines of text."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.mesh import check_mesh, read_mesh
 from ...io.registry import DEFAULT_UNITS, read_skinned
-from ...io.text import BODY, UNITS, likely_units
+from ...io.text import BODY, UNITS, likely_units, shortened
 from ..motions import extent, load_motion, tell_clip
-from ..say import say
+from ..say import counted, say
+from .listing import indented, say_list
 
 
 def tell_body(body: Body) -> None:
@@ -27,18 +29,24 @@ def tell_body(body: Body) -> None:
 def tell_skeleton(skeleton: Skeleton) -> None:
     """Say which joints a skeleton has, each below its parent."""
     kinds = [f"{skeleton.kinds.count(kind)} {kind}" for kind in dict.fromkeys(skeleton.kinds)]
-    say(f"skeleton: {skeleton.num_joints} joints ({', '.join(kinds)}), {skeleton.num_dofs} parameters")
+    say(
+        f"skeleton: {counted(skeleton.num_joints, 'joint')} ({', '.join(kinds)}), {skeleton.num_dofs} parameters"
+    )
+    say_list(_joints(skeleton), skeleton.num_joints, "joints")
+
+
+def _joints(skeleton: Skeleton) -> Iterator[str]:
     for name, parent, kind, depth in zip(
         skeleton.names, skeleton.parents, skeleton.kinds, skeleton.depths, strict=True
     ):
-        above = "" if parent < 0 else f" on {skeleton.names[parent]}"
-        say(f"{'  ' * (int(depth) + 1)}{name} ({kind}{above})")
+        above = "" if parent < 0 else f" on {shortened(skeleton.names[parent])}"
+        yield indented(f"{shortened(name)} ({kind}{above})", int(depth))
 
 
 def tell_motion(motion: Motion) -> None:
     """Say how long a motion is."""
     count = motion.num_frames
-    say(f"motion: {count} frames at {motion.rate:g} a second, {count / motion.rate:.2f} s")
+    say(f"motion: {counted(count, 'frame')} at {motion.rate:g} a second, {count / motion.rate:.2f} s")
 
 
 def tell_skinned(path: Path) -> str:
@@ -80,7 +88,7 @@ def tell_mesh(path: Path, unit: str) -> str:
     what = "mesh" if len(mesh.faces) else "cloud"
     normals = ", with normals" if mesh.normals is not None else ""
     say(
-        f"{what}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, {metres(np.ptp(mesh.vertices, axis=0))}{normals}"
+        f"{what}: {counted(len(mesh.vertices), 'vertex', 'vertices')}, {counted(len(mesh.faces), 'face')}, {metres(np.ptp(mesh.vertices, axis=0))}{normals}"
     )
     if not len(mesh.faces):
         return "cloud"

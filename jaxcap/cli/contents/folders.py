@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
+from ...io.beside import bones_beside
 from ...io.cameras import read_cameras
 from ...io.clouds import Scans, read_clouds
-from ...io.kinds import WORDS, identify
+from ...io.kinds import MANY, WORDS, identify
 from ...io.mesh import SUFFIXES
 from ...io.npz import load_motion
-from ..say import say
+from ..say import counted, say
 from .bodies import metres, tell_motion
 from .texts import tell_journal, tell_statistics
 
@@ -24,11 +25,11 @@ def tell_folder(folder: Path, unit: str) -> str:
     kind = identify(folder)
     if kind == "run":
         return _run(folder)
-    kinds = (_kind(path) for path in sorted(folder.iterdir())[:LOOKED_AT] if path.is_file())
-    there = Counter(one for one in kinds if one is not None)
+    found = _kinds(folder)
+    there = Counter(found.values())
     if kind == "scans":
         cameras = read_cameras(folder / "cameras.json")
-        say(f"scans of {len(cameras)} cameras")
+        say(f"scans of {counted(len(cameras), 'camera')}")
         return tell_clouds(str(folder), unit, "scans")
     if there["mesh"]:
         return tell_clouds(str(folder), unit)
@@ -37,9 +38,8 @@ def tell_folder(folder: Path, unit: str) -> str:
             f"{folder}: there is nothing in this folder that a verb reads; `jaxcap demo -o {folder}/demo` makes something."
         )
     for one, count in there.most_common():
-        say(f"{count} of {WORDS[one]}")
-    first = there.most_common(1)[0][0]
-    return f"folder of {first}"
+        say(WORDS[one] if count == 1 else f"{count} {MANY[one]}")
+    return f"folder of {there.most_common(1)[0][0]}"
 
 
 def tell_clouds(source: str, unit: str, kind: str = "clouds") -> str:
@@ -54,7 +54,7 @@ def tell_clouds(source: str, unit: str, kind: str = "clouds") -> str:
         return "meshes"
     normals = "with" if first.normals is not None else "without"
     say(
-        f"clouds: {len(scans)} frames; the first has {len(first.points)} points {normals} normals, "
+        f"clouds: {counted(len(scans), 'frame')}; the first has {counted(len(first.points), 'point')} {normals} normals, "
         f"{metres(np.ptp(first.points, axis=0))}"
     )
     return kind
@@ -83,6 +83,21 @@ def _run(folder: Path) -> str:
     return "run" if (folder / "motion.npz").is_file() else "unfinished"
 
 
+def first_of(folder: Path, kind: str) -> Path | None:
+    """Return the first file of a kind in a folder."""
+    return next((path for path, one in _kinds(folder).items() if one == kind), None)
+
+
+def _kinds(folder: Path) -> dict[Path, str]:
+    """What the first files of a folder are; those beside a mesh that make it a body are of the body."""
+    files = [path for path in sorted(folder.iterdir())[:LOOKED_AT] if path.is_file()]
+    kinds = {path: kind for path in files if (kind := _kind(path)) is not None}
+    beside = {path for mesh, kind in kinds.items() if kind == "rigged" for path in bones_beside(mesh) or ()}
+    return {path: kind for path, kind in kinds.items() if path not in beside}
+
+
 def _kind(path: Path) -> str | None:
-    """What a file of a folder is by its suffix, as a folder may have thousands."""
-    return "mesh" if path.suffix.lower() in SUFFIXES else identify(path)
+    """What a file of a folder is, a mesh by its suffix, as a folder may have thousands."""
+    if path.suffix.lower() in SUFFIXES:
+        return "rigged" if bones_beside(path) else "mesh"
+    return identify(path)

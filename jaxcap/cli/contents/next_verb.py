@@ -2,12 +2,19 @@
 
 from pathlib import Path
 
+from .folders import first_of
+
 #: what is done with each kind of content: commands with `{file}` in place of its name, and what each is for
 COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "body": (("track {file} CLOUDS -o tracked", "fits it to clouds"), ("view {file}", "shows it")),
     "skinned": (
         ("track {file} CLOUDS -o tracked", "fits it to clouds"),
         ("convert {file} body.npz --as body", "keeps it as a body"),
+    ),
+    "rigged": (
+        ("track {file} CLOUDS -o tracked", "fits it to clouds"),
+        ("convert {file} body.npz --as body", "keeps it as a body"),
+        ("convert {file} body.glb", "gives it to other programs"),
     ),
     "animated": (
         ("edit retarget {file} human -o human.npz", "gives its motion to the human"),
@@ -71,6 +78,8 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "folder of bvh": (("prior learn {file}/*.bvh -o prior.npz", "learns which poses are likely"),),
     "folder of amc": (("prior learn {file}/*.amc -o prior.npz", "learns which poses are likely"),),
 }
+#: what kinds of folders begin with
+FOLDER = "folder of "
 #: what no verb reads
 OTHERS = {
     "arrays": "no verb reads these arrays; clouds are an array points (F, N, 3), meshes vertices (F, V, 3) with faces (T, 3)",
@@ -85,6 +94,13 @@ def next_verbs(kind: str, file: str, unit: str | None = None) -> str:
 
     **Arguments:** `unit` of lengths, where the commands have to be given it.
     """
+    if kind not in COMMANDS and kind.startswith(FOLDER):
+        one = first_of(Path(file), kind.removeprefix(FOLDER))
+        return (
+            next_verbs("other", file)
+            if one is None
+            else f"next: `jaxcap info {_quoted(str(one))}` says more of one of them"
+        )
     if kind not in COMMANDS:
         return OTHERS.get(kind, "no verb reads this")
     words = {

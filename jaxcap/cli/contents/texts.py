@@ -14,7 +14,7 @@ from ...io.journal import read_header, read_records
 from ...io.kinds import kind_of_json
 from ...io.registry import read_marker_file, read_skeleton
 from ...io.text import Words, numbered_lines, parse_json, read_json, read_text
-from ..say import say
+from ..say import counted, say
 from .bodies import tell_skeleton
 
 
@@ -24,7 +24,7 @@ def tell_markers(path: Path, unit: str | None) -> str:
     frames = file.frames
     count, shown = len(frames), 100 * float(np.asarray(frames.seen).mean())
     say(
-        f"markers: {len(frames.labels)}, {count} frames at {frames.rate:g} a second, {count / frames.rate:.2f} s, unit "
+        f"markers: {len(frames.labels)}, {counted(count, 'frame')} at {frames.rate:g} a second, {count / frames.rate:.2f} s, unit "
         f"{file.unit}, {shown:.3g} % seen"
     )
     return "markers"
@@ -74,7 +74,7 @@ def tell_statistics(path: Path) -> None:
             states = [row[head.index("state")] for row in rows]
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(f"{path}: these are not the statistics of a run; remove the file.") from None
-    say(f"statistics: {len(states)} frames, {states.count('lost')} lost")
+    say(f"statistics: {counted(len(states), 'frame')}, {states.count('lost')} lost")
 
 
 def tell_journal(path: Path) -> str:

@@ -12,7 +12,7 @@ from ...io.registry import SKELETON_READERS, read_skeleton, write_motion
 from ..convert_way import OWN_UNIT
 from ..motions import extent, load_motion, load_motion_of
 from ..options import MotionSpec, arg
-from ..say import say
+from ..say import counted, say
 
 MotionFile = MotionSpec
 OutMotion = Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
@@ -64,4 +64,4 @@ def frames_of(motion: Motion, frames: tuple[int, int] | None, path: Path) -> tup
 def save(path: Path, skeleton: Skeleton, motion: Motion, what: str = "") -> None:
     """Write a motion and say so."""
     write_motion(path, skeleton, motion)
-    say(f"written: {path}, {len(motion)} frames at {motion.rate:g} a second{what}")
+    say(f"written: {path}, {counted(len(motion), 'frame')} at {motion.rate:g} a second{what}")

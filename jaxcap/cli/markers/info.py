@@ -14,7 +14,7 @@ from ...io.registry import read_marker_file
 from ...markers.gaps import describe_gaps, gap_statistics
 from ...observe import MarkerFrames
 from ..options import OptionalFile, OptionalUnit, arg
-from ..say import say, table, warn
+from ..say import counted, say, table, warn
 from .takes import UNIT_ASKED
 
 #: characters of a marker's bar of time
@@ -47,7 +47,7 @@ class Info:
         several = self.subject is None and len(subjects) > 1
         frames = file.frames if several else pick_subject(file.frames, path, self.subject)
         count = len(frames)
-        say(f"{path.name}: {count} frames at {frames.rate:g} a second, {count / frames.rate:.2f} s, the first is {file.first_frame}")  # fmt: skip
+        say(f"{path.name}: {counted(count, 'frame')} at {frames.rate:g} a second, {count / frames.rate:.2f} s, the first is {file.first_frame}")  # fmt: skip
         say(f"markers: {len(frames.labels)}{_starred(frames)}, unit {file.unit}, {_extent(frames)}")
         for name, members in subjects.items():
             say(f"subject: {name}, {len(members)} markers")

@@ -18,7 +18,7 @@ from ...markers.gaps import find_pieces, join_pieces, split_unlabelled
 from ...observe import MarkerFrames
 from ..options import arg
 from ..outputs import check_absent, check_parent
-from ..say import say, warn
+from ..say import counted, say, warn
 from ..sources import Up, up_rotation
 
 TakesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES...", help_behavior_hint="")]]
@@ -51,7 +51,7 @@ def read_take(
         warn(f"{Path(path).name}: {sentence}")
     shown = 100 * np.asarray(frames.seen).mean()
     say(
-        f"{Path(path).name}: {len(frames)} frames at {frames.rate:g} a second, {len(frames.labels)} markers, "
+        f"{Path(path).name}: {counted(len(frames), 'frame')} at {frames.rate:g} a second, {counted(len(frames.labels), 'marker')}, "
         f"{shown:.{1 if shown < 99.9 else 3}f} % seen"
     )
     return frames

@@ -20,7 +20,7 @@ from ...io.prior import save_prior
 from ..motions import load_motion
 from ..options import BODY_WORDS, MOTION_WORDS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_npz
-from ..say import progress, say, table, warn
+from ..say import counted, progress, say, table, warn
 from ..sources import load_body
 from .shape import learn_shape
 
@@ -75,7 +75,7 @@ class Learn:
         body = None if self.body is None else load_body(self.body, unit=self.unit or "m")[0]
         skeleton, motions = self.read(body)
         frames = sum(len(motion) for motion in motions)
-        say(f"{len(motions)} motions, {frames} poses learned from")
+        say(f"{counted(len(motions), 'motion')}, {counted(frames, 'pose')} learned from")
         shape = self.read_shape(body)
         try:
             learned = learn_pairs(

@@ -14,7 +14,7 @@ from .descent import ConstrainedInfo
 from .equalities import Equalities
 from .minimise import AnySolver, Minimum, minimise
 from .problem import AbstractProblem
-from .structured import AbstractStructured, damped
+from .structured import damped
 
 #: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end, not below so many roundings
 DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE, DERIVATIVE_ROUNDINGS = 200, 1e-12, 10
