@@ -124,13 +124,11 @@ def learn_body(
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("finding parts and joints")
-        # a given skeleton is bound to the whole surface, whose triangles are those of a mesh
-        whole_mesh = skeleton is not None and not loose
-        start = _start(meshes if whole_mesh else coarse.meshes, joints, skin, symmetry, skeleton, free_bones)
+        start = _start(coarse.meshes if loose else meshes, joints, skin, symmetry, skeleton, free_bones)
         own_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
-        if thinned and whole_mesh:
+        if thinned and not loose:
             state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume
