@@ -73,6 +73,7 @@ MANY = {
     "usd": "USD files",
     "mesh": "meshes or clouds",
     "rigged": "meshes with their skeletons (.skl) and parts (.vj)",
+    "joint names": "tables of joints that match",
     "bvh": "motions with their skeletons (BVH)",
     "asf": "skeletons with joint limits (ASF)",
     "amc": "motions (AMC)",
