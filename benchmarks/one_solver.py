@@ -217,7 +217,7 @@ def marker_recipe() -> dict[str, float]:
 
 def learning_recipe() -> dict[str, float]:
     """The minimum of learning's joints and poses: derivatives of posed vertices by the weight of shape and by a datum against central
-    differences. Centres along hinges' axes are told by nothing, so that lengths have no derivative."""
+    differences. The position of a hinge's centre along its axis is unobservable, so bone lengths have no derivative."""
     rng = np.random.default_rng(4)
     body = in_precision(human(resolution="low", joints="tracking"), jnp.float64)
     skeleton = body.skeleton

@@ -1,7 +1,6 @@
 """The motion of a known subject through frames of markers."""
 
 import logging
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,6 +14,7 @@ from ..body.pose import Motion, Pose
 from ..energy.check import OwnTerms, own_terms
 from ..geometry.stacking import concatenate
 from ..observe import MarkerFrames
+from ..parallel import parallel_map
 from .frame import Search, SolvedFrame, solve_frame
 from .guess import guess_poses
 from .matched import match_markers
@@ -101,8 +101,7 @@ def _in_chunks(subject: Subject, places, seen, search: Search, energy) -> Solved
         start = jax.tree.map(lambda leaf: leaf[chunk], starts)
         return jax.block_until_ready(_solve_chunk(subject, start, places[chunk], seen[chunk], search, energy))
 
-    with ThreadPoolExecutor(2) as threads:
-        parts = [run(0), *threads.map(run, range(1, chunks))]
+    parts = parallel_map(run, range(chunks))
     return jax.tree.map(lambda *leaves: concatenate(leaves)[:count], *parts)
 
 
