@@ -239,7 +239,8 @@ def learning_recipe() -> dict[str, float]:
     for way in jnp.eye(2):
         column = jax.jvp(lambda c: places(c, body, poses)[0], (zero,), (way,))[1]
         near, far = (
-            (places(h * way, found.body, found.poses)[0] - places(-h * way, found.body, found.poses)[0]) / (2 * h)
+            (places(h * way, found.body, found.poses)[0] - places(-h * way, found.body, found.poses)[0])
+            / (2 * h)
             for h in (1e-2, 2e-2)
         )
         worst = max(worst, float(jnp.abs((4 * near - far) / 3 - column).max() / jnp.abs(column).max()))

@@ -177,8 +177,10 @@ def test_sentences_in_full():
         jc.retract(
             BODY.skeleton, jc.Pose(jnp.ones((J + 1, 3)), jnp.ones((J + 1, 4)), jnp.ones(())), jnp.zeros(3)
         )
-    with pytest.raises(InputError, match="make_tracker: `terms` is a JointLimits; expected is a sequence"):
-        jc.make_tracker(BODY, None, EXAMPLES["JointLimits"])
+    with pytest.raises(
+        InputError, match="make_tracker: `terms` is 3; expected is an AbstractEnergy or a sequence"
+    ):
+        jc.make_tracker(BODY, None, 3)
     with pytest.raises(InputError, match="stack_poses: `poses` is a Pose; expected is a sequence of Pose"):
         jc.stack_poses(POSE)
 
@@ -188,8 +190,9 @@ _OWN = {"make_segments", "people_like"}
 
 
 def functions():
-    for name, function in vars(jc).items():
-        if not name.startswith("_") and callable(function) and not inspect.isclass(function):
+    for name in jc.__all__:
+        function = getattr(jc, name)
+        if callable(function) and not inspect.isclass(function):
             yield name
 
 

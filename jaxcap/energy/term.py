@@ -111,3 +111,8 @@ def root(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     there stays away under differentiation too."""
     positive = weights > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, weights, 1.0)), 0.0)
+
+
+def weighed(weights: Float[Array, "C"], apart: Float[Array, "C A"]) -> Float[Array, "C A"]:
+    """Rows by the roots of their weights; zero where a weight is, also of what is NaN there."""
+    return root(weights)[:, None] * jnp.where((weights > 0)[:, None], apart, 0.0)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from ..errors import InputError, is_sentence
+from ..errors import InputError, is_sentence, sentence_of
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,7 +32,7 @@ def reads(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
                 if _names(error, path):
                     raise
                 # what bodies and motions say of what they are made of, without knowing where it is from
-                raise InputError(f"{path}: {error}") from None
+                raise InputError(f"{path}: {sentence_of(error)}") from None
 
         return guarded
 

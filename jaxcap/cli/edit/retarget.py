@@ -18,7 +18,7 @@ from ...edit.retargeting.point_pairs import meet_points
 from ...edit.retargeting.retarget import retarget
 from ...edit.retargeting.retarget_shape import retarget_shape
 from ...edit.retargeting.soles import floor_under, ground, lowest, sole_heights
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...io.joint_names import write_joint_names
 from ..options import BODY_WORDS, BodySpec, Flag, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion
@@ -99,7 +99,7 @@ class Retarget:
         except InputError:
             raise
         except ValueError as error:
-            raise InputError(f"{self.motion}: {error}") from None
+            raise InputError(f"{self.motion}: {sentence_of(error)}") from None
         how = "surface" if surface else "names of joints"
         say(
             f"{self.motion.name} retargeted by the {how}: 1 m becomes {found.ratio:.3f} m, the floor is at {found.floor:.3f} m"

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
+from ...errors import sentence_of
 from ...geometry.axes import nearest_axis
 from .person import Person, nearest_up, settle_sides, trunk_direction
 
@@ -125,7 +126,7 @@ def _reference(
     try:
         person = settle_sides(person, places, along)
     except ValueError as error:
-        raise ValueError(f"In the {which}: {error}") from None
+        raise ValueError(f"In the {which}: {sentence_of(error)}") from None
     left = np.zeros(3)
     for part in ("thigh", "upper_arm"):
         if ("left", part) in person.parts and ("right", part) in person.parts:
