@@ -113,6 +113,6 @@ def root(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, weights, 1.0)), 0.0)
 
 
-def weighed(weights: Float[Array, "C"], apart: Float[Array, "C A"]) -> Float[Array, "C A"]:
-    """Rows by the roots of their weights; zero where a weight is, also of what is NaN there."""
-    return root(weights)[:, None] * jnp.where((weights > 0)[:, None], apart, 0.0)
+def where_weighed(weights: Float[Array, "C"], rows: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+    """Rows of data, zero where they weigh nothing, for what was not seen may be NaN."""
+    return jnp.where((weights > 0)[:, None], rows, 0.0)
