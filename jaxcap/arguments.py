@@ -8,6 +8,7 @@ puts into them there is not checked.
 import collections.abc
 import dataclasses
 import functools
+import importlib
 import inspect
 import numbers
 import os
@@ -19,7 +20,7 @@ from typing import Any, Literal, TypeVar, Union
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, is_sentence, sentence_of
 
 Function = TypeVar("Function", bound=Callable)
 #: metres that a body or what is around it is wide at most, and what other units are in metres
@@ -71,15 +72,15 @@ def check_rate(where: str, rate: Any) -> None:
 def check_metres(where: str, name: str, points: np.ndarray) -> None:
     """That points of one body or scene are in metres: not over 50 m wide, but for one point in twenty at each end.
 
-    **Raises:** `InputError` with the unit that it may be.
+    **Raises:** `InputError` with the unit that it may be, or with two where they are too near to each other to tell.
     """
     if len(points) == 0:
         return
     extent = float(np.ptp(np.quantile(points, [0.05, 0.95], axis=0), axis=0).max())
     if extent > LARGEST:
-        likely = [unit for unit, size in _UNITS.items() if 0.3 <= extent * size <= 3.0]
+        likely = {unit: f"{size:g}" for unit, size in _UNITS.items() if 0.3 <= extent * size <= 3.0}
         unit = (
-            f"it looks like {likely[0]}: multiply by {_UNITS[likely[0]]:g}, or read the file in its unit"
+            f"it looks like {' or '.join(likely)}: multiply by {' or '.join(likely.values())}, or read the file in its unit"
             if likely
             else "check the unit"
         )
@@ -99,7 +100,8 @@ def checked(function: Function) -> Function:
     """Decorate a public function so that its arguments are checked against their annotations when it is called.
 
     Arrays have to have the shapes and kinds of numbers of the annotation, with equal lengths where these have one name; and
-    poses have to be of as many joints as the body or skeleton that they are given with.
+    poses have to be of as many joints as the body or skeleton that they are given with. A `ValueError` that the package
+    raises within becomes an `InputError` that names the function first.
 
     **Raises:** `InputError` with the function, the argument, what was given and what is expected.
     """
@@ -126,7 +128,13 @@ def checked(function: Function) -> Function:
             if key in hints() and kind not in (kind.VAR_POSITIONAL, kind.VAR_KEYWORD):
                 _check(name, key, hints()[key], value, lengths)
         _check_joints(name, given)
-        return function(*arguments, **named)
+        try:
+            return function(*arguments, **named)
+        except ValueError as error:
+            # one that names a function is told of the outermost, which the user has called
+            if not is_sentence(error) or (isinstance(error, InputError) and not error.function):
+                raise
+            raise InputError(sentence_of(error), name) from None
 
     return typing.cast(Function, wrapper)
 
@@ -147,7 +155,7 @@ def describe(value: Any) -> str:
         return f"is {str(value)[:40]!r}"
     if _is_array(value):
         return f"has {_kind(value)} numbers of shape {_shape(value)}"
-    name = value.__name__ if isinstance(value, type) else type(value).__name__
+    name = public_name(value if isinstance(value, type) else type(value))
     article = "an" if name[:1].lower() in "aeiou" else "a"
     return f"is the class {name} itself" if isinstance(value, type) else f"is {article} {name}"
 
@@ -163,11 +171,15 @@ def array(value: Any) -> Any:
 
 
 def numbers_of(where: str, name: str, value: Any) -> np.ndarray:
-    """Floating-point numbers of anything that has some. Raises `InputError` for anything else."""
+    """Floating-point numbers of anything that has real ones. Raises `InputError` for anything else."""
     try:
-        return np.asarray(value, float)
+        given = np.asarray(value)
+        if given.dtype.kind != "c":
+            return given.astype(float)
+        value = given
     except (TypeError, ValueError):
-        raise InputError(f"{where}: `{name}` {describe(value)}; expected is an array of numbers.") from None
+        pass
+    raise InputError(f"{where}: `{name}` {describe(value)}; expected is an array of real numbers.")
 
 
 def _check(where: str, name: str, annotation: Any, value: Any, lengths: Lengths) -> None:
@@ -356,8 +368,18 @@ def _owned_joints(value: Any, deep: int = 2) -> int | None:
 
 def _named(kind: type) -> str:
     plain = {int: "a whole number", float: "a number", bool: "True or False", str: "a text", Path: "a path"}
-    article = "an" if kind.__name__[:1].lower() in "aeiou" else "a"
-    return plain.get(kind, f"{article} {kind.__name__}")
+    name = public_name(kind)
+    article = "an" if name[:1].lower() in "aeiou" else "a"
+    return plain.get(kind, f"{article} {name}")
+
+
+def public_name(kind: type) -> str:
+    """Return the name by which users import a class, such as `AdaptTask`; its own where that is the same, or where it has none."""
+    package = importlib.import_module(__package__ or "jaxcap")
+    for name, (_, attribute) in package._origins().items():
+        if attribute == kind.__name__ != name and getattr(package, name) is kind:
+            return name
+    return kind.__name__
 
 
 def _is_array(value: Any) -> bool:

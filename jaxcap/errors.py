@@ -8,7 +8,20 @@ _PACKAGE = Path(__file__).resolve().parent
 
 class InputError(ValueError):
     """Something the user gave is wrong; the message is one sentence that says what was
-    found, where, and what to do. The command line prints it alone and exits with 2."""
+    found, where, and what to do. The command line prints it alone and exits with 2.
+
+    A public `function` that was given it is named before the sentence.
+    """
+
+    def __init__(self, sentence: str, function: str = ""):
+        super().__init__(f"{function}: {sentence}" if function else sentence)
+        self.sentence, self.function = sentence, function
+
+
+def sentence_of(error: BaseException) -> str:
+    """Return what an error says, without the function of the library that it is told of: for files and the command line,
+    whose users have not called it."""
+    return error.sentence if isinstance(error, InputError) else str(error)
 
 
 def is_sentence(error: BaseException) -> bool:

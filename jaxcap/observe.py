@@ -24,6 +24,14 @@ from .errors import InputError
 from .geometry.normals import estimate_normals
 from .geometry.order import spatial_order
 from .geometry.stacking import stack
+from .values import check_faces
+
+#: metres from the origin to the middle of a cloud, at most: there single precision is to half a millimetre
+FARTHEST = 1e4
+#: coordinates beyond this are no places, whatever the unit; single ones beyond `FARTHEST` are outliers
+WILD = 1e9
+#: metres that a cloud with any size is wide, at least
+SPECK = 5e-3
 
 
 class Cloud(eqx.Module):
@@ -68,6 +76,7 @@ class MeshSequence(eqx.Module):
     def __check_init__(self):
         check_fields(self)
         check_rate("MeshSequence", self.rate)
+        check_faces("MeshSequence", self.faces, self.vertices.shape[1])
 
     def __len__(self) -> int:
         return self.vertices.shape[0]
@@ -164,7 +173,7 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     points where not given; `weights (N,)`, one where not given; `name` for messages.
 
     **Raises:** `InputError` with one sentence for an empty cloud, a coordinate that is not
-    finite, a negative weight, or arrays of different lengths.
+    finite, a negative weight, arrays of different lengths, and points that cannot be in metres or are too far away.
     """
     points = numbers_of("make_cloud", "points", points)
     if points.ndim != 2 or points.shape[1:] != (3,):
@@ -177,6 +186,7 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
             f"{name} has {bad.size} points that are not finite, the first of them point {bad[0]}; remove them."
         )
     check_metres("make_cloud", "points" if name == "the cloud" else name, points)
+    check_place(points, name)
     normals = estimate_normals(points) if normals is None else numbers_of("make_cloud", "normals", normals)
     weights = np.ones(len(points)) if weights is None else numbers_of("make_cloud", "weights", weights)
     if normals.shape != points.shape or weights.shape != points.shape[:1]:
@@ -187,6 +197,25 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     if not ((weights >= 0) & np.isfinite(weights)).all():
         raise InputError(f"{name} has a weight below zero or not finite; weights are at least zero.")
     return ordered_cloud(points, unit_normals(normals), weights)
+
+
+def check_place(points: Float[np.ndarray, "N 3"], name: str) -> None:
+    """Check that points are near enough to the origin for their digits, and more than specks, metres.
+
+    **Raises:** `InputError` where they are not.
+    """
+    away, beyond = float(np.abs(np.median(points, axis=0)).max()), float(np.abs(points).max())
+    if away > FARTHEST or beyond > WILD:
+        far = away if away > FARTHEST else beyond
+        raise InputError(
+            f"{name} has points {far:.3g} m from the origin; expected are at most {FARTHEST:g} m, beyond which numbers have "
+            "no room for millimetres: take the place of the scene away from all points, and check the unit."
+        )
+    extent = float(np.ptp(points, axis=0).max())
+    if 0 < extent < SPECK:
+        raise InputError(
+            f"{name} is {extent:.3g} m wide; expected are metres, at least {SPECK:g}; check the unit, which may be kilometres."
+        )
 
 
 def ordered_cloud(

@@ -192,8 +192,9 @@ _OWN = {"make_segments", "people_like"}
 
 
 def functions():
-    for name, function in vars(jc).items():
-        if not name.startswith("_") and callable(function) and not inspect.isclass(function):
+    for name in jc.__all__:
+        function = getattr(jc, name)
+        if callable(function) and not inspect.isclass(function):
             yield name
 
 

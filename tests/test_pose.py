@@ -139,5 +139,5 @@ def test_thousands_of_poses_are_stacked_without_compiling(rng):
         lambda x: jnp.sum(poses.stack_poses([eqx.tree_at(lambda p: p.scale, several[0], x)] * 2).poses.scale)
     )
     assert slope(1.0) == 2.0
-    with pytest.raises(ValueError, match="no poses to stack"):
+    with pytest.raises(ValueError, match="stack_poses: `poses` is empty"):
         poses.stack_poses([])

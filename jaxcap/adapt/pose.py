@@ -15,11 +15,13 @@ from ..body.skeleton import Skeleton
 from ..energy.pairs import Pairs
 from ..energy.term import AbstractEnergy
 from ..fit.alternate import alternate
-from ..fit.correspond import Matching, Scan, find_pairs
+from ..fit.correspond import Matching, Scan, as_scan, find_pairs
 from ..fit.problem import PoseProblem
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..fit.visible import visible_vertices
 from ..geometry.camera import Camera
+from ..observe import Cloud
+from ..observe import Scan as FileScan
 from .objective import mean_square, pose_problem
 
 #: lengths of a step that are tried: further than it says, as nearest neighbours hold a surface back, and shorter
@@ -43,7 +45,7 @@ class PoseFit(NamedTuple):
 @checked
 def fit_pose(
     body: Body,
-    scan: Scan,
+    scan: Scan | Cloud | FileScan,
     start: Pose,
     prior: AbstractEnergy,
     matching: Matching = Matching(),
@@ -60,9 +62,10 @@ def fit_pose(
     Each step finds pairs anew and is one of Levenberg-Marquardt for these, at the best of some lengths (Adaptation, 4.1.4). `damping`
     is that of the first step, as a share of each curvature. New pairs may raise Q; some such steps are gone on from, and the best pose is kept.
 
-    `boxes` are hard. What the start has beyond them is brought back first. `cameras` as in `pairs_of`. `terms` are further
+    The `scan` may be a cloud, or as `read_clouds` gives it, of which `make_scan` is made here. `boxes` are hard. What the start has beyond them is brought back first. `cameras` as in `pairs_of`. `terms` are further
     energies in units of a log-likelihood.
     """
+    scan = as_scan(scan)
     start = start if boxes is None else brought_in(boxes, body.skeleton, start)
 
     def remake(pose: Pose) -> PoseProblem:

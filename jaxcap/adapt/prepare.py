@@ -20,7 +20,7 @@ from ..observe import Cloud, CloudFrames
 from .people import people_like
 from .shape_prior import ShapePrior
 from .similarity import is_unordered
-from .task import Settings, Task
+from .task import Settings, Task, check_settings
 
 
 @checked
@@ -50,9 +50,10 @@ def make_task(
     others as in `Task`. Whether the scans follow each other in time is found from some of them, unless
     `settings.unordered` says so.
 
-    **Raises:** `ValueError` where no frame has a cloud; `InputError` where `settings` ask for what unordered scans cannot
-    have.
+    **Raises:** `InputError` where no frame has a cloud, a setting is out of its range, or `settings` ask for what unordered
+    scans cannot have.
     """
+    check_settings(settings)
     clouds = CloudFrames(clouds)
     if len(clouds) <= len(set(missing)):
         raise InputError(

@@ -7,12 +7,13 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.pose_boxes import PoseBoxes
 from ..energy.term import AbstractEnergy, terms_of
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..fit.correspond import Matching, Scan, make_scan
 from ..fit.recover import TrackedFrame
 from ..fit.track import Tracker, make_tracker
 from ..geometry.camera import Camera
 from ..observe import Cloud
+from ..values import check_at_least, check_positive
 from .people import People
 from .shape_prior import ShapePrior
 from .terms import Terms
@@ -55,6 +56,15 @@ class Settings(NamedTuple):
     def smooth(self) -> bool:
         """Whether the motion is made smooth in time."""
         return self.temporal != 0.0 and not self.unordered
+
+
+def check_settings(settings: Settings) -> None:
+    """Check that settings are in their ranges. Raises `InputError` for the first that is not."""
+    where = "AdaptSettings"
+    check_at_least(where, 1, frames=settings.frames)
+    check_at_least(where, 0, alone=settings.alone, rounds=settings.rounds, every=settings.every)
+    check_at_least(where, 0, shape=settings.shape, pose=settings.pose, temporal=settings.temporal)
+    check_positive(where, "metres", joint=settings.joint, deviation=settings.deviation)
 
 
 class AdaptState(NamedTuple):
@@ -135,7 +145,9 @@ class Task(NamedTuple):
         try:
             return make_scan(cloud)
         except ValueError as error:
-            raise InputError(f"frame {frame}: {error} Name it among the `missing` frames.") from None
+            raise InputError(
+                f"frame {frame}: {sentence_of(error)} Name it among the `missing` frames."
+            ) from None
 
     def some(self, frames: Sequence[int]) -> "Task":
         """The task of some of the frames, numbered from 0."""

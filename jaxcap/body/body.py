@@ -5,10 +5,14 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from ..arguments import check_fields, check_length, checked, lengths_of
+from ..errors import InputError
 from ..geometry.mesh import vertex_normals
+from ..values import check_faces
 from .kinematics import Transforms, forward_kinematics, joint_positions
 from .pose import Pose
 from .skeleton import Skeleton
@@ -30,6 +34,25 @@ class Body(eqx.Module):
         for dim in ("V", "J"):
             if dim in of_skin:
                 check_length(self, "skin", of_skin[dim][0], lengths, dim)
+        check_faces("Body", self.faces, len(self.vertices))
+        check_skin(self.skin)
+
+
+def check_skin(skin: AbstractSkin) -> None:
+    """Check that each vertex hangs on some bone where a skin has weights, which are looked at where they are not traced.
+
+    **Raises:** `InputError` with the first vertex that does not.
+    """
+    weights = getattr(skin, "weights", None)
+    if weights is None or isinstance(weights, Tracer):
+        return
+    # written so that what is no number counts as wrong
+    loose = ~(np.asarray(weights).sum(1) > 0)
+    if loose.any():
+        raise InputError(
+            f"{type(skin).__name__}: `weights` of vertex {int(loose.argmax())} sum to {np.asarray(weights)[loose.argmax()].sum():g}; "
+            "expected is 1, so that the vertex moves with some bone."
+        )
 
 
 class Posed(eqx.Module):

@@ -96,7 +96,7 @@ def human(
     The root, `Hips`, is free. The x axis of a joint's own frame lies along its bone; its y axis is
     the axis of flexion, and `axes[j]` are its y and z.
 
-    **Raises:** `ValueError` with one sentence for an option out of its range, `FileNotFoundError`
+    **Raises:** `InputError` with one sentence for an option out of its range, `FileNotFoundError`
     where the asset is missing.
     """
     traits = _traits(sex, age, weight, muscle)

@@ -192,7 +192,7 @@ def make_joint_ranges(
     `((lower, upper), (lower, upper))` for a universal one; `cones` a `Cone` for a ball or
     free joint. Axes need not be of unit length.
 
-    **Raises:** `ValueError` when a joint is unknown or of another kind, a lower bound is
+    **Raises:** `InputError` when a joint is unknown or of another kind, a lower bound is
     above its upper one, an angle is not in `[0, pi]`, or an axis has no length.
     """
     rows, balls = [], []

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..arguments import check_fields, check_rate, checked
+from ..errors import InputError
 from ..geometry import rotation
 from ..geometry.stacking import concatenate, stack
 from .skeleton import Skeleton, dof_layout
@@ -42,6 +43,10 @@ class Motion(eqx.Module):
     def __check_init__(self):
         check_fields(self)
         check_rate("Motion", self.rate)
+        if self.poses.scale.ndim == 0:
+            raise InputError(
+                "Motion: `poses` is one pose; expected are poses stacked over frames, such as stack_poses([pose]) makes."
+            )
 
     @property
     def num_frames(self) -> int:
@@ -73,9 +78,9 @@ def rest_pose(skeleton: Skeleton) -> Pose:
 
 @checked
 def stack_poses(poses: Sequence[Pose], rate: float = 30.0) -> Motion:
-    """Stack single poses to a `Motion`, differentiably. Raises `ValueError` where there are none."""
+    """Stack single poses to a `Motion`, differentiably. Raises `InputError` where there are none."""
     if not poses:
-        raise ValueError("There are no poses to stack; give at least one.")
+        raise InputError("stack_poses: `poses` is empty; expected is one pose at least.")
     return Motion(jax.tree.map(lambda *leaves: stack(leaves), *poses), rate)
 
 

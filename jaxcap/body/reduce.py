@@ -38,7 +38,7 @@ def reduce_body(body: Body, vertices: int) -> Body:
     carried over at the nearest points of the full surface (`AbstractSkin.carry`). The same body
     always gives the same result; a body that already is as small is returned as it is.
 
-    **Raises:** `ValueError` with one sentence when fewer than 4 vertices are asked for, or when the
+    **Raises:** `InputError` with one sentence when fewer than 4 vertices are asked for, or when the
     surface cannot be reduced so far.
     """
     if vertices < LEAST_VERTICES:

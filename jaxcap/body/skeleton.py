@@ -145,7 +145,7 @@ def make_skeleton(
     metres; `orientations (J, 4)` quaternions, the identity where not given;
     `axes (J, 2, 3)`, x and y where not given.
 
-    **Raises:** `ValueError` with one sentence when names repeat, a parent or a kind is
+    **Raises:** `InputError` with one sentence when names repeat, a parent or a kind is
     unknown, the tree has a cycle, or a number is not finite.
     """
     names, parents, kinds = list(names), [int(p) for p in parents], list(kinds)

@@ -14,7 +14,7 @@ from ..adapt.prepare import make_task
 from ..adapt.task import Stage
 from ..body.body import Body
 from ..energy.pair_prior import LikelihoodPrior, MahalanobisPrior
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..fit.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
 from ..io.clouds import Scans, read_clouds
 from ..io.lock import run_lock
@@ -191,7 +191,7 @@ class Adapt:
             write_motion(self.motion_path, state.body.skeleton, state.motion)
             save_actor(self.out, state, beside, header, self.motion_path)
         except InputError as error:
-            raise InputError(f"{error} {kept_words(self.kept, state.done)}.") from None
+            raise InputError(f"{sentence_of(error)} {kept_words(self.kept, state.done)}.") from None
         say(
             f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
             f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}, "
@@ -361,7 +361,9 @@ def _check_first(task: Task, state: AdaptState, where: str) -> None:
     try:
         check_actor(task, state, where)
     except InputError as error:
-        raise InputError(f"{error} If it is one person all the same, give --unchecked.") from None
+        raise InputError(
+            f"{sentence_of(error)} If it is one person all the same, give --unchecked."
+        ) from None
 
 
 def _reached(task: Task, state: AdaptState, stages: Sequence[Stage]) -> str:

@@ -17,7 +17,7 @@ from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from ..edit.retargeting.plan import plan_retarget
 from ..edit.retargeting.retarget import retarget
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..fit.check import check_extent
 from ..geometry.camera import Camera
 from ..io.cameras import read_cameras
@@ -61,7 +61,7 @@ def look_through(scans: Scans, body: Body) -> Looked:
         except InputError as error:
             if frame == 0:
                 raise
-            found[frame] = str(error)
+            found[frame] = sentence_of(error)
     good = len(scans) - len(found)
     if found and (good < LEAST or good < GOOD * len(scans)):
         raise InputError(
@@ -124,7 +124,7 @@ def first_pose(path: Path, skeleton: Skeleton) -> Pose:
     try:
         plan = plan_retarget(of, skeleton, None, motion)
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {sentence_of(error)}") from None
     for line in plan.matches.warnings:
         warn(f"{path}: {line}")
     return retarget(motion.slice(slice(1)), of, skeleton, plan=plan)[0]

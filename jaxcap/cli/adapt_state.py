@@ -10,7 +10,7 @@ import numpy as np
 from ..adapt.task import AdaptState
 from ..adapt.terms import Terms
 from ..body.body import Body
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..fit.recover import TrackedFrame
 from ..fit.track import make_tracker
 from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -163,7 +163,7 @@ def keep_state(path: Path, state: AdaptState, header: Mapping[str, object]) -> N
     except InputError as error:
         # what is kept is of the stage before, or of this one so far
         done = state.done if state.within else state.done - 1
-        raise InputError(f"{error} {kept_words(path, done)}.") from None
+        raise InputError(f"{sentence_of(error)} {kept_words(path, done)}.") from None
 
 
 def kept_words(path: Path, done: int) -> str:

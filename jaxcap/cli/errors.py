@@ -5,7 +5,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 
-from ..errors import is_sentence
+from ..errors import is_sentence, sentence_of
 
 #: what a user can mend, and Ctrl-C as shells count it
 WRONG, STOPPED = 2, 130
@@ -25,7 +25,7 @@ def told() -> Iterator[None]:
     except (ValueError, OSError) as error:
         if not isinstance(error, OSError) and not is_sentence(error):
             raise
-        sys.stderr.write(f"jaxcap: {' '.join(str(error).split())}\n")
+        sys.stderr.write(f"jaxcap: {' '.join(sentence_of(error).split())}\n")
         raise SystemExit(WRONG) from None
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"\njaxcap: {' '.join(str(stop).split()) or 'stopped'}\n")

@@ -9,7 +9,7 @@ import tyro
 from jaxtyping import Int
 
 from ..body.body import Body
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..fit.registered import fit_meshes
 from ..io.meshes import read_named_meshes
 from ..io.npz import save_motion
@@ -67,7 +67,7 @@ class Fit:
         try:
             fit = fit_meshes(body, sequence, terms=terms)
         except ValueError as error:
-            raise InputError(f"{self.meshes[0]}: {error}") from None
+            raise InputError(f"{self.meshes[0]}: {sentence_of(error)}") from None
         if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
             warn(
                 f"{self.meshes[0]}: the triangles are not those of {self.body}; vertices are taken in their order"

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..io.mesh import check_mesh, check_size, read_mesh
 from ..io.npz import save_body
 from ..rig.rig import rig_mesh
@@ -52,6 +52,6 @@ class Rig:
         try:
             body = rig_mesh(vertices, mesh.faces, skeleton, self.method)
         except ValueError as error:
-            raise InputError(f"{self.mesh}: {error}") from None
+            raise InputError(f"{self.mesh}: {sentence_of(error)}") from None
         save_body(self.out, body)
         say(f"{self.out}: {len(body.vertices)} vertices on {body.skeleton.num_joints} joints")

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ..body.body import Body, deform_all, pose_body
 from ..body.pose import Motion, take_poses
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..geometry.camera import Camera, check_sees, ring_of_cameras
 from ..io.cameras import read_cameras, write_cameras
 from ..io.lock import run_lock
@@ -161,7 +161,8 @@ class Scan:
         try:
             check_scanner(scanner)
         except InputError as error:
-            raise InputError(f"--{error}" if " of the scanner is " in str(error) else str(error)) from None
+            said = sentence_of(error)
+            raise InputError(f"--{said}" if " of the scanner is " in said else said) from None
         return scanner
 
     def settings(self) -> dict[str, object]:

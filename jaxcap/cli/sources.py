@@ -13,7 +13,7 @@ from ..body.human import RESOLUTIONS, human
 from ..body.limits import JointRanges
 from ..body.reduce import reduce_body
 from ..body.skeleton import Skeleton
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..fit.check import check_extent
 from ..fit.correspond import Scan, make_mesh_scan, make_scan
 from ..geometry import rotation
@@ -76,7 +76,7 @@ def load_body(
         try:
             body = reduce_body(body, vertices)
         except ValueError as error:
-            raise InputError(f"{spec}: {error}") from None
+            raise InputError(f"{spec}: {sentence_of(error)}") from None
     return body, limits
 
 
@@ -122,7 +122,7 @@ class Clouds(Sequence[Cloud]):
         try:
             return make_mesh_scan(scan.points @ turn.T, scan.normals @ turn.T, scan.faces)
         except ValueError as error:
-            raise InputError(f"{scan.name}: {error}") from None
+            raise InputError(f"{scan.name}: {sentence_of(error)}") from None
 
 
 def up_rotation(up: Up) -> np.ndarray:
@@ -172,7 +172,7 @@ def _human(spec: str, vertices: int | None) -> Body:
     try:
         return human(**options)
     except ValueError as error:
-        raise InputError(f"{spec}: {error}") from None
+        raise InputError(f"{spec}: {sentence_of(error)}") from None
 
 
 def _in_folder(mesh: Path, given: Path | None, suffix: str) -> Path:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..body.body import Body
 from ..energy.term import AbstractEnergy
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..fit.em import make_mixture
 from ..fit.recover import TrackedFrame
 from ..fit.sequence import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
@@ -184,7 +184,7 @@ class Track:
                 raise
         except InputError as error:
             kept = f" The {journal.count} frames before it are kept; mend it and give --resume to go on."
-            raise InputError(f"{error}{kept}") from None
+            raise InputError(f"{sentence_of(error)}{kept}") from None
 
     def steps(
         self, tracker: Tracker, scans: Scans, begin: int, last: TrackedFrame | None

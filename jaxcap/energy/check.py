@@ -14,6 +14,7 @@ from ..arguments import describe
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, rest_pose
 from ..errors import InputError
+from ..values import check_values, known
 from .term import AbstractEnergy, Weighted, bare, name_of, sum_of, terms_of
 
 #: energies of a user's own: one or several
@@ -34,8 +35,9 @@ def flat_terms(energy: AbstractEnergy) -> list[AbstractEnergy]:
 
 
 def check_numbers(energy: AbstractEnergy, body: Body) -> None:
-    """Check that an energy is of vertices and joints that the body has, where JAX would take the last one for any beyond, and that
-    weights are at least zero, where less would count as none.
+    """Check that an energy is of vertices and joints that the body has, where JAX would take the last one for any beyond, that
+    weights are at least zero, where less would count as none, and that what the library's own energies are made of has no NaN
+    but where it weighs nothing.
 
     Traced arrays, whose values are not known, are not looked at.
 
@@ -44,6 +46,7 @@ def check_numbers(energy: AbstractEnergy, body: Body) -> None:
     counts = {"vertices": len(body.vertices), "joints": body.skeleton.num_joints}
     for term in flat_terms(energy):
         _check_weight(term)
+        _check_data(bare(term))
         for field, what in _NUMBERS.items():
             numbers = getattr(bare(term), field, None)
             if isinstance(numbers, (jax.Array, np.ndarray)) and np.issubdtype(numbers.dtype, np.integer):
@@ -77,6 +80,16 @@ def _check_weight(term: AbstractEnergy) -> None:
         term = term.energy
 
 
+def _check_data(term: AbstractEnergy) -> None:
+    """Check weights and numbers of an energy of the library; what may stand in those of others is theirs to say."""
+    if type(term).__module__.partition(".")[0] != __name__.partition(".")[0]:
+        return
+    weights = getattr(term, "weights", None)
+    if not isinstance(weights, Tracer) and eqx.is_inexact_array_like(weights):
+        check_values(name_of(term), lambda w: w >= 0, "a weight of at least 0", weights=weights)
+    _check_finite(term)
+
+
 def own_terms(where: str, terms: OwnTerms, body: Body) -> AbstractEnergy | None:
     """Add up energies of a user's own, one or several, after a check that they can be evaluated for a body; None where
     there are none.
@@ -98,17 +111,22 @@ def own_terms(where: str, terms: OwnTerms, body: Body) -> AbstractEnergy | None:
 
 
 def _check_finite(term: AbstractEnergy) -> None:
+    """Check that there is no NaN, but in rows of a weight of zero."""
     term = bare(term)
+    if isinstance(getattr(term, "weights", None), Tracer):
+        # whether a row counts is not known
+        return
+    weights = known(getattr(term, "weights", None))
     for field in dataclasses.fields(term):
         for leaf in jax.tree.leaves(getattr(term, field.name)):
-            if (
-                eqx.is_inexact_array_like(leaf)
-                and not isinstance(leaf, Tracer)
-                and np.isnan(np.asarray(leaf)).any()
-            ):
-                raise InputError(
-                    f"{type(term).__name__}: `{field.name}` has NaN; give numbers, and a weight of zero to what is not known."
-                )
+            if not isinstance(leaf, Tracer) and eqx.is_inexact_array_like(leaf):
+                missing = np.isnan(np.asarray(leaf))
+                if missing.any() and weights is not None and missing.shape[: weights.ndim] == weights.shape:
+                    missing = missing[weights != 0]
+                if missing.any():
+                    raise InputError(
+                        f"{type(term).__name__}: `{field.name}` has NaN; give numbers, and a weight of zero to what is not known."
+                    )
 
 
 def _check_residual(term: AbstractEnergy, body: Body, pose: Pose) -> None:

@@ -5,20 +5,20 @@ from jaxtyping import Array, Float, Int
 
 from ..arguments import checked
 from ..body.body import Posed
-from .term import AbstractEnergy, root
+from .term import AbstractEnergy, root, where_weighed
 from .vertices import AbstractVertexEnergy, along_axes
 
 
 class VertexLandmarks(AbstractVertexEnergy):
     """`sum_i w_i |x_i - y_i|^2` over chosen vertices, metres; a weight of zero is a
-    landmark that was not seen."""
+    landmark that was not seen, whose target may be NaN."""
 
     vertices: Int[Array, "C"]
     targets: Float[Array, "C 3"]
     weights: Float[Array, "C"]
 
     def residual(self, posed):
-        return (root(self.weights)[:, None] * (posed.vertices[self.vertices] - self.targets)).reshape(-1)
+        return _apart(self.weights, posed.vertices[self.vertices], self.targets)
 
     def slopes(self, posed: Posed):
         del posed
@@ -37,7 +37,7 @@ class BoneLandmarks(AbstractEnergy):
     def residual(self, posed: Posed):
         r, t = posed.transforms.rotations[self.bones], posed.transforms.translations[self.bones]
         places = jnp.einsum("cab,cb->ca", r, self.rest) + t
-        return (root(self.weights)[:, None] * (places - self.targets)).reshape(-1)
+        return _apart(self.weights, places, self.targets)
 
 
 class JointLandmarks(AbstractEnergy):
@@ -48,10 +48,15 @@ class JointLandmarks(AbstractEnergy):
     weights: Float[Array, "J"]
 
     def residual(self, posed: Posed):
-        return (root(self.weights)[:, None] * (posed.joints - self.targets)).reshape(-1)
+        return _apart(self.weights, posed.joints, self.targets)
 
 
 @checked
 def joint_landmarks(targets: Float[Array, "J 3"], weights=None) -> JointLandmarks:
     """Joint centres that are to reach `targets (J, 3)`; all `weights (J,)` one where not given."""
     return JointLandmarks(targets, jnp.ones(len(targets), targets.dtype) if weights is None else weights)
+
+
+def _apart(weights, places, targets) -> Float[Array, "R"]:
+    """Weighed differences of places from their targets."""
+    return (root(weights)[:, None] * (places - where_weighed(weights, targets))).reshape(-1)

@@ -3,11 +3,12 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..arguments import checked
+from ..arguments import check_fields, checked
 from ..body.body import Posed
 from ..body.pose import Pose, difference, own_vectors
 from ..body.skeleton import Skeleton, dof_layout
 from ..geometry import rotation
+from ..values import check_deviations
 from .term import AbstractEnergy
 
 
@@ -21,6 +22,10 @@ class PosePrior(AbstractEnergy):
     reference: Pose
     deviations: Float[Array, "D"]
 
+    def __check_init__(self):
+        check_fields(self)
+        check_deviations("PosePrior", deviations=self.deviations)
+
     def residual(self, posed: Posed):
         return difference(posed.body.skeleton, self.reference, posed.pose) / self.deviations
 
@@ -31,6 +36,10 @@ class RestPrior(AbstractEnergy):
     free). An elbow that bends sideways costs more than one that flexes."""
 
     deviations: Float[Array, "J 3"]
+
+    def __check_init__(self):
+        check_fields(self)
+        check_deviations("RestPrior", deviations=self.deviations)
 
     def residual(self, posed: Posed):
         return (own_vectors(posed.body.skeleton, posed.pose) / self.deviations).reshape(-1)
@@ -44,6 +53,10 @@ class ReferencePrior(AbstractEnergy):
     reference: Pose
     metres: Float[Array, "J"]
     radians: Float[Array, "J 3"]
+
+    def __check_init__(self):
+        check_fields(self)
+        check_deviations("ReferencePrior", metres=self.metres, radians=self.radians)
 
     def residual(self, posed: Posed):
         here, there = self.reference, posed.pose

@@ -111,3 +111,8 @@ def root(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     there stays away under differentiation too."""
     positive = weights > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, weights, 1.0)), 0.0)
+
+
+def where_weighed(weights: Float[Array, "C"], rows: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+    """Rows of data, zero where they weigh nothing, for what was not seen may be NaN."""
+    return jnp.where((weights > 0)[:, None], rows, 0.0)

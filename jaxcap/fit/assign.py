@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 
 from ..arguments import checked
 from ..geometry.closest import nearest_on_surface
-from ..observe import Cloud, padded_size, unit_normals
+from ..observe import Cloud, as_cloud, padded_size, unit_normals
+from ..observe import Scan as FileScan
 
 
 class Scan(NamedTuple):
@@ -37,6 +38,11 @@ def make_scan(cloud: Cloud) -> Scan:
         raise ValueError("The cloud has no points with a weight above zero.")
     points, normals = (np.asarray(part, float)[there] for part in (cloud.points, cloud.normals))
     return Scan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
+
+
+def as_scan(frame: Scan | Cloud | FileScan) -> Scan:
+    """A frame as what pairs are found in: the points of a cloud, or of a frame as a file has it; a scan as it is."""
+    return frame if isinstance(frame, Scan) else make_scan(as_cloud(frame))
 
 
 @checked

@@ -12,7 +12,7 @@ from ..body.pose import Motion, Pose
 from ..errors import InputError
 from ..observe import Cloud, Scan, stack_clouds
 from .em import FrameStatistics
-from .track import Tracker, TrackState, start_state, track_frame
+from .track import Tracker, TrackState, check_sigma, start_state, track_frame
 
 
 @checked
@@ -48,6 +48,7 @@ def fit_batch(
 
     Returns poses and statistics, stacked as the clouds are.
     """
+    check_sigma("fit_batch", sigma)
     starts = starts.poses if isinstance(starts, Motion) else starts
     clouds = clouds if isinstance(clouds, Cloud) else stack_clouds(clouds)
     if starts.rotations.ndim != 3 or starts.rotations.shape[0] != clouds.points.shape[0]:

@@ -14,6 +14,7 @@ from ..geometry.camera import Camera, in_picture
 from .assign import AbstractAssignment, Assigned, NearestVertex, Surface
 from .assign import NearestOnSurface as NearestOnSurface
 from .assign import Scan as Scan
+from .assign import as_scan as as_scan
 from .assign import make_mesh_scan as make_mesh_scan
 from .assign import make_scan as make_scan
 from .assign_soft import SoftAssignment as SoftAssignment

@@ -11,6 +11,7 @@ from ..energy.moments import rigid_moments
 from ..energy.points import PointToPlane
 from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..observe import Cloud
+from ..values import as_number, check_at_least, check_positive, check_values, check_within
 from .parts import Parts
 from .posterior import Posterior, posterior, update_priors, update_sigma
 from .problem import PoseProblem
@@ -52,13 +53,23 @@ def make_mixture(
     candidates: int = 1,
     estimate_priors: bool = False,
 ) -> Mixture:
-    """A `Mixture` of plain numbers."""
+    """A `Mixture` of plain numbers.
+
+    **Raises:** `InputError` for one that is out of its range.
+    """
+    where = "make_mixture"
+    check_within(where, -1, 1, normal_threshold=normal_threshold)
+    check_values(where, lambda share: (share > 0) & (share < 1), "a share between 0 and 1", outlier=outlier)
+    check_positive(where, "metres", smallest_sigma=smallest_sigma)
+    check_within(where, 0, 1, tangential=tangential)
+    check_at_least(where, 0, damping=damping)
+    check_at_least(where, 1, candidates=candidates)
     return Mixture(
-        normal_threshold=jnp.asarray(normal_threshold),
-        outlier=jnp.asarray(outlier),
-        smallest_sigma=jnp.asarray(smallest_sigma),
-        tangential=jnp.asarray(tangential),
-        damping=jnp.asarray(damping),
+        normal_threshold=as_number(normal_threshold),
+        outlier=as_number(outlier),
+        smallest_sigma=as_number(smallest_sigma),
+        tangential=as_number(tangential),
+        damping=as_number(damping),
         candidates=candidates,
         estimate_priors=estimate_priors,
     )

@@ -17,7 +17,8 @@ from ..energy.limits import JointLimits
 from ..energy.prior import PosePrior, RestPrior, tangent_deviations
 from ..energy.term import Sum, bare
 from ..geometry import rotation
-from ..observe import Cloud, thin_cloud
+from ..observe import Cloud, Scan, as_cloud, thin_cloud
+from ..values import check_at_least, check_direction
 from .em import Estimate, box_volume, em_step, uniform_priors
 from .parts import make_parts
 from .track import Tracker
@@ -154,7 +155,7 @@ def coarse_tracker(tracker: Tracker) -> Tracker:
 @checked
 def initialise(
     tracker: Tracker,
-    cloud: Cloud,
+    cloud: Cloud | Scan,
     *,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     turns: int = 12,
@@ -172,7 +173,13 @@ def initialise(
     and `neighbours` random neighbours of each are annealed again, then in `rounds` the best
     with single limbs moved, and last so with the whole body and more points, which show hands
     and feet. Returns the best of all and its mean log-likelihood.
+
+    **Raises:** `InputError` where `up` has no direction, or where nothing is to be tried or kept.
     """
+    cloud = as_cloud(cloud)
+    check_direction("initialise", up=up)
+    check_at_least("initialise", 1, turns=turns, keep=keep)
+    check_at_least("initialise", 0, neighbours=neighbours, rounds=rounds)
     keys = jax.random.split(jax.random.key(0) if key is None else key, 3 + rounds)
     coarse = coarse_tracker(tracker) if coarse is None else coarse
     few = thin_cloud(cloud, COARSE_POINTS)

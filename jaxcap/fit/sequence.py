@@ -10,12 +10,13 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ..arguments import checked
+from ..arguments import check_rate, checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
 from ..energy.check import OwnTerms
 from ..errors import InputError
 from ..observe import Cloud, CloudFrames, Scan, as_cloud
+from ..values import check_direction
 from .check import check_cloud
 from .initialise import coarse_tracker, initialise
 from .judgement.surface import judged_surface
@@ -33,7 +34,7 @@ from .recover import (
     settled,
     wanted,
 )
-from .track import Tracker, make_tracker
+from .track import Tracker, check_sigma, make_tracker
 
 _LOG = logging.getLogger(__name__)
 #: frames and reasons named in a sentence
@@ -81,7 +82,28 @@ def track_frames(
     against what the frames before it show to be normal. One that is not good is searched for from many starts; after a
     search that has not helped the next one waits, twice as long each time. A frame that nothing explains is `lost`,
     and tracking goes on.
+
+    **Raises:** `InputError` for a `sigma` or an `up` that cannot be, and, when it is its turn, for a cloud with fewer points
+    than the pose has parameters, or in another unit.
     """
+    check_sigma("track_frames", sigma)
+    check_direction("track_frames", up=up)
+    return _frames(tracker, clouds, start, search, sigma, up, first, announce, known, worth)
+
+
+def _frames(
+    tracker: Tracker,
+    clouds: Iterable[Cloud | Scan] | Cloud,
+    start: Pose | TrackedFrame | None,
+    search: FirstSearch,
+    sigma: float,
+    up: tuple[float, float, float],
+    first: int,
+    announce: Callable[[Search], None] | None,
+    known: Callable[[int], Sequence[Pose]] | None,
+    worth: float,
+) -> Iterator[TrackedFrame]:
+    """`track_frames`, once its numbers are checked."""
     coarse, surface = None, judged_surface(tracker.body)
     frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
 
@@ -92,6 +114,7 @@ def track_frames(
         return coarse_tracker(tracker) if coarse is None else coarse
 
     for number, cloud in enumerate(_each(clouds), first):
+        check_cloud(tracker.body, cloud, f"cloud {number}")
         if frame is None:
             pose = rest_pose(tracker.body.skeleton) if pose is None else pose
             if search is not True:
@@ -159,10 +182,10 @@ def track(
         raise InputError(
             "track: terms were given beside a tracker; give them to make_tracker(body, terms=...)."
         )
+    check_rate("track", rate)
     tracker = make_tracker(body, terms=terms) if tracker is None else tracker
-    checked = (_checked(body, number, cloud) for number, cloud in enumerate(_each(clouds)))
     poses, verdicts, unseen = [], [], []
-    for frame in track_frames(tracker, checked, start, search=search, sigma=sigma, up=up):
+    for frame in track_frames(tracker, clouds, start, search=search, sigma=sigma, up=up):
         # copies in NumPy: an array of JAX takes a kilobyte beside its numbers
         poses.append(jax.tree.map(np.array, frame.pose))
         verdicts.append((frame.verdict, frame.reasons))
@@ -217,8 +240,3 @@ def _each(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
     if isinstance(clouds, (Cloud, Scan)):
         return iter(CloudFrames(clouds))  # pyright: ignore[reportArgumentType] - a scan is refused there
     return (as_cloud(cloud, number) for number, cloud in enumerate(clouds))
-
-
-def _checked(body: Body, number: int, cloud: Cloud) -> Cloud:
-    check_cloud(body, cloud, f"cloud {number}")
-    return cloud

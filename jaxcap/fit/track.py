@@ -13,6 +13,7 @@ from ..energy.check import OwnTerms, own_terms
 from ..energy.prior import PosePrior, RestPrior, tangent_deviations
 from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..observe import Cloud
+from ..values import as_number, check_at_least, check_deviations, check_positive, check_values
 from .em import (
     Estimate,
     FrameStatistics,
@@ -23,6 +24,9 @@ from .em import (
     uniform_priors,
 )
 from .parts import Parts, make_parts
+
+#: metres that points are off at the start at most: more is in another unit
+WIDEST = 5.0
 
 
 class Tracker(eqx.Module):
@@ -75,7 +79,15 @@ def make_tracker(
     **Arguments:** `motion_deviation` in metres for the root and radians for joints, how far
     a frame strays from its prediction; `rest_deviation` in radians, how far joints stray from
     rest whose anatomy is not known (`body.anatomy`); `terms` are further energies, in units of a log-likelihood.
+
+    **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
     """
+    where = "make_tracker"
+    check_deviations(where, motion_deviation=motion_deviation, rest_deviation=rest_deviation)
+    check_at_least(where, 0, momentum=momentum)
+    check_positive(where, sigma_growth=sigma_growth)
+    check_positive(where, "metres", sigma_start=sigma_start)
+    check_at_least(where, 1, iterations=iterations)
     own = own_terms("track", terms, body)
     bones = body.skin.parts()
     return Tracker(
@@ -84,17 +96,27 @@ def make_tracker(
         mixture=make_mixture() if mixture is None else mixture,
         motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
         rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
-        momentum=jnp.asarray(momentum),
-        sigma_growth=jnp.asarray(sigma_growth),
-        sigma_start=jnp.asarray(sigma_start),
+        momentum=as_number(momentum),
+        sigma_growth=as_number(sigma_growth),
+        sigma_start=as_number(sigma_start),
         terms=() if own is None else terms_of(own),
         iterations=iterations,
     )
 
 
+def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
+    """Check that a deviation to start with is in metres: above 0, and none that is wider than what is fitted.
+
+    **Raises:** `InputError`.
+    """
+    expected = f"a deviation above 0 and at most {WIDEST:g} metres"
+    check_values(where, lambda x: (x > 0) & (x <= WIDEST), expected, sigma=sigma)
+
+
 @checked
 def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 0.05) -> TrackState:
     """The state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
+    check_sigma("start_state", sigma)
     estimate = Estimate(
         pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts, pose.rotations.dtype)
     )

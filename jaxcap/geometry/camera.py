@@ -9,11 +9,14 @@ from jaxtyping import Array, Bool, Float
 
 from ..arguments import array, check_fields, checked
 from ..errors import InputError
+from ..values import check_at_least, check_positive, known
 
 #: fewer pixels along a side make no picture, and more of them no depth camera's
 LEAST_PIXELS, MOST_PIXELS = 8, 25_000_000
 #: cameras of a ring, far more than anyone has built
 MOST_CAMERAS = 1000
+#: what products of the rows of a rotation are off by at most: files have as few as four digits
+TURNED = 1e-2
 
 
 class Camera(eqx.Module):
@@ -36,6 +39,17 @@ class Camera(eqx.Module):
 
     def __check_init__(self):
         check_fields(self)
+        check_positive("Camera", "pixels", focal=self.focal)
+        check_at_least("Camera", 1, width=self.width, height=self.height)
+        axes = known(self.rotation)
+        # written so that what is no number counts as wrong
+        if axes is not None and not (
+            np.abs(axes @ axes.T - np.eye(3)).max() < TURNED and np.linalg.det(axes) > 0
+        ):
+            raise InputError(
+                f"Camera: `rotation` is {axes.round(4).tolist()}; expected is a rotation matrix: rows of length 1 at right "
+                "angles to each other, whose determinant is 1 and not -1."
+            )
 
     @property
     def eye(self) -> Float[Array, "3"]:

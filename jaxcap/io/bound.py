@@ -13,7 +13,7 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import LinearSkin
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..geometry.linear import inverse
 from .surface import Surface
 from .text import LARGEST, check_rate
@@ -63,7 +63,7 @@ def bind(path: Path, joints: Joints, placed: Float[np.ndarray, "4 4"]) -> Bound:
     try:
         skeleton = make_skeleton(joints.names, joints.parents, kinds, rest[:, :3, 3], frames, joints.axes)
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {sentence_of(error)}") from None
     place = {name: number for number, name in enumerate(joints.names)}
     order = tuple(place[name] for name in skeleton.names)
     return Bound(skeleton, order, placed, inverse[list(order)])

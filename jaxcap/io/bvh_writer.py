@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from .atomic import replacing
 from .text import unit_scale
 from .tree import is_end
@@ -53,7 +53,7 @@ def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | 
                     some = slice(start, start + _AT_ONCE)
                     writer.write_arrays(translations[some], rotations[some], scales[some], count=False)
         except InputError as error:
-            raise InputError(str(error).replace(str(beside), str(path))) from None
+            raise InputError(sentence_of(error).replace(str(beside), str(path))) from None
 
 
 class BvhWriter:

@@ -23,7 +23,7 @@ from typing import Any
 from ..arguments import checked
 from ..body.body import Body
 from ..edit.ik.constraints import Constraint, check_constraints, describe
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from .atomic import write_text
 from .door import reads
 from .kinds import check_kind
@@ -141,4 +141,4 @@ def _check(constraints: Sequence[Constraint], body: Body, path: str | Path) -> N
     try:
         check_constraints(constraints, body.skeleton, len(body.vertices))
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {sentence_of(error)}") from None

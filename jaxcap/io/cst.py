@@ -19,7 +19,7 @@ import numpy as np
 
 from ..body.limits import Cone, JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from .atomic import write_text
 from .door import reads
 from .kinds import check_kind
@@ -74,7 +74,7 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
                 cones[name] = Cone((v[0], v[1], v[2]), v[3] * turn, (v[4], v[5], v[6]), v[7] * turn)
                 make_joint_ranges(skeleton, None, {name: cones[name]})
         except ValueError as error:
-            raise InputError(f"{where}: {error}") from None
+            raise InputError(f"{where}: {sentence_of(error)}") from None
     if words.left:
         extra = words.take("")
         raise InputError(

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from ..errors import InputError, is_sentence
+from ..errors import InputError, is_sentence, sentence_of
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,7 +32,7 @@ def reads(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
                 if _names(error, path):
                     raise
                 # what bodies and motions say of what they are made of, without knowing where it is from
-                raise InputError(f"{path}: {error}") from None
+                raise InputError(f"{path}: {sentence_of(error)}") from None
 
         return guarded
 
@@ -42,14 +42,14 @@ def reads(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
 def _names(error: InputError, path: str | Path) -> bool:
     """Whether an error names the file, or one of those that a pattern or a folder stands for."""
     try:
-        return not Path(path).is_file() or Path(path).name in str(error)
+        return not Path(path).is_file() or Path(path).name in sentence_of(error)
     except (OSError, ValueError):
         return True
 
 
 def _reason(error: Exception, what: str) -> str:
     if is_sentence(error):
-        return str(error)
+        return sentence_of(error)
     if isinstance(error, FileNotFoundError):
         return "there is no such file; check the path."
     if isinstance(error, OSError):

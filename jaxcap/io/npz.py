@@ -13,7 +13,7 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton, make_skeleton, rest_difference
 from ..body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from .archive import open_archive
 from .atomic import replacing
 from .door import reads
@@ -266,7 +266,7 @@ def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
     try:
         checked = make_skeleton(names, parents, kinds, numbers["centres"])
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {sentence_of(error)}") from None
     if checked.names != tuple(names):
         raise InputError(f"{path}: a joint stands before its parent; this file was not written by save_body.")
     # the arrays as they are, so that a body comes back to the last bit

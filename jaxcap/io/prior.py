@@ -15,7 +15,7 @@ from ..body.pair_prior import PairPrior, make_pair_prior, misfit
 from ..body.pose import Pose
 from ..body.pose_boxes import PoseBoxes, make_pose_boxes
 from ..body.skeleton import Skeleton
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..geometry.mesh import mesh_edges
 from .archive import load_arrays
 from .door import reads
@@ -164,7 +164,7 @@ def _prior(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleto
             get_array(arrays, "prior.factors", path, (*shape, 6, 6)),
         )
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {sentence_of(error)}") from None
     if skeleton is not None:
         check_fit(prior, skeleton, path)
     return prior
@@ -184,7 +184,7 @@ def _boxes(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleto
     try:
         return make_pose_boxes(joints, lower, upper)
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {sentence_of(error)}") from None
 
 
 def _shape(arrays: Mapping[str, np.ndarray], path: str | Path, body: Body) -> ShapePrior | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arguments import checked
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..markers.subject import Subject, make_subject
 from .door import reads
 from .npz import get_array, load_kind, save_arrays, skeleton_arrays, skeleton_of
@@ -64,4 +64,4 @@ def subject_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Subject:
             skeleton, bones, offsets, labels, weights=weights, deviations=deviations, models=models
         )
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {sentence_of(error)}") from None

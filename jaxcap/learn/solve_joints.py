@@ -5,6 +5,7 @@ import jax
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Pose
 from ..fit.solvers.implicit import implicit_minimum, is_trustworthy
@@ -24,6 +25,7 @@ class JointSolution(eqx.Module):
     trustworthy: Bool[Array, ""]
 
 
+@checked
 def solve_joints(
     body: Body,
     poses: Pose,

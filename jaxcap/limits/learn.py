@@ -13,6 +13,7 @@ from ..arguments import checked
 from ..body.chart import Chart
 from ..body.limit_surface import LimitSurface, SurfaceLimits, density
 from ..body.primitives import LEVEL, STIFFNESS
+from ..errors import InputError
 from .charts import chart_places, find_chart
 from .match import match_primitives
 from .samples import JointSamples
@@ -43,8 +44,12 @@ def learn_limits(
     `coverage` of blocks that were held out is allowed by the others. `least` samples keep a
     smallest voxel: the threshold of density.
 
-    **Raises:** `ValueError` where a joint's rotations wrap, or no voxel has `least` samples.
+    **Raises:** `InputError` where there is no joint, a joint's rotations wrap, or no voxel has `least` samples.
     """
+    if not samples:
+        raise InputError(
+            "learn_limits: `samples` is empty; expected are the samples of one joint at least, by its name."
+        )
     return SurfaceLimits(
         tuple(learn_surface(one, voxel, keyframe, least, coverage) for one in samples.values())
     )

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ..arguments import checked
 from ..body.body import pose_body
 from ..body.pose import Pose, retract
 from ..energy.check import OwnTerms, own_terms
@@ -260,6 +261,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return value, (sides, side), BlockArrow(BlockBanded(blocks[:, None]), coupling, matrix)
 
 
+@checked
 def make_calibration_problem(
     template: Subject,
     places: Float[Array, "F M 3"],

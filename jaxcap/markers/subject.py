@@ -108,6 +108,7 @@ def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
     return jnp.einsum("mab,mb->ma", r, subject.offsets) + t
 
 
+@checked
 def marker_body(subject: Subject) -> Body:
     """Make the body that a user's own terms see: the subject's skeleton, with its markers for vertices and no faces."""
     weights = jax.nn.one_hot(subject.bones, subject.skeleton.num_joints, dtype=subject.offsets.dtype)

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..arguments import checked
+from ..arguments import check_metres, checked
 from ..errors import InputError
 from ..geometry.camera import Camera
+from ..values import check_faces
 from .depth import make_surface, render_depth
 from .fuse import Scan, fuse_cloud, fuse_mesh
 from .noise import spoil
@@ -28,8 +29,11 @@ def scan_frame(
     The numbers drawn depend on `seed`, `frame` and the view, and on nothing that was scanned before. A
     view that sees nothing adds nothing, so a scan may be empty.
 
-    **Raises:** `InputError` for a setting out of its range, no cameras, and a seed or frame below zero.
+    **Raises:** `InputError` for a setting out of its range, no cameras, a seed or frame below zero, vertices that
+    cannot be in metres, and triangles of vertices that are not there.
     """
+    check_metres("scan_frame", "vertices", vertices)
+    check_faces("scan_frame", faces, len(vertices))
     depths = scan_depths(scanner, cameras, vertices, faces, seed, frame)
     if scanner.mesh:
         return fuse_mesh(cameras, depths, scanner.gap, scanner.normal_window)

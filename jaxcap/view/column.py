@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from .clouds import SeenCloud, SeenClouds
 from .contents import Take
 from .figure import CLAY, BodyFigure, Colour
@@ -189,7 +189,7 @@ class Column:
         try:
             return self.clouds[number], ""
         except InputError as error:
-            return None, str(error)
+            return None, sentence_of(error)
 
     def _draw_bones(self, posed: PosedFrame, choice: Choice) -> None:
         assert self.take is not None and self.skeleton is not None

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from ..body.body import Body
 from ..body.pose import Pose, rest_pose
 from ..body.skeleton import Skeleton
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..io.journal import read_header, read_records
 from .contents import Take
 from .posing import PosedMotion
@@ -113,7 +113,7 @@ class RunFollower:
                 self.told = ""
             except InputError as error:
                 # a header that is half written is one that is not there yet
-                self.told = str(error)
+                self.told = sentence_of(error)
             except Exception as error:
                 # whatever it is, the next look may find it gone
                 self.told = f"{self.path}: its frames could not be read ({type(error).__name__}: {error})."

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from ..io.archive import array_names, kind_of
 from ..io.body_motion import read_motion_of
 from ..io.cameras import read_cameras
@@ -235,7 +235,7 @@ class _Loader:
             try:
                 motion = read_motion_of(body, path, self.unit)
             except InputError as error:
-                why.append(str(error))
+                why.append(sentence_of(error))
                 continue
             _check_frames(motion, path)
             self.used.add(id(body))
@@ -269,7 +269,7 @@ class _Loader:
                 return skeleton, load_motion(path, skeleton)
             except InputError as error:
                 given.append(name)
-                why.append(str(error))
+                why.append(sentence_of(error))
         hint = (
             f", and it is not of {', '.join(given)}: {_short(why[0], path)}"
             if why

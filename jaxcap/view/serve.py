@@ -14,7 +14,7 @@ import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError
+from ..errors import InputError, sentence_of
 from .door import Door, guarding
 from .scenery import add_background, add_light
 
@@ -143,7 +143,7 @@ def _visit(
     try:
         build(client, gone)
     except ValueError as error:
-        tell(client, "This cannot be shown", str(error))
+        tell(client, "This cannot be shown", sentence_of(error))
     except Exception:
         # half of a window is gone with its browser
         if not gone.is_set():

@@ -9,7 +9,7 @@ from ...body.body import Body
 from ...body.skeleton import Skeleton
 from ...edit.gaze import look_at_target
 from ...edit.gaze_line import GazeLine, gaze_shares, human_line, line_of_joint, line_of_vertices
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...io.limits import read_limits
 from ..options import Flag, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion
@@ -81,7 +81,7 @@ class Gaze:
         except InputError:
             raise
         except ValueError as error:
-            raise InputError(f"{self.motion}: {error}") from None
+            raise InputError(f"{self.motion}: {sentence_of(error)}") from None
         self.tell(found, first, last, shares)
         save(self.out, skeleton, found.motion)
 

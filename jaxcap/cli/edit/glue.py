@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 
 from ...body.body import pose_body
 from ...edit.glue import animate_scan, glue_scan
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...io.colours import read_colours
 from ...io.mesh import Mesh, read_mesh, vertex_normals
 from ...io.obj import write_obj
@@ -76,7 +76,7 @@ class Glue:
         try:
             glue = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.reach)
         except ValueError as error:
-            raise InputError(f"{self.scan}: {error}") from None
+            raise InputError(f"{self.scan}: {sentence_of(error)}") from None
         off = np.abs(np.asarray(glue.heights))
         if (off > LOOSE).any():
             warn(

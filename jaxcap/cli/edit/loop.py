@@ -7,7 +7,7 @@ import numpy as np
 
 from ...edit.clips import make_loop
 from ...edit.transitions import find_loops
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ..options import Flag, OptionalUnit, arg
 from ..outputs import check_motion
 from ..say import say, table
@@ -51,7 +51,7 @@ class Loop:
             first, last = self.frames or self.find(skeleton, motion, frames)
             loop = make_loop(skeleton, motion, first, last, frames, self.in_place)
         except ValueError as error:
-            raise InputError(f"{self.motion}: {error}") from None
+            raise InputError(f"{self.motion}: {sentence_of(error)}") from None
         goes = "stays in place"
         if not self.in_place:
             metres, degrees = float(np.linalg.norm(loop.travel.shift)), np.degrees(loop.travel.heading)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from ...edit.reflection import mirror
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ..options import Flag, OptionalUnit
 from ..outputs import check_motion
 from .files import MotionFile, OutMotion, read_edited, save
@@ -27,5 +27,5 @@ class Mirror:
         try:
             found = mirror(skeleton, motion)
         except ValueError as error:
-            raise InputError(f"{self.motion}: {error}") from None
+            raise InputError(f"{self.motion}: {sentence_of(error)}") from None
         save(self.out, skeleton, found)

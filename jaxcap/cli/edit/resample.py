@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from ...edit.between import resample
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ..options import Flag, OptionalUnit, arg
 from ..outputs import check_motion
 from .files import MotionFile, OutMotion, read_edited, save
@@ -38,5 +38,5 @@ class Resample:
         try:
             found = resample(motion, self.rate)
         except ValueError as error:
-            raise InputError(f"--rate: {error}") from None
+            raise InputError(f"--rate: {sentence_of(error)}") from None
         save(self.out, skeleton, found)

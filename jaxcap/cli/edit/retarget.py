@@ -18,7 +18,7 @@ from ...edit.retargeting.point_pairs import meet_points
 from ...edit.retargeting.retarget import retarget
 from ...edit.retargeting.retarget_shape import retarget_shape
 from ...edit.retargeting.soles import floor_under, ground, lowest, sole_heights
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...io.joint_names import write_joint_names
 from ..motions import extent
 from ..options import BODY_WORDS, BodySpec, Flag, OptionalBody, OptionalFile, OptionalUnit, arg
@@ -102,7 +102,7 @@ class Retarget:
         except InputError:
             raise
         except ValueError as error:
-            raise InputError(f"{self.motion}: {error}") from None
+            raise InputError(f"{self.motion}: {sentence_of(error)}") from None
         how = "surface" if surface else "names of joints"
         say(
             f"{self.motion.name} retargeted by the {how}: 1 m becomes {found.ratio:.3f} m, the floor is at {found.floor:.3f} m"
@@ -146,7 +146,7 @@ class Retarget:
         try:
             return read_edited(self.motion, self.unit, source)
         except InputError as error:
-            said = re.split("; give it to (the body|that one) by", str(error))
+            said = re.split("; give it to (the body|that one) by", sentence_of(error))
             if source is None or len(said) == 1:
                 raise
             raise InputError(
@@ -220,7 +220,7 @@ class Retarget:
             plan = plan_retarget(skeleton, target, names, motion)
         except UnmatchedJoints as error:
             raise InputError(
-                f"{self.motion}: {str(error).rstrip('.')}; {self.table_to_start(error, target)}"
+                f"{self.motion}: {sentence_of(error).rstrip('.')}; {self.table_to_start(error, target)}"
             ) from None
         for line in plan.matches.lines():
             say(line)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...limits.compare import compare_samples
 from ...limits.samples import gather_samples, parse_joints
 from ..motions import load_motion
@@ -42,5 +42,5 @@ class Compare:
                     ]
                 )
         except ValueError as error:
-            raise InputError(str(error)) from None
+            raise InputError(sentence_of(error)) from None
         table(["joint", "mean", "sd", "mean", "sd"], rows)

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from ...body.limit_surface import LimitSurface, SurfaceLimits
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...io.limits import save_limits
 from ...io.registry import MARKER_READERS, read_markers
 from ...limits.charts import chart_places
@@ -70,7 +70,7 @@ class Learn:
                 coverage=self.coverage,
             )
         except ValueError as error:
-            raise InputError(str(error)) from None
+            raise InputError(sentence_of(error)) from None
         save_limits(self.out, limits)
         tell(limits, samples)
         say(f"written: {self.out}")
@@ -104,7 +104,7 @@ class Learn:
         try:
             return {joint: gather_samples(motions, joint, parent, self.motions) for joint, parent in pairs}
         except ValueError as error:
-            raise InputError(str(error)) from None
+            raise InputError(sentence_of(error)) from None
 
     def marker_samples(self, pairs) -> dict[str, JointSamples]:
         if self.markers is None or self.trunk is None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...io.marker_file import check_extent, frame_size, pick_subject, subjects_of
 from ...io.registry import read_marker_file
 from ...markers.gaps import describe_gaps, gap_statistics
@@ -61,7 +61,7 @@ class Info:
         try:
             check_extent(frames, path, file.scale, asked=UNIT_ASKED)
         except InputError as error:
-            warn(str(error))
+            warn(sentence_of(error))
         if self.picture is not None:
             from ...report.marker_gaps import draw_gaps
 

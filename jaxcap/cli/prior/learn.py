@@ -14,7 +14,7 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton, same_joints
 from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...io.npz import load_limits
 from ...io.prior import save_prior
 from ..motions import load_motion
@@ -91,7 +91,7 @@ class Learn:
                 learn_ranges(skeleton, motions, float(np.radians(self.margin))),
             )
         except ValueError as error:
-            raise InputError(f"{', '.join(self.motions)}: {error}") from None
+            raise InputError(f"{', '.join(self.motions)}: {sentence_of(error)}") from None
         own = self.body is not None and Path(self.body).suffix.lower() == ".npz"
         limits = load_limits(str(self.body)) if own else None
         save_prior(self.out, prior, boxes, body, limits, shape)
@@ -136,7 +136,7 @@ class Learn:
                 try:
                     plan = plan_retarget(other, skeleton, None, motion)
                 except ValueError as error:
-                    raise InputError(f"{path}: {error}") from None
+                    raise InputError(f"{path}: {sentence_of(error)}") from None
                 for line in plan.matches.warnings:
                     warn(f"{path}: {line}")
                 motion, carried = retarget(motion, other, skeleton, plan=plan), carried + 1

@@ -8,7 +8,7 @@ import numpy as np
 from ...adapt.shape_prior import ShapePrior, make_shape_prior, shape_energy
 from ...body.body import Body
 from ...body.sample import unlike_poses
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...fit.registered import fit_meshes
 from ...io.meshes import read_named_meshes
 from ..fit import check_size, same_triangles
@@ -29,7 +29,7 @@ def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
     try:
         fit = fit_meshes(body, sequence)
     except ValueError as error:
-        raise InputError(f"{meshes[0]}: {error}") from None
+        raise InputError(f"{meshes[0]}: {sentence_of(error)}") from None
     if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
         warn(f"{meshes[0]}: the triangles are not those of the body; vertices are taken in their order")
     posed = np.asarray(fit.converged)

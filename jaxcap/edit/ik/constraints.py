@@ -71,7 +71,7 @@ def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constrain
     and a sixth of the weight each. Their sum is `w |c' - y|^2 + w (2/3) ARM^2 |theta|^2` to second order in the angle
     `theta` that the bone is off, so place and turn do not disturb each other.
 
-    **Raises:** `ValueError` with one sentence for a vertex or a joint that the body does not have, one that stands
+    **Raises:** `InputError` with one sentence for a vertex or a joint that the body does not have, one that stands
     twice, numbers that are not finite, a weight below zero, or an orientation of a vertex.
     """
     check_constraints(constraints, body.skeleton, len(body.vertices))

@@ -23,6 +23,7 @@ from ...fit.priority import solve_in_order
 from ...fit.solve import solve
 from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...values import check_at_least
 from .constraints import ARM, Constraints, constrained_body
 
 Solver = Literal["levenberg-marquardt", "gauss-newton", "priorities"]
@@ -68,6 +69,8 @@ class IkOptions(eqx.Module):
 
     def __check_init__(self):
         check_fields(self)
+        check_at_least("IkOptions", 0, stiffness=self.stiffness, naturalness=self.naturalness)
+        check_at_least("IkOptions", 1, max_steps=self.max_steps)
 
 
 class IkSolution(eqx.Module):

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
+from ...errors import sentence_of
 from .matches import JointMatches, UnmatchedJoints, names_to_start
 from .names import Side
 from .pairing import SIDES, follow_ends, pair_alike, pair_joints
@@ -57,7 +58,9 @@ def match_joints(
         stands = find_reference(source, here, motion, "source", told_kinds(there, table)), stood
     except UnknownSides as error:
         persons = _sides_of(here, error), there
-        raise _refused(str(error), (source, target), persons, table, alike=not error.swapped) from None
+        raise _refused(
+            sentence_of(error), (source, target), persons, table, alike=not error.swapped
+        ) from None
     here = stands[0].person
     pairs, followed = pair_joints(here, there, table)
     pair_alike(source, target, pairs, followed, table)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
+from ...errors import sentence_of
 from ...geometry.axes import nearest_axis
 from .person import Person, nearest_up, trunk_direction
 from .sides import UnknownSides, settle_sides
@@ -135,7 +136,7 @@ def _reference(
     try:
         person = settle_sides(person, places, along, told)
     except UnknownSides as error:
-        raise UnknownSides(f"In the {which}: {error}", error.swapped) from None
+        raise UnknownSides(f"In the {which}: {sentence_of(error)}", error.swapped) from None
     left = np.zeros(3)
     for part in ("thigh", "upper_arm"):
         if ("left", part) in person.parts and ("right", part) in person.parts:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from ...arguments import checked
 from .problem import AbstractProblem
 
 
@@ -46,6 +47,7 @@ class FlatProblem(eqx.Module):
         return FlatProblem(self.problem, self.back(d))
 
 
+@checked
 def flat_problem(problem: AbstractProblem, start: Any) -> FlatProblem:
     """Make a problem flat about a start, such as for jaxopt and optax, which minimise `flat.value` from `flat.start`; `flat.back` leads
     from their result to poses. See `FlatProblem`."""

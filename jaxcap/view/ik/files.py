@@ -6,7 +6,7 @@ from pathlib import Path
 from ...body.pose import stack_poses
 from ...edit.ik import session as ik
 from ...edit.ik.session import IkSession
-from ...errors import InputError
+from ...errors import InputError, sentence_of
 from ...io.body_motion import read_motion_of
 from ...io.constraints import read_constraints, write_constraints
 from ...io.registry import write_motion
@@ -42,4 +42,4 @@ def with_file(session: IkSession, name: str, content: bytes) -> IkSession:
                 return ik.set_constraints(session, read_constraints(path, session.body))
             return ik.set_pose(session, read_motion_of(session.body, path)[0])
         except InputError as error:
-            raise InputError(str(error).replace(str(path), name)) from None
+            raise InputError(sentence_of(error).replace(str(path), name)) from None

@@ -20,6 +20,7 @@ from ...edit.ik import session as ik
 from ...edit.ik.constraints import Place, Turn
 from ...edit.ik.places import bone_turns, places_of
 from ...edit.ik.session import IkSession
+from ...errors import sentence_of
 from ..eye import BEGIN, FIELD, place_eye
 from ..figure import BodyFigure
 from ..pick import nearest_handle, pick_point
@@ -148,7 +149,7 @@ class IkWindow:
         try:
             return verb(self.session)
         except ValueError as error:
-            self.note = str(error)
+            self.note = sentence_of(error)
         except Exception as error:
             # whatever a solver or an energy of somebody's own may raise: the session before it is whole
             self.note = f"This could not be done ({type(error).__name__}: {error}); the pose is as it was."

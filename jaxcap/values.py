@@ -1,0 +1,98 @@
+"""Check the values of a few numbers at the door of public functions, where nothing is done a thousand times a second.
+
+Traced arrays pass, as their values are not known.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from .errors import InputError
+
+
+def known(value: Any) -> np.ndarray | None:
+    """Return the numbers of something, or None where it is traced or has none."""
+    if value is None or isinstance(value, Tracer):
+        return None
+    try:
+        numbers = np.asarray(value)
+        return numbers.astype(float) if numbers.dtype.kind in "biuf" else None
+    except (TypeError, ValueError):
+        return None
+
+
+def check_values(where: str, fits: Callable[[np.ndarray], Any], expected: str, **given: Any) -> None:
+    """Check that all numbers of some arguments, by their names, fit; what is no number never does.
+
+    **Raises:** `InputError` with the argument, the first number that does not, and what is expected.
+    """
+    for name, value in given.items():
+        numbers = known(value)
+        if numbers is None:
+            continue
+        wrong = ~np.broadcast_to(fits(numbers), numbers.shape)
+        if wrong.any():
+            verb = "has" if numbers.ndim else "is"
+            raise InputError(f"{where}: `{name}` {verb} {numbers[wrong][0]:g}; expected is {expected}.")
+
+
+def check_positive(where: str, unit: str = "", **given: Any) -> None:
+    """Check that numbers are finite and above zero, of some `unit`. Raises `InputError`."""
+    check_values(where, lambda x: (x > 0) & (x < np.inf), f"a finite number above 0{_of(unit)}", **given)
+
+
+def check_at_least(where: str, least: float | int, **given: Any) -> None:
+    """Check that numbers are finite and not below another. Raises `InputError`."""
+    check_values(
+        where, lambda x: (x >= least) & (x < np.inf), f"a finite number of at least {least:g}", **given
+    )
+
+
+def check_within(where: str, low: float | int, high: float | int, unit: str = "", **given: Any) -> None:
+    """Check that numbers are from one to another. Raises `InputError`."""
+    check_values(
+        where, lambda x: (x >= low) & (x <= high), f"a number from {low:g} to {high:g}{_of(unit)}", **given
+    )
+
+
+def check_deviations(where: str, **given: Any) -> None:
+    """Check that standard deviations are above zero; an infinite one leaves free what it is of. Raises `InputError`."""
+    check_values(where, lambda x: x > 0, "a standard deviation above 0, infinite for what is free", **given)
+
+
+def check_direction(where: str, **given: Any) -> None:
+    """Check that vectors have a direction: three finite numbers, not all of them zero. Raises `InputError`."""
+    for name, value in given.items():
+        numbers = known(value)
+        if numbers is None:
+            continue
+        length = np.linalg.norm(numbers) if numbers.shape == (3,) else 0.0
+        if not 0 < length < np.inf:
+            raise InputError(
+                f"{where}: `{name}` is {numbers.tolist()}; expected is a direction, three finite numbers of which one is not 0."
+            )
+
+
+def check_faces(where: str, faces: Any, count: int) -> None:
+    """Check that triangles are of vertices that there are. Raises `InputError`."""
+    if not isinstance(faces, Tracer):
+        corners = np.asarray(faces)
+        wrong = (corners < 0) | (corners >= count)
+        if wrong.any():
+            raise InputError(
+                f"{where}: `faces` has vertex {corners[wrong][0]}, and there are {count} vertices; expected are 0 to "
+                f"{count - 1}."
+            )
+
+
+def as_number(value: Any) -> Float[Array, ""]:
+    """Return a number as a floating-point array, also a whole one; an array keeps its precision."""
+    return jnp.asarray(value, jnp.result_type(value, float))
+
+
+def _of(unit: str) -> str:
+    return f" {unit}" if unit else ""
