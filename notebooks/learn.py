@@ -74,6 +74,9 @@ print(f"{learned.body.skeleton.num_joints - 1} joints, {len(learned.pairs)} pair
 steps, values = zip(*learned.history, strict=True)
 figure, plot = plt.subplots(figsize=(7.0, 3.2))
 plot.semilogy(values, color=BLUE, marker="o", ms=4)
+plot.yaxis.set_major_formatter("{x:g}")
+plot.yaxis.set_minor_formatter("{x:g}")
+plot.set_ylim(None, 1.4 * max(values))
 plot.set_xticks(range(len(steps)), steps, rotation=50, ha="right")
 for step in (0, len(values) - 1):
     say(plot, f"{values[step]:.2g}", (step, values[step]), BLUE, xytext=(0, 8))

@@ -107,10 +107,17 @@ def _draw_flat(plots: Any, surface: LimitSurface, primitives: Primitives, places
         inside = _outside(primitives, np.stack([across, 0 * across, 0 * across], 1)) <= 0
         counts, edges = np.histogram(places[:, 0], bins=80, range=(low[0], high[0]))
         plot.fill_between(
-            np.degrees(2 * across), 0, inside * max(counts.max(), 1) * 1.1, color=FILL, linewidth=0, alpha=0.6
-        )
-        plot.stairs(counts, np.degrees(2 * edges), fill=True, color=DOT)
+            np.degrees(2 * across), 0, inside * max(counts.max(), 1) * 2, color=FILL, linewidth=0, alpha=0.6,
+            label="allowed",
+        )  # fmt: skip
+        plot.stairs(counts, np.degrees(2 * edges), fill=True, color=DOT, label="samples")
+        # few samples beside many are seen too
+        plot.set_yscale("symlog")
         plot.set_xlabel("angle from the middle, degrees", fontsize=8, color=INK)
+        plot.set_ylabel("number of samples", fontsize=8, color=INK)
+        plot.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, labelcolor=INK, frameon=False
+        )
     else:
         x, y = (np.linspace(low[i], high[i], 160) for i in range(2))
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)

@@ -89,8 +89,7 @@ def chart(plot: Any, title: str, across: str = "", up: str = "") -> None:
     plot.set_ylabel(up, fontsize=8.5, color=INK)
     plot.grid(axis="y", color="#e4e8ed", linewidth=0.8)
     plot.set_axisbelow(True)
-    plot.tick_params(labelsize=8, colors="#52606d", length=0)
-    plot.tick_params(which="minor", length=0)
+    plot.tick_params(which="both", labelsize=8, colors="#52606d", length=0)
     for side in ("top", "right", "left"):
         plot.spines[side].set_visible(False)
     plot.spines["bottom"].set_color("#c3cad3")
