@@ -18,6 +18,7 @@ from ..energy.term import AbstractEnergy
 from ..fit.alternate import alternate
 from ..fit.sequence_problem import SequenceEstimate, SequenceProblem
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ..parallel import parallel_map
 from .objective import stack, stack_pairs, unstack, window_problem
 from .pose import LENGTHS, UPHILL, brought_in, same_pose
 
@@ -85,11 +86,12 @@ def smooth_windows(
         poses = [brought_in(boxes, body.skeleton, pose) for pose in poses]
     poses, known = list(poses), {}
 
-    def pairs_of_frame(frame: int, pose: Pose) -> Pairs:
+    def pairs_of_frames(window: dict[int, Pose]) -> list[Pairs]:
         # a held frame, and one that the window before left, is where it was
-        if frame not in known or not same_pose(known[frame][0], pose):
-            known[frame] = pose, pairs_at(frame, pose)
-        return known[frame][1]
+        moved = {n: at for n, at in window.items() if n not in known or not same_pose(known[n][0], at)}
+        found = parallel_map(lambda each: pairs_at(*each), moved.items())
+        known.update((n, (at, pairs)) for (n, at), pairs in zip(moved.items(), found, strict=True))
+        return [known[n][1] for n in window]
 
     if len(poses) < 3:
         yield poses, len(poses)
@@ -105,8 +107,8 @@ def smooth_windows(
         first, last = start, stop
 
         def remake(y: SequenceEstimate, first: int = first, last: int = last) -> SequenceProblem:
-            window = unstack(y.poses, last - first)
-            pairs = stack_pairs([pairs_of_frame(first + i, pose) for i, pose in enumerate(window)])
+            window = dict(enumerate(unstack(y.poses, last - first), first))
+            pairs = stack_pairs(pairs_of_frames(window))
             return window_problem(
                 body,
                 pairs,

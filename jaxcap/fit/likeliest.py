@@ -6,7 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..body.kinematics import forward_kinematics, joint_positions
 from ..body.pose import Pose, difference
+from ..body.skeleton import Skeleton
 from ..observe import Cloud
 from .em import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
 from .recover import next_frame, settled
@@ -16,8 +18,19 @@ from .track import Tracker, TrackState, start_state
 COMPARED = 0.02
 #: a pose whose mean log-likelihood is lower than the best by more than this is not worth improving
 HOPELESS = 0.3
+#: metres: a pose that is not likelier than another and as near to it leads to the same one; bones turn at so many from a joint
+NEAR, AROUND = 0.01, 0.1
 
 _change = eqx.filter_jit(difference)
+
+
+@eqx.filter_jit
+def _apart(skeleton: Skeleton, one: Pose, other: Pose) -> Float[Array, ""]:
+    """The largest distance between what moves with a bone in two poses, at a joint or `AROUND` it, metres."""
+    here, there = (forward_kinematics(skeleton, pose) for pose in (one, other))
+    moved = joint_positions(skeleton, here) - joint_positions(skeleton, there)
+    turned = AROUND * jnp.linalg.norm(here.rotations - there.rotations, axis=1)
+    return jnp.maximum(jnp.max(jnp.linalg.norm(moved, axis=-1)), jnp.max(turned))
 
 
 @eqx.filter_jit
@@ -60,13 +73,17 @@ def likeliest(
 
     The state and the statistics are the same objects where none is.
     """
+    skeleton = tracker.body.skeleton
     best = float(log_likelihood(tracker, state.estimate.pose, cloud)) + worth
     for pose in poses:
-        if float(log_likelihood(tracker, pose, cloud)) < best - HOPELESS:
+        likelihood = float(log_likelihood(tracker, pose, cloud))
+        if likelihood < best - HOPELESS:
+            continue
+        if likelihood <= best and float(_apart(skeleton, state.estimate.pose, pose)) < NEAR:
             continue
         found, measured, likelihood = improve(tracker, pose, cloud)
         if likelihood > best:
-            change = _change(tracker.body.skeleton, before, found.estimate.pose)
+            change = _change(skeleton, before, found.estimate.pose)
             best, state, statistics = likelihood, TrackState(found.estimate, change), measured
     return state, statistics
 
