@@ -11,6 +11,8 @@ from jax.flatten_util import ravel_pytree
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import stack_poses
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.landmarks import VertexLandmarks
 from jaxcap.energy.prior import RestPrior
 from jaxcap.energy.stacked import NormalPrior, SmoothTurns, stack_energies
@@ -164,6 +166,32 @@ def test_what_nothing_holds_has_no_part_in_derivatives_and_no_end_to_its_varianc
     assert np.isinf(deviations[3:]).all()
     assert int(known.unobservable.sum()) == 3
     assert sum("centres[5]" in line for line in describe_sequence(open_ended, known)) >= 1
+
+
+def test_what_only_rounding_shows_has_no_end_to_its_variance(frames):
+    """A vertex in the middle of the last joint does not turn with it, but for the last bits of its place."""
+    last = SKELETON.num_joints - 1
+    parts = np.asarray(BODY.skin.parts())
+    vertex = int(np.flatnonzero(parts == last)[0])
+    body = eqx.tree_at(
+        lambda b: (b.vertices, b.skin),
+        BODY,
+        (BODY.vertices.at[vertex].set(SKELETON.centres[last]), RigidSkin(jnp.asarray(parts))),
+    )
+    seen = jnp.where((parts != last) | (np.arange(len(parts)) == vertex), 1.0, 0.0)
+    marks = eqx.tree_at(
+        lambda m: m.energy.weights, frames[0].terms[0], jnp.broadcast_to(seen, (FRAMES, len(seen)))
+    )
+    problem = SequenceProblem(body, marks, jnp.arange(float(FRAMES)), {})
+    found = sequence_uncertainty(problem, solve_(problem, frames[1], TIGHT, 50), variance=1e-6)
+    turns = [
+        number
+        for number, name in enumerate(dof_layout(SKELETON).names)
+        if name.startswith(SKELETON.names[last])
+    ]
+    still = np.asarray(found.still)
+    assert still[:, turns].all()
+    assert not np.delete(still, turns, 1).any()
 
 
 @pytest.mark.parametrize(

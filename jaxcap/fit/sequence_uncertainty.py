@@ -89,7 +89,7 @@ def _blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
     free = free_numbers(info)
     arrow = arrow.among(free)
     # on a unit diagonal, what nothing holds is held by as much as rounding lets be told
-    x, s = (unit_scale(part) for part in arrow.diagonal())
+    x, s = (_unit_scale(part, tolerance) for part in arrow.diagonal())
     arrow = arrow.rescaled(x, s)
     arrow = arrow.add_diagonal((jnp.full_like(x, tolerance), jnp.zeros_like(s)))
     factor = arrow.frames.factorise()
@@ -112,6 +112,12 @@ def _blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
         turn = problem.charts(y.poses).turn
         poses = jnp.einsum("fai,fij,fbj->fab", turn, poses, turn, precision="highest")
     return poses, variance * shared * _outer(s * units[1]), directions, unobservable, still
+
+
+def _unit_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:
+    """Return what brings a diagonal to one, but for curvatures that are no more than the rounding of the largest."""
+    largest = jnp.max(diagonal, initial=0.0)
+    return unit_scale(jnp.where(diagonal > tolerance**2 * largest, diagonal, largest))
 
 
 def _within(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):
