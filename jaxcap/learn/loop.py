@@ -124,11 +124,13 @@ def learn_body(
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("finding parts and joints")
-        start = _start(coarse.meshes if loose else meshes, joints, skin, symmetry, skeleton, free_bones)
+        # a given skeleton is bound by heat, for which a mesh has to be whole, and terms are of all vertices
+        on_coarse = skeleton is None and whole is None
+        start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, skeleton, free_bones)
         own_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
-        if thinned and not loose:
+        if thinned and not on_coarse:
             state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume
