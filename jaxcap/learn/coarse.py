@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 from ..geometry.mesh import mesh_edges
 from ..observe import MeshSequence
 
-#: meshes are thinned until they have no more vertices than this
-ENOUGH = 4000
+#: meshes are thinned until they have no more vertices than this, or than so many for each part where their number is known
+ENOUGH, FOR_A_PART, LEAST = 4000, 105, 1000
 #: the share of the edges that are short at first, how that grows, and how often beyond the longest edge
 SHORT, STRETCH, MOST = 0.1, 1.25, 8
 
@@ -56,6 +56,11 @@ def coarsen(meshes: MeshSequence, enough: int = ENOUGH) -> Coarse:
         short *= STRETCH
     fewer = MeshSequence(meshes.vertices[:, kept], jnp.asarray(faces, meshes.faces.dtype), meshes.rate)
     return Coarse(fewer, kept, nearest)
+
+
+def enough_vertices(joints: int | None) -> int:
+    """Return how many vertices show a body of so many joints between rigid parts, or of an unknown number."""
+    return ENOUGH if joints is None else min(max(FOR_A_PART * (joints + 1), LEAST), ENOUGH)
 
 
 def coarse_alpha(alpha: float, fine: int, coarse: int) -> float:

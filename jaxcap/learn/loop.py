@@ -18,7 +18,7 @@ from ..energy.term import AbstractEnergy, sum_of, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
 from .anchors import Given
-from .coarse import Coarse, coarse_alpha, coarsen
+from .coarse import Coarse, coarse_alpha, coarsen, enough_vertices
 from .exchange import exchange
 from .graft import Graft
 from .joints import Curvature, improve_joints, make_curvature
@@ -120,7 +120,7 @@ def learn_body(
     )
     simple = skeleton is None or is_simple(skeleton)
     loose = skin == "lbs" and alpha < LOOSE and whole is None and simple
-    coarse = coarsen(meshes, VERTICES) if loose else coarsen(meshes)
+    coarse = coarsen(meshes, VERTICES if loose else enough_vertices(joints))
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("finding parts and joints")
