@@ -16,8 +16,8 @@ from jaxcap.body.body import deform_all
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.skeleton import KINDS
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
-from jaxcap.io.bvh import write_bvh
 from jaxcap.io.registry import write_body
+from jaxcap.io.skeletons.bvh import write_bvh
 
 
 class Case(NamedTuple):

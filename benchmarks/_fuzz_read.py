@@ -12,30 +12,28 @@ import numpy as np
 
 from benchmarks._fuzz_seeds import ASF, HEADER, fuzz_body
 from jaxcap.body.body import Body
-from jaxcap.cli.adapt_state import state_of
+from jaxcap.cli.adapt.adapt_state import state_of
 from jaxcap.cli.edit.pairs import point_pair, table_of
 from jaxcap.cli.learn import state_of as learn_state_of
-from jaxcap.cli.scan_folder import check_same_scans
+from jaxcap.cli.scan.scan_folder import check_same_scans
 from jaxcap.errors import InputError
-from jaxcap.io.amass import read_amass
-from jaxcap.io.amc import read_amc
-from jaxcap.io.asf import read_asf
-from jaxcap.io.body_motion import read_motion_of
+from jaxcap.io.archives.checkpoint import load_checkpoint, load_progress
+from jaxcap.io.archives.journal import read_header, read_records, resume_journal
+from jaxcap.io.archives.limits import load_limits, read_limits
+from jaxcap.io.archives.npz import load_limits as load_body_limits
+from jaxcap.io.archives.npz import load_skeleton
+from jaxcap.io.archives.prior import load_priors, load_shape_prior, shape_counts
+from jaxcap.io.archives.run_statistics import read_statistics
 from jaxcap.io.cameras import read_cameras
-from jaxcap.io.checkpoint import load_checkpoint, load_progress
-from jaxcap.io.clouds import read_clouds
-from jaxcap.io.colours import read_colours
 from jaxcap.io.constraints import read_constraints
-from jaxcap.io.cst import read_cst
-from jaxcap.io.gltf_reader import read_gltf
-from jaxcap.io.journal import read_header, read_records, resume_journal
-from jaxcap.io.limits import load_limits, read_limits
-from jaxcap.io.marker_corrections import read_corrections
-from jaxcap.io.mesh import read_mesh
-from jaxcap.io.meshes import read_meshes
-from jaxcap.io.npz import load_limits as load_body_limits
-from jaxcap.io.npz import load_skeleton
-from jaxcap.io.prior import load_priors, load_shape_prior, shape_counts
+from jaxcap.io.gltf.gltf_reader import read_gltf
+from jaxcap.io.markers.marker_corrections import read_corrections
+from jaxcap.io.markers.subject import load_subject
+from jaxcap.io.meshes.clouds import read_clouds
+from jaxcap.io.meshes.colours import read_colours
+from jaxcap.io.meshes.mesh import read_mesh
+from jaxcap.io.meshes.meshes import read_meshes
+from jaxcap.io.meshes.vertex_list import read_vertex_list
 from jaxcap.io.registry import (
     is_skinned,
     read_body,
@@ -44,10 +42,12 @@ from jaxcap.io.registry import (
     read_skeleton,
     read_skinned,
 )
-from jaxcap.io.run_statistics import read_statistics
-from jaxcap.io.subject import load_subject
-from jaxcap.io.vertex_list import read_vertex_list
-from jaxcap.io.vj import read_vj
+from jaxcap.io.skeletons.amass import read_amass
+from jaxcap.io.skeletons.amc import read_amc
+from jaxcap.io.skeletons.asf import read_asf
+from jaxcap.io.skeletons.body_motion import read_motion_of
+from jaxcap.io.skeletons.cst import read_cst
+from jaxcap.io.skeletons.vj import read_vj
 from jaxcap.view.load import load
 
 #: what reading a file may end in, best first; the last five are faults

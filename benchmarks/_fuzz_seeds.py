@@ -8,33 +8,33 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcap.adapt.shape_prior import ShapePrior, uniform_laplacian
+from jaxcap.adapt.shape.shape_prior import ShapePrior, uniform_laplacian
 from jaxcap.adapt.task import AdaptState
 from jaxcap.body.body import Body
-from jaxcap.body.chart import Chart
-from jaxcap.body.limit_surface import LimitSurface, SurfaceLimits
-from jaxcap.body.limits import Cone, make_joint_ranges
+from jaxcap.body.limits.chart import Chart
+from jaxcap.body.limits.limit_surface import LimitSurface, SurfaceLimits
+from jaxcap.body.limits.limits import Cone, make_joint_ranges
+from jaxcap.body.limits.pose_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import make_pair_prior, successive_pairs
 from jaxcap.body.pose import Motion, Pose
-from jaxcap.body.pose_boxes import make_pose_boxes
 from jaxcap.body.skeleton import Skeleton, make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
-from jaxcap.cli.adapt_state import checkpoint_of
+from jaxcap.cli.adapt.adapt_state import checkpoint_of
 from jaxcap.geometry.camera import look_at
-from jaxcap.io.amass import write_amass
+from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
+from jaxcap.io.archives.journal import begin_journal
+from jaxcap.io.archives.limits import save_limits
+from jaxcap.io.archives.npz import save_body, save_motion
+from jaxcap.io.archives.prior import save_prior
 from jaxcap.io.cameras import write_cameras
-from jaxcap.io.checkpoint import Checkpoint, save_checkpoint
-from jaxcap.io.cst import Constraints, write_cst
-from jaxcap.io.journal import begin_journal
-from jaxcap.io.limits import save_limits
-from jaxcap.io.mesh import Mesh, write_mesh
-from jaxcap.io.meshes import save_meshes
-from jaxcap.io.npz import save_body, save_motion
-from jaxcap.io.ply import write_ply
-from jaxcap.io.prior import save_prior
+from jaxcap.io.markers.subject import save_subject
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
+from jaxcap.io.meshes.meshes import save_meshes
+from jaxcap.io.meshes.ply import write_ply
 from jaxcap.io.registry import write_body, write_markers, write_motion, write_skeleton
-from jaxcap.io.subject import save_subject
-from jaxcap.io.vj import write_vj
+from jaxcap.io.skeletons.amass import write_amass
+from jaxcap.io.skeletons.cst import Constraints, write_cst
+from jaxcap.io.skeletons.vj import write_vj
 from jaxcap.markers.subject import make_subject
 from jaxcap.observe import MeshSequence, make_markers
 

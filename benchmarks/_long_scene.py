@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 import jaxcap as jc
-from jaxcap.io.mesh import Mesh, write_mesh
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
 
 #: frames after which the motion repeats
 PERIOD = 200

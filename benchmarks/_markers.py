@@ -13,7 +13,7 @@ import jaxcap as jc
 from benchmarks._scenes import cmu_motion
 from jaxcap.body.kinematics import joint_positions
 from jaxcap.geometry import rotation
-from jaxcap.markers.calibrate import Calibration
+from jaxcap.markers.calibration.calibrate import Calibration
 from jaxcap.markers.subject import Subject, make_subject
 from jaxcap.observe import MarkerFrames
 

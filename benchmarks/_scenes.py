@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float
 import jaxcap as jc
 from benchmarks.report import progress
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.io.amc import read_amc
-from jaxcap.io.asf import read_asf
+from jaxcap.io.skeletons.amc import read_amc
+from jaxcap.io.skeletons.asf import read_asf
 
 #: frames a second of the database, and those that are tracked
 CAPTURED, RATE = 120.0, 30.0

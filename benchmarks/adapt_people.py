@@ -30,8 +30,8 @@ from benchmarks.report import finish, progress
 from jaxcap.adapt.loop import AdaptState, adapt_body, plan
 from jaxcap.adapt.prepare import make_task
 from jaxcap.body.reduce import reduce_body
-from jaxcap.fit.sequence import track_frames
-from jaxcap.fit.track import make_tracker
+from jaxcap.fit.tracking.sequence import track_frames
+from jaxcap.fit.tracking.track import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.metrics import scan_to_surface

@@ -22,12 +22,12 @@ from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.adapt_people import ACTORS, TAKES, first_pose, make_actor, scans_of
 from benchmarks.report import finish, progress
 from jaxcap.adapt.loop import adapt_body, plan
-from jaxcap.adapt.pose import fit_pose
+from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.prepare import make_task
-from jaxcap.body.anatomy import rest_deviations
+from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.body.pose import retract
-from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.correspond import make_scan
+from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.fit.correspondence.correspond import make_scan
 
 REPEATS, STEPS, AWAY = 9, 10, 0.03
 #: of the prior, about as its balance with the data has it

@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks.report import Timer, finish, progress
 from jaxcap.body.body import Body, Posed, pose_body
-from jaxcap.body.human import human
 from jaxcap.body.jacobian import (
     ball_operator,
     cone_gradient,
@@ -25,11 +24,12 @@ from jaxcap.body.jacobian import (
     translate_operator,
 )
 from jaxcap.body.kinematics import world_axes
-from jaxcap.body.limits import Cone, make_joint_ranges
+from jaxcap.body.limits.limits import Cone, make_joint_ranges
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.body.skin import RigidSkin
-from jaxcap.energy.limits import JointLimits
+from jaxcap.energy.priors.limits import JointLimits
 from jaxcap.geometry import rotation
 from tests.helpers import chain_body, half_turned_pose, random_pose
 

@@ -16,11 +16,11 @@ import numpy as np
 from benchmarks._browser import find_chromium, launched, open_page, pixel, wait_for_eye, wait_for_node
 from benchmarks.report import finish, progress
 from jaxcap.body.body import Body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.edit.ik import session as ik
 from jaxcap.edit.ik.session import IkSession, IkSettings
 from jaxcap.view.ik.window import posed_arrays, serve_ik
-from jaxcap.view.serve import address, close_server, open_server
+from jaxcap.view.windows.serve import address, close_server, open_server
 
 JOINTS = ("LeftHand", "RightHand", "LeftFoot", "RightFoot", "Head", "Spine1", "LeftForeArm", "RightForeArm",
           "LeftLeg", "RightLeg")  # fmt: skip

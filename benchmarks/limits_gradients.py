@@ -11,8 +11,8 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks.report import finish, progress
+from jaxcap.body.limits.primitives import STIFFNESS, signed_distance
 from jaxcap.body.pose import retract
-from jaxcap.body.primitives import STIFFNESS, signed_distance
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.fit.problem import linearise

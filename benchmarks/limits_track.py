@@ -34,9 +34,9 @@ from benchmarks._depth import depth_frames, fit_frames
 from benchmarks._scenes import human_motion, shared_folder, takes_of
 from benchmarks._stereo import ARM, STEREO, Seen, see_arm, twists
 from benchmarks.report import finish, progress
-from jaxcap.body.anatomy import rest_deviations
-from jaxcap.body.limit_surface import SurfaceLimits
-from jaxcap.energy.soft_object import SoftObject, SoftPoints, make_soft_object
+from jaxcap.body.limits.limit_surface import SurfaceLimits
+from jaxcap.body.people.anatomy import rest_deviations
+from jaxcap.energy.data.soft_object import SoftObject, SoftPoints, make_soft_object
 from jaxcap.fit.priority import priority_step
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solvers.gauss_newton import damped_step

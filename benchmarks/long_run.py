@@ -25,7 +25,7 @@ import numpy as np
 import jaxcap as jc
 from benchmarks._long_scene import make_limb, write_clouds
 from benchmarks.report import finish, progress
-from jaxcap.io.journal import read_header
+from jaxcap.io.archives.journal import read_header
 
 #: seconds between two looks, and between two words
 LOOK, SPEAK = 0.05, 15.0

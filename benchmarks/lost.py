@@ -32,8 +32,8 @@ from benchmarks.report import finish, progress
 from jaxcap.demo.picture import View, draw
 from jaxcap.fit.judgement.surface import judged_surface
 from jaxcap.fit.judgement.usual import nothing_usual
-from jaxcap.fit.recover import Patience, TrackedFrame, judge, next_frame, settled
-from jaxcap.fit.track import start_state
+from jaxcap.fit.tracking.recover import Patience, TrackedFrame, judge, next_frame, settled
+from jaxcap.fit.tracking.track import start_state
 from jaxcap.metrics import scan_to_surface
 
 #: largest error of the main joints up to which a frame is right, and beyond which a made one is wrong, millimetres

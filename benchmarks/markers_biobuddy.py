@@ -12,12 +12,12 @@ import numpy as np
 from benchmarks._scenes import shared_folder
 from benchmarks.report import Timer, finish, progress
 from jaxcap.io.registry import read_markers
-from jaxcap.markers.centres import Method, find_joint
-from jaxcap.markers.frames import SegmentFrames, fit_frames
-from jaxcap.markers.joint import Joint
-from jaxcap.markers.partition import find_partition
-from jaxcap.markers.relative import relative
-from jaxcap.markers.segment import Segments, make_segments
+from jaxcap.markers.rotation_centres.centres import Method, find_joint
+from jaxcap.markers.rotation_centres.joint import Joint
+from jaxcap.markers.segments.frames import SegmentFrames, fit_frames
+from jaxcap.markers.segments.partition import find_partition
+from jaxcap.markers.segments.relative import relative
+from jaxcap.markers.segments.segment import Segments, make_segments
 
 TRIALS = ("static", "right_hip", "right_knee")
 PELVIS = ("LASIS", "RASIS", "LPSIS", "RPSIS")

@@ -144,7 +144,7 @@ def main() -> None:
     figures["residual_share"] = figures["residual_mm"] / figures["database_residual_mm"]
     limits = {"joints_mm": ("<=", 15.0), "residual_share": ("<=", 1.0)}
     if options.picture:
-        from jaxcap.report.marker_pictures import draw_skeleton
+        from jaxcap.report.markers.marker_pictures import draw_skeleton
 
         draw_skeleton(options.picture, subject, solution.motion, frames, solution.residuals, f"CMU {TAKE}")
         progress(f"picture: {options.picture}")

@@ -24,8 +24,8 @@ from benchmarks._scenes import cmu_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.edit.retargeting.retarget import retarget
-from jaxcap.markers.calibrate import Calibration, calibrate
-from jaxcap.markers.solve import solve_markers
+from jaxcap.markers.calibration.calibrate import Calibration, calibrate
+from jaxcap.markers.motion.solve import solve_markers
 from jaxcap.markers.subject import Subject
 
 TURNS = np.radians(20.0)

@@ -17,9 +17,9 @@ import numpy as np
 from benchmarks._markers import Trouble, make_scene
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.markers.calibrate import calibrate
-from jaxcap.markers.solve import solve_markers
-from jaxcap.markers.stream import make_streamer, stream_frame
+from jaxcap.markers.calibration.calibrate import calibrate
+from jaxcap.markers.motion.solve import solve_markers
+from jaxcap.markers.motion.stream import make_streamer, stream_frame
 
 
 def main() -> None:

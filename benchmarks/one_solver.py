@@ -21,28 +21,28 @@ from jax.flatten_util import ravel_pytree
 
 from benchmarks._markers import Trouble, performer, scene_of
 from benchmarks.report import finish, progress
-from jaxcap.body.anatomy import rest_deviations
 from jaxcap.body.body import Body, deform_all, pose_body, take_vertices
-from jaxcap.body.human import human
+from jaxcap.body.people.anatomy import rest_deviations
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose, rest_pose, retract
 from jaxcap.body.shape_modes import Modes, joint_modes
-from jaxcap.energy.landmarks import VertexLandmarks
-from jaxcap.energy.prior import RestPrior
+from jaxcap.energy.data.landmarks import VertexLandmarks
+from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.energy.stacked import SmoothTurns, stack_energies
-from jaxcap.fit.sequence_problem import SequenceEstimate, SequenceProblem
-from jaxcap.fit.solve_sequence import solve_sequence
-from jaxcap.fit.solvers.block_arrow import BlockArrow
-from jaxcap.fit.solvers.block_banded import BlockBanded
+from jaxcap.fit.linear.block_arrow import BlockArrow
+from jaxcap.fit.linear.block_banded import BlockBanded
+from jaxcap.fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from jaxcap.fit.sequences.solve_sequence import solve_sequence
+from jaxcap.fit.sequences.unknowns import AbstractUnknown, JointCentres, RestVertices, ShapeCoefficients
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from jaxcap.fit.unknowns import AbstractUnknown, JointCentres, RestVertices, ShapeCoefficients
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.joints import make_curvature
-from jaxcap.learn.solve_joints import solve_joints
-from jaxcap.markers.matched import match_markers
-from jaxcap.markers.problem import CalibrationEstimate, make_calibration_problem
-from jaxcap.markers.shared import Trust, solved_joints
-from jaxcap.markers.solve_calibration import solve_calibration
+from jaxcap.learn.skeleton.joints import make_curvature
+from jaxcap.learn.skeleton.solve_joints import solve_joints
+from jaxcap.markers.calibration.problem import CalibrationEstimate, make_calibration_problem
+from jaxcap.markers.calibration.shared import Trust, solved_joints
+from jaxcap.markers.calibration.solve_calibration import solve_calibration
+from jaxcap.markers.motion.matched import match_markers
 
 MARKS = 120
 NOISE = 0.003
@@ -116,7 +116,7 @@ def scene(body: Body, unknowns: dict[str, AbstractUnknown], frames: int) -> tupl
 
 
 def _centres_held(body: Body):
-    from jaxcap.energy.landmarks import joint_landmarks
+    from jaxcap.energy.data.landmarks import joint_landmarks
 
     return 1e-2 * joint_landmarks(body.skeleton.centres)
 

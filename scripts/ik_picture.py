@@ -14,7 +14,7 @@ import jaxcap as jc
 from benchmarks._browser import launched, open_page, pixel, wait_for_node
 from jaxcap.edit.ik import session as ik
 from jaxcap.view.ik.window import IkWindow, serve_ik
-from jaxcap.view.serve import address, close_server, open_server
+from jaxcap.view.windows.serve import address, close_server, open_server
 
 OUT = Path(__file__).resolve().parents[1] / "assets" / "ik.png"
 SIZE = WIDTH, HEIGHT = 1080, 760

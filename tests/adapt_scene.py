@@ -7,13 +7,13 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.adapt.loop import Settings, Task
-from jaxcap.adapt.size import resized
+from jaxcap.adapt.shape.size import resized
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.energy.prior import RestPrior
+from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.io.cameras import write_cameras
-from jaxcap.io.ply import write_ply
+from jaxcap.io.meshes.ply import write_ply
 
 FRAMES, POINTS = 6, 700
 RING = ring_of_cameras(4, 360, 2.5, 0.5, (0.0, 0.3, 0.0))

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
-from jaxcap.cli import heartbeat, main
+from jaxcap.body.people.human import human
+from jaxcap.cli import main
+from jaxcap.cli.console import heartbeat
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import Scanner, scan
-from jaxcap.io.npz import save_body, save_motion
+from jaxcap.io.archives.npz import save_body, save_motion
 
 FRAMES, POINTS = 5, 600
 # words in a silence depend on how busy the machine is; `test_cli_start` has them by its own clock

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
-from jaxcap.body.anatomy import rest_deviations
-from jaxcap.markers.anatomical import anatomical_markers
+from jaxcap.body.people.anatomy import rest_deviations
+from jaxcap.markers.body_shape.anatomical import anatomical_markers
 from tests.markers_limb import moving, seen_by, truth, wrong
 
 CHECKOUT = Path(__file__).resolve().parents[1]

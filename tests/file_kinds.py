@@ -11,23 +11,23 @@ from c3d_bytes import c3d_bytes
 from helpers import chain_body
 
 from jaxcap.body.body import Body
-from jaxcap.body.chart import Chart
-from jaxcap.body.limit_surface import LimitSurface, SurfaceLimits
+from jaxcap.body.limits.chart import Chart
+from jaxcap.body.limits.limit_surface import LimitSurface, SurfaceLimits
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import Skeleton
-from jaxcap.io.amass import write_amass
-from jaxcap.io.bvh import write_bvh
-from jaxcap.io.checkpoint import Checkpoint, save_checkpoint
-from jaxcap.io.gltf import write_gltf
-from jaxcap.io.journal import begin_journal
-from jaxcap.io.limits import save_limits
-from jaxcap.io.mesh import Mesh, write_mesh
-from jaxcap.io.meshes import save_meshes
-from jaxcap.io.npz import save_arrays, save_body, save_motion, skeleton_arrays
-from jaxcap.io.skl import write_skl
-from jaxcap.io.subject import save_subject
-from jaxcap.io.usd import write_usd
-from jaxcap.io.vj import write_vj
+from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
+from jaxcap.io.archives.journal import begin_journal
+from jaxcap.io.archives.limits import save_limits
+from jaxcap.io.archives.npz import save_arrays, save_body, save_motion, skeleton_arrays
+from jaxcap.io.gltf.gltf import write_gltf
+from jaxcap.io.markers.subject import save_subject
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
+from jaxcap.io.meshes.meshes import save_meshes
+from jaxcap.io.skeletons.amass import write_amass
+from jaxcap.io.skeletons.bvh import write_bvh
+from jaxcap.io.skeletons.skl import write_skl
+from jaxcap.io.skeletons.vj import write_vj
+from jaxcap.io.usd.usd import write_usd
 from jaxcap.markers.subject import make_subject
 from jaxcap.observe import MeshSequence
 

@@ -9,23 +9,23 @@ from cli import fails, runs
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.beside import centres_beside, make_beside
 from jaxcap.adapt.loop import Settings, Task, adapt_body, plan
 from jaxcap.adapt.objective import Belief, mean_square, shared_problem, stack, unstack
-from jaxcap.adapt.pose import fit_pose, pairs_of
+from jaxcap.adapt.poses.pose import fit_pose, pairs_of
+from jaxcap.adapt.poses.window import smooth_poses, temporal_energy
 from jaxcap.adapt.rounds import step_of
-from jaxcap.adapt.shape_prior import own_shape_prior
-from jaxcap.adapt.size import fit_size, resized
-from jaxcap.adapt.surface import adapt_shape
-from jaxcap.adapt.window import smooth_poses, temporal_energy
+from jaxcap.adapt.shape.beside import centres_beside, make_beside
+from jaxcap.adapt.shape.shape_prior import own_shape_prior
+from jaxcap.adapt.shape.size import fit_size, resized
+from jaxcap.adapt.shape.surface import adapt_shape
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import Modes, joint_modes, moved
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.energy.pairs import PairDistances, pair_directions
-from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.correspond import (
+from jaxcap.energy.data.pairs import PairDistances, pair_directions
+from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.fit.correspondence.correspond import (
     Matching,
     NearestOnSurface,
     SoftAssignment,

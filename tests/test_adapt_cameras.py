@@ -10,13 +10,13 @@ from cli import fails
 
 import jaxcap as jc
 from jaxcap.adapt.check import check_cameras
-from jaxcap.adapt.meet import pairs_at
-from jaxcap.cli.adapt_input import load_cameras
+from jaxcap.adapt.poses.meet import pairs_at
+from jaxcap.cli.adapt.adapt_input import load_cameras
 from jaxcap.cli.sources import up_rotation
-from jaxcap.fit.correspond import make_scan
+from jaxcap.fit.correspondence.correspond import make_scan
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.cameras import write_cameras
-from jaxcap.io.clouds import read_clouds
+from jaxcap.io.meshes.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)
 

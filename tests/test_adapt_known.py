@@ -11,18 +11,18 @@ from cli import runs
 
 import jaxcap as jc
 from jaxcap.adapt.loop import AdaptState, Settings, plan
+from jaxcap.body.limits.pose_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
-from jaxcap.body.pose_boxes import make_pose_boxes
-from jaxcap.cli.adapt import Adapt
-from jaxcap.cli.adapt_input import look_through
-from jaxcap.cli.adapt_prior import carried, prior_file, read_priors
-from jaxcap.cli.adapt_state import fingerprint_of, hash_of, keep_state
-from jaxcap.energy.pair_prior import MahalanobisPrior
-from jaxcap.io import archive
-from jaxcap.io.clouds import read_clouds
-from jaxcap.io.npz import load_limits
-from jaxcap.io.prior import carries_prior, load_boxes, load_priors
+from jaxcap.cli.adapt.adapt import Adapt
+from jaxcap.cli.adapt.adapt_input import look_through
+from jaxcap.cli.adapt.adapt_prior import carried, prior_file, read_priors
+from jaxcap.cli.adapt.adapt_state import fingerprint_of, hash_of, keep_state
+from jaxcap.energy.priors.pair_prior import MahalanobisPrior
+from jaxcap.io.archives import archive
+from jaxcap.io.archives.npz import load_limits
+from jaxcap.io.archives.prior import carries_prior, load_boxes, load_priors
+from jaxcap.io.meshes.clouds import read_clouds
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from jaxcap.adapt import loop
 from jaxcap.adapt.loop import AdaptState, Settings, adapt_body, plan
 from jaxcap.adapt.terms import Terms
 from jaxcap.body.pose import retract, stack_poses
-from jaxcap.cli.adapt_state import keep_state, state_to_go_on_from
+from jaxcap.cli.adapt.adapt_state import keep_state, state_to_go_on_from
 
 HEADER = {"who": "a test"}
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from adapt_scene import make_scene, task_of
 
-from jaxcap.adapt.pose import fit_pose
+from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.body.pose import retract
-from jaxcap.fit.correspond import make_scan
+from jaxcap.fit.correspondence.correspond import make_scan
 
 
 @pytest.fixture(scope="module")

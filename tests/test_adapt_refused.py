@@ -22,17 +22,17 @@ from jaxcap.adapt.check import (
 )
 from jaxcap.adapt.evaluate import compare_stages
 from jaxcap.adapt.loop import AdaptState, Settings, Task, adapt_body, plan
-from jaxcap.adapt.meet import pairs_at
 from jaxcap.adapt.objective import stack_pairs
+from jaxcap.adapt.poses.meet import pairs_at
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
-from jaxcap.cli.adapt import Adapt
-from jaxcap.cli.adapt_input import look_through
-from jaxcap.cli.adapt_state import fingerprint_of, keep_state, state_to_go_on_from
+from jaxcap.cli.adapt.adapt import Adapt
+from jaxcap.cli.adapt.adapt_input import look_through
+from jaxcap.cli.adapt.adapt_state import fingerprint_of, keep_state, state_to_go_on_from
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.correspond import NearestOnSurface, make_scan
-from jaxcap.io.clouds import read_clouds
+from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.fit.correspondence.correspond import NearestOnSurface, make_scan
+from jaxcap.io.meshes.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)
 

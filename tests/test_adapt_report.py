@@ -26,17 +26,17 @@ from jaxcap.adapt.evaluate import (
     with_distances,
 )
 from jaxcap.adapt.loop import AdaptState, Settings, Task, plan
-from jaxcap.adapt.size import resized
+from jaxcap.adapt.shape.size import resized
 from jaxcap.adapt.terms import Terms
 from jaxcap.body.pose import rest_pose, retract, stack_poses
 from jaxcap.body.symmetry import mirrored_joints
-from jaxcap.cli.adapt import Adapt
-from jaxcap.cli.adapt_input import look_through
-from jaxcap.cli.adapt_state import checkpoint_of, fingerprint_of
+from jaxcap.cli.adapt.adapt import Adapt
+from jaxcap.cli.adapt.adapt_input import look_through
+from jaxcap.cli.adapt.adapt_state import checkpoint_of, fingerprint_of
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.energy.prior import RestPrior
-from jaxcap.io.checkpoint import save_checkpoint
-from jaxcap.io.clouds import read_clouds
+from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.io.archives.checkpoint import save_checkpoint
+from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.metrics import scan_to_surface
 from jaxcap.report.adaptation import adaptation_page, report_adaptation
 from jaxcap.report.chart import path, ticks

@@ -14,14 +14,14 @@ import jaxcap as jc
 from jaxcap.adapt.loop import AdaptState, Settings, plan
 from jaxcap.adapt.terms import Terms
 from jaxcap.body.kinematics import joint_paths
+from jaxcap.body.people.sample import sample_poses
 from jaxcap.body.pose import stack_poses
-from jaxcap.body.sample import sample_poses
-from jaxcap.cli import adapt as adapt_module
-from jaxcap.cli.adapt import Adapt
-from jaxcap.cli.adapt_actor import finished_run, save_actor
-from jaxcap.cli.adapt_input import look_through
-from jaxcap.cli.adapt_state import fingerprint_of, hash_of, keep_state, state_to_go_on_from
-from jaxcap.io.clouds import read_clouds
+from jaxcap.cli.adapt import adapt as adapt_module
+from jaxcap.cli.adapt.adapt import Adapt
+from jaxcap.cli.adapt.adapt_actor import finished_run, save_actor
+from jaxcap.cli.adapt.adapt_input import look_through
+from jaxcap.cli.adapt.adapt_state import fingerprint_of, hash_of, keep_state, state_to_go_on_from
+from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.registry import write_motion
 
 #: stages and frames of the next one that are kept when Ctrl-C comes, and words for it: within tracking, and, gone on

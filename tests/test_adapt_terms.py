@@ -8,7 +8,7 @@ from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.objective import stack
-from jaxcap.adapt.shape_prior import own_shape_prior, shape_energy
+from jaxcap.adapt.shape.shape_prior import own_shape_prior, shape_energy
 from jaxcap.adapt.terms import (
     balanced,
     motion_energy,
@@ -18,9 +18,9 @@ from jaxcap.adapt.terms import (
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import mirrored_joints
-from jaxcap.energy.pairs import PairDistances
-from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.correspond import Pairs
+from jaxcap.energy.data.pairs import PairDistances
+from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.fit.correspondence.correspond import Pairs
 from jaxcap.fit.problem import linearise
 
 BODY = chain_body("swing_twist")

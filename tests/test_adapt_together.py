@@ -11,18 +11,18 @@ from adapt_scene import make_scene, task_of
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.meet import Meetings
 from jaxcap.adapt.objective import ALIKE, Belief, shared_problem, stack, stack_pairs, unstack
+from jaxcap.adapt.poses.meet import Meetings
 from jaxcap.adapt.rounds import adapt_round, step_of
-from jaxcap.adapt.shape_prior import own_shape_prior
-from jaxcap.adapt.surface import adapt_shape, adapt_together
+from jaxcap.adapt.shape.shape_prior import own_shape_prior
+from jaxcap.adapt.shape.surface import adapt_shape, adapt_together
 from jaxcap.adapt.task import AdaptState, Settings, Stage
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import length_differences
-from jaxcap.energy.pairs import PairDistances, num_pairs, pair_directions
-from jaxcap.energy.prior import RestPrior
-from jaxcap.fit.correspond import places_on
+from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions
+from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.fit.correspondence.correspond import places_on
 from jaxcap.geometry.mesh import mesh_edges
 
 FRAMES = 3

@@ -6,7 +6,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from jaxcap.fit.alternate import alternate, anneal
-from jaxcap.fit.solvers.dense import Dense
+from jaxcap.fit.linear.dense import Dense
 from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.solvers.problem import AbstractProblem

@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 from helpers import chain_body, check_energy, random_pose
 
-from jaxcap.body.anatomy import DEVIATIONS, rest_deviations
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.anatomy import DEVIATIONS, rest_deviations
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
-from jaxcap.energy.prior import RestPrior
+from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.geometry import rotation
 
 

@@ -10,16 +10,16 @@ import pytest
 from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
-from jaxcap.energy.landmarks import VertexLandmarks
-from jaxcap.energy.prior import RestPrior
+from jaxcap.energy.data.landmarks import VertexLandmarks
+from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.errors import InputError
 from jaxcap.fit.problem import PoseProblem
-from jaxcap.fit.sequence_problem import SequenceProblem
+from jaxcap.fit.sequences.sequence_problem import SequenceProblem
+from jaxcap.fit.sequences.solve_sequence import solve_sequence
+from jaxcap.fit.sequences.unknowns import Size
 from jaxcap.fit.solve import solve
-from jaxcap.fit.solve_sequence import solve_sequence
 from jaxcap.fit.solvers.flat import flat_problem
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from jaxcap.fit.unknowns import Size
 
 with pytest.warns(DeprecationWarning, match="JAXopt is no longer maintained"):
     import jaxopt

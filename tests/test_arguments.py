@@ -15,8 +15,8 @@ from jaxtyping import Array, Float, Int
 
 import jaxcap as jc
 from jaxcap.errors import InputError
-from jaxcap.fit import sequence
-from jaxcap.io.clouds import Scans
+from jaxcap.fit.tracking import sequence
+from jaxcap.io.meshes.clouds import Scans
 
 
 @pytest.fixture(autouse=True)

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.solvers.block_arrow import BlockArrow
-from jaxcap.fit.solvers.block_banded import BlockBanded
+from jaxcap.fit.linear.block_arrow import BlockArrow
+from jaxcap.fit.linear.block_banded import BlockBanded
+from jaxcap.fit.linear.structured import damped
 from jaxcap.fit.solvers.equalities import Equalities
-from jaxcap.fit.solvers.structured import damped
 
 
 def random_rows(rng, frames=4, dofs=5, shared=3, count=11):

@@ -13,11 +13,11 @@ from helpers import chain_body
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.fit.check import check_cloud, check_extent
-from jaxcap.io.bvh import read_bvh, write_bvh
-from jaxcap.io.gltf_document import read_head
-from jaxcap.io.lock import run_lock
-from jaxcap.io.npz import save_body, save_motion
+from jaxcap.fit.tracking.check import check_cloud, check_extent
+from jaxcap.io.archives.npz import save_body, save_motion
+from jaxcap.io.gltf.gltf_document import read_head
+from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
+from jaxcap.io.system.lock import run_lock
 from jaxcap.observe import make_cloud
 
 SKL = """KBSKEL 3

@@ -12,7 +12,7 @@ import trimesh
 
 from benchmarks import report
 from benchmarks._scenes import Noise, about_vertical, human_motion, scan_frame
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import rest_pose
 from jaxcap.metrics import scan_to_surface
 

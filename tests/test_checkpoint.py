@@ -8,8 +8,8 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.pose import stack_poses
 from jaxcap.errors import InputError
-from jaxcap.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from jaxcap.io.npz import save_body
+from jaxcap.io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from jaxcap.io.archives.npz import save_body
 
 HEADER = {"alpha": 100.0, "joints": None, "meshes": "abc"}
 

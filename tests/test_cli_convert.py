@@ -8,11 +8,11 @@ from cli import fails, runs, tree, write_inputs
 import jaxcap as jc
 from jaxcap.body.body import deform_all
 from jaxcap.body.kinematics import joint_paths
-from jaxcap.io.amass import write_amass
-from jaxcap.io.bvh import read_bvh, write_bvh
-from jaxcap.io.npz import load_body, load_motion, load_skeleton, save_motion
+from jaxcap.io.archives.npz import load_body, load_motion, load_skeleton, save_motion
+from jaxcap.io.meshes.vertex_list import read_vertex_list
 from jaxcap.io.registry import read_markers
-from jaxcap.io.vertex_list import read_vertex_list
+from jaxcap.io.skeletons.amass import write_amass
+from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,9 @@ from jaxcap.cli import main
 from jaxcap.edit.retargeting.soles import lowest
 from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
-from jaxcap.io.colours import read_colours
-from jaxcap.io.joint_names import read_joint_names
+from jaxcap.io.meshes.colours import read_colours
 from jaxcap.io.registry import read_motion
+from jaxcap.io.skeletons.joint_names import read_joint_names
 
 SKELETON = jc.make_skeleton(
     ["Hips", "Chest", "Neck", "Head", "LeftArm", "RightArm"],

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from jaxcap.cli.console.help import BASICS, INPUT, KINEBEN, OUTPUT, TITLES, verb_help
 from jaxcap.cli.demo import Demo
-from jaxcap.cli.help import BASICS, INPUT, KINEBEN, OUTPUT, TITLES, verb_help
 from jaxcap.errors import InputError
 
 VERBS = (

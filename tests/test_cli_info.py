@@ -9,12 +9,12 @@ from helpers import chain_body
 
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skin import RigidSkin
-from jaxcap.io.bvh import write_bvh
 from jaxcap.io.kinds import MANY, WORDS, identify
-from jaxcap.io.mesh import Mesh, write_mesh
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.registry import read_body, read_skeleton, read_skinned
-from jaxcap.io.skl import write_skl
-from jaxcap.io.vj import write_vj
+from jaxcap.io.skeletons.bvh import write_bvh
+from jaxcap.io.skeletons.skl import write_skl
+from jaxcap.io.skeletons.vj import write_vj
 
 
 @pytest.fixture

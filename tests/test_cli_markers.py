@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 import jaxcap as jc
 from jaxcap.cli import main
-from jaxcap.markers.gaps import runs as runs_of
+from jaxcap.markers.segments.gaps import runs as runs_of
 
 NAMES = ("trunk", "rarm", "rhand", "larm", "lhand", "head")
 LABELS = [f"{name}{number}" for name in NAMES for number in range(4)]

@@ -13,10 +13,10 @@ from file_kinds import ANIMATED, BODIES, BROKEN, FILE, FILES, FOREIGN, MARKERS, 
 from file_places import PLACES
 
 from jaxcap.cli import view
+from jaxcap.cli.console.errors import told
 from jaxcap.cli.contents.next_verb import COMMANDS
-from jaxcap.cli.errors import told
 from jaxcap.cli.info import Info
-from jaxcap.io.clip import split_clip
+from jaxcap.io.skinned.clip import split_clip
 
 #: of each sort a few, for every run
 FEW = (
@@ -175,8 +175,8 @@ def test_view_takes_what_has_a_shape(inside, monkeypatch, name):
 
 def test_one_help_for_a_body():
     """What a body is stands in every help in the same words."""
-    from jaxcap.cli.help import verb_help
-    from jaxcap.cli.options import BODY_WORDS
+    from jaxcap.cli.console.help import verb_help
+    from jaxcap.cli.console.options import BODY_WORDS
 
     taking = {place.verb for place in PLACES if place.fields.get("body", place.fields.get("target")) == FILE}
     for verb in sorted(taking - {"convert.Convert"}):

@@ -9,14 +9,14 @@ from cli import fails, runs
 from test_cli_limits import SKELETON, write_motion
 
 import jaxcap as jc
-from jaxcap.adapt.shape_prior import shape_energy
+from jaxcap.adapt.shape.shape_prior import shape_energy
 from jaxcap.body.body import deform_all
-from jaxcap.body.sample import sample_poses
+from jaxcap.body.people.sample import sample_poses
 from jaxcap.cli import main
 from jaxcap.cli.prior.learn import same_bones
-from jaxcap.io.mesh import Mesh, write_mesh
-from jaxcap.io.npz import load_limits
-from jaxcap.io.prior import load_shape_prior
+from jaxcap.io.archives.npz import load_limits
+from jaxcap.io.archives.prior import load_shape_prior
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
 
 
 @pytest.fixture(scope="module")

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 from cli import fails, runs, tree
 
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion
 from jaxcap.cli import main
-from jaxcap.cli import scan as scan_module
-from jaxcap.cli.adapt import Adapt
-from jaxcap.cli.scan_rate import rate_of
+from jaxcap.cli.adapt.adapt import Adapt
+from jaxcap.cli.scan import scan as scan_module
+from jaxcap.cli.scan.scan_rate import rate_of
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, ring_of_cameras
-from jaxcap.io.bvh import write_bvh
+from jaxcap.io.archives.npz import load_body, load_motion, save_body, save_motion
 from jaxcap.io.cameras import read_cameras, write_cameras
-from jaxcap.io.clouds import read_clouds
-from jaxcap.io.mesh import read_mesh
-from jaxcap.io.npz import load_body, load_motion, save_body, save_motion
+from jaxcap.io.meshes.clouds import read_clouds
+from jaxcap.io.meshes.mesh import read_mesh
+from jaxcap.io.skeletons.bvh import write_bvh
 
 FRAMES = 4
 SMALL = ("--views", 3, "--resolution", 80, 60)

@@ -7,14 +7,14 @@ import pytest
 from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.skin import RigidSkin
 from jaxcap.cli.sources import load_body, load_cloud, up_rotation, upright_skeleton
-from jaxcap.energy.limits import JointLimits
-from jaxcap.io.clouds import read_clouds
-from jaxcap.io.mesh import Mesh, write_mesh
-from jaxcap.io.skl import write_skl
-from jaxcap.io.vj import write_vj
+from jaxcap.energy.priors.limits import JointLimits
+from jaxcap.io.meshes.clouds import read_clouds
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
+from jaxcap.io.skeletons.skl import write_skl
+from jaxcap.io.skeletons.vj import write_vj
 
 CST = "KBCST 3\nelbow -0.1 0.2\nspine -0.1 0.1 -0.2 0.1\nneck 0 1 0 0.1 1 0 0 0.1\n"
 

@@ -14,9 +14,9 @@ import pytest
 from cli import PYTHON, fails
 
 import jaxcap
-from jaxcap.cli import compiled, heartbeat
-from jaxcap.cli.groups import JAXCAP
-from jaxcap.cli.verbs import Group
+from jaxcap.cli.console import compiled, heartbeat
+from jaxcap.cli.console.groups import JAXCAP
+from jaxcap.cli.console.verbs import Group
 
 MAIN = "import sys; from jaxcap.cli import main; main(sys.argv[1:])"
 
@@ -65,7 +65,7 @@ def test_public_names_come_when_they_are_used():
     assert len(jaxcap.__all__) > 200 and set(jaxcap.__all__) <= set(dir(jaxcap))
     assert all(getattr(jaxcap, name) is not None for name in jaxcap.__all__)
     from jaxcap.adapt.task import Settings
-    from jaxcap.fit.sequence import track
+    from jaxcap.fit.tracking.sequence import track
 
     assert jaxcap.AdaptSettings is Settings and jaxcap.track is track
     assert jaxcap.io.registry.read_skinned is jaxcap.read_skinned
@@ -76,7 +76,7 @@ def test_public_names_come_when_they_are_used():
 def prepared(**environment: str) -> str:
     """What `prepare_jax` says of the environment, in a process in which JAX is not imported."""
     code = (
-        "import os\nfrom jaxcap.cli.compiled import prepare_jax\n"
+        "import os\nfrom jaxcap.cli.console.compiled import prepare_jax\n"
         "prepare_jax(os.environ.get('KEEP') != '0')\n"
         "print({n: v for n, v in os.environ.items() if n.startswith(('JAX_', 'TF_CPP'))})"
     )
@@ -140,7 +140,7 @@ def test_silence_is_broken_by_what_is_done(quick, capsys):
     with heartbeat.break_silence():
         heartbeat.doing("adding up")
         time.sleep(0.4)
-        logging.getLogger("jaxcap.fit.sequence").info("searching for frame %d", 7)
+        logging.getLogger("jaxcap.fit.tracking.sequence").info("searching for frame %d", 7)
         time.sleep(0.4)
         with heartbeat.resting():
             time.sleep(0.4)

@@ -14,12 +14,12 @@ from cli import FRAMES, PYTHON, fails, runs, write_inputs
 
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
-from jaxcap.cli import track as track_module
-from jaxcap.fit.sequence import Search, track_frames
-from jaxcap.io.bvh import read_bvh
-from jaxcap.io.journal import Journal
-from jaxcap.io.mesh import Mesh, write_mesh
-from jaxcap.io.npz import load_motion, load_skeleton
+from jaxcap.cli.track import track as track_module
+from jaxcap.fit.tracking.sequence import Search, track_frames
+from jaxcap.io.archives.journal import Journal
+from jaxcap.io.archives.npz import load_motion, load_skeleton
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
+from jaxcap.io.skeletons.bvh import read_bvh
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ import pytest
 import trimesh
 from cli import FRAMES, PYTHON, fails, runs, tree, write_inputs
 
-from jaxcap.body.human import human
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
+from jaxcap.body.people.human import human
 from jaxcap.cli import main
-from jaxcap.io.bvh import read_bvh, write_bvh
-from jaxcap.io.mesh import Mesh, read_mesh, write_mesh
-from jaxcap.io.npz import load_body, load_motion, load_skeleton
-from jaxcap.io.skl import read_skl, write_skl
+from jaxcap.io.archives.npz import load_body, load_motion, load_skeleton
+from jaxcap.io.meshes.mesh import Mesh, read_mesh, write_mesh
+from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
+from jaxcap.io.skeletons.skl import read_skl, write_skl
 
 VERBS = ("demo", "rig", "learn", "fit", "track", "scan", "evaluate", "info", "convert")
 

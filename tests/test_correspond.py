@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.fit.correspond import (
+from jaxcap.fit.correspondence.correspond import (
     Matching,
     NearestOnSurface,
     NearestVertex,

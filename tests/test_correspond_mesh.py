@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.fit.correspond import Matching, NearestOnSurface, find_pairs, make_mesh_scan, make_scan
+from jaxcap.fit.correspondence.correspond import (
+    Matching,
+    NearestOnSurface,
+    find_pairs,
+    make_mesh_scan,
+    make_scan,
+)
 from jaxcap.observe import make_cloud
 
 BALL = trimesh.creation.icosphere(subdivisions=3)

@@ -9,11 +9,11 @@ import trimesh
 from cli import fails, runs
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.picture import View, draw
 from jaxcap.demo.scanner import Scanner, sample_surface, scan
-from jaxcap.io.bvh import read_bvh
+from jaxcap.io.skeletons.bvh import read_bvh
 from jaxcap.metrics import scan_to_surface
 
 _pose_body = eqx.filter_jit(pose_body)

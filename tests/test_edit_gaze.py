@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.body.human import human
 from jaxcap.body.kinematics import forward_kinematics
-from jaxcap.body.limits import Cone, JointRanges, make_joint_ranges
+from jaxcap.body.limits.limits import Cone, JointRanges, make_joint_ranges
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.gaze import fade_weights, look_at_target

@@ -9,8 +9,9 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import rest_pose, retract
-from jaxcap.energy.prior import PosePrior
-from jaxcap.fit.em import (
+from jaxcap.energy.priors.prior import PosePrior
+from jaxcap.fit.correspondence.parts import make_parts
+from jaxcap.fit.tracking.em import (
     Estimate,
     box_volume,
     data_energy,
@@ -20,7 +21,6 @@ from jaxcap.fit.em import (
     make_mixture,
     uniform_priors,
 )
-from jaxcap.fit.parts import make_parts
 from jaxcap.observe import Cloud
 
 BODY = chain_body("rigid")

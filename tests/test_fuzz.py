@@ -12,12 +12,12 @@ from benchmarks._fuzz_nasty import bomb, nasty_files
 from benchmarks._fuzz_read import FAULTS, outcome
 from benchmarks._fuzz_scenes import gltf, gltf_bytes
 from benchmarks._fuzz_seeds import FORMATS, make_seeds
-from jaxcap.cli.errors import told
+from jaxcap.cli.console.errors import told
 from jaxcap.errors import InputError, is_sentence
 from jaxcap.geometry.camera import look_at
-from jaxcap.io.archive import load_arrays
-from jaxcap.io.door import reads
-from jaxcap.io.gltf_reader import read_gltf
+from jaxcap.io.archives.archive import load_arrays
+from jaxcap.io.gltf.gltf_reader import read_gltf
+from jaxcap.io.system.door import reads
 
 #: bytes of files that are read in a moment
 SMALL = 50_000

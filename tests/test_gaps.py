@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
 from jaxcap.errors import InputError
-from jaxcap.markers.gaps import (
+from jaxcap.markers.segments.gaps import (
     describe_gaps,
     find_pieces,
     gap_statistics,

@@ -11,13 +11,13 @@ from helpers import chain_body, random_pose
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import Body, pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.edit.linear.influences import limit_influences
 from jaxcap.errors import InputError
-from jaxcap.io.gltf import write_gltf
-from jaxcap.io.gltf_reader import read_gltf, read_gltf_body
+from jaxcap.io.gltf.gltf import write_gltf
+from jaxcap.io.gltf.gltf_reader import read_gltf, read_gltf_body
 
 _pose_body = eqx.filter_jit(pose_body)
 NUMBERS = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

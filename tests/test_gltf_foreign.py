@@ -15,9 +15,9 @@ from test_gltf import Viewer, _pose_body
 from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.edit.linear.influences import limit_influences
 from jaxcap.errors import InputError
-from jaxcap.io.gltf import write_gltf
-from jaxcap.io.gltf_clock import grid_steps
-from jaxcap.io.gltf_reader import read_gltf, read_gltf_body
+from jaxcap.io.gltf.gltf import write_gltf
+from jaxcap.io.gltf.gltf_clock import grid_steps
+from jaxcap.io.gltf.gltf_reader import read_gltf, read_gltf_body
 
 #: from the space of the file, centimetres and z up, into the world
 TURN = Rotation.from_euler("x", -90, degrees=True)

@@ -11,7 +11,7 @@ import trimesh
 from jaxcap import assets
 from jaxcap.assets import asset_path
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.geometry import rotation
 

@@ -17,7 +17,7 @@ from jaxcap.edit.ik import session as ik
 from jaxcap.edit.ik import solve as inverse_kinematics
 from jaxcap.edit.ik.constraints import Constraint, make_constraints
 from jaxcap.edit.ik.solve import METRES, SOLVERS, IkOptions, solve_ik
-from jaxcap.fit.solvers.cholesky import factorise
+from jaxcap.fit.linear.cholesky import factorise
 from jaxcap.geometry import rotation
 
 _pose_body = eqx.filter_jit(pose_body)

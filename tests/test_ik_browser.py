@@ -18,7 +18,7 @@ from jaxcap.edit.ik.solve import SOLVERS
 from jaxcap.view.ik.controls import SOLVERS as LABELS
 from jaxcap.view.ik.handles import MET
 from jaxcap.view.ik.window import serve_ik
-from jaxcap.view.serve import address, close_server, open_server
+from jaxcap.view.windows.serve import address, close_server, open_server
 
 __all__ = ["chromium"]
 

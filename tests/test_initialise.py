@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.energy.prior import tangent_deviations
-from jaxcap.fit.initialise import initialise, perturbed_starts, subtree_starts, turned_starts
-from jaxcap.fit.track import make_tracker
+from jaxcap.energy.priors.prior import tangent_deviations
+from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, subtree_starts, turned_starts
+from jaxcap.fit.tracking.track import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.observe import make_cloud
 

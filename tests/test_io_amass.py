@@ -7,15 +7,15 @@ import pytest
 from helpers import chain_skeleton, random_pose
 from scipy.spatial.transform import Rotation
 
-from jaxcap.body.human import human
 from jaxcap.body.kinematics import joint_paths
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.errors import InputError
-from jaxcap.io.amass import TREES, is_amass, read_amass, write_amass
-from jaxcap.io.npz import save_motion
+from jaxcap.io.archives.npz import save_motion
 from jaxcap.io.registry import read_motion, read_skeleton
+from jaxcap.io.skeletons.amass import TREES, is_amass, read_amass, write_amass
 
 
 @pytest.fixture(scope="module")

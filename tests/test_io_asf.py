@@ -9,8 +9,8 @@ import pytest
 
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.errors import InputError
-from jaxcap.io.amc import read_amc
-from jaxcap.io.asf import read_asf
+from jaxcap.io.skeletons.amc import read_amc
+from jaxcap.io.skeletons.asf import read_asf
 
 ASF = """# a comment
 :version 1.10

@@ -12,9 +12,9 @@ from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.io.amc import read_amc
-from jaxcap.io.asf import read_asf
-from jaxcap.io.bvh import BvhWriter, read_bvh, write_bvh
+from jaxcap.io.skeletons.amc import read_amc
+from jaxcap.io.skeletons.asf import read_asf
+from jaxcap.io.skeletons.bvh import BvhWriter, read_bvh, write_bvh
 
 positions = jax.jit(jax.vmap(lambda s, p: joint_positions(s, forward_kinematics(s, p)), in_axes=(None, 0)))
 

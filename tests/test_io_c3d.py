@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 
 import jaxcap as jc
 from jaxcap.errors import InputError
-from jaxcap.io import c3d_child, c3d_process, process_limits
-from jaxcap.io.c3d import read_c3d, write_c3d
+from jaxcap.io.markers import c3d_child, c3d_process
+from jaxcap.io.markers.c3d import read_c3d, write_c3d
 from jaxcap.io.registry import read_marker_file
+from jaxcap.io.system import process_limits
 
 #: limits as the program sets them for itself, with a second of CPU
 LIMITED = f"""
@@ -305,7 +306,7 @@ def test_script_without_a_main_guard(tmp_path):
     path = written(tmp_path, walked(), NAMES)
     script = tmp_path / "script.py"
     script.write_text(
-        f"{ALONE}\nfrom pathlib import Path\nfrom jaxcap.io.c3d_child import load_c3d\nprint(load_c3d(Path({str(path)!r})).points.shape)"
+        f"{ALONE}\nfrom pathlib import Path\nfrom jaxcap.io.markers.c3d_child import load_c3d\nprint(load_c3d(Path({str(path)!r})).points.shape)"
     )
     done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("(3, 4, 6)\n", "")

@@ -13,9 +13,8 @@ from helpers import chain_body
 
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.errors import InputError
-from jaxcap.io.clip import clip_names, split_clip, suffix_of
-from jaxcap.io.gltf import write_gltf
-from jaxcap.io.gltf_reader import read_gltf, read_gltf_body
+from jaxcap.io.gltf.gltf import write_gltf
+from jaxcap.io.gltf.gltf_reader import read_gltf, read_gltf_body
 from jaxcap.io.registry import (
     clip_sentence,
     clips_in,
@@ -25,6 +24,7 @@ from jaxcap.io.registry import (
     read_skeleton,
     read_skinned,
 )
+from jaxcap.io.skinned.clip import clip_names, split_clip, suffix_of
 
 JOINTS = chain_body("linear").skeleton.num_joints
 

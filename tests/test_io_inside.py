@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from jaxcap.errors import InputError
-from jaxcap.io.colours import read_colours
-from jaxcap.io.inside import read_inside
-from jaxcap.io.mesh import read_mesh
+from jaxcap.io.meshes.colours import read_colours
+from jaxcap.io.meshes.mesh import read_mesh
+from jaxcap.io.system.inside import read_inside
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
 SECRET = b"not for you"

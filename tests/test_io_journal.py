@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxcap.errors import InputError
-from jaxcap.io import journal as journal_module
-from jaxcap.io.journal import begin_journal, read_header, read_records, resume_journal
+from jaxcap.io.archives import journal as journal_module
+from jaxcap.io.archives.journal import begin_journal, read_header, read_records, resume_journal
 from jaxcap.io.table import write_csv, write_json
 
 HEADER = {"sigma0": 0.1, "up": "y", "vertices": None}
@@ -97,7 +97,7 @@ def test_a_full_disk_names_the_journal(tmp_path, records):
     size = len(write(path, records[:0]))
     script = (
         "import resource, sys, numpy as np\n"
-        "from jaxcap.io.journal import resume_journal\n"
+        "from jaxcap.io.archives.journal import resume_journal\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 90}, resource.RLIM_INFINITY))\n"
         f"with resume_journal({str(path)!r}, {HEADER!r}, 7) as journal:\n"
         "    journal.append(np.arange(7.0))\n"

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
-from jaxcap.io.cst import read_cst, write_cst
-from jaxcap.io.skl import read_skl, write_skl
-from jaxcap.io.vj import read_vj, write_vj
+from jaxcap.io.skeletons.cst import read_cst, write_cst
+from jaxcap.io.skeletons.skl import read_skl, write_skl
+from jaxcap.io.skeletons.vj import read_vj, write_vj
 
 SKL = """KBSKEL 4
 root KBJOINT_TRANSLATE NULL

@@ -11,19 +11,19 @@ import pytest
 from alone import ALONE
 
 from jaxcap.errors import InputError
-from jaxcap.io.atomic import replacing, write_text
-from jaxcap.io.journal import begin_journal
-from jaxcap.io.lock import run_lock
+from jaxcap.io.archives.journal import begin_journal
+from jaxcap.io.system.atomic import replacing, write_text
+from jaxcap.io.system.lock import run_lock
 
 HOLD = f"""{ALONE}
 import time
-from jaxcap.io.lock import run_lock
+from jaxcap.io.system.lock import run_lock
 with run_lock(*sys.argv[1:]):
     print("locked", flush=True)
     time.sleep(60)
 """
 WRITE = f"""{ALONE}
-from jaxcap.io.atomic import write_text
+from jaxcap.io.system.atomic import write_text
 for _ in range(150):
     write_text(sys.argv[1], sys.argv[2] * 50_000)
 """

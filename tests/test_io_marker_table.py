@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import jaxcap as jc
 from jaxcap.errors import InputError
-from jaxcap.io.marker_table import read_marker_table
+from jaxcap.io.markers.marker_table import read_marker_table
 
 ROWS = "0.00,1,2,.5,1.3,2,.5\n0.01,1.001,2,.5,,,\n0.02,1.002,2,.5,1.302,2,.5\n"
 

@@ -6,8 +6,8 @@ import pytest
 import trimesh
 
 from jaxcap.errors import InputError
-from jaxcap.io.mesh import Mesh, write_mesh
-from jaxcap.io.meshes import read_meshes, read_named_meshes, save_meshes, triangulate
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
+from jaxcap.io.meshes.meshes import read_meshes, read_named_meshes, save_meshes, triangulate
 from jaxcap.observe import MeshSequence
 
 BALL = trimesh.creation.icosphere(subdivisions=1)

@@ -11,7 +11,7 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
 from jaxcap.errors import InputError
-from jaxcap.io.npz import load_body, load_limits, load_motion, load_skeleton, save_body, save_motion
+from jaxcap.io.archives.npz import load_body, load_limits, load_motion, load_skeleton, save_body, save_motion
 
 
 @pytest.fixture

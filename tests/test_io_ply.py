@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from jaxcap.errors import InputError
-from jaxcap.io.mesh import read_mesh
+from jaxcap.io.meshes.mesh import read_mesh
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 FACES = np.array([[0, 1, 2], [0, 2, 3]])

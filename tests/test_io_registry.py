@@ -8,9 +8,9 @@ import trimesh
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.io.mesh import Mesh, write_mesh
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.registry import read_body, read_motion, read_skeleton, write_motion, write_skeleton
-from jaxcap.io.vj import write_vj
+from jaxcap.io.skeletons.vj import write_vj
 
 
 @pytest.fixture

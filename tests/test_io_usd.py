@@ -13,9 +13,9 @@ from jaxcap.body.body import deform_all
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import Skeleton
 from jaxcap.errors import InputError
-from jaxcap.io import usd_child
-from jaxcap.io.usd import write_usd
-from jaxcap.io.usd_reader import read_usd_body
+from jaxcap.io.usd import usd_child
+from jaxcap.io.usd.usd import write_usd
+from jaxcap.io.usd.usd_reader import read_usd_body
 
 pxr = pytest.importorskip("pxr")
 

@@ -10,16 +10,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
+from jaxcap.fit.correspondence.visible import visible_vertices
 from jaxcap.fit.judgement.evidence import _seen_by, gather_evidence
 from jaxcap.fit.judgement.inside import within_others
 from jaxcap.fit.judgement.surface import _even_samples, judged_surface, region_name
 from jaxcap.fit.judgement.usual import nothing_usual, renew, sensors_of, usual_of, warned
 from jaxcap.fit.judgement.verdict import judge_evidence
-from jaxcap.fit.visible import visible_vertices
 from jaxcap.geometry.camera import look_at
 from jaxcap.observe import Cloud, make_cloud
 

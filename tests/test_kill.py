@@ -13,7 +13,7 @@ from cli import PYTHON, write_inputs
 from markers_scene import puppet
 
 import jaxcap as jc
-from jaxcap.io.archive import load_arrays
+from jaxcap.io.archives.archive import load_arrays
 
 pytestmark = pytest.mark.slow
 

@@ -9,8 +9,8 @@ import optimistix as optx
 import jaxcap as jc
 from jaxcap.body.body import deform_all
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.joints import make_curvature
-from jaxcap.learn.solve_joints import solve_joints
+from jaxcap.learn.skeleton.joints import make_curvature
+from jaxcap.learn.skeleton.solve_joints import solve_joints
 from tests.test_learn_projection import arm
 
 

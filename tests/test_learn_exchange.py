@@ -11,13 +11,13 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skin import LinearSkin, SwingTwistSkin
 from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.dissolve import find_removals
-from jaxcap.learn.exchange import exchange, exchangeable
-from jaxcap.learn.graft import Split, with_joint, without_joint
-from jaxcap.learn.hang import bone_motions
 from jaxcap.learn.objective import objective
-from jaxcap.learn.splits import find_splits
+from jaxcap.learn.skeleton.hang import bone_motions
 from jaxcap.learn.state import LearnState
+from jaxcap.learn.structure.dissolve import find_removals
+from jaxcap.learn.structure.exchange import exchange, exchangeable
+from jaxcap.learn.structure.graft import Split, with_joint, without_joint
+from jaxcap.learn.structure.splits import find_splits
 from tests.helpers import chain_body
 from tests.test_learn_parts import same_partition, tube
 

@@ -13,9 +13,9 @@ from jaxcap.body.body import deform_all
 from jaxcap.energy.term import sum_of
 from jaxcap.errors import InputError
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.joints import JointProblem, improve_joints, make_curvature
 from jaxcap.learn.loop import learn_body
 from jaxcap.learn.objective import objective
+from jaxcap.learn.skeleton.joints import JointProblem, improve_joints, make_curvature
 from jaxcap.observe import MeshSequence
 from tests.test_learn_projection import arm
 from tests.test_learn_steps import NONE

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxcap.body.chart import Chart
-from jaxcap.body.nearest_inside import nearest_inside
-from jaxcap.body.primitives import LEVEL, STIFFNESS, Primitives, field, radii, signed_distance
+from jaxcap.body.limits.chart import Chart
+from jaxcap.body.limits.nearest_inside import nearest_inside
+from jaxcap.body.limits.primitives import LEVEL, STIFFNESS, Primitives, field, radii, signed_distance
 
 BALL = Chart(jnp.array([1.0, 0, 0, 0]), jnp.eye(3)[:2], "ball")
 

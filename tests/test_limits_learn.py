@@ -9,10 +9,10 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import Body
-from jaxcap.body.limit_surface import SurfaceLimits, comfort, fits
-from jaxcap.body.limits import allowed
+from jaxcap.body.limits.limit_surface import SurfaceLimits, comfort, fits
+from jaxcap.body.limits.limits import allowed
+from jaxcap.body.limits.primitives import signed_distance
 from jaxcap.body.pose import Motion, Pose, rest_pose
-from jaxcap.body.primitives import signed_distance
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
 from jaxcap.edit.ik.constraints import Constraint, make_constraints

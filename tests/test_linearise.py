@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 from test_gltf import check_against_pose_body
 
 from jaxcap.body.body import Body, pose_body
-from jaxcap.body.human import human
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
+from jaxcap.body.people.human import human
+from jaxcap.body.people.sample import sample_poses
 from jaxcap.body.pose import Pose, rest_pose, stack_poses
-from jaxcap.body.sample import sample_poses
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.edit.linear.influences import limit_influences
 from jaxcap.edit.linear.linearise import linear_motion, linear_pose, linearise
 from jaxcap.edit.linear.weights import fit_linear_weights
-from jaxcap.io.bvh import read_bvh, write_bvh
-from jaxcap.io.npz import load_body, save_body, save_motion
+from jaxcap.io.archives.npz import load_body, save_body, save_motion
+from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
 
 
 @eqx.filter_jit

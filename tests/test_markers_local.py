@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxcap.markers.lengths import bone_lengths, joint_places
 from jaxcap.markers.local import fit_local
-from jaxcap.markers.partition import find_partition
-from jaxcap.markers.segment import make_segments
+from jaxcap.markers.segments.partition import find_partition
+from jaxcap.markers.segments.segment import make_segments
+from jaxcap.markers.skeleton.lengths import bone_lengths, joint_places
+from jaxcap.markers.skeleton.tree import find_tree
 from jaxcap.markers.subject import marker_places
-from jaxcap.markers.tree import find_tree
 from jaxcap.observe import make_markers
 from tests.markers_scene import PUPPET, puppet
 

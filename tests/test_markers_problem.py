@@ -10,11 +10,11 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxcap.energy.term import AbstractEnergy
-from jaxcap.markers.problem import RIDGE, CalibrationEstimate, make_calibration_problem, slid
-from jaxcap.markers.robust import UNBOUNDED
-from jaxcap.markers.solve_calibration import solve_calibration
+from jaxcap.markers.calibration.problem import RIDGE, CalibrationEstimate, make_calibration_problem, slid
+from jaxcap.markers.calibration.robust import UNBOUNDED
+from jaxcap.markers.calibration.solve_calibration import solve_calibration
+from jaxcap.markers.calibration.turning import turning_of
 from jaxcap.markers.subject import marker_places
-from jaxcap.markers.turning import turning_of
 from tests.markers_limb import moving, seen_by, truth, wrong
 
 JOINTS, FRAMES = (1, 2, 3, 4), 5

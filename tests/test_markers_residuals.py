@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxcap.body.pose import rest_pose, retract
-from jaxcap.markers.residuals import linearise, marker_residuals
+from jaxcap.markers.calibration.residuals import linearise, marker_residuals
 from jaxcap.markers.subject import make_subject, marker_places
 from tests.helpers import chain_skeleton
 

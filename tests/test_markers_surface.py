@@ -8,14 +8,14 @@ import trimesh
 from helpers import chain_body, check_energy, random_pose
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import body_of
-from jaxcap.body.morphs import Traits
+from jaxcap.body.people.human import body_of
+from jaxcap.body.people.morphs import Traits
 from jaxcap.body.pose import rest_pose
 from jaxcap.fit.solve import solve
 from jaxcap.io.registry import read_markers
-from jaxcap.markers.anatomical import anatomical_markers
-from jaxcap.markers.shape import bone_lengths, fit_shape
-from jaxcap.markers.surface import attach_markers, surface_landmarks, vertex_markers
+from jaxcap.markers.body_shape.anatomical import anatomical_markers
+from jaxcap.markers.body_shape.shape import bone_lengths, fit_shape
+from jaxcap.markers.body_shape.surface import attach_markers, surface_landmarks, vertex_markers
 from jaxcap.observe import make_markers
 
 BODY = chain_body()

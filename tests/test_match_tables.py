@@ -9,7 +9,7 @@ from test_matching import SCHEMES, still
 import jaxcap as jc
 from jaxcap.edit.matching.match import match_joints
 from jaxcap.edit.matching.matches import UnmatchedJoints
-from jaxcap.io.joint_names import read_joint_names, write_joint_names
+from jaxcap.io.skeletons.joint_names import read_joint_names, write_joint_names
 
 #: knees and elbows that are called twist joints of the bones above them
 MISLED = "Hips {s}UpLeg {s}UpLegTwist {s}Foot {s}ToeBase Spine Spine1 Neck Head {s}Shoulder {s}Arm {s}ArmTwist {s}Hand"

@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from stick_person import PERSON, build
 
-from jaxcap.body.human import human
 from jaxcap.body.kinematics import joint_paths
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.matching.limbs import find_limbs

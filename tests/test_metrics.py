@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 import trimesh
 
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.geometry.closest import closest_shares, nearest_on_surface
 from jaxcap.metrics import distance_summary, joint_errors, scan_to_surface
 

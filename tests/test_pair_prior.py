@@ -9,16 +9,16 @@ from helpers import chain_body, check_energy, random_pose
 from scipy.stats import multivariate_normal
 
 import jaxcap as jc
-from jaxcap.adapt.pose_prior import turn_vectors
 from jaxcap.body.body import pose_body
-from jaxcap.body.limits import allowed
+from jaxcap.body.limits.limits import allowed
+from jaxcap.body.limits.pose_boxes import own_vectors
 from jaxcap.body.pair_prior import log_density, misfit, mixture_peak, pair_vectors, successive_pairs
-from jaxcap.body.pose_boxes import own_vectors
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.term import energies
 from jaxcap.geometry import rotation
-from jaxcap.io.npz import load_limits
-from jaxcap.io.prior import load_boxes
+from jaxcap.io.archives.npz import load_limits
+from jaxcap.io.archives.prior import load_boxes
+from jaxcap.prior.pose_prior import turn_vectors
 
 BODY = chain_body()
 SKELETON = BODY.skeleton

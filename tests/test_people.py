@@ -9,12 +9,12 @@ import pytest
 
 import jaxcap as jc
 from jaxcap.adapt.loop import Settings, Task, adapt_body
-from jaxcap.adapt.people import learn_people, people_like, person, traits_like
+from jaxcap.adapt.shape.people import learn_people, people_like, person, traits_like
+from jaxcap.body.people.variety import human_resolution, people_of_many_shapes
 from jaxcap.body.reduce import attach, follow, reduce_body
-from jaxcap.body.variety import human_resolution, people_of_many_shapes
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.energy.prior import RestPrior
+from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.metrics import scan_to_surface
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from jaxcap.fit import nearest as nearest_module
-from jaxcap.fit.nearest import nearest_vertices
-from jaxcap.fit.parts import make_parts
-from jaxcap.fit.posterior import log_likelihood, posterior, update_priors, update_sigma
+from jaxcap.fit.correspondence import nearest as nearest_module
+from jaxcap.fit.correspondence.nearest import nearest_vertices
+from jaxcap.fit.correspondence.parts import make_parts
+from jaxcap.fit.correspondence.posterior import log_likelihood, posterior, update_priors, update_sigma
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.geometry.order import spatial_order

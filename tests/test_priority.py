@@ -12,13 +12,13 @@ from helpers import chain_body, random_pose
 from jaxtyping import Array, Float
 
 from jaxcap.body.body import Body, pose_body
-from jaxcap.body.limits import Cone, make_joint_ranges
+from jaxcap.body.limits.limits import Cone, make_joint_ranges
 from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
-from jaxcap.energy.landmarks import BoneLandmarks, JointLandmarks
-from jaxcap.energy.limits import JointLimits
-from jaxcap.energy.prior import PosePrior
+from jaxcap.energy.data.landmarks import BoneLandmarks, JointLandmarks
+from jaxcap.energy.priors.limits import JointLimits
+from jaxcap.energy.priors.prior import PosePrior
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.fit.priority import priority_step, solve_in_order
 from jaxcap.fit.problem import linearise

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.edit.retargeting.retarget import floor_of, retarget, size_ratio
 from jaxcap.edit.retargeting.soles import ground, lowest, sole_heights
 from jaxcap.geometry import rotation
-from jaxcap.io.amc import read_amc
-from jaxcap.io.asf import read_asf
+from jaxcap.io.skeletons.amc import read_amc
+from jaxcap.io.skeletons.asf import read_asf
 
 positions = jax.jit(jax.vmap(lambda s, p: joint_positions(s, forward_kinematics(s, p)), in_axes=(None, 0)))
 

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.errors import InputError
 from jaxcap.geometry import rotation

@@ -8,12 +8,12 @@ import trimesh
 from scipy.spatial import KDTree
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, project, ring_of_cameras, unproject
-from jaxcap.io.mesh import read_mesh
-from jaxcap.io.ply import write_ply
+from jaxcap.io.meshes.mesh import read_mesh
+from jaxcap.io.meshes.ply import write_ply
 from jaxcap.metrics import scan_to_surface
 from jaxcap.scanner.depth import camera_rays, make_surface, render_depth
 from jaxcap.scanner.fuse import fuse_cloud, grid_faces

@@ -7,19 +7,19 @@ import pytest
 from helpers import chain_body, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.shape_prior import (
+from jaxcap.adapt.shape.shape_prior import (
     neighbours_in,
     own_shape_prior,
     scaled,
     shape_energy,
     uniform_laplacian,
 )
-from jaxcap.adapt.size import resized
+from jaxcap.adapt.shape.size import resized
 from jaxcap.body.body import deform_all
-from jaxcap.body.sample import unlike_poses
+from jaxcap.body.people.sample import unlike_poses
 from jaxcap.geometry.mesh import mesh_edges
-from jaxcap.io.npz import load_limits
-from jaxcap.io.prior import load_shape_prior, shape_counts
+from jaxcap.io.archives.npz import load_limits
+from jaxcap.io.archives.prior import load_shape_prior, shape_counts
 
 BODY = chain_body()
 SKELETON = BODY.skeleton

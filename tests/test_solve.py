@@ -11,13 +11,13 @@ from helpers import SKINS, chain_body, random_pose
 from jaxtyping import Array, Float
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.limits import Cone, make_joint_ranges
+from jaxcap.body.limits.limits import Cone, make_joint_ranges
 from jaxcap.body.pose import Pose, difference, project, rest_pose, retract
-from jaxcap.energy.landmarks import BoneLandmarks, VertexLandmarks
-from jaxcap.energy.limits import JointLimits
-from jaxcap.energy.moments import rigid_moments
-from jaxcap.energy.points import PointToPlane, PointToPoint
-from jaxcap.energy.prior import PosePrior, RestPrior
+from jaxcap.energy.data.landmarks import BoneLandmarks, VertexLandmarks
+from jaxcap.energy.data.moments import rigid_moments
+from jaxcap.energy.data.points import PointToPlane, PointToPoint
+from jaxcap.energy.priors.limits import JointLimits
+from jaxcap.energy.priors.prior import PosePrior, RestPrior
 from jaxcap.energy.term import Sum
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solve import solve

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.term import AbstractEnergy
 from jaxcap.errors import InputError
-from jaxcap.fit import recover, sequence
-from jaxcap.fit.batch import fit_batch, scan_track
-from jaxcap.fit.sequence import track, track_frames
-from jaxcap.fit.track import make_tracker, start_state
+from jaxcap.fit.tracking import recover, sequence
+from jaxcap.fit.tracking.batch import fit_batch, scan_track
+from jaxcap.fit.tracking.sequence import track, track_frames
+from jaxcap.fit.tracking.track import make_tracker, start_state
 from jaxcap.geometry import rotation
 from jaxcap.observe import Cloud, make_cloud, stack_clouds
 

@@ -10,8 +10,8 @@ from helpers import chain_body, random_pose
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import difference, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.energy.landmarks import VertexLandmarks
-from jaxcap.energy.points import PointToPlane
+from jaxcap.energy.data.landmarks import VertexLandmarks
+from jaxcap.energy.data.points import PointToPlane
 from jaxcap.fit.problem import PoseProblem, linearise
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.gauss_newton import GaussNewton

@@ -11,16 +11,17 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import deform_all
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.cli.frame_rows import pack, row_template, row_width, whose_poses
-from jaxcap.fit.track import make_tracker
-from jaxcap.io.clouds import NO_FACES, Scans
-from jaxcap.io.journal import begin_journal
-from jaxcap.view import controls, show
+from jaxcap.cli.track.frame_rows import pack, row_template, row_width, whose_poses
+from jaxcap.fit.tracking.track import make_tracker
+from jaxcap.io.archives.journal import begin_journal
+from jaxcap.io.meshes.clouds import NO_FACES, Scans
+from jaxcap.view import show
 from jaxcap.view.app import serve_contents
-from jaxcap.view.clouds import SeenClouds
 from jaxcap.view.contents import Contents, make_take
+from jaxcap.view.figures.clouds import SeenClouds
 from jaxcap.view.live import follow_run
-from jaxcap.view.serve import address, close_server, open_server
+from jaxcap.view.windows import controls
+from jaxcap.view.windows.serve import address, close_server, open_server
 
 SURFACE = "/0/body/surface"
 

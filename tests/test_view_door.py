@@ -14,15 +14,15 @@ from browser import chromium, wait_for_node
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.cli import window
+from jaxcap.cli.console import window
 from jaxcap.edit.ik import session as ik
 from jaxcap.errors import InputError
-from jaxcap.view import serve
 from jaxcap.view.app import serve_contents
 from jaxcap.view.contents import Contents, make_take
-from jaxcap.view.door import Door
 from jaxcap.view.ik.window import serve_ik
-from jaxcap.view.serve import address, address_elsewhere, close_server, open_server
+from jaxcap.view.windows import serve
+from jaxcap.view.windows.door import Door
+from jaxcap.view.windows.serve import address, address_elsewhere, close_server, open_server
 
 __all__ = ["chromium"]
 

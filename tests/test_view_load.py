@@ -10,33 +10,32 @@ from helpers import chain_body, chain_skeleton, random_pose
 from jaxcap.body.body import Body, deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
-from jaxcap.cli.frame_rows import pack, row_template, row_width, whose_poses
+from jaxcap.cli.track.frame_rows import pack, row_template, row_width, whose_poses
 from jaxcap.errors import InputError
-from jaxcap.fit.track import make_tracker
+from jaxcap.fit.tracking.track import make_tracker
 from jaxcap.geometry.camera import look_at
-from jaxcap.io.bvh import write_bvh
+from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
+from jaxcap.io.archives.journal import begin_journal, read_records, resume_journal
+from jaxcap.io.archives.limits import KIND as LIMITS
+from jaxcap.io.archives.npz import save_body, save_motion
+from jaxcap.io.archives.prior import KIND as PRIOR
 from jaxcap.io.cameras import write_cameras
-from jaxcap.io.checkpoint import Checkpoint, save_checkpoint
-from jaxcap.io.clouds import NO_FACES, Scans
-from jaxcap.io.gltf import write_gltf
-from jaxcap.io.journal import begin_journal, read_records, resume_journal
-from jaxcap.io.limits import KIND as LIMITS
-from jaxcap.io.mesh import Mesh, write_mesh
-from jaxcap.io.meshes import save_meshes
-from jaxcap.io.npz import save_body, save_motion
-from jaxcap.io.prior import KIND as PRIOR
+from jaxcap.io.gltf.gltf import write_gltf
+from jaxcap.io.markers.subject import save_subject
+from jaxcap.io.meshes.clouds import NO_FACES, Scans
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
+from jaxcap.io.meshes.meshes import save_meshes
 from jaxcap.io.registry import write_markers
-from jaxcap.io.skl import write_skl
-from jaxcap.io.subject import save_subject
+from jaxcap.io.skeletons.bvh import write_bvh
+from jaxcap.io.skeletons.skl import write_skl
 from jaxcap.io.table import write_json
 from jaxcap.markers.subject import make_subject
 from jaxcap.metrics import scan_to_surface
 from jaxcap.observe import MeshSequence, make_markers
 from jaxcap.view import live
-from jaxcap.view.clouds import SeenCloud, SeenClouds
-from jaxcap.view.column import _by_name
 from jaxcap.view.contents import Contents, make_take
-from jaxcap.view.heat import (
+from jaxcap.view.figures.clouds import SeenCloud, SeenClouds
+from jaxcap.view.figures.heat import (
     BANDS,
     heat_classes,
     heat_palette,
@@ -44,10 +43,11 @@ from jaxcap.view.heat import (
     posterior_colours,
     scan_heat,
 )
+from jaxcap.view.figures.posing import CHUNK, PosedMotion
 from jaxcap.view.live import RunFollower, follow_run, record_poses
 from jaxcap.view.load import load
-from jaxcap.view.posing import CHUNK, PosedMotion
-from jaxcap.view.timeline import Timeline
+from jaxcap.view.windows.column import _by_name
+from jaxcap.view.windows.timeline import Timeline
 
 
 @pytest.fixture(scope="module")

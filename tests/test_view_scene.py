@@ -10,17 +10,17 @@ from helpers import chain_body, chain_skeleton, random_pose
 from jaxcap.body.body import Body
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, rest_pose, stack_poses
-from jaxcap.io.bvh import write_bvh
-from jaxcap.io.npz import save_motion
-from jaxcap.io.skl import write_skl
-from jaxcap.view.column import Choice
+from jaxcap.io.archives.npz import save_motion
+from jaxcap.io.skeletons.bvh import write_bvh
+from jaxcap.io.skeletons.skl import write_skl
 from jaxcap.view.contents import Contents, make_take
-from jaxcap.view.eye import DIRECTIONS, FIELD, place_eye
+from jaxcap.view.figures.eye import DIRECTIONS, FIELD, place_eye
+from jaxcap.view.figures.skeleton_figure import bone_solids
 from jaxcap.view.load import load
-from jaxcap.view.serve import close_server, open_server
-from jaxcap.view.skeleton_figure import bone_solids
-from jaxcap.view.stage import Stage
-from jaxcap.view.timeline import Timeline
+from jaxcap.view.windows.column import Choice
+from jaxcap.view.windows.serve import close_server, open_server
+from jaxcap.view.windows.stage import Stage
+from jaxcap.view.windows.timeline import Timeline
 
 
 @pytest.fixture(scope="module")

@@ -17,15 +17,15 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.pose import stack_poses
 from jaxcap.errors import InputError
-from jaxcap.io.clouds import NO_FACES, Scans
-from jaxcap.io.npz import save_body, save_motion
+from jaxcap.io.archives.npz import save_body, save_motion
+from jaxcap.io.meshes.clouds import NO_FACES, Scans
 from jaxcap.view import show
-from jaxcap.view.clouds import SeenClouds
-from jaxcap.view.column import DISTANCE, Choice, Column
 from jaxcap.view.contents import make_take
-from jaxcap.view.figure import BodyFigure
-from jaxcap.view.serve import address, close_server, open_server
-from jaxcap.view.skeleton_figure import SkeletonFigure
+from jaxcap.view.figures.clouds import SeenClouds
+from jaxcap.view.figures.figure import BodyFigure
+from jaxcap.view.figures.skeleton_figure import SkeletonFigure
+from jaxcap.view.windows.column import DISTANCE, Choice, Column
+from jaxcap.view.windows.serve import address, close_server, open_server
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_what_other_threads_print_is_not_lost(capfd):
 
 def test_each_server_ends_in_silence_with_its_program():
     code = (
-        "from jaxcap.view.serve import close_server, open_server\n"
+        "from jaxcap.view.windows.serve import close_server, open_server\n"
         "first, second, third = (open_server(0) for _ in range(3))\n"
         "close_server(second)"
     )
@@ -89,7 +89,7 @@ def test_a_taken_port_is_told_and_not_gone_past(taken):
 
 
 def test_without_a_port_another_one_is_found(monkeypatch, taken):
-    monkeypatch.setattr("jaxcap.view.serve.PORT", taken)
+    monkeypatch.setattr("jaxcap.view.windows.serve.PORT", taken)
     server = open_server()
     assert server.get_port() != taken
     close_server(server)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.adapt.pose import PIXELS
+from jaxcap.adapt.poses.pose import PIXELS
 from jaxcap.body.body import pose_body
-from jaxcap.body.human import human
+from jaxcap.body.people.human import human
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.fit.visible import visible_vertices
+from jaxcap.fit.correspondence.visible import visible_vertices
 from jaxcap.geometry.camera import in_picture, look_at, ring_of_cameras
 
 TOLERANCE = 0.005

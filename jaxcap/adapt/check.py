@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from ..body.body import Body, pose_body
 from ..errors import InputError
-from ..fit.correspond import Scan, make_scan, within_aperture
+from ..fit.correspondence.correspond import Scan, make_scan, within_aperture
 from ..geometry.camera import Camera, check_sees
 from ..geometry.closest import nearest_on_surface
 from ..observe import Cloud, make_cloud

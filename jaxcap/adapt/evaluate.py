@@ -18,7 +18,7 @@ from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
 from .loop import AdaptState, Settings, Task, adapt_body, plan
-from .size import resized
+from .shape.size import resized
 
 #: width of a bin of distances, which percentiles are as fine as, and the distance of the last one, metres
 BIN, FURTHEST = 1e-5, 1.0

@@ -12,16 +12,18 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
-from ..fit.correspond import Pairs, Scan
-from ..fit.likeliest import likelier_pose
-from ..fit.sequence import track_frames
-from ..fit.turn_over import turn_over
+from ..fit.correspondence.correspond import Pairs, Scan
+from ..fit.tracking.likeliest import likelier_pose
+from ..fit.tracking.sequence import track_frames
+from ..fit.tracking.turn_over import turn_over
 from .flagged import flag_frames
-from .meet import Meetings, pairs_at, poses_at, some_of, told
+from .poses.meet import Meetings, pairs_at, poses_at, some_of, told
+from .poses.unordered import find_poses
+from .poses.window import FRAMES, smooth_windows
 from .rounds import adapt_round
 from .rounds import shape_weight as shape_weight
 from .rounds import spread_frames as spread_frames
-from .size import fit_size
+from .shape.size import fit_size
 from .task import AdaptState as AdaptState
 from .task import Settings as Settings
 from .task import Stage as Stage
@@ -29,8 +31,6 @@ from .task import Task as Task
 from .task import plan as plan
 from .task import tracker_of
 from .terms import balanced, motion_energy
-from .unordered import find_poses
-from .window import FRAMES, smooth_windows
 
 _LOG = logging.getLogger(__name__)
 

@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float, Shaped
 
 from ..body.body import Body, pose_body
+from ..body.limits.pose_boxes import PoseBoxes
 from ..body.pose import Pose
-from ..body.pose_boxes import PoseBoxes
 from ..body.shape_modes import Modes
-from ..energy.pairs import PairDistances, Pairs, num_pairs
+from ..energy.data.pairs import PairDistances, Pairs, num_pairs
 from ..energy.stacked import NormalPrior, SmoothTurns, Stacked, weigh_frames
 from ..energy.term import AbstractEnergy, sum_of, weighted
 from ..fit.problem import PoseProblem
-from ..fit.sequence_problem import SequenceProblem
-from ..fit.unknowns import ShapeCoefficients
+from ..fit.sequences.sequence_problem import SequenceProblem
+from ..fit.sequences.unknowns import ShapeCoefficients
 from ..geometry.stacking import stack as stack_arrays
 
 #: pairs that are neighbours say the same: so many count as one

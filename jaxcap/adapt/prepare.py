@@ -5,21 +5,21 @@ from collections.abc import Callable, Sequence
 import jax.numpy as jnp
 
 from ..arguments import checked
-from ..body.anatomy import rest_deviations
 from ..body.body import Body, body_height
+from ..body.limits.pose_boxes import PoseBoxes
+from ..body.people.anatomy import rest_deviations
 from ..body.pose import Pose
-from ..body.pose_boxes import PoseBoxes
 from ..body.symmetry import mirrored_joints
 from ..energy.check import OwnTerms, own_terms
-from ..energy.prior import RestPrior
+from ..energy.priors.prior import RestPrior
 from ..energy.term import AbstractEnergy
 from ..errors import InputError
-from ..fit.correspond import Scan
+from ..fit.correspondence.correspond import Scan
 from ..geometry.camera import Camera
 from ..observe import Cloud, CloudFrames
-from .people import people_like
-from .shape_prior import ShapePrior
-from .similarity import is_unordered
+from .poses.similarity import is_unordered
+from .shape.people import people_like
+from .shape.shape_prior import ShapePrior
 from .task import Settings, Task, check_settings
 
 

@@ -9,20 +9,20 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
+from ..body.people.sample import unlike_poses
 from ..body.pose import Motion, Pose, stack_poses
-from ..body.sample import unlike_poses
 from ..body.shape_modes import Modes, joint_modes
-from ..fit.correspond import Pairs
-from ..fit.sequence_problem import SequenceProblem
+from ..fit.correspondence.correspond import Pairs
+from ..fit.sequences.sequence_problem import SequenceProblem
 from ..fit.solvers.descent import NormalDescent
 from ..fit.solvers.minimise import take_step
-from .beside import centres_beside, make_beside
-from .meet import Meetings, poses_at, told
 from .objective import Belief, shared_problem, stack, stack_pairs, unstack
-from .people import People, person, traits_like
-from .pose import brought_in
-from .reference import reference, shape_prior_of
-from .surface import adapt_shape, adapt_together
+from .poses.meet import Meetings, poses_at, told
+from .poses.pose import brought_in
+from .shape.beside import centres_beside, make_beside
+from .shape.people import People, person, traits_like
+from .shape.reference import reference, shape_prior_of
+from .shape.surface import adapt_shape, adapt_together
 from .task import AdaptState, Settings, Stage, Task
 
 #: finds the stacked pairs of a body in the poses of the frames of a round

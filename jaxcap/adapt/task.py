@@ -4,18 +4,18 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from ..body.body import Body
+from ..body.limits.pose_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
-from ..body.pose_boxes import PoseBoxes
 from ..energy.term import AbstractEnergy, terms_of
 from ..errors import InputError, sentence_of
-from ..fit.correspond import Matching, Scan, make_scan
-from ..fit.recover import TrackedFrame
-from ..fit.track import Tracker, make_tracker
+from ..fit.correspondence.correspond import Matching, Scan, make_scan
+from ..fit.tracking.recover import TrackedFrame
+from ..fit.tracking.track import Tracker, make_tracker
 from ..geometry.camera import Camera
 from ..observe import Cloud
 from ..values import check_at_least, check_positive
-from .people import People
-from .shape_prior import ShapePrior
+from .shape.people import People
+from .shape.shape_prior import ShapePrior
 from .terms import Terms
 
 #: how often a body is adapted while it is tracked

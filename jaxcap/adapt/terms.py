@@ -14,7 +14,7 @@ from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..body.symmetry import length_differences
 from ..energy.term import AbstractEnergy
-from .window import temporal_energy
+from .poses.window import temporal_energy
 
 
 class Terms(NamedTuple):

@@ -15,8 +15,8 @@ from scipy.optimize import minimize
 
 from ..arguments import check_fields, checked
 from ..geometry import rotation
+from .limits.pose_boxes import turning_joints
 from .pose import Pose, own_vectors
-from .pose_boxes import turning_joints
 from .skeleton import Skeleton
 
 #: a joint whose own frame is turned by more than this, radians, is at rest in another pose

@@ -3,10 +3,10 @@
 import sys
 from collections.abc import Sequence
 
-from .errors import told
-from .groups import JAXCAP
-from .heartbeat import break_silence
-from .verbs import run_verb
+from .console.errors import told
+from .console.groups import JAXCAP
+from .console.heartbeat import break_silence
+from .console.verbs import run_verb
 
 #: with any verb: compile anew
 NO_CACHE = "--no-cache"

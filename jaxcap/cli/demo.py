@@ -8,24 +8,24 @@ import equinox as eqx
 import numpy as np
 
 from ..body.body import pose_body
-from ..body.human import human
 from ..body.kinematics import forward_kinematics, joint_positions
+from ..body.people.human import human
 from ..body.pose import Motion
 from ..demo.performance import walk_and_wave
 from ..demo.picture import View, draw
 from ..demo.scanner import Scanner, scan
 from ..errors import InputError
-from ..fit.sequence import track_frames, verdict_sentences
-from ..fit.track import make_tracker
-from ..io.atomic import replacing, write_text
-from ..io.lock import run_lock
+from ..fit.tracking.sequence import track_frames, verdict_sentences
+from ..fit.tracking.track import make_tracker
+from ..io.system.atomic import replacing, write_text
+from ..io.system.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe import make_cloud
-from .frame_rows import pack, results_of, row_template
-from .options import Flag, OptionalCount, arg
-from .results import FILES, check_folder, make_writable, write_results
-from .say import progress, say, table, warn
-from .timed import timed
+from .console.options import Flag, OptionalCount, arg
+from .console.say import progress, say, table, warn
+from .console.timed import timed
+from .track.frame_rows import pack, results_of, row_template
+from .track.results import FILES, check_folder, make_writable, write_results
 
 _pose_body = eqx.filter_jit(pose_body)
 PICTURE = "demo.png"

@@ -12,14 +12,25 @@ from ..body.body import pose_body
 from ..body.kinematics import joint_paths
 from ..body.skeleton import Skeleton
 from ..errors import InputError
-from ..io.archive import load_arrays
-from ..io.clouds import read_clouds
-from ..io.npz import get_array
+from ..io.archives.archive import load_arrays
+from ..io.archives.npz import get_array
+from ..io.meshes.clouds import read_clouds
 from ..io.table import write_json
 from ..metrics import Summary, distance_summary, joint_errors, scan_to_surface
+from .console.options import (
+    BodySpec,
+    CloudsSpec,
+    MotionSpec,
+    OptionalCount,
+    OptionalFile,
+    Skl,
+    Unit,
+    Up,
+    Vj,
+    arg,
+)
+from .console.say import progress, say, table
 from .motions import load_motion, load_motion_of
-from .options import BodySpec, CloudsSpec, MotionSpec, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
-from .say import progress, say, table
 from .sources import load_body, up_rotation
 
 _pose_body = eqx.filter_jit(pose_body)

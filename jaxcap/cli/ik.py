@@ -6,25 +6,25 @@ from typing import Annotated
 
 import numpy as np
 
-from ..body.limits import AbstractLimits, AllLimits
+from ..body.limits.limits import AbstractLimits, AllLimits
 from ..body.pose import Pose, stack_poses
 from ..edit.ik import session as ik
 from ..edit.ik.constraints import describe
 from ..edit.ik.session import IkSession, IkSettings
 from ..edit.ik.solve import Solver
-from ..energy.pair_prior import MahalanobisPrior
+from ..energy.priors.pair_prior import MahalanobisPrior
 from ..errors import InputError
+from ..io.archives.limits import read_limits
+from ..io.archives.prior import load_prior
 from ..io.constraints import read_constraints
-from ..io.limits import read_limits
-from ..io.prior import load_prior
 from ..io.registry import MOTION_WRITERS, write_motion
-from ..view.serve import HOST
+from ..view.windows.serve import HOST
+from .console.options import BodySpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
+from .console.say import say, table, warn
+from .console.window import Port, keep_window
 from .motions import load_motion_of
-from .options import BodySpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
 from .outputs import check_new
-from .say import say, table, warn
 from .sources import load_body
-from .window import Port, keep_window
 
 #: solves from a file of constraints, each from the pose before, until nothing moves
 ROUNDS = 20

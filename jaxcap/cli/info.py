@@ -6,14 +6,16 @@ from typing import Annotated
 
 import tyro
 
-from ..io.clip import split_clip
 from ..io.kinds import identify, wrong_kind
-from ..io.mesh import SUFFIXES
+from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import (
     MARKER_READERS,
     MOTION_READERS,
     SKELETON_READERS,
 )
+from ..io.skinned.clip import split_clip
+from .console.options import OptionalUnit, arg
+from .console.say import say
 from .contents.arrays import tell_arrays
 from .contents.bodies import tell_body, tell_bvh, tell_mesh, tell_moving, tell_skinned
 from .contents.folders import tell_clouds, tell_folder
@@ -27,8 +29,6 @@ from .contents.texts import (
     tell_statistics,
     tell_text,
 )
-from .options import OptionalUnit, arg
-from .say import say
 from .sources import load_body, names_human
 
 #: suffixes of everything that some verb reads

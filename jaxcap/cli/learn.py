@@ -14,24 +14,24 @@ from ..body.skin import RigidSkin
 from ..energy.term import AbstractEnergy
 from ..errors import InputError
 from ..fit.registered import fit_meshes
-from ..io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from ..io.clip import split_clip
-from ..io.lock import run_lock
-from ..io.meshes import read_named_meshes
-from ..io.npz import get_array, save_body, save_motion
+from ..io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..io.archives.npz import get_array, save_body, save_motion
+from ..io.meshes.meshes import read_named_meshes
+from ..io.skinned.clip import split_clip
+from ..io.system.lock import run_lock
 from ..learn.check import check_meshes
-from ..learn.check_parts import check_learned
 from ..learn.loop import COARSE, Learned, LearnState, learn_body
+from ..learn.parts.check_parts import check_learned
 from ..observe import MeshSequence
 from ..report.learned import report_learning
 from ..report.scores import Scores
+from .console.heartbeat import doing
+from .console.options import SKELETON_WORDS, Flag, OptionalCount, OptionalFile, Unit, arg
+from .console.rounds import Rounds
+from .console.say import say, warn
 from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
-from .heartbeat import doing
 from .motions import load_skeleton
-from .options import SKELETON_WORDS, Flag, OptionalCount, OptionalFile, Unit, arg
 from .outputs import check_npz, check_parent, make_folder, nothing_left
-from .rounds import Rounds
-from .say import say, warn
 from .scoring import mesh_hashes, score_motion, tell_scores
 from .sources import names_human
 from .terms import FloorHeight, LimitsFile, LimitWeight, read_terms

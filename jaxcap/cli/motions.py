@@ -7,9 +7,9 @@ import numpy as np
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..io.body_motion import read_motion_of
 from ..io.registry import clip_sentence, read_motion, read_skeleton
-from .say import warn
+from ..io.skeletons.body_motion import read_motion_of
+from .console.say import warn
 from .sources import load_body, names_human
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import tyro
 
 from ..errors import InputError, sentence_of
-from ..io.mesh import check_mesh, check_size, read_mesh
-from ..io.npz import save_body
+from ..io.archives.npz import save_body
+from ..io.meshes.mesh import check_mesh, check_size, read_mesh
 from ..rig.rig import rig_mesh
+from .console.options import SKELETON_WORDS, Flag, OptionalFile, Unit, Up, arg
+from .console.say import say
 from .motions import load_skeleton
-from .options import SKELETON_WORDS, Flag, OptionalFile, Unit, Up, arg
 from .outputs import check_npz
-from .say import say
 from .sources import up_rotation, upright_skeleton
 
 

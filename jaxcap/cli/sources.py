@@ -9,19 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..body.body import Body
-from ..body.human import RESOLUTIONS, human
-from ..body.limits import JointRanges
+from ..body.limits.limits import JointRanges
+from ..body.people.human import RESOLUTIONS, human
 from ..body.reduce import reduce_body
 from ..body.skeleton import Skeleton
 from ..errors import InputError, sentence_of
-from ..fit.check import check_extent
-from ..fit.correspond import Scan, make_mesh_scan, make_scan
+from ..fit.correspondence.correspond import Scan, make_mesh_scan, make_scan
+from ..fit.tracking.check import check_extent
 from ..geometry import rotation
-from ..io.clip import split_clip
-from ..io.clouds import Scans
-from ..io.cst import read_cst
-from ..io.mesh import SUFFIXES
+from ..io.meshes.clouds import Scans
+from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import SKINNED_READERS, is_skinned, read_body
+from ..io.skeletons.cst import read_cst
+from ..io.skinned.clip import split_clip
 from ..observe import Cloud, make_cloud
 from ..observe import Scan as ReadScan
 

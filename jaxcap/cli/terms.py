@@ -7,15 +7,15 @@ from typing import Annotated
 import numpy as np
 
 from ..body.body import Body
-from ..body.limits import AbstractLimits
-from ..energy.floor import make_floor
-from ..energy.limits import JointLimits
-from ..energy.pair_prior import MahalanobisPrior
+from ..body.limits.limits import AbstractLimits
+from ..energy.data.floor import make_floor
+from ..energy.priors.limits import JointLimits
+from ..energy.priors.pair_prior import MahalanobisPrior
 from ..energy.term import AbstractEnergy
 from ..errors import InputError
-from ..io.limits import read_limits
-from ..io.prior import load_prior
-from .options import OptionalFile, arg
+from ..io.archives.limits import read_limits
+from ..io.archives.prior import load_prior
+from .console.options import OptionalFile, arg
 
 LimitsFile = Annotated[
     OptionalFile,

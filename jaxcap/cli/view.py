@@ -11,11 +11,11 @@ from ..errors import InputError
 from ..io.registry import is_rigged
 from ..view.app import serve_contents
 from ..view.load import load
-from ..view.serve import HOST
-from .options import BODY_WORDS, Flag, OptionalUnit, Up, arg
-from .say import warn
+from ..view.windows.serve import HOST
+from .console.options import BODY_WORDS, Flag, OptionalUnit, Up, arg
+from .console.say import warn
+from .console.window import Port, keep_window
 from .sources import load_body, names_human, up_rotation
-from .window import Port, keep_window
 
 Names = Annotated[tuple[str, ...], arg(metavar="...")]
 

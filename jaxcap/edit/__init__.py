@@ -6,7 +6,7 @@ them are in `jc` itself too. What carries a motion over takes `(motion, source, 
 body, and then its motion.
 """
 
-from ..body.sample import sample_poses as sample_poses
+from ..body.people.sample import sample_poses as sample_poses
 from .between import resample as resample
 from .clips import Loop as Loop
 from .clips import cut as cut

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..body.kinematics import forward_kinematics
-from ..body.limits import AbstractLimits
+from ..body.limits.limits import AbstractLimits
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation

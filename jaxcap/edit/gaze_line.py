@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
-from ..body.human import human
+from ..body.people.human import human
 from ..body.skeleton import Skeleton
 from ..body.symmetry import twin_joints
 from ..geometry.axes import nearest_axis

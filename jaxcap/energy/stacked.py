@@ -13,7 +13,7 @@ from ..arguments import check_fields, checked
 from ..body.body import Posed
 from ..errors import InputError
 from ..geometry.stacking import stack
-from .temporal import second_difference
+from .priors.temporal import second_difference
 from .term import AbstractEnergy, Sum, Weighted, name_of, root, terms_of, weighted
 
 

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
 from ..body.pose import Pose
+from ..energy.data.vertices import AbstractVertexEnergy
 from ..energy.term import AbstractEnergy, Sum, bare, terms_of
-from ..energy.vertices import AbstractVertexEnergy
 from .linearise import BodyTangent, frame_rows, vertex_rows, weighted_slopes
 
 #: `|r|^2 / 2`, its gradient `J^T r` and its Gauss-Newton Hessian `J^T J`

@@ -13,8 +13,8 @@ from ..body.body import Body, Posed, pose_body
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose, retract
 from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
+from ..energy.data.vertices import AbstractVertexEnergy
 from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
-from ..energy.vertices import AbstractVertexEnergy
 from ..geometry import rotation
 
 #: places whose rows are summed at once: as many as stay in a core's cache

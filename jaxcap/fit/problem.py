@@ -4,13 +4,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
+from ..body.limits.pose_boxes import BoxChart, PoseBoxes, box_chart, chart_equations, move_within
 from ..body.pose import Pose, retract
-from ..body.pose_boxes import BoxChart, PoseBoxes, box_chart, chart_equations, move_within
 from ..body.skeleton import Skeleton, dof_layout
 from ..energy.term import AbstractEnergy
 from .frame_equations import frame_equations
+from .linear.dense import Dense
 from .linearise import linearise as linearise
-from .solvers.dense import Dense
 from .solvers.descent import ConstrainedInfo, Constraints
 from .solvers.problem import AbstractDenseProblem
 

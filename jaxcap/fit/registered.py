@@ -11,7 +11,7 @@ from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose, project
 from ..energy.check import OwnTerms, own_terms
-from ..energy.landmarks import VertexLandmarks
+from ..energy.data.landmarks import VertexLandmarks
 from ..energy.term import AbstractEnergy, Sum, terms_of
 from ..errors import InputError
 from ..geometry import rotation

@@ -8,8 +8,8 @@ import numpy as np
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import LEAST_PIXELS, Camera, check_picture
-from .door import reads
 from .kinds import check_kind
+from .system.door import reads
 from .table import write_json
 from .text import LARGEST, read_json, shortened
 

@@ -24,9 +24,9 @@ from ..arguments import checked
 from ..body.body import Body
 from ..edit.ik.constraints import Constraint, check_constraints, describe
 from ..errors import InputError, sentence_of
-from .atomic import write_text
-from .door import reads
 from .kinds import check_kind
+from .system.atomic import write_text
+from .system.door import reads
 from .text import read_json, shortened
 
 KIND, VERSION = "jaxcap constraints", 1

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from .archive import array_names, kind_of
-from .beside import bones_beside
-from .clip import split_clip
+from .archives.archive import array_names, kind_of
 from .foreign import FOREIGN, PICTURES
-from .gltf_document import SUFFIXES as GLTF
-from .gltf_document import has_skin
+from .gltf.gltf_document import SUFFIXES as GLTF
+from .gltf.gltf_document import has_skin
+from .skeletons.beside import bones_beside
+from .skinned.clip import split_clip
 from .text import read_json, shortened
 
 #: what each kind is called in a sentence

@@ -16,29 +16,29 @@ from ..body.skeleton import Skeleton
 from ..body.skin import RigidSkin
 from ..errors import InputError
 from ..observe import MarkerFrames
-from .amass import is_amass, read_amass, write_amass
-from .amc import read_amc
-from .asf import read_asf
-from .beside import bones_beside
-from .bvh import read_bvh, write_bvh
-from .c3d import read_c3d, write_c3d
-from .clip import split_clip, suffix_of
-from .gltf import write_gltf
-from .gltf_document import SUFFIXES as GLTF_READ
-from .gltf_document import clips_of, has_skin, no_skin, read_document
-from .gltf_reader import read_gltf, read_gltf_body
+from .archives.npz import load_body, load_kind, load_skeleton, motion_of, save_motion, skeleton_of
+from .gltf.gltf import write_gltf
+from .gltf.gltf_document import SUFFIXES as GLTF_READ
+from .gltf.gltf_document import clips_of, has_skin, no_skin, read_document
+from .gltf.gltf_reader import read_gltf, read_gltf_body
 from .kinds import wrong_kind
-from .marker_file import SIZE, MarkerFile, check_extent, pick_subject
-from .marker_table import read_marker_table, write_marker_table
-from .mesh import SUFFIXES, check_mesh, check_size, read_mesh
-from .npz import load_body, load_kind, load_skeleton, motion_of, save_motion, skeleton_of
-from .skl import read_skl, write_skl
-from .trc import read_trc, write_trc
-from .usd import SUFFIXES as USD_SUFFIXES
-from .usd import write_usd
-from .usd_reader import SUFFIXES as USD_READ
-from .usd_reader import read_usd_body
-from .vj import read_vj
+from .markers.c3d import read_c3d, write_c3d
+from .markers.marker_file import SIZE, MarkerFile, check_extent, pick_subject
+from .markers.marker_table import read_marker_table, write_marker_table
+from .markers.trc import read_trc, write_trc
+from .meshes.mesh import SUFFIXES, check_mesh, check_size, read_mesh
+from .skeletons.amass import is_amass, read_amass, write_amass
+from .skeletons.amc import read_amc
+from .skeletons.asf import read_asf
+from .skeletons.beside import bones_beside
+from .skeletons.bvh import read_bvh, write_bvh
+from .skeletons.skl import read_skl, write_skl
+from .skeletons.vj import read_vj
+from .skinned.clip import split_clip, suffix_of
+from .usd.usd import SUFFIXES as USD_SUFFIXES
+from .usd.usd import write_usd
+from .usd.usd_reader import SUFFIXES as USD_READ
+from .usd.usd_reader import read_usd_body
 
 #: suffix -> function of (path, unit)
 SKELETON_READERS: dict[str, Callable[[Path, Any], Skeleton]] = {

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from .atomic import write_text
+from .system.atomic import write_text
 
 
 def write_csv(path: str | Path, rows: Sequence[Mapping[str, object]]) -> None:

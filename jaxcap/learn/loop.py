@@ -17,19 +17,19 @@ from ..energy.check import OwnTerms, own_terms
 from ..energy.term import AbstractEnergy, sum_of, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
-from .anchors import Given
+from .blend.linear import VERTICES, improve_linear
+from .blend.projection import adapt_all
 from .coarse import Coarse, coarse_alpha, coarsen, enough_vertices
-from .exchange import exchange
-from .graft import Graft
-from .joints import Curvature, improve_joints, make_curvature
-from .limbs import is_simple
-from .linear import VERTICES, improve_linear
 from .objective import objective
-from .projection import adapt_all
+from .skeleton.anchors import Given
+from .skeleton.joints import Curvature, improve_joints, make_curvature
+from .skeleton.limbs import is_simple
 from .start import SkinName, Start, start_free, start_from_motion, start_from_skeleton
 from .state import LearnState
-from .vertices import carry_back, solve_vertices
-from .weights import improve_weights
+from .structure.exchange import exchange
+from .structure.graft import Graft
+from .weights.vertices import carry_back, solve_vertices
+from .weights.weights import improve_weights
 
 _LOG = logging.getLogger(__name__)
 

@@ -14,12 +14,12 @@ from ..body.symmetry import symmetrise
 from ..geometry.procrustes import group_moments
 from ..observe import MeshSequence
 from ..rig.rig import rig_mesh
-from .pairs import find_pairs
-from .parts import find_parts
-from .posing import pose_moments
-from .rest import choose_rest
-from .surface import make_surface, membership
-from .tree import find_tree, pose_parts
+from .parts.parts import find_parts
+from .parts.surface import make_surface, membership
+from .skeleton.pairs import find_pairs
+from .skeleton.posing import pose_moments
+from .skeleton.rest import choose_rest
+from .skeleton.tree import find_tree, pose_parts
 
 SkinName = Literal["swing_twist", "lbs", "rigid"]
 

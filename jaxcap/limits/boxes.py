@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..arguments import checked
-from ..body.euler_boxes import EulerBox, EulerBoxes, euler_angles, make_euler_boxes
-from ..body.limits import JointRanges, make_joint_ranges
+from ..body.limits.euler_boxes import EulerBox, EulerBoxes, euler_angles, make_euler_boxes
+from ..body.limits.limits import JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
 from .samples import JointSamples

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from ..body.chart import Chart
+from ..body.limits.chart import Chart
 from .samples import JointSamples
 
 #: a joint has fewer angles than three where rotations stray by less than this, radians

@@ -8,8 +8,8 @@ import jax
 from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
-from ..body.limit_surface import SurfaceLimits, comfort
-from ..body.limits import AbstractLimits, allowed
+from ..body.limits.limit_surface import SurfaceLimits, comfort
+from ..body.limits.limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from ..arguments import checked
-from ..body.chart import Chart
-from ..body.limit_surface import LimitSurface, SurfaceLimits, density
-from ..body.primitives import LEVEL, STIFFNESS
+from ..body.limits.chart import Chart
+from ..body.limits.limit_surface import LimitSurface, SurfaceLimits, density
+from ..body.limits.primitives import LEVEL, STIFFNESS
 from ..errors import InputError
 from .charts import chart_places, find_chart
 from .match import match_primitives

@@ -11,16 +11,16 @@ from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..observe import MarkerFrames
-from .assemble import Assembled, assemble, pose_segments
-from .centres import Method
-from .gaps import is_still
-from .joint import Joint
-from .lengths import LengthMethod, bone_lengths, bones, joint_places
-from .partition import correct, find_partition
-from .segment import Segments
+from .rotation_centres.centres import Method
+from .rotation_centres.joint import Joint
+from .segments.gaps import is_still
+from .segments.partition import correct, find_partition
+from .segments.segment import Segments
+from .segments.swaps import mend_swaps
+from .skeleton.assemble import Assembled, assemble, pose_segments
+from .skeleton.lengths import LengthMethod, bone_lengths, bones, joint_places
+from .skeleton.tree import Tree, find_tree, template_pairs
 from .subject import Subject, make_subject
-from .swaps import mend_swaps
-from .tree import Tree, find_tree, template_pairs
 
 #: a joint is told as hardly turning where it sweeps less than this, radians
 HARDLY = np.radians(15.0)

@@ -11,7 +11,7 @@ from ..adapt.evaluate import Stages, Variant, quantile, summary_of
 from ..adapt.loop import AdaptState, Task
 from ..adapt.terms import Terms
 from ..body.body import Body
-from ..io.atomic import write_text
+from ..io.system.atomic import write_text
 from .adaptation_charts import (
     angle_charts,
     distance_charts,

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ..body.body import Body
 from ..body.pose import Motion
-from ..io.atomic import replacing
+from ..io.system.atomic import replacing
 from ..io.table import write_json
 from ..learn.loop import COARSE
 from ..observe import MeshSequence

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..body.limit_surface import LimitSurface
-from ..body.primitives import Primitives, radii, signed_distance
-from ..io.atomic import replacing
+from ..body.limits.limit_surface import LimitSurface
+from ..body.limits.primitives import Primitives, radii, signed_distance
+from ..io.system.atomic import replacing
 from .pictures import new_figure
 from .render import INK, draw_surface, frame, turned, view_axes
 

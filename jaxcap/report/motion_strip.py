@@ -7,7 +7,7 @@ import numpy as np
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..io.atomic import replacing
+from ..io.system.atomic import replacing
 from .pictures import new_figure
 from .render import INK, frame, view_axes
 

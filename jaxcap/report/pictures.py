@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ..body.body import Body
 from ..body.pose import Motion
-from ..io.atomic import replacing
+from ..io.system.atomic import replacing
 from ..metrics import scan_to_surface
 from ..observe import MeshSequence
 from .render import INK, PAPER, draw_surface, frame, turned, view_axes

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ..body.body import Body
 from ..body.skin import SwingTwistSkin
 from ..geometry import rotation
-from ..io.atomic import replacing
+from ..io.system.atomic import replacing
 from .pictures import new_figure
 from .render import INK, distinct_colours, draw_surface, frame, turned, view_axes
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..fit.solvers.dense import Dense
+from ..fit.linear.dense import Dense
 from ..fit.solvers.descent import ConstrainedInfo
 from ..fit.solvers.problem import AbstractProblem
 from .template import Person, Template, move, pose_template, prior_offset, prior_spreads

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
-from ..body.human import human
 from ..body.kinematics import Transforms
+from ..body.people.human import human
 from ..body.pose import Pose, difference, rest_pose, retract
 from ..body.skeleton import dof_layout
 

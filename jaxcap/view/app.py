@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .column import Choice
 from .contents import Contents
-from .controls import Controls
-from .eye import BEGIN, FIELD, place_eye
+from .figures.eye import BEGIN, FIELD, place_eye
 from .live import OFTEN, RunFollower
-from .serve import each_client
-from .stage import Stage
+from .windows.column import Choice
+from .windows.controls import Controls
+from .windows.serve import each_client
+from .windows.stage import Stage
 
 if TYPE_CHECKING:
     from viser import ClientHandle, SceneClickEvent, ViserServer

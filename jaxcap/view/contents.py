@@ -12,8 +12,8 @@ from ..body.skeleton import Skeleton
 from ..geometry.camera import Camera
 from ..markers.subject import Subject
 from ..observe import MarkerFrames
-from .clouds import SeenClouds
-from .posing import PosedMotion
+from .figures.clouds import SeenClouds
+from .figures.posing import PosedMotion
 
 
 @dataclass(frozen=True)

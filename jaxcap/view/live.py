@@ -15,9 +15,9 @@ from ..body.body import Body
 from ..body.pose import Pose, rest_pose
 from ..body.skeleton import Skeleton
 from ..errors import InputError, sentence_of
-from ..io.journal import read_header, read_records
+from ..io.archives.journal import read_header, read_records
 from .contents import Take
-from .posing import PosedMotion
+from .figures.posing import PosedMotion
 
 JOURNAL = "journal"
 #: seconds between two looks

@@ -11,20 +11,21 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError, sentence_of
-from ..io.archive import array_names, kind_of
-from ..io.body_motion import read_motion_of
+from ..io.archives.archive import array_names, kind_of
+from ..io.archives.checkpoint import KIND as CHECKPOINT
+from ..io.archives.checkpoint import load_progress
+from ..io.archives.limits import KIND as LIMITS
+from ..io.archives.npz import load_body, load_motion
+from ..io.archives.prior import KIND as PRIOR
+from ..io.archives.run_statistics import read_statistics
 from ..io.cameras import read_cameras
-from ..io.checkpoint import KIND as CHECKPOINT
-from ..io.checkpoint import load_progress
-from ..io.clip import split_clip, suffix_of
-from ..io.clouds import read_clouds
 from ..io.constraints import KIND as CONSTRAINTS
 from ..io.kinds import wrong_kind
-from ..io.limits import KIND as LIMITS
-from ..io.mesh import SUFFIXES, read_mesh
-from ..io.meshes import read_meshes
-from ..io.npz import load_body, load_motion
-from ..io.prior import KIND as PRIOR
+from ..io.markers.subject import KIND as SUBJECT
+from ..io.markers.subject import load_subject
+from ..io.meshes.clouds import read_clouds
+from ..io.meshes.mesh import SUFFIXES, read_mesh
+from ..io.meshes.meshes import read_meshes
 from ..io.registry import (
     MARKER_READERS,
     MOTION_READERS,
@@ -37,13 +38,12 @@ from ..io.registry import (
     read_skeleton,
     read_skinned,
 )
-from ..io.run_statistics import read_statistics
-from ..io.subject import KIND as SUBJECT
-from ..io.subject import load_subject
+from ..io.skeletons.body_motion import read_motion_of
+from ..io.skinned.clip import split_clip, suffix_of
 from ..io.text import read_json
 from ..markers.subject import Subject
-from .clouds import SeenClouds
 from .contents import Contents, Markers, Meshes, Take, make_take
+from .figures.clouds import SeenClouds
 from .live import JOURNAL, follow_run
 
 #: what has numbers in it and no shape, and what tells about it instead

@@ -11,15 +11,15 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry.camera import Camera
-from ..io.clouds import NO_FACES, Scans
+from ..io.meshes.clouds import NO_FACES, Scans
 from ..observe import Cloud, MarkerFrames
 from .app import serve_contents
-from .clouds import SeenClouds
-from .column import DISTANCE, Choice
 from .contents import Contents, Markers, make_take
-from .eye import FIELD, place_eye
-from .serve import address, close_server, open_server
-from .stage import Stage
+from .figures.clouds import SeenClouds
+from .figures.eye import FIELD, place_eye
+from .windows.column import DISTANCE, Choice
+from .windows.serve import address, close_server, open_server
+from .windows.stage import Stage
 
 #: frames of a recording that are kept at most; one of 5,000 vertices is some 50 kB
 RECORDED = 120

@@ -5,20 +5,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ...body.limit_surface import LimitSurface
+from ...body.limits.limit_surface import LimitSurface
 from ...errors import InputError
-from ...io.amass import read_amass
-from ...io.archive import array_names, kind_of, load_arrays
-from ...io.checkpoint import KIND as CHECKPOINT
-from ...io.door import reads
+from ...io.archives.archive import array_names, kind_of, load_arrays
+from ...io.archives.checkpoint import KIND as CHECKPOINT
+from ...io.archives.limits import load_limits
+from ...io.archives.npz import get_array, load_body, load_kind, load_motion, skeleton_of
+from ...io.archives.prior import carries_prior, load_prior
 from ...io.kinds import kind_of_arrays
-from ...io.limits import load_limits
-from ...io.meshes import read_meshes
-from ...io.npz import get_array, load_body, load_kind, load_motion, skeleton_of
-from ...io.prior import carries_prior, load_prior
-from ...io.subject import load_subject
+from ...io.markers.subject import load_subject
+from ...io.meshes.meshes import read_meshes
+from ...io.skeletons.amass import read_amass
+from ...io.system.door import reads
 from ...io.text import shortened
-from ..say import say
+from ..console.say import say
 from .bodies import metres, tell_body, tell_motion, tell_moving, tell_skeleton
 from .folders import tell_clouds
 from .listing import say_list

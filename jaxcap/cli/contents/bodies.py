@@ -9,11 +9,11 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.mesh import check_mesh, read_mesh
+from ...io.meshes.mesh import check_mesh, read_mesh
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import BODY, UNITS, likely_units, shortened
+from ..console.say import counted, say
 from ..motions import extent, load_motion, tell_clip
-from ..say import counted, say
 from .listing import indented, say_list
 
 

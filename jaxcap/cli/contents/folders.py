@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
-from ...io.beside import bones_beside
+from ...io.archives.npz import load_motion
 from ...io.cameras import read_cameras
-from ...io.clouds import Scans, read_clouds
 from ...io.kinds import MANY, WORDS, identify
-from ...io.mesh import SUFFIXES
-from ...io.npz import load_motion
-from ..say import counted, say
+from ...io.meshes.clouds import Scans, read_clouds
+from ...io.meshes.mesh import SUFFIXES
+from ...io.skeletons.beside import bones_beside
+from ..console.say import counted, say
 from .bodies import metres, tell_motion
 from .texts import tell_journal, tell_statistics
 

@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
-from ...io.asf import read_asf
+from ...io.archives.journal import read_header, read_records
 from ...io.cameras import read_cameras
-from ...io.cst import read_cst
-from ...io.door import reads
-from ...io.joint_names import read_joint_names
-from ...io.journal import read_header, read_records
 from ...io.kinds import kind_of_json
 from ...io.registry import read_marker_file, read_skeleton
+from ...io.skeletons.asf import read_asf
+from ...io.skeletons.cst import read_cst
+from ...io.skeletons.joint_names import read_joint_names
+from ...io.system.door import reads
 from ...io.text import Words, numbered_lines, parse_json, read_json, read_text
-from ..say import counted, say
+from ..console.say import counted, say
 from .bodies import tell_skeleton
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...edit.clips import cut
 from ...errors import InputError
-from ..options import Flag, OptionalUnit, arg
+from ..console.options import Flag, OptionalUnit, arg
 from ..outputs import check_motion
 from .files import Frames, MotionFile, OutMotion, frames_of, read_edited, save
 

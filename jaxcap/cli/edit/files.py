@@ -7,12 +7,12 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.clip import suffix_of
 from ...io.registry import SKELETON_READERS, read_skeleton, write_motion
-from ..convert_way import OWN_UNIT
+from ...io.skinned.clip import suffix_of
+from ..console.options import MotionSpec, arg
+from ..console.say import counted, say
+from ..convert.convert_way import OWN_UNIT
 from ..motions import extent, load_motion, load_motion_of
-from ..options import MotionSpec, arg
-from ..say import counted, say
 
 MotionFile = MotionSpec
 OutMotion = Annotated[Path, arg(aliases=("-o",), metavar="OUT")]

@@ -13,14 +13,14 @@ from jaxtyping import Float, UInt8
 from ...body.body import pose_body
 from ...edit.glue import animate_scan, glue_scan
 from ...errors import InputError, sentence_of
-from ...io.colours import read_colours
-from ...io.mesh import Mesh, read_mesh, vertex_normals
-from ...io.obj import write_obj
-from ...io.ply import write_ply
-from ..options import BODY_WORDS, MOTION_WORDS, BodySpec, Flag, MotionSpec, OptionalFile, Unit, arg
-from ..results import make_writable
-from ..say import progress, say, warn
+from ...io.meshes.colours import read_colours
+from ...io.meshes.mesh import Mesh, read_mesh, vertex_normals
+from ...io.meshes.obj import write_obj
+from ...io.meshes.ply import write_ply
+from ..console.options import BODY_WORDS, MOTION_WORDS, BodySpec, Flag, MotionSpec, OptionalFile, Unit, arg
+from ..console.say import progress, say, warn
 from ..sources import load_body
+from ..track.results import make_writable
 from .files import Frames, frames_of, read_edited
 
 _pose_body = eqx.filter_jit(pose_body)

@@ -9,9 +9,9 @@ from ...edit.between import resample
 from ...edit.clips import cut, join
 from ...edit.transitions import find_transitions
 from ...errors import InputError
-from ..options import Flag, MotionSpec, OptionalUnit, arg
+from ..console.options import Flag, MotionSpec, OptionalUnit, arg
+from ..console.say import say, warn
 from ..outputs import check_motion
-from ..say import say, warn
 from .files import OutMotion, read_edited, save
 from .skeletons import check_same
 

@@ -11,11 +11,11 @@ from ...body.skeleton import Skeleton
 from ...edit.keys import Keys as Found
 from ...edit.keys import find_keys
 from ...errors import InputError
-from ...io.npz import save_arrays, skeleton_arrays
+from ...io.archives.npz import save_arrays, skeleton_arrays
 from ...io.table import write_json
-from ..options import Flag, OptionalFile, OptionalUnit, arg
+from ..console.options import Flag, OptionalFile, OptionalUnit, arg
+from ..console.say import say, table
 from ..outputs import check_motion, check_new
-from ..say import say, table
 from .files import MotionFile, read_edited, save
 
 OptionalOut = Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")]

@@ -8,9 +8,9 @@ import numpy as np
 from ...edit.clips import make_loop
 from ...edit.transitions import find_loops
 from ...errors import InputError, sentence_of
-from ..options import Flag, OptionalUnit, arg
+from ..console.options import Flag, OptionalUnit, arg
+from ..console.say import say, table
 from ..outputs import check_motion
-from ..say import say, table
 from .files import Frames, MotionFile, OutMotion, read_edited, save
 
 Seconds = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ...edit.reflection import mirror
 from ...errors import InputError, sentence_of
-from ..options import Flag, OptionalUnit
+from ..console.options import Flag, OptionalUnit
 from ..outputs import check_motion
 from .files import MotionFile, OutMotion, read_edited, save
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ...edit.retargeting.point_pairs import PointPair
 from ...errors import InputError
-from ...io.joint_names import read_joint_names
+from ...io.skeletons.joint_names import read_joint_names
 from ...io.text import parse_floats, parse_int, read_text
 
 

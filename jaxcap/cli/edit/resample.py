@@ -5,7 +5,7 @@ from typing import Annotated
 
 from ...edit.between import resample
 from ...errors import InputError, sentence_of
-from ..options import Flag, OptionalUnit, arg
+from ..console.options import Flag, OptionalUnit, arg
 from ..outputs import check_motion
 from .files import MotionFile, OutMotion, read_edited, save
 

@@ -19,11 +19,11 @@ from ...edit.retargeting.retarget import retarget
 from ...edit.retargeting.retarget_shape import retarget_shape
 from ...edit.retargeting.soles import floor_under, ground, lowest, sole_heights
 from ...errors import InputError, sentence_of
-from ...io.joint_names import write_joint_names
+from ...io.skeletons.joint_names import write_joint_names
+from ..console.options import BODY_WORDS, BodySpec, Flag, OptionalBody, OptionalFile, OptionalUnit, arg
+from ..console.say import progress, say, warn
 from ..motions import extent
-from ..options import BODY_WORDS, BodySpec, Flag, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion
-from ..say import progress, say, warn
 from ..sources import load_body
 from .files import MotionFile, OutMotion, read_edited, save
 from .pairs import names_of, point_pair, table_of

@@ -7,10 +7,10 @@ import numpy as np
 from ...body.body import Body
 from ...body.skeleton import Skeleton, same_joints
 from ...errors import InputError
-from ...io.clip import suffix_of
 from ...io.kinds import identify
 from ...io.registry import BODY_SUFFIXES, SKELETON_READERS
-from ..convert_way import OWN_UNIT
+from ...io.skinned.clip import suffix_of
+from ..convert.convert_way import OWN_UNIT
 from ..motions import load_skeleton
 from ..sources import load_body, names_human
 

@@ -6,12 +6,12 @@ from typing import Annotated
 
 import numpy as np
 
-from ...body.limit_surface import SurfaceLimits
+from ...body.limits.limit_surface import SurfaceLimits
 from ...io.table import write_json
 from ...limits.check import comfort_frames
-from ..options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
+from ..console.options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
+from ..console.say import say, table
 from ..outputs import check_new
-from ..say import say, table
 from .held import Held, LimitsFile, read_held, runs_of
 
 

@@ -5,15 +5,15 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ...body.limits import AbstractLimits
+from ...body.limits.limits import AbstractLimits
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.limits import read_limits
+from ...io.archives.limits import read_limits
 from ...limits.check import allowed_frames, residual_frames
-from ...markers.gaps import runs
+from ...markers.segments.gaps import runs
+from ..console.options import arg
 from ..motions import load_motion, load_motion_of
-from ..options import arg
 from ..sources import load_body
 
 LimitsFile = Annotated[Path, arg(aliases=("-l",), metavar="FILE")]

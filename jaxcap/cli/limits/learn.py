@@ -6,18 +6,18 @@ from typing import Annotated
 
 import numpy as np
 
-from ...body.limit_surface import LimitSurface, SurfaceLimits
+from ...body.limits.limit_surface import LimitSurface, SurfaceLimits
 from ...errors import InputError, sentence_of
-from ...io.limits import save_limits
+from ...io.archives.limits import save_limits
 from ...io.registry import MARKER_READERS, read_markers
 from ...limits.charts import chart_places
 from ...limits.learn import COVERAGE, learn_limits
 from ...limits.marker_frames import arm_samples
 from ...limits.samples import JointSamples, gather_samples, parse_joints, spans
+from ..console.options import MOTION_WORDS, Flag, MotionsSpec, OptionalUnit, arg
+from ..console.say import say, table, warn
 from ..motions import load_motion
-from ..options import MOTION_WORDS, Flag, MotionsSpec, OptionalUnit, arg
 from ..outputs import check_npz, make_folder
-from ..say import say, table, warn
 
 #: a joint that turns through less than so many degrees tells little of its limits
 HARDLY = 5.0

@@ -9,9 +9,9 @@ import numpy as np
 from ...errors import InputError
 from ...io.registry import write_motion
 from ...limits.project import project_motion
-from ..options import Flag, MotionSpec, OptionalBody, OptionalFile, OptionalUnit, arg
+from ..console.options import Flag, MotionSpec, OptionalBody, OptionalFile, OptionalUnit, arg
+from ..console.say import say, warn
 from ..outputs import check_motion, check_new
-from ..say import say, warn
 from .check import summary
 from .held import LimitsFile, judge, read_held
 

@@ -9,21 +9,21 @@ import numpy as np
 
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.lock import run_lock
-from ...io.marker_corrections import read_corrections, write_corrections
-from ...io.subject import save_subject
-from ...markers.calibrate import Calibration, calibrate
-from ...markers.centres import Method
+from ...io.markers.marker_corrections import read_corrections, write_corrections
+from ...io.markers.subject import save_subject
+from ...io.system.lock import run_lock
+from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.local import LocalFit, fit_local
-from ...markers.solve import MarkerSolution, solve_markers
+from ...markers.motion.solve import MarkerSolution, solve_markers
+from ...markers.rotation_centres.centres import Method
+from ...markers.segments.unite import unite_takes
 from ...markers.subject import marker_body
-from ...markers.unite import unite_takes
-from ...report.markers import held_residuals, report_markers, total_residuals
-from ..heartbeat import doing
+from ...report.markers.markers import held_residuals, report_markers, total_residuals
+from ..console.heartbeat import doing
+from ..console.options import SKELETON_WORDS, Flag, OptionalFile, OptionalUnit, Up, arg
+from ..console.say import say
 from ..motions import load_skeleton
-from ..options import SKELETON_WORDS, Flag, OptionalFile, OptionalUnit, Up, arg
 from ..outputs import check_npz, make_folder
-from ..say import say
 from ..terms import FloorHeight, read_terms
 from .found import strays, tell_bones, tell_joints, tell_segments
 from .takes import (

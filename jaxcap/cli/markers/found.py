@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ...markers.calibrate import Calibration
+from ...markers.calibration.calibrate import Calibration
+from ...markers.calibration.null_space import length_deviations
 from ...markers.local import LocalFit
-from ...markers.null_space import length_deviations
-from ...report.markers import bones_between
-from ..say import say, table
+from ...report.markers.markers import bones_between
+from ..console.say import say, table
 
 #: metres that a marker is out of its place, and the share of frames from which on that is told
 STRAY, OFTEN = 0.05, 0.02

@@ -9,12 +9,12 @@ import numpy as np
 import tyro
 
 from ...errors import InputError, sentence_of
-from ...io.marker_file import check_extent, frame_size, pick_subject, subjects_of
+from ...io.markers.marker_file import check_extent, frame_size, pick_subject, subjects_of
 from ...io.registry import read_marker_file
-from ...markers.gaps import describe_gaps, gap_statistics
+from ...markers.segments.gaps import describe_gaps, gap_statistics
 from ...observe import MarkerFrames
-from ..options import OptionalFile, OptionalUnit, arg
-from ..say import counted, say, table, warn
+from ..console.options import OptionalFile, OptionalUnit, arg
+from ..console.say import counted, say, table, warn
 from .takes import UNIT_ASKED
 
 #: characters of a marker's bar of time
@@ -63,7 +63,7 @@ class Info:
         except InputError as error:
             warn(sentence_of(error))
         if self.picture is not None:
-            from ...report.marker_gaps import draw_gaps
+            from ...report.markers.marker_gaps import draw_gaps
 
             draw_gaps(self.picture, frames, path.name)
             say(f"written: {self.picture}")

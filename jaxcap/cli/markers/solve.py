@@ -9,18 +9,18 @@ import tyro
 
 from ...energy.term import AbstractEnergy
 from ...errors import InputError
-from ...io.lock import run_lock
+from ...io.markers.subject import load_subject
 from ...io.registry import MOTION_WRITERS, write_markers, write_motion
-from ...io.subject import load_subject
-from ...markers.fill import fill_gaps
-from ...markers.solve import MarkerSolution, solve_markers
+from ...io.system.lock import run_lock
+from ...markers.motion.fill import fill_gaps
+from ...markers.motion.solve import MarkerSolution, solve_markers
 from ...markers.subject import Subject, marker_body
 from ...observe import MarkerFrames
-from ...report.markers import held_residuals, report_markers, score_markers, total_residuals
-from ..heartbeat import doing
-from ..options import Flag, OptionalUnit, Up, arg
+from ...report.markers.markers import held_residuals, report_markers, score_markers, total_residuals
+from ..console.heartbeat import doing
+from ..console.options import Flag, OptionalUnit, Up, arg
+from ..console.say import say, table, warn
 from ..outputs import check_parent, make_folder, nothing_left
-from ..say import say, table, warn
 from ..terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
 from .found import strays
 from .solved import digest, read_solved, write_solved

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ...errors import InputError
-from ...io.journal import check_same_run
+from ...io.archives.journal import check_same_run
 from ...io.table import write_json
 
 

@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Pose, stack_poses
 from ...energy.term import AbstractEnergy
-from ...markers.matched import match_markers
-from ...markers.residuals import marker_residuals
-from ...markers.solve import MarkerSolution
-from ...markers.stream import make_streamer, stream_frame
+from ...markers.calibration.residuals import marker_residuals
+from ...markers.motion.matched import match_markers
+from ...markers.motion.solve import MarkerSolution
+from ...markers.motion.stream import make_streamer, stream_frame
 from ...markers.subject import Subject
 from ...observe import MarkerFrames
 

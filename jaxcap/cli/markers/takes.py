@@ -11,14 +11,14 @@ import tyro
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.marker_file import check_extent, pick_subject
+from ...io.markers.marker_file import check_extent, pick_subject
 from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
-from ...markers.fill import joint_frames
-from ...markers.gaps import find_pieces, join_pieces, split_unlabelled
+from ...markers.motion.fill import joint_frames
+from ...markers.segments.gaps import find_pieces, join_pieces, split_unlabelled
 from ...observe import MarkerFrames
-from ..options import arg
+from ..console.options import arg
+from ..console.say import counted, say, warn
 from ..outputs import check_absent, check_parent
-from ..say import counted, say, warn
 from ..sources import Up, up_rotation
 
 TakesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES...", help_behavior_hint="")]]

@@ -7,12 +7,12 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from ...adapt.zeroing import num_zeroed
+from ...body.limits.pose_boxes import PoseBoxes
 from ...body.pair_prior import PairPrior
-from ...body.pose_boxes import PoseBoxes
-from ...io.prior import load_boxes, load_prior, shape_counts
-from ..options import arg
-from ..say import say, table
+from ...io.archives.prior import load_boxes, load_prior, shape_counts
+from ...prior.zeroing import num_zeroed
+from ..console.options import arg
+from ..console.say import say, table
 
 
 @dataclass

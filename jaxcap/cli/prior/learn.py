@@ -6,21 +6,21 @@ from typing import Annotated
 
 import numpy as np
 
-from ...adapt.pose_prior import LearnedPair, learn_pairs, learn_ranges, pair_prior_of
-from ...adapt.shape_prior import ShapePrior
-from ...adapt.zeroing import num_zeroed
+from ...adapt.shape.shape_prior import ShapePrior
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton, same_joints
 from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...errors import InputError, sentence_of
-from ...io.npz import load_limits
-from ...io.prior import save_prior
+from ...io.archives.npz import load_limits
+from ...io.archives.prior import save_prior
+from ...prior.pose_prior import LearnedPair, learn_pairs, learn_ranges, pair_prior_of
+from ...prior.zeroing import num_zeroed
+from ..console.options import BODY_WORDS, MOTION_WORDS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
+from ..console.say import counted, progress, say, table, warn
 from ..motions import load_motion
-from ..options import BODY_WORDS, MOTION_WORDS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_npz
-from ..say import counted, progress, say, table, warn
 from ..sources import load_body
 from .shape import learn_shape
 

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import jax
 import numpy as np
 
-from ...adapt.shape_prior import ShapePrior, make_shape_prior, shape_energy
+from ...adapt.shape.shape_prior import ShapePrior, make_shape_prior, shape_energy
 from ...body.body import Body
-from ...body.sample import unlike_poses
+from ...body.people.sample import unlike_poses
 from ...errors import InputError, sentence_of
 from ...fit.registered import fit_meshes
-from ...io.meshes import read_named_meshes
+from ...io.meshes.meshes import read_named_meshes
+from ..console.say import say, warn
 from ..fit import check_size, same_triangles
-from ..say import say, warn
 
 #: more meshes of one body say little new, and a file grows with every one
 MOST_MESHES = 30

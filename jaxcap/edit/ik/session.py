@@ -10,11 +10,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ...body.anatomy import rest_deviations
 from ...body.body import Body
-from ...body.limits import AbstractLimits
+from ...body.limits.limits import AbstractLimits
+from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, project, rest_pose
-from ...energy.prior import RestPrior
+from ...energy.priors.prior import RestPrior
 from ...energy.term import AbstractEnergy
 from .constraints import Constraint, Place, Turn, check_constraints, describe, make_constraints
 from .places import places_of

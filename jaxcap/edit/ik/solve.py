@@ -10,14 +10,14 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import check_fields, checked
-from ...body.anatomy import rest_deviations
 from ...body.body import Body, pose_body
-from ...body.limits import AbstractLimits
+from ...body.limits.limits import AbstractLimits
+from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, project
 from ...body.skeleton import Skeleton
-from ...energy.landmarks import VertexLandmarks
-from ...energy.limits import JointLimits
-from ...energy.prior import ReferencePrior
+from ...energy.data.landmarks import VertexLandmarks
+from ...energy.priors.limits import JointLimits
+from ...energy.priors.prior import ReferencePrior
 from ...energy.term import AbstractEnergy
 from ...fit.priority import solve_in_order
 from ...fit.solve import solve

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .dense import Dense
+from ..linear.dense import Dense
+from ..linear.structured import AbstractStructured
 from .equalities import Equalities
-from .structured import AbstractStructured
 
 #: how often at most the rest is solved
 ROUNDS = 12

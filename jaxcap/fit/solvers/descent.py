@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
+from ..linear.dense import Dense
+from ..linear.structured import AbstractStructured, damped
 from .boxes import solve_boxed
-from .dense import Dense
 from .equalities import Equalities
-from .structured import AbstractStructured, damped
 
 
 class Constraints(eqx.Module):

@@ -10,7 +10,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .cholesky import factorise
+from ..linear.cholesky import factorise
 from .minimise import HISTORY, AbstractManifoldSolver
 from .problem import AbstractProblem
 

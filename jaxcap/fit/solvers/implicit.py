@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
-from .conjugate_gradients import conjugate_gradients
+from ..linear.conjugate_gradients import conjugate_gradients
+from ..linear.structured import damped
 from .descent import ConstrainedInfo
 from .equalities import Equalities
 from .minimise import AnySolver, Minimum, minimise
 from .problem import AbstractProblem
-from .structured import damped
 
 #: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end, not below so many roundings
 DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE, DERIVATIVE_ROUNDINGS = 200, 1e-12, 10

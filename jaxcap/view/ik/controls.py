@@ -7,8 +7,8 @@ from ...edit.ik import session as ik
 from ...edit.ik.constraints import Constraint, describe
 from ...edit.ik.session import IkSession, IkSettings
 from ...edit.ik.solve import Solver
-from ..eye import FRONT, SIDE, TOP
-from ..text import as_markdown
+from ..figures.eye import FRONT, SIDE, TOP
+from ..windows.text import as_markdown
 
 if TYPE_CHECKING:
     from viser import ClientHandle

@@ -7,9 +7,9 @@ from ...body.pose import stack_poses
 from ...edit.ik import session as ik
 from ...edit.ik.session import IkSession
 from ...errors import InputError, sentence_of
-from ...io.body_motion import read_motion_of
 from ...io.constraints import read_constraints, write_constraints
 from ...io.registry import write_motion
+from ...io.skeletons.body_motion import read_motion_of
 
 
 def pose_file(session: IkSession, suffix: str) -> bytes:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ...edit.ik.constraints import Constraint, Place, Turn
-from ..figure import Colour
+from ..figures.figure import Colour
 
 if TYPE_CHECKING:
     from viser import SceneApi, SceneNodeDragEvent, TransformControlsEvent

@@ -21,12 +21,12 @@ from ...edit.ik.constraints import Place, Turn
 from ...edit.ik.places import bone_turns, places_of
 from ...edit.ik.session import IkSession
 from ...errors import sentence_of
-from ..eye import BEGIN, FIELD, place_eye
-from ..figure import BodyFigure
-from ..pick import nearest_handle, pick_point
-from ..scenery import add_floor
-from ..serve import each_client
-from ..skeleton_figure import SkeletonFigure
+from ..figures.eye import BEGIN, FIELD, place_eye
+from ..figures.figure import BodyFigure
+from ..figures.pick import nearest_handle, pick_point
+from ..figures.scenery import add_floor
+from ..figures.skeleton_figure import SkeletonFigure
+from ..windows.serve import each_client
 from .controls import IkControls
 from .files import constraints_file, pose_file, with_file
 from .handles import Handles, Phase

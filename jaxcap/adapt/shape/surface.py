@@ -1,0 +1,329 @@
+"""Rest vertices from the pairs of many frames, held to the shape that people have (Adaptation, 4.1.3); with poses and joints
+where these are adapted in the same step (4.1.4: "a huge sparse equation system").
+
+Unknown are the numbers of every frame's pose, the amounts of modes, which move joints, and the shifts of all rest vertices.
+Frames meet only through what is shared. Vertices meet where they share a pair or lie within two edges.
+"""
+
+import itertools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse
+from jaxtyping import Array, Float, Int
+
+from ...arguments import checked
+from ...body.body import Body, pose_body
+from ...body.pose import Pose
+from ...energy.data.pairs import PairDistances, Pairs, corner_directions
+from ...fit.linear.sparse_blocks import Bordered, SparseBlocks
+from ...fit.linearise import frame_rows, vertex_maps
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from ...fit.solvers.descent import ConstrainedInfo, NormalDescent
+from ...fit.solvers.minimise import take_step
+from ...fit.solvers.problem import AbstractProblem
+from ...geometry.mesh import mesh_edges
+from .shape_prior import ShapePrior
+
+#: the share of each curvature that a step on everything at once is damped by
+DAMPING = 1e-3
+
+
+class ShapeTerm(eqx.Module):
+    """A `ShapePrior` as arrays, with what it couples and what it counts."""
+
+    #: the Laplacian by its rows, columns and values
+    rows: Int[Array, "N"]
+    columns: Int[Array, "N"]
+    values: Float[Array, "N"]
+    #: `L^T L`: its diagonal, and its numbers above it by couples of vertices
+    own: Float[Array, "V"]
+    couples: Int[Array, "E 2"]
+    across: Float[Array, "E"]
+    poses: Pose
+    vectors: Float[Array, "M V 3"]
+    #: of squared changes of Laplacian vectors, mean over meshes, against the sum of the pairs' squared distances
+    weight: Float[Array, ""]
+    #: of every vertex's squared shift, as a part that no scan shows is only known by its shape
+    hold: Float[Array, ""]
+
+    def laplacian(self, x: Float[Array, "V *k"]) -> Float[Array, "V *k"]:
+        return _product(self.values, self.rows, self.columns, x)
+
+    def transposed(self, x: Float[Array, "V *k"]) -> Float[Array, "V *k"]:
+        return _product(self.values, self.columns, self.rows, x)
+
+
+class Coupling(eqx.Module):
+    """List the couples of vertices that pairs of any frame join."""
+
+    edges: Int[Array, "E 2"]
+    #: the block that each two of a pair's vertices couple: a vertex's own, or behind all of these an edge's
+    slots: Int[Array, "F C P"]
+
+
+@checked
+def adapt_shape(
+    body: Body,
+    poses: Pose,
+    pairs: Pairs,
+    prior: ShapePrior,
+    weight: float,
+    hold: float = 1e-4,
+    tolerance: float = 1e-6,
+) -> Body:
+    """The rest vertices that make least of the pairs' squared distances, summed over frames, plus `weight`
+    times the squared change of the Laplacian vectors, mean over the prior's poses: one sparse system.
+
+    `hold` ties every vertex weakly to where it is; `tolerance` is the share of the right side at which conjugate gradients end.
+
+    **Raises:** `ValueError` where two vertices of a pair share no edge.
+    """
+    shape = shape_term(body, prior, weight, hold)
+    limit = jnp.asarray(tolerance, body.vertices.dtype)
+    step = _vertex_step(body, poses, pairs, couple(body, pairs), shape, limit)
+    return eqx.tree_at(lambda b: b.vertices, body, body.vertices + step)
+
+
+@checked
+def adapt_together(
+    problem: SequenceProblem,
+    poses: Pose,
+    pairs: Pairs,
+    prior: ShapePrior,
+    weight: float | Float[Array, ""],
+    hold: float | Float[Array, ""] = 1e-4,
+    tolerance: float = 1e-5,
+) -> tuple[Body, Pose]:
+    """One Gauss-Newton step on all poses, the amounts of the modes and all rest vertices, which takes the place of a step of
+    `problem` and of `adapt_shape`. Other than there, the shape of the posed training meshes also depends on the joints (4.1.3).
+
+    **Arguments:** `problem`, as a rule `shared_problem` with `joint_modes(body, follow=False)`, as vertices
+    move by themselves; `poses` and `pairs` stacked over frames; the others as in `adapt_shape`.
+
+    Differentiable by every array of numbers, in either mode: the iteration by the implicit function theorem, to its
+    tolerance. Which vertices are in a pair must be known when it is called, so not under `jit`; it is jitted within.
+
+    **Raises:** `ValueError` where two vertices of a pair share no edge.
+    """
+    body = problem.body
+    dtype = body.vertices.dtype
+    problem, poses, pairs = jax.tree.map(
+        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, (problem, poses, pairs)
+    )
+    shape = shape_term(body, prior, weight, hold)
+    whole = SurfaceProblem(problem, pairs, couple(body, pairs), shape, jnp.asarray(tolerance, dtype))
+    return _whole_step(whole, poses)
+
+
+def shape_term(
+    body: Body, prior: ShapePrior, weight: float | Float[Array, ""], hold: float | Float[Array, ""]
+) -> ShapeTerm:
+    """Make the arrays of a prior."""
+    dtype = body.vertices.dtype
+    laplacian = scipy.sparse.coo_matrix(prior.laplacian)
+    squared = scipy.sparse.csr_matrix(prior.laplacian.T @ prior.laplacian)
+    above = scipy.sparse.triu(squared, 1, format="coo")
+    return ShapeTerm(
+        jnp.asarray(laplacian.row, jnp.int32),
+        jnp.asarray(laplacian.col, jnp.int32),
+        jnp.asarray(laplacian.data, dtype),
+        jnp.asarray(squared.diagonal(), dtype),
+        jnp.asarray(np.stack([above.row, above.col], 1), jnp.int32),
+        jnp.asarray(above.data, dtype),
+        jax.tree.map(lambda leaf: leaf.astype(dtype), prior.poses),
+        jnp.asarray(prior.vectors, dtype),
+        jnp.asarray(weight, dtype),
+        jnp.asarray(hold, dtype),
+    )
+
+
+def couple(body: Body, pairs: Pairs) -> Coupling:
+    """Find the couples of vertices that pairs join.
+
+    **Raises:** `ValueError` where two vertices of a pair share no edge.
+    """
+    count, rows = len(body.vertices), np.asarray(pairs.vertices, np.int64)
+    # vertices of one triangle are coupled by the pairs within it; those at vertices couple nothing
+    edges = mesh_edges(np.asarray(body.faces)) if rows.shape[2] > 1 else np.zeros((0, 2), int)
+    keys = edges[:, 0] * np.int64(count) + edges[:, 1]
+    slots = np.zeros((*rows.shape[:2], len(_couples(rows.shape[2]))), np.int64)
+    for number, (k, other) in enumerate(_couples(rows.shape[2])):
+        low, high = np.minimum(rows[..., k], rows[..., other]), np.maximum(rows[..., k], rows[..., other])
+        found = np.searchsorted(keys, low * count + high)
+        known = (low == high) | (keys[np.minimum(found, len(keys) - 1)] == low * count + high)
+        if not known.all():
+            frame, pair = np.argwhere(~known)[0]
+            raise ValueError(
+                f"Pair {pair} of frame {frame} joins vertices {low[frame, pair]} and {high[frame, pair]}, which "
+                "share no edge; give pairs of points in triangles of the body."
+            )
+        slots[..., number] = np.where(low == high, low, count + found)
+    return Coupling(jnp.asarray(edges, jnp.int32), jnp.asarray(slots, jnp.int32))
+
+
+class SurfaceEstimate(eqx.Module):
+    """Poses and amounts of modes, and how far each rest vertex is from where these have it, metres."""
+
+    sequence: SequenceEstimate
+    shifts: Float[Array, "V 3"]
+
+
+class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
+    """Find what a sequence's problem finds, and all rest vertices, with the shape as a further term. Of the terms of frames only
+    the distances of `pairs` depend on the vertices."""
+
+    sequence: SequenceProblem
+    pairs: Pairs
+    coupling: Coupling
+    shape: ShapeTerm
+    tolerance: Float[Array, ""]
+
+    def body_at(self, y: SurfaceEstimate, d: Float[Array, "S"] | None = None) -> Body:
+        """Make the body of an estimate, its modes moved along a tangent where one is given."""
+        body = self.sequence.body_at(y.sequence.values, d)
+        return eqx.tree_at(lambda b: b.vertices, body, body.vertices + y.shifts)
+
+    def retract(self, y: SurfaceEstimate, d: Any) -> SurfaceEstimate:
+        return SurfaceEstimate(self.sequence.retract(y.sequence, d[:2]), y.shifts + d[2])
+
+    def scales(self):
+        return (*self.sequence.scales(), jnp.ones_like(self.sequence.body.vertices))
+
+    def value(self, y: SurfaceEstimate) -> Float[Array, ""]:
+        body = self.body_at(y)
+        missing = jax.lax.map(
+            lambda mesh: self.shape.laplacian(pose_body(body, mesh[0]).vertices) - mesh[1],
+            (self.shape.poses, self.shape.vectors),
+        )
+        own = self.shape.weight * jnp.mean(jnp.sum(missing**2, (1, 2))) + self.shape.hold * jnp.sum(
+            y.shifts**2
+        )
+        return self._there(y).value(y.sequence) + 0.5 * own
+
+    def information(self, y: SurfaceEstimate) -> ConstrainedInfo:
+        body, there, shape = self.body_at(y), self._there(y), self.shape
+        inner, (x, s) = there.information(y.sequence), there.scales()
+        blocks, side = vertex_equations(
+            body, y.sequence.poses, self.pairs, self.coupling, shape, self.tolerance
+        )
+        tangent = there.body_tangent(y.sequence.values)
+        dofs = body.skeleton.num_dofs
+
+        def of_frame(total, frame):
+            pose, pairs = frame
+            _, rows = frame_rows(PairDistances(pairs), body, pose, None, tangent)
+            pulled = jnp.einsum(
+                "ckrb,crn->ckbn", _by_vertex(body, pose, pairs), rows.reshape(-1, 3, rows.shape[1])
+            )
+            coupled = jnp.zeros((*body.vertices.shape, rows.shape[1]), rows.dtype)
+            coupled = coupled.at[pairs.vertices].add(pulled)
+            return total + coupled[:, :, dofs:], jnp.moveaxis(coupled[:, :, :dofs], 2, 0)
+
+        def of_mesh(total, mesh):
+            pose, vectors = mesh
+            maps, places = vertex_maps(body, pose)
+            slopes = jax.jacfwd(lambda d: pose_body(self.body_at(y, d), pose).vertices)(jnp.zeros_like(s))
+            slopes, missing = shape.laplacian(slopes), shape.laplacian(places) - vectors
+            flat = slopes.reshape(-1, len(s))
+            matrix, pull, border = total
+            border = border + jnp.einsum("vba,vbk->vak", maps, shape.transposed(slopes))
+            return (matrix + flat.T @ flat, pull + flat.T @ missing.reshape(-1), border), None
+
+        border = jnp.zeros((*body.vertices.shape, len(s)), s.dtype)
+        # made again in reverse mode: the rows of all pairs are too much to keep
+        border, by_frame = jax.lax.scan(jax.checkpoint(of_frame), border, (y.sequence.poses, self.pairs))
+        none = jnp.zeros((len(s), len(s)), s.dtype), jnp.zeros_like(s), jnp.zeros_like(border)
+        told, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
+        matrix, pull, rough = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, told)
+        arrow: Any = inner.hessian
+        arrow = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared + matrix * s[:, None] * s)
+        hessian = Bordered(
+            arrow, by_frame * x[:, :, None, None], jnp.moveaxis((border + rough) * s, 2, 0), blocks
+        )
+        gradient = inner.grad[0], inner.grad[1] + s * pull, shape.hold * y.shifts - side
+        return ConstrainedInfo(self.value(y), gradient, hessian, constraints=inner.constraints)  # pyright: ignore[reportCallIssue]
+
+    def _there(self, y: SurfaceEstimate) -> SequenceProblem:
+        """The sequence's problem on the body with its vertices where they are."""
+        shifted = self.sequence.body.vertices + y.shifts
+        return eqx.tree_at(lambda p: p.body.vertices, self.sequence, shifted)
+
+
+@eqx.filter_jit
+def _whole_step(problem: SurfaceProblem, poses: Pose) -> tuple[Body, Pose]:
+    start = SurfaceEstimate(problem.sequence.start(poses), jnp.zeros_like(problem.sequence.body.vertices))
+    found = take_step(problem, start, NormalDescent(relative=True), DAMPING)
+    return problem.body_at(found), found.sequence.poses
+
+
+@eqx.filter_jit
+def _vertex_step(
+    body: Body, poses: Pose, pairs: Pairs, coupling: Coupling, shape: ShapeTerm, tolerance: Float[Array, ""]
+) -> Float[Array, "V 3"]:
+    matrix, side = vertex_equations(body, poses, pairs, coupling, shape, tolerance)
+    return matrix.factorise().solve(side)
+
+
+def vertex_equations(
+    body: Body, poses: Pose, pairs: Pairs, coupling: Coupling, shape: ShapeTerm, tolerance: Float[Array, ""]
+) -> tuple[SparseBlocks, Float[Array, "V 3"]]:
+    """Sum the normal equations of rest vertices over frames and training meshes, with their hold; the right side is what a step is to close."""
+    couples, count = _couples(pairs.vertices.shape[-1]), len(body.vertices)
+
+    def of_frame(total, frame):
+        pose, pairs, slots = frame
+        matrices, sides = total
+        rows = _by_vertex(body, pose, pairs)
+        apart = PairDistances(pairs).residual(pose_body(body, pose)).reshape(-1, 3)
+        matrices = matrices.at[pairs.vertices].add(jnp.einsum("ckra,ckrb->ckab", rows, rows))
+        sides = sides.at[pairs.vertices].add(-jnp.einsum("ckra,cr->cka", rows, apart))
+        for number, (k, other) in enumerate(couples):
+            block = jnp.einsum("cra,crb->cab", rows[:, k], rows[:, other])
+            turned = jnp.swapaxes(block, 1, 2)
+            first, second = (pairs.vertices[:, i, None, None] for i in (k, other))
+            # a vertex that is there twice has both halves of the coupling on its diagonal
+            block = jnp.where(first < second, block, turned) + jnp.where(first == second, block, 0.0)
+            matrices = matrices.at[slots[:, number]].add(block)
+        return (matrices, sides), None
+
+    def of_mesh(total, mesh):
+        pose, vectors = mesh
+        own, across, side = total
+        maps, places = vertex_maps(body, pose)
+        missing = vectors - shape.laplacian(places)
+        first, second = shape.couples.T
+        own = own + jnp.einsum("v,vba,vbc->vac", shape.own, maps, maps)
+        across = across + jnp.einsum("e,eba,ebc->eac", shape.across, maps[first], maps[second])
+        return (own, across, side + jnp.einsum("vba,vb->va", maps, shape.transposed(missing))), None
+
+    zero = jnp.zeros((count + len(coupling.edges), 3, 3), body.vertices.dtype)
+    (blocks, side), _ = jax.lax.scan(of_frame, (zero, zero[:count, 0]), (poses, pairs, coupling.slots))
+    none = zero[:count], jnp.zeros((len(shape.couples), 3, 3), zero.dtype), zero[:count, 0]
+    told, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
+    own, across, pull = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, told)
+    own = blocks[:count] + own + shape.hold * jnp.eye(3, dtype=zero.dtype)
+    matrix = SparseBlocks(
+        own,
+        jnp.concatenate([coupling.edges, shape.couples]),
+        jnp.concatenate([blocks[count:], across]),
+        tolerance,
+    )
+    return matrix, side + pull
+
+
+def _by_vertex(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, "C K R 3"]:
+    """How the residuals of pairs move with the rest places of their vertices."""
+    maps, _ = vertex_maps(body, pose)
+    return jnp.einsum("ckra,ckab->ckrb", corner_directions(pairs), maps[pairs.vertices])
+
+
+def _product(values, rows, columns, x):
+    return jax.ops.segment_sum(values.reshape(-1, *[1] * (x.ndim - 1)) * x[columns], rows, len(x))
+
+
+def _couples(corners: int) -> list[tuple[int, int]]:
+    return list(itertools.combinations(range(corners), 2))

@@ -1,0 +1,1 @@
+"""Limits of joints: ranges, boxes and implicit surfaces."""

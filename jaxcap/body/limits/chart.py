@@ -1,0 +1,76 @@
+"""A joint's rotation as a point in space: one angle, two angles, or a quaternion's vector part."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...geometry import rotation
+
+ChartKind = Literal["hinge", "universal", "ball"]
+#: dimensions that each kind of chart uses of the three that all have
+DIMENSIONS: dict[str, int] = {"hinge": 1, "universal": 2, "ball": 3}
+#: vector parts longer than this are shortened: half a turn from the middle there is no way on
+LONGEST = 0.9999
+
+
+class Chart(eqx.Module):
+    """Coordinates `(3,)` of a joint's rotation, about half angles in radians from the middle of what
+    the joint does (Limits, section 3.2); dimensions that a joint has not are zero.
+
+    - `hinge`: half the angle about `axes[0]`, from `middle`'s.
+    - `universal`: halves of two Euler angles, `R = middle Rot(axes[0], a) Rot(axes[1], b)`.
+    - `ball`: the vector part of `middle^-1 R` as a quaternion with positive scalar. Half a turn
+      from the middle a rotation jumps to the other side, so ranges must not reach there.
+    """
+
+    middle: Float[Array, "4"]
+    #: unit axes of hinges (the first) and universal joints (both), rest frame of the world
+    axes: Float[Array, "2 3"]
+    kind: ChartKind = eqx.field(static=True)
+
+    @property
+    def dimension(self) -> int:
+        return DIMENSIONS[self.kind]
+
+    def coordinates(self, turned: Float[Array, "4"]) -> Float[Array, "3"]:
+        """Where a rotation lies; of one that the joint's kind does not have, the part that it has."""
+        relative = rotation.multiply(rotation.conjugate(self.middle), turned)
+        if self.kind == "ball":
+            return jnp.where(relative[0] < 0, -relative[1:], relative[1:])
+        if self.kind == "hinge":
+            return jnp.zeros(3, turned.dtype).at[0].set(rotation.angle_about(relative, self.axes[0]) / 2)
+        return jnp.append(rotation.angles_about(relative, *self.axes) / 2, jnp.zeros((), turned.dtype))
+
+    def rotation(self, place: Float[Array, "3"]) -> Float[Array, "4"]:
+        """The rotation at a place: `coordinates(rotation(x)) = x` within the chart."""
+        if self.kind == "ball":
+            squared = jnp.sum(place**2)
+            long = squared > LONGEST**2
+            length = jnp.sqrt(jnp.where(long, squared, 1.0))
+            place = jnp.where(long, place * LONGEST / length, place)
+            relative = jnp.append(jnp.sqrt(1.0 - jnp.sum(place**2)), place)
+        else:
+            relative = rotation.about_axis(self.axes[0], 2 * place[0])
+            if self.kind == "universal":
+                relative = rotation.multiply(relative, rotation.about_axis(self.axes[1], 2 * place[1]))
+        return rotation.normalise(rotation.multiply(self.middle, relative))
+
+    def squared_distance(self, a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:
+        """How far two places are apart as rotations: about the square of half the angle between
+        them; for quaternions `sin^2` of it, the chord's, which knows no antipode."""
+        if self.kind != "ball":
+            return jnp.sum((a - self.image(b, a)) ** 2)
+        scalars = jnp.sqrt(jnp.maximum(1.0 - jnp.sum(a**2), 1e-12)) * jnp.sqrt(
+            jnp.maximum(1.0 - jnp.sum(b**2), 1e-12)
+        )
+        # |a - b|^2 on the sphere, with less cancellation than 1 - (a . b)^2
+        cosine = scalars + jnp.sum(a * b)
+        return 1.0 - cosine**2
+
+    def image(self, place: Float[Array, "3"], near: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The same rotation as `place`, whole turns of its angles away, that is closest to `near`."""
+        if self.kind == "ball":
+            return place
+        return near + (place - near + jnp.pi / 2) % jnp.pi - jnp.pi / 2

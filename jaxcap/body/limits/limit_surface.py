@@ -1,0 +1,134 @@
+"""Limits of joints as implicit surfaces of spherical primitives, a child's coupled to its parent."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...arguments import check_fields, checked
+from ..pose import Pose
+from ..skeleton import Skeleton
+from .chart import Chart
+from .limits import AbstractLimits
+from .nearest_inside import nearest_inside
+from .primitives import Primitives, signed_distance
+
+
+class LimitSurface(eqx.Module):
+    """What one joint may do: a union of blended spheres in the chart of its rotation (Limits, eq. 2),
+    one such for every keyframe of its parent (section 4.2).
+
+    Primitive `n` of keyframe `v` is the match of primitive `n` of every other keyframe, so that the
+    surface at any rotation of the parent is a mean of centres and radii, continuous wherever
+    keyframes meet. A joint on its own has one keyframe, and no parent.
+    """
+
+    joint: str = eqx.field(static=True)
+    #: the joint that it is coupled to
+    parent: str | None = eqx.field(static=True)
+    chart: Chart
+    parent_chart: Chart | None
+    #: places of the keyframes in the parent's chart, and how far one reaches there
+    keys: Float[Array, "V 3"]
+    reach: Float[Array, ""]
+    centres: Float[Array, "V N 3"]
+    #: thickness of the primitives; one that a keyframe lacks lies on another of it
+    thickness: Float[Array, "V N"]
+    #: half the width of the smallest voxel: the unit in which `stiffness` and `level` count
+    unit: Float[Array, ""]
+    #: `iso` and `k` of eq. 2
+    level: Float[Array, ""]
+    stiffness: Float[Array, ""]
+    #: samples that each primitive stands for at each keyframe
+    counts: Float[Array, "V N"]
+    #: densities at the training samples, sorted, for the comfort of a pose
+    densities: Float[Array, "Q"]
+
+    def __check_init__(self):
+        check_fields(self)
+
+    def shares(self, parent: Float[Array, "3"]) -> Float[Array, "V"]:
+        """How much of each keyframe is in the limits at a place of the parent; sums to one."""
+        apart = jnp.sum((self.keys - parent) ** 2, -1)
+        return jax.nn.softmax(-0.5 * apart / self.reach**2)
+
+    def primitives(self, parent: Float[Array, "3"] | None) -> Primitives:
+        """The surface at a place of the parent."""
+        if parent is None:
+            centres, thickness = self.centres[0], self.thickness[0]
+        else:
+            shares = self.shares(parent)
+            centres = jnp.tensordot(shares, self.centres, 1)
+            thickness = shares @ self.thickness
+        return Primitives(centres, thickness, self.unit, self.level, self.stiffness)
+
+    def places(self, skeleton: Skeleton, pose: Pose) -> tuple[Float[Array, "3"], Float[Array, "3"] | None]:
+        """Where a pose lies in the charts of the joint and of its parent."""
+        place = self.chart.coordinates(pose.rotations[skeleton.index(self.joint)])
+        if self.parent_chart is None or self.parent is None:
+            return place, None
+        return place, self.parent_chart.coordinates(pose.rotations[skeleton.index(self.parent)])
+
+
+class SurfaceLimits(AbstractLimits):
+    """Learned limits of several joints, parents before their children."""
+
+    surfaces: tuple[LimitSurface, ...]
+
+    def residual(self, skeleton: Skeleton, pose: Pose):
+        """`max(0, iso - F)` over the stiffness, in radians, going on with the distance to the nearest
+        primitive where none reaches (Limits, section 5.2); see `signed_distance`."""
+        beyond = []
+        for surface in self.surfaces:
+            place, parent = surface.places(skeleton, pose)
+            beyond.append(2 * jnp.maximum(signed_distance(surface.primitives(parent), place), 0.0))
+        return jnp.stack(beyond)
+
+    def owners(self, skeleton: Skeleton):
+        return jnp.array([skeleton.index(surface.joint) for surface in self.surfaces], jnp.int32)
+
+    def nearest(self, skeleton: Skeleton, pose: Pose):
+        """Parents first, then each child within what its parent leaves it (Limits, section 4.2)."""
+        rotations = pose.rotations
+        for surface in self.surfaces:
+            here = Pose(pose.translations, rotations, pose.scale)
+            place, parent = surface.places(skeleton, here)
+            primitives = surface.primitives(parent)
+            inside = signed_distance(primitives, place) <= 0
+            found = surface.chart.rotation(nearest_inside(primitives, surface.chart, place))
+            joint = skeleton.index(surface.joint)
+            rotations = rotations.at[joint].set(jnp.where(inside, rotations[joint], found))
+        return Pose(pose.translations, rotations, pose.scale)
+
+
+@checked
+def comfort(limits: SurfaceLimits, skeleton: Skeleton, pose: Pose) -> Float[Array, "S"]:
+    """For each surface the share of training samples that were in a rarer place than this pose: one
+    where the joint is most of the time, zero where it has never been. A density of joint and parent
+    together, each sample spread over its voxel."""
+    return jnp.stack([_comfort(surface, *surface.places(skeleton, pose)) for surface in limits.surfaces])
+
+
+def density(
+    surface: LimitSurface, place: Float[Array, "3"], parent: Float[Array, "3"] | None
+) -> Float[Array, ""]:
+    """How densely samples lie about a place, up to a factor."""
+    # a sample's own voxel is two units wide
+    near = jnp.exp(-0.125 * jnp.sum((surface.centres - place) ** 2, -1) / surface.unit**2)
+    by_key = jnp.sum(surface.counts * near, -1)
+    if parent is None:
+        return by_key[0]
+    keys = jnp.exp(-0.5 * jnp.sum((surface.keys - parent) ** 2, -1) / surface.reach**2)
+    return keys @ by_key
+
+
+def _comfort(surface: LimitSurface, place, parent) -> Float[Array, ""]:
+    here = density(surface, place, parent)
+    rank = jnp.searchsorted(surface.densities, here, side="right")
+    return rank / len(surface.densities)
+
+
+def fits(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, ...]:
+    """Joints that the limits name and the skeleton lacks."""
+    named = [name for s in limits.surfaces for name in (s.joint, s.parent) if name is not None]
+    return tuple(dict.fromkeys(name for name in named if name not in skeleton.names))

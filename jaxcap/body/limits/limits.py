@@ -1,0 +1,253 @@
+"""How far joints may turn: what all limits answer to, and ranges of single angles and cones.
+
+Energies that hold a pose to limits are elsewhere; `.cst` and `.asf` files are read into
+these arrays.
+"""
+
+import abc
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ...arguments import check_fields, checked
+from ...geometry import rotation
+from ..pose import Pose, revolute_angles, universal_angles
+from ..skeleton import KINDS, Skeleton
+
+#: a joint is allowed where no residual of it is larger than this, about radians
+TOLERANCE = 1e-6
+#: turns from one cone to the other until a rotation is within both
+ALTERNATIONS = 20
+
+
+class AbstractLimits(eqx.Module):
+    """Which rotations of joints are allowed, for one pose of a skeleton.
+
+    Boxes, cones and learned surfaces answer to the same three verbs, so that energies, checks
+    and projections take any of them.
+    """
+
+    def __check_init__(self):
+        check_fields(self)
+
+    @abc.abstractmethod
+    def residual(self, skeleton: Skeleton, pose: Pose) -> Float[Array, "C"]:
+        """How far a pose is beyond each limit: zero where it is allowed, and else about
+        radians, in cosines for cones, of either sign."""
+
+    @abc.abstractmethod
+    def owners(self, skeleton: Skeleton) -> Int[Array, "C"]:
+        """The joint that each residual is of."""
+
+    @abc.abstractmethod
+    def nearest(self, skeleton: Skeleton, pose: Pose) -> Pose:
+        """The pose with every limited joint turned back to the nearest rotation that is
+        allowed; joints that are allowed stay where they are."""
+
+
+@checked
+def allowed(limits: AbstractLimits, skeleton: Skeleton, pose: Pose) -> Bool[Array, "J"]:
+    """Whether each joint is within its limits; joints without limits are."""
+    beyond = jnp.abs(limits.residual(skeleton, pose))
+    worst = jnp.zeros(skeleton.num_joints, beyond.dtype).at[limits.owners(skeleton)].max(beyond)
+    return worst <= TOLERANCE
+
+
+class AllLimits(AbstractLimits):
+    """Several limits together; the nearest pose is sought for one after the other."""
+
+    parts: tuple[AbstractLimits, ...]
+
+    def residual(self, skeleton: Skeleton, pose: Pose):
+        return jnp.concatenate([part.residual(skeleton, pose) for part in self.parts])
+
+    def owners(self, skeleton: Skeleton):
+        return jnp.concatenate([part.owners(skeleton) for part in self.parts])
+
+    def nearest(self, skeleton: Skeleton, pose: Pose):
+        for part in self.parts:
+            pose = part.nearest(skeleton, pose)
+        return pose
+
+
+class Cone(NamedTuple):
+    """The limit of one ball joint: its turned `heading` axis stays within `heading_angle`
+    of where it was at rest, and its `bank` axis within `bank_angle` (Kineben, eqs. 15 and
+    42). Axes `(3,)` in the rest frame of the world, angles in radians, in `[0, pi]`."""
+
+    heading: tuple[float, float, float]
+    heading_angle: float
+    bank: tuple[float, float, float]
+    bank_angle: float
+
+
+class JointRanges(AbstractLimits):
+    """Limits of a skeleton's joints; arrays of any length, zero included.
+
+    A range holds one rotation number of a revolute or universal joint (Kineben, eq. 14);
+    a cone pair holds one ball joint (eqs. 15 and 42). Angles in radians.
+    """
+
+    #: joint of each range
+    joints: Int[Array, "R"]
+    #: which of its joint's angles a range is for: 0, or 1 for a universal joint's second
+    numbers: Int[Array, "R"]
+    lower: Float[Array, "R"]
+    upper: Float[Array, "R"]
+    #: joint of each cone pair
+    ball_joints: Int[Array, "B"]
+    #: unit axes, rest frame of the world
+    heading: Float[Array, "B 3"]
+    #: largest angle between the heading axis and itself at rest
+    heading_angle: Float[Array, "B"]
+    #: unit axes, rest frame of the world
+    bank: Float[Array, "B 3"]
+    bank_angle: Float[Array, "B"]
+
+    def residual(self, skeleton: Skeleton, pose: Pose):
+        """Angles beyond their range (Kineben, eq. 14), in radians, below it negative; then turned
+        axes beyond their cone (eqs. 15 and 42), in cosines: `x_B . R x_B - t` where it is negative,
+        with `t` the cosine of the cone's angle, for the heading and the bank axis."""
+        angles = self._angles(skeleton, pose)
+        beyond = jnp.minimum(angles - self.lower, 0.0) + jnp.maximum(angles - self.upper, 0.0)
+        turned = pose.rotations[self.ball_joints]
+        heading = cone_residual(turned, self.heading, self.heading_angle)
+        return jnp.concatenate([beyond, heading, cone_residual(turned, self.bank, self.bank_angle)])
+
+    def owners(self, skeleton: Skeleton):
+        return jnp.concatenate([self.joints, self.ball_joints, self.ball_joints])
+
+    def nearest(self, skeleton: Skeleton, pose: Pose):
+        """Angles at the end of their range, each by itself; cones in turn until both hold."""
+        angles = self._angles(skeleton, pose)
+        clamped = jnp.clip(angles, self.lower, self.upper)
+        # only what is beyond moves, so that what is allowed stays to the last bit
+        table = jnp.stack([revolute_angles(skeleton, pose), jnp.zeros(skeleton.num_joints)], -1)
+        table = jnp.where(_universal(skeleton)[:, None], universal_angles(skeleton, pose), table)
+        table = table.at[self.joints, self.numbers].set(clamped.astype(table.dtype))
+        moved = jnp.zeros(skeleton.num_joints, bool).at[self.joints].max(clamped != angles)
+        first, second = (rotation.about_axis(skeleton.axes[:, i], table[:, i]) for i in range(2))
+        boxed = jnp.where(_universal(skeleton)[:, None], rotation.multiply(first, second), first)
+        rotations = jnp.where(moved[:, None], boxed, pose.rotations)
+        turned = rotations[self.ball_joints]
+        turned = turned.astype(jnp.result_type(turned, self.heading, self.heading_angle))
+
+        def into_both(_, turned):
+            return _into_cone(
+                _into_cone(turned, self.heading, self.heading_angle), self.bank, self.bank_angle
+            )
+
+        # unrolled, it would be most of what a program with limits takes to compile
+        turned = jax.lax.fori_loop(0, ALTERNATIONS if len(turned) else 0, into_both, turned)
+        rotations = rotations.at[self.ball_joints].set(turned)
+        return Pose(pose.translations, rotations, pose.scale)
+
+    def _angles(self, skeleton: Skeleton, pose: Pose) -> Float[Array, "R"]:
+        """The angle of each range: of those a turn apart the one nearest to the middle."""
+        first, pairs = revolute_angles(skeleton, pose), universal_angles(skeleton, pose)
+        universal = _universal(skeleton)[self.joints]
+        angles = jnp.where(universal, pairs[self.joints, self.numbers], first[self.joints])
+        middle = (self.lower + self.upper) / 2
+        return middle + (angles - middle + jnp.pi) % (2 * jnp.pi) - jnp.pi
+
+
+def cone_residual(
+    turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
+) -> Float[Array, "B"]:
+    """`min(x_B . R x_B - cos(angle), 0)` (Kineben, eq. 15)."""
+    return jnp.minimum(jnp.sum(axis * rotation.rotate(turned, axis), -1) - jnp.cos(angle), 0.0)
+
+
+def _into_cone(
+    turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
+) -> Float[Array, "B 4"]:
+    """Turned back by the shortest way until the axis is within its cone."""
+    there = rotation.rotate(turned, axis)
+    across = jnp.cross(there, axis)
+    sine = jnp.sqrt(jnp.maximum(jnp.sum(across**2, -1), 1e-30))
+    beyond = jnp.arctan2(sine, jnp.sum(there * axis, -1)) - angle
+    # a hair more than to the edge, so that rounding does not leave it outside
+    back = rotation.about_axis(across / sine[:, None], beyond + 1e-6)
+    return jnp.where((beyond > 0)[:, None], rotation.multiply(back, turned), turned)
+
+
+def _universal(skeleton: Skeleton) -> Bool[Array, "J"]:
+    return jnp.array([kind == "universal" for kind in skeleton.kinds])
+
+
+@checked
+def make_joint_ranges(
+    skeleton: Skeleton,
+    ranges: Mapping[str, Sequence] | None = None,
+    cones: Mapping[str, Cone] | None = None,
+) -> JointRanges:
+    """`JointRanges` from limits by joint name.
+
+    **Arguments:** `ranges` gives `(lower, upper)` radians for a revolute joint and
+    `((lower, upper), (lower, upper))` for a universal one; `cones` a `Cone` for a ball or
+    free joint. Axes need not be of unit length.
+
+    **Raises:** `InputError` when a joint is unknown or of another kind, a lower bound is
+    above its upper one, an angle is not in `[0, pi]`, or an axis has no length.
+    """
+    rows, balls = [], []
+    place = {name: joint for joint, name in enumerate(skeleton.names)}
+    for name, limits in (ranges or {}).items():
+        joint = _joint(skeleton, place, name, ("revolute", "universal"), "range")
+        pairs = np.asarray(limits, float).reshape(-1, 2)
+        count = KINDS[skeleton.kinds[joint]][1]
+        if len(pairs) != count:
+            raise ValueError(
+                f"Joint '{name}' is {skeleton.kinds[joint]} and needs {count} pairs of angles, not {len(pairs)}."
+            )
+        for number, (lower, upper) in enumerate(pairs):
+            if not lower <= upper:
+                raise ValueError(
+                    f"The range of joint '{name}' goes from {lower:g} down to {upper:g}; swap them."
+                )
+            # a bound at infinity would leave a range without a middle
+            rows.append((joint, number, max(lower, -2 * np.pi), min(upper, 2 * np.pi)))
+    for name, cone in (cones or {}).items():
+        joint = _joint(skeleton, place, name, ("ball", "free"), "cone")
+        axes = np.asarray([cone.heading, cone.bank], float)
+        lengths = np.linalg.norm(axes, axis=1)
+        angles = np.asarray([cone.heading_angle, cone.bank_angle], float)
+        if not (lengths > 0).all():
+            raise ValueError(f"A cone of joint '{name}' has the axis (0, 0, 0); give it a direction.")
+        if not ((angles >= 0) & (angles <= np.pi + 1e-9)).all():
+            raise ValueError(
+                f"The cone angles of joint '{name}' are {angles.tolist()}; give 0 to pi radians."
+            )
+        balls.append((joint, axes / lengths[:, None], angles))
+    table = np.asarray(rows, float).reshape(-1, 4)
+    axes = np.asarray([ball[1] for ball in balls], float).reshape(-1, 2, 3)
+    angles = np.asarray([ball[2] for ball in balls], float).reshape(-1, 2)
+    return JointRanges(
+        joints=jnp.asarray(table[:, 0].astype(np.int32)),
+        numbers=jnp.asarray(table[:, 1].astype(np.int32)),
+        lower=jnp.asarray(table[:, 2]),
+        upper=jnp.asarray(table[:, 3]),
+        ball_joints=jnp.asarray([ball[0] for ball in balls], dtype=jnp.int32),
+        heading=jnp.asarray(axes[:, 0]),
+        heading_angle=jnp.asarray(angles[:, 0]),
+        bank=jnp.asarray(axes[:, 1]),
+        bank_angle=jnp.asarray(angles[:, 1]),
+    )
+
+
+def _joint(skeleton: Skeleton, place: Mapping[str, int], name: str, kinds: tuple[str, ...], what: str) -> int:
+    if name not in place:
+        raise ValueError(
+            f"There is a {what} for joint '{name}', but the skeleton has {', '.join(skeleton.names)}."
+        )
+    joint = place[name]
+    if skeleton.kinds[joint] not in kinds:
+        raise ValueError(
+            f"There is a {what} for joint '{name}', which is {skeleton.kinds[joint]}; it fits {' and '.join(kinds)} joints."
+        )
+    return joint

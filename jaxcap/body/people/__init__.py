@@ -1,0 +1,1 @@
+"""The embedded human, and people like it."""

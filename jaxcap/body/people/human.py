@@ -1,0 +1,178 @@
+"""The embedded human: one mesh, one rig, and as many people as its shape targets give."""
+
+import functools
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...arguments import checked
+from ...assets import asset_path
+from ...geometry import rotation
+from ..body import Body
+from ..reduce import Attachment, follow, reduce_body
+from ..skeleton import Skeleton, make_skeleton
+from ..skin import LinearSkin
+from ..skin.interpolate import interpolate_weights
+from .morphs import AGES, Morphs, Traits, apply_morphs, reach_height
+
+#: joints that only lead on to the next one and never move in CMU's motions
+CARRIERS = ("LHipJoint", "RHipJoint")
+#: joints too small for a scan of a whole body to show
+TWIGS = (
+    "LThumb", "LeftFingerBase", "LeftHandFinger1", "RThumb", "RightFingerBase", "RightHandFinger1",
+)  # fmt: skip
+RESOLUTIONS = ("full", "medium", "low")
+
+
+class _Human(NamedTuple):
+    """What `assets/human.npz` holds (scripts/build_human.py writes it)."""
+
+    names: list[str]
+    parents: list[int]
+    morphs: Morphs
+    #: the triangles, the skinning weights and, where reduced, the hold on the full mesh
+    surfaces: dict[str, tuple[np.ndarray, np.ndarray, Attachment | None]]
+
+
+@functools.lru_cache(maxsize=1)
+def _load() -> _Human:
+    with np.load(asset_path("human.npz"), allow_pickle=False) as file:
+        weights = file["weights"].astype(float)
+        weights /= weights.sum(axis=1, keepdims=True)
+        surfaces: dict[str, tuple[np.ndarray, np.ndarray, Attachment | None]] = {
+            "full": (file["faces"].astype(np.int32), weights, None)
+        }
+        for name in RESOLUTIONS[1:]:
+            hold = Attachment(
+                file[f"{name}_corners"].astype(np.int32),
+                file[f"{name}_shares"].astype(float),
+                file[f"{name}_heights"].astype(float),
+            )
+            carried = interpolate_weights(weights, hold.corners, hold.shares)
+            surfaces[name] = file[f"{name}_faces"].astype(np.int32), carried, hold
+        return _Human(
+            file["names"].tolist(),
+            file["parents"].tolist(),
+            Morphs(*(file[field] for field in Morphs._fields)),
+            surfaces,
+        )
+
+
+@checked
+def human(
+    *,
+    sex: Literal["female", "male"] | float | int = "male",
+    age: float | int = 25,
+    weight: float | int = 0.5,
+    muscle: float | int = 0.5,
+    height: float | int | None = None,
+    resolution: Literal["full", "medium", "low"] | int = "full",
+    joints: Literal["full", "tracking"] = "full",
+) -> Body:
+    """A human body with the 31 joints of the CMU motion capture database.
+
+    The body is MakeHuman's (CC0; `assets/README.md`): closed, with linear blend skinning, in
+    metres. Y is up, the person looks along +z with the left side towards +x, and stands in an
+    A-pose with the elbows a little bent. The origin is MakeHuman's: the soles of everybody are
+    at y = -0.82 (to 2 mm), so people stand on one floor.
+
+    **Arguments:**
+
+    - `sex`: "female", "male" or a mixture from 0 (female) to 1 (male).
+    - `age`: years, from 10 to 90.
+    - `weight`, `muscle`: from 0 (least) over 0.5 (average) to 1 (most).
+    - `height`: standing height in metres, reached by MakeHuman's own height targets, so that trunk
+      and limbs change as they do in people and the joints stay inside; where it is not given it
+      follows from sex and age (1.75 m for a man of 25, 1.61 m for a woman).
+    - `resolution`: "full" (13,380 vertices), "medium" (5,000), "low" (1,500), or a number of
+      vertices. People of one named resolution share their triangles, so their vertices correspond;
+      a number decimates this very person (`reduce_body`).
+    - `joints`: "full" makes every joint a ball joint except the two that carry the hips, which do
+      not move in CMU's motions and are fixed; "tracking" also fixes fingers and thumbs, which a
+      scan of a whole body does not show.
+
+    The root, `Hips`, is free. The x axis of a joint's own frame lies along its bone; its y axis is
+    the axis of flexion, and `axes[j]` are its y and z.
+
+    **Raises:** `InputError` with one sentence for an option out of its range, `FileNotFoundError`
+    where the asset is missing.
+    """
+    traits = _traits(sex, age, weight, muscle)
+    if height is not None:
+        traits = reach_height(_load().morphs, traits, float(height))
+    return body_of(traits, resolution, joints)
+
+
+def body_of(traits: Traits, resolution: str | int = "full", joints: str = "full") -> Body:
+    """The embedded human with given traits, which are within their ranges; see `human`."""
+    if isinstance(resolution, str) and resolution not in RESOLUTIONS:
+        raise ValueError(
+            f"The resolution '{resolution}' is unknown; give 'full', 'medium', 'low' or a number of vertices."
+        )
+    if joints not in ("full", "tracking"):
+        raise ValueError(f"The set of joints '{joints}' is unknown; give 'full' or 'tracking'.")
+    asset, named = _load(), resolution if isinstance(resolution, str) else "full"
+    vertices, ends = shape_of(traits, named)
+    faces, weights, _ = asset.surfaces[named]
+    skeleton, skin = _skeleton(asset, ends, joints), LinearSkin(jnp.asarray(weights))
+    body = Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
+    return body if isinstance(resolution, str) else reduce_body(body, resolution)
+
+
+def shape_of(
+    traits: Traits, resolution: str = "full"
+) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 2 3"]]:
+    """Vertices of a named resolution and both ends of the bones at rest, metres, of given traits."""
+    asset = _load()
+    vertices, ends = apply_morphs(asset.morphs, traits)
+    hold = asset.surfaces[resolution][2]
+    return (vertices if hold is None else follow(hold, vertices)), ends
+
+
+def _traits(sex: str | float | int, age: float | int, weight: float | int, muscle: float | int) -> Traits:
+    if isinstance(sex, str):
+        if sex not in ("female", "male"):
+            raise ValueError(f"The sex '{sex}' is unknown; give 'female', 'male' or a number from 0 to 1.")
+        sex = float(sex == "male")
+    traits = Traits(float(sex), float(age), float(weight), float(muscle))
+    ranges = {"sex": (0, 1), "age": (AGES["child"], AGES["old"]), "weight": (0, 1), "muscle": (0, 1)}
+    for name, (low, high) in ranges.items():
+        value = getattr(traits, name)
+        if not low <= value <= high:
+            raise ValueError(f"The {name} of a human is {value}; give a number from {low:g} to {high:g}.")
+    return traits
+
+
+def _skeleton(asset: _Human, ends: Float[np.ndarray, "J 2 3"], joints: str) -> Skeleton:
+    fixed = CARRIERS + TWIGS if joints == "tracking" else CARRIERS
+    frames = _joint_frames(asset.names, ends)
+    return make_skeleton(
+        asset.names,
+        asset.parents,
+        ["free" if name == "Hips" else "fixed" if name in fixed else "ball" for name in asset.names],
+        centres=ends[:, 0],
+        orientations=rotation.from_matrix(jnp.asarray(frames)),
+        axes=np.swapaxes(frames, 1, 2)[:, 1:],
+    )
+
+
+def _joint_frames(names: list[str], ends: Float[np.ndarray, "J 2 3"]) -> Float[np.ndarray, "J 3 3"]:
+    """Rotation matrices: columns along the bone, along the axis of flexion, and the third.
+
+    Arms flex about the normal of the plane in which they are bent, all else about the lateral axis.
+    """
+    along = dict(zip(names, ends[:, 1] - ends[:, 0], strict=True))
+    flexion = dict.fromkeys(names, np.array([1.0, 0.0, 0.0]))
+    for side in ("Left", "Right"):
+        bend = np.cross(along[f"{side}Arm"], along[f"{side}ForeArm"])
+        for part in ("Arm", "ForeArm", "Hand", "FingerBase", "HandFinger1"):
+            flexion[f"{side}{part}"] = bend
+        flexion[f"{side[0]}Thumb"] = bend
+        # these bones lie along the lateral axis itself, so they lift about the one through the chest
+        flexion[f"{side}Shoulder"] = flexion[f"{side[0]}HipJoint"] = np.array([0.0, 0.0, 1.0])
+    x = np.array([along[name] for name in names])
+    z = np.cross(x, np.array([flexion[name] for name in names]))
+    x, z = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (x, z))
+    return np.stack([x, np.cross(z, x), z], axis=2)

@@ -1,0 +1,1 @@
+"""`jaxcap adapt`: the input, the run and the results of an adaptation."""

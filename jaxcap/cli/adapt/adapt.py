@@ -1,0 +1,378 @@
+"""`jaxcap adapt`: the body becomes the actor of a sequence of scans."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+
+from ...adapt.check import check_actor
+from ...adapt.evaluate import Stages, compare_stages, quantile, variant_names
+from ...adapt.loop import AdaptState, Settings, Task, adapt_body, plan
+from ...adapt.prepare import make_task
+from ...adapt.task import Stage
+from ...body.body import Body
+from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
+from ...errors import InputError, sentence_of
+from ...fit.correspondence.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
+from ...io.archives.prior import Priors
+from ...io.meshes.clouds import Scans, read_clouds
+from ...io.registry import write_motion
+from ...io.system.lock import run_lock
+from ...report.adaptation import report_adaptation
+from ..console.options import (
+    BODY_WORDS,
+    BodySpec,
+    CloudsSpec,
+    Flag,
+    OptionalCount,
+    OptionalFile,
+    Unit,
+    Up,
+    arg,
+    clouds_words,
+)
+from ..console.rounds import Rounds
+from ..console.say import say, warn
+from ..outputs import nothing_left
+from ..scan.scan_rate import ScanRate, rate_of, tell_rate
+from ..sources import Clouds, load_body
+from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
+from .adapt_actor import finished_run, save_actor
+from .adapt_input import (
+    explained_words,
+    first_pose,
+    load_cameras,
+    look_through,
+    warn_of_lost,
+    warn_of_unusable,
+)
+from .adapt_prior import carried, prior_file, read_priors
+from .adapt_state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
+
+PriorForm = Literal["nearest", "mean"]
+#: what is paired with points of a scan, by the word for it
+PAIRS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
+Paired = Literal["vertices", "surface", "soft"]
+#: frames within a long stage after which its poses are kept, at least, and at most so many times: all poses are written
+KEPT, TIMES = 25, 40
+UNORDERED = (
+    "scans that follow each other are no more alike than any two, so they are taken without an order in time: nothing is "
+    "made smooth; give --ordered if they are of one motion"
+)
+OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")]
+
+
+@dataclass
+class Adapt:
+    """Adapt a template body to the actor in a sequence of scans; writes the actor's own body and its motion.
+
+    Scans need not be registered, whole or clean. A run that was stopped goes on with --resume."""
+
+    body: Annotated[BodySpec, arg(help=f"The template: {BODY_WORDS}.")]
+    clouds: CloudsSpec
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """The actor's body, .npz."""
+    motion: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """The motion, .bvh or .npz; beside the body where not given."""
+    start: OptionalFile = None
+    """A motion whose first pose is near that of the first scan; searched for where not given."""
+    prior: OptionalFile = None
+    """Which poses are likely, as `jaxcap prior learn` wrote it, beside what anatomy says; no joint turns beyond the least
+    and largest turns in it, and vertices are held to the shape of its meshes, where it has these. That in the file of BODY
+    where not given; `none` leaves it out."""
+    prior_form: PriorForm = "nearest"
+    """How far from likely counts: by the nearest Gaussian (nearest) or by the mean likelihood (mean)."""
+    limits: LimitsFile = None
+    floor: FloorHeight = None
+    limit_weight: LimitWeight = 100.0
+    cameras: OptionalFile = None
+    """The calibrated cameras that took the scans, .json as `jaxcap scan` writes them: what none sees is in no pair."""
+    aperture: Flag = False
+    """Of --cameras take only how far they see to the sides, not what hides what."""
+    pairs: Paired = "vertices"
+    """What a point of a scan belongs to: the nearest of the body's vertices, the nearest point of its surface (and vertices
+    that of the scan's, where scans are meshes), or vertices by Gaussian shares (soft), for which the first pose has to be
+    within 3 cm."""
+    pair_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
+    """Largest angle between the normals of a pair."""
+    pair_reach: Annotated[float, arg(metavar="METRES")] = 0.3
+    """Largest distance of a pair."""
+    along: Annotated[float, arg(metavar="SHARE")] = 0.05
+    """What distances along the surface count, squared, of those across it: 1 is point to point, 0 point to plane."""
+    unchecked: Flag = False
+    """Do not look whether the first scan is of one person."""
+    report: OptionalFile = None
+    """Also write what the adaptation has brought, as a page of pictures and tables, .html. Afterwards by --resume."""
+    report_every: Annotated[int, arg(metavar="N")] = 1
+    """Measure every N-th frame for the report, for speed."""
+    frames: Annotated[int, arg(metavar="N")] = 40
+    """Scans that the body is adapted to, spread over the motion."""
+    unordered: Flag = False
+    """The scans do not follow each other in time: nothing is made smooth, and each is searched for from those that are
+    most like it. Found from the scans where neither this nor --ordered is given."""
+    ordered: Flag = False
+    """The scans follow each other in time, however unlike they are."""
+    adapt_every: Annotated[int, arg(metavar="N")] = 0
+    """Adapt while tracking, after every N frames of the first 10 N, where the template would be lost; 0 tracks all first."""
+    joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
+    """How far joints may be from where the surface around them says; less where poses do not tell joints."""
+    together: Flag = False
+    """Vertices, joints and poses in one step of each round, and not one after the other."""
+    smoothness: OptionalWeight = None
+    """Weight of smooth motion; balanced with the scans where not given, 0 leaves it out."""
+    pose_weight: OptionalWeight = None
+    """Weight of likely poses; balanced with the scans where not given."""
+    shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = Settings().shape
+    """Weight of the template's shape when vertices are first adapted, and at last: less follows the scans, noise and all."""
+    first: OptionalCount = None
+    """First frame: the number in a pattern's names, else counted from 0."""
+    last: OptionalCount = None
+    """Last frame, included."""
+    unit: Unit = "m"
+    """Unit of the scans, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
+    up: Up = "y"
+    """Axis that points up in the scans, and in a mesh as BODY. Results have y up."""
+    rate: ScanRate = None
+    vertices: OptionalCount = None
+    """Reduce the template to about so many vertices, for speed."""
+    resume: Flag = False
+    """Go on with a run that was stopped."""
+    overwrite: Flag = False
+    """Replace the results of an earlier run."""
+
+    def run(self) -> None:
+        self.check()
+        with run_lock(self.out, self.motion_path):
+            if not (self.resume and nothing_left(self.results, self.kept)):
+                self.adapt_all()
+
+    @property
+    def results(self) -> list[Path]:
+        """All files that the run writes."""
+        return [path for path in (self.out, self.motion_path, self.report) if path is not None]
+
+    def adapt_all(self) -> None:
+        """Read, adapt, write and report, with no other run that writes the same files."""
+        known = prior_file(self.body, self.prior)
+        header = {**self.settings(), "prior": hash_of(known), "limits": hash_of(self.limits)}
+        body, _ = load_body(self.body, vertices=self.vertices, unit=self.unit, up=self.up)
+        scans = read_clouds(self.clouds, self.first, self.last, self.unit)
+        if len(scans) < 3:
+            told = clouds_words(self.clouds)
+            raise InputError(f"{told}: {len(scans)} scans are too few to adapt to; give at least 3.")
+        tell_rate(rate_of(self.rate, self.clouds))
+        seen = look_through(scans, body)
+        header |= fingerprint_of(body, seen.digests)
+        finished = self.resume and self.out.is_file() and not self.kept.is_file()
+        state = (
+            finished_run(self.out, self.motion_path, header)
+            if finished
+            else state_to_go_on_from(self.kept, header, self.resume, self.overwrite)
+        )
+        priors = read_priors(known, body, own=self.prior is None, reduced=self.vertices is not None)
+        task, beside = self.task(body, scans, priors, tuple(seen.unusable)), carried(self.body, priors)
+        warn_of_unusable(seen.unusable)
+        if task.settings.unordered and not self.unordered:
+            warn(UNORDERED)
+        if state is None or not finished:
+            state = self.adapt(task, state, header, scans.names[0])
+            self.write(state, header, scans, beside)
+        if self.report is not None:
+            self.write_report(self.report, task, state, known)
+        self.kept.unlink(missing_ok=True)
+
+    def write(
+        self, state: AdaptState, header: dict[str, object], scans: Scans, beside: dict[str, np.ndarray]
+    ) -> None:
+        """The motion, and the body with what is to be said `beside` it; a line tells of both."""
+        try:
+            write_motion(self.motion_path, state.body.skeleton, state.motion)
+            save_actor(self.out, state, beside, header, self.motion_path)
+        except InputError as error:
+            raise InputError(f"{sentence_of(error)} {kept_words(self.kept, state.done)}.") from None
+        say(
+            f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
+            f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}, "
+            f"{explained_words(state)}"
+        )
+        warn_of_lost(state, scans)
+
+    def adapt(
+        self, task: Task, state: AdaptState | None, header: dict[str, object], first: str
+    ) -> AdaptState:
+        """All stages that are left, each kept when it is done and long ones within, too; `first` names the first scan."""
+        stages = plan(task.settings)
+        with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
+            try:
+                for reached in adapt_body(task, state, every=max(KEPT, task.frames // TIMES)):
+                    if reached.done == 1 and not (reached.within or self.unchecked):
+                        _check_first(task, reached, first)
+                    keep_state(self.kept, reached, header)
+                    state = reached
+                    bar.tell(state.done, _reached(task, state, stages))
+            except KeyboardInterrupt:
+                done = 0 if state is None else state.done
+                raise KeyboardInterrupt(f"stopped; {kept_words(self.kept, done)}") from None
+        assert state is not None
+        return state
+
+    def write_report(self, path: Path, task: Task, state: AdaptState, known: Path | None) -> None:
+        """Measure the result and those it is compared with; `known` is the file of what was known beforehand. Stopped, or
+        later, --resume does only this."""
+        names, stages = variant_names(task.settings), Stages(())
+        with Rounds(len(names), 0, "measuring") as bar:
+            try:
+                for stages in compare_stages(task, state, step=self.report_every):
+                    done, near = len(stages.variants), quantile(stages.variants[-1].to_body, 0.5)
+                    bar.tell(done, f"{names[done - 1]}: {1000 * near:.2f} mm from scan to body, median")
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"stopped; body and motion are there, --resume makes {path}"
+                ) from None
+        how = {
+            "template": self.body,
+            "scans": clouds_words(self.clouds),
+            **self.settings(),
+            "prior": known,
+            "cameras": self.cameras,
+            "start": self.start,
+        }
+        report_adaptation(path, task, state, stages, how)
+        say(f"{path}: the report")
+
+    @property
+    def kept(self) -> Path:
+        """The checkpoint."""
+        return self.out.with_name(self.out.name + ".partial")
+
+    @property
+    def motion_path(self) -> Path:
+        return self.motion or self.out.with_name(self.out.stem + "-motion.npz")
+
+    def check(self) -> None:
+        """That options are in their ranges and results can be written. Raises `InputError`."""
+        wrong = {
+            "--frames": (self.frames, self.frames >= 2, "at least 2"),
+            "--adapt-every": (self.adapt_every, self.adapt_every >= 0, "at least 0"),
+            "--joint-deviation": (
+                self.joint_deviation,
+                0 < self.joint_deviation < 1,
+                "above 0 and below 1 metre",
+            ),
+            "--pair-angle": (self.pair_angle, 0 < self.pair_angle <= 180, "above 0 and at most 180 degrees"),
+            "--pair-reach": (self.pair_reach, 0 < self.pair_reach < np.inf, "above 0 metres"),
+            "--along": (self.along, 0 <= self.along <= 1, "between 0 and 1"),
+            "--smoothness": (self.smoothness, _none_or_from_zero(self.smoothness), "at least 0"),
+            "--pose-weight": (self.pose_weight, _none_or_from_zero(self.pose_weight), "at least 0"),
+            "--shape-weight": (
+                min(self.shape_weight),
+                0 < min(self.shape_weight) <= max(self.shape_weight) < np.inf,
+                "above 0",
+            ),
+            "--report-every": (self.report_every, self.report_every >= 1, "at least 1"),
+            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames a second"),
+        }
+        for name, (value, fine, what) in wrong.items():
+            if not fine:
+                raise InputError(f"{name} is {value:g}; it must be {what}.")
+        if self.unordered and self.ordered:
+            raise InputError("--unordered and --ordered are opposites; give one of them, or none.")
+        if self.aperture and self.cameras is None:
+            raise InputError("--aperture is of cameras; name them by --cameras.")
+        check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
+
+    def task(self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()) -> Task:
+        """What is to be done, with what is known beforehand, and cameras and first pose read. Raises `InputError`."""
+        skeleton = body.skeleton
+        form = MahalanobisPrior if self.prior_form == "nearest" else LikelihoodPrior
+        cameras = ()
+        if self.cameras is not None:
+            there = [frame for frame in range(len(scans)) if frame not in missing]
+            cameras = load_cameras(self.cameras, scans, there, self.up)
+        matching = Matching(
+            angle=self.pair_angle,
+            reach=self.pair_reach,
+            along=self.along,
+            assignment=PAIRS[self.pairs],
+            aperture=cameras if self.aperture else (),
+        )
+        clouds = Clouds(scans, body, self.up)
+        return make_task(
+            body,
+            clouds,
+            rate_of(self.rate, self.clouds).frames,
+            start=None if self.start is None else first_pose(self.start, skeleton),
+            likely=None if priors is None else form(priors.prior),
+            settings=Settings(
+                frames=self.frames,
+                joint=self.joint_deviation,
+                shape=self.shape_weight,
+                pose=self.pose_weight,
+                temporal=self.smoothness,
+                every=self.adapt_every,
+                together=self.together,
+                unordered=True if self.unordered else False if self.ordered else None,
+                matching=matching,
+            ),
+            cameras=() if self.aperture else cameras,
+            missing=missing,
+            boxes=None if priors is None else priors.boxes,
+            shape=None if priors is None else priors.shape,
+            terms=read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor),
+            mesh=clouds.mesh if self.pairs == "surface" else None,
+            whole=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
+        )
+
+    def settings(self) -> dict[str, object]:
+        """What the result depends on, by the names that the user knows."""
+        names = (
+            "frames",
+            "adapt_every",
+            "prior_form",
+            "aperture",
+            "pairs",
+            "pair_angle",
+            "pair_reach",
+            "along",
+            "joint_deviation",
+            "together",
+            "floor",
+            "limit_weight",
+            "unordered",
+            "ordered",
+            "smoothness",
+            "pose_weight",
+            "unit",
+            "up",
+            "vertices",
+            "first",
+            "last",
+        )
+        files = {"cameras": hash_of(self.cameras), "start": hash_of(self.start)}
+        plain = {name: getattr(self, name) for name in names}
+        rate = rate_of(self.rate, self.clouds).frames
+        return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
+
+
+def _check_first(task: Task, state: AdaptState, where: str) -> None:
+    """That the first scan is of one person; the message says how to go on all the same."""
+    try:
+        check_actor(task, state, where)
+    except InputError as error:
+        raise InputError(
+            f"{sentence_of(error)} If it is one person all the same, give --unchecked."
+        ) from None
+
+
+def _reached(task: Task, state: AdaptState, stages: Sequence[Stage]) -> str:
+    """What a user is told of a state."""
+    if state.within:
+        stage = stages[state.done]
+        return f"{stage}: {state.within} of {len(task.frames_of(stage))} frames"
+    return f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body"
+
+
+def _none_or_from_zero(weight: float | None) -> bool:
+    return weight is None or 0 <= weight < np.inf

@@ -1,0 +1,60 @@
+"""Types of options that several verbs share, with the names that help shows for their values."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ..sources import BODY_WORDS as BODY_WORDS
+from ..sources import Up as Up
+
+arg = tyro.conf.arg
+#: what a motion and a skeleton are, in every help; see `motions`
+MOTION_WORDS = (
+    ".bvh, .npz, .amc (with its .asf in the folder), or a skinned .glb, .gltf or USD with an animation (`character.glb:Walk` "
+    "is one clip of several)"
+)
+SKELETON_WORDS = (
+    ".skl, .bvh, .asf, a body or motion .npz, a skinned .glb, .gltf or USD, or `human` with options"
+)
+#: bodies, motions and clouds as written by a user; see `sources`
+BodySpec = tyro.conf.Positional[Annotated[str, arg(metavar="BODY", help=f"{BODY_WORDS}.")]]
+MotionSpec = tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION", help=f"A motion: {MOTION_WORDS}.")]]
+MotionsSpec = tyro.conf.Positional[
+    Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
+]
+CloudsSpec = tyro.conf.Positional[
+    Annotated[
+        tuple[str, ...],
+        arg(
+            metavar="CLOUDS...",
+            help_behavior_hint="",
+            help="Files, a frame each (`scans/*.ply`), a printf pattern (`scan_%04d.ply`), a folder, or an .npz.",
+        ),
+    ]
+]
+OptionalBody = Annotated[
+    str | None,
+    arg(metavar="BODY", help_behavior_hint="", help=f"The body that the motion is of: {BODY_WORDS}."),
+]
+OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
+Skl = Annotated[
+    OptionalFile, arg(help="Skeleton of a mesh, .skl; that of the mesh's name in its folder where not given.")
+]
+Vj = Annotated[
+    OptionalFile,
+    arg(help="Joint of each vertex of a mesh, .vj; that of the mesh's name in its folder where not given."),
+]
+Cst = Annotated[OptionalFile, arg(help="Joint limits to keep, .cst.")]
+OptionalCount = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
+OptionalUnit = Annotated[str | None, arg(metavar="UNIT", help_behavior_hint="")]
+Unit = Annotated[str, arg(metavar="UNIT")]
+Flag = Annotated[bool, arg(help_behavior_hint="")]
+
+
+def clouds_words(clouds: Sequence[str]) -> str:
+    """What clouds were asked for, in a few words: a shell makes many of one glob."""
+    if len(clouds) <= 1:
+        return "".join(clouds)
+    return f"{clouds[0]} ... {clouds[-1]} ({len(clouds)} files)"

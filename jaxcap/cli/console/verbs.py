@@ -1,0 +1,126 @@
+"""One of several verbs from the command line's words."""
+
+import contextlib
+import difflib
+import importlib
+import io
+import re
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from ...errors import InputError
+from .heartbeat import doing
+from .help import verb_help
+from .stopping import leaving_at_once
+
+#: what tyro draws its boxes with, where a terminal has more than ASCII and where it has not
+_RULE = re.compile("─+|-{3,}")
+#: columns by which what is missing is set in, and what explains it
+_SET_IN, _EXPLAINED = 4, 8
+
+
+class Verb(NamedTuple):
+    """A verb that is not imported yet."""
+
+    #: its class in this package: `edit.cut.Cut`
+    place: str
+    #: one line of the help
+    summary: str
+
+
+class Group(NamedTuple):
+    """Verbs and groups of verbs by name."""
+
+    summary: str
+    description: str
+    verbs: "Mapping[str, Verb | Group]"
+
+
+def run_verb(group: Group, prog: str, arguments: Sequence[str], keep: bool = True) -> None:
+    """Run the verb that the arguments name with the rest of them; without any, print the help. Only this verb is imported;
+    `keep` says whether what it compiles is kept for later runs.
+
+    **Raises:** `InputError` where there is no such verb or option, one is missing, or has a value that it cannot have.
+    """
+    word, *rest = arguments or ["--help"]
+    if word in ("-h", "--help"):
+        sys.stdout.write(help_of(group, prog))
+        raise SystemExit(0)
+    found = group.verbs.get(word)
+    if found is None:
+        what = f"no option '{word}' of '{prog}'" if word.startswith("-") else f"no '{prog} {word}'"
+        raise InputError(f"there is {what}{_meant(word, group.verbs)}; verbs are {', '.join(group.verbs)}.")
+    if isinstance(found, Group):
+        run_verb(found, f"{prog} {word}", rest, keep)
+    else:
+        command = _command(found, f"{prog} {word}", rest, keep)
+        doing(word)
+        command.run()
+
+
+def help_of(group: Group, prog: str) -> str:
+    """The help of a group of verbs."""
+    wide = max(map(len, group.verbs))
+    lines = [f"  {name:{wide}}  {verb.summary}" for name, verb in group.verbs.items()]
+    return "\n".join(
+        [
+            f"usage: {prog} VERB ...",
+            "",
+            group.description,
+            "",
+            *lines,
+            "",
+            f"'{prog} VERB --help' explains a verb, 'jaxcap --version' prints the version.",
+            "",
+        ]
+    )
+
+
+def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
+    """A verb with the options that the words give. Raises `InputError` where they are wrong."""
+    module, _, name = verb.place.rpartition(".")
+    with leaving_at_once():
+        from .compiled import prepare_jax
+
+        prepare_jax(keep)
+        import tyro
+
+        made = getattr(importlib.import_module(f"{__package__}.{module}"), name)
+    if {"-h", "--help"} & set(words):
+        sys.stdout.write(verb_help(made, prog))
+        raise SystemExit(0)
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(made, prog=prog, args=words, config=(tyro.conf.FlagCreatePairsOff,))
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        raise InputError(unboxed(said.getvalue())) from None
+
+
+def unboxed(box: str) -> str:
+    """What a box of tyro's says, in one sentence. Its parts are below each other with lines between them; what is missing
+    is set in, and explained further in, which the help does as well."""
+    # a title is in the box's upper edge, or stands above the first line
+    rows = [row.strip("│") for row in box.splitlines() if row.strip() and row[0] not in "╭╰"]
+    rows = rows[0 if "╭" in box else 1 :]
+    left = min((len(row) - len(row.lstrip()) for row in rows if not _RULE.fullmatch(row.strip())), default=0)
+    parts: list[str] = [""]
+    for row in rows:
+        depth, text = len(row) - len(row.lstrip()) - left, row.strip()
+        if _RULE.fullmatch(text):
+            parts.append("")
+        elif depth < _EXPLAINED:
+            apart = ", " if depth == _SET_IN and not parts[-1].endswith(":") else " "
+            parts[-1] += f"{apart}{text}" if parts[-1] else text
+    # how each type of several failed, of which one is that nothing is given
+    texts = [re.sub(r" Got errors:.*", "", part).replace("{None}|", "").rstrip(".") for part in parts]
+    texts = [re.sub(r"'None', |, 'None'", "", text) for text in texts]
+    return "; ".join(text[0].lower() + text[1:] for text in texts if text) + "."
+
+
+def _meant(word: str, verbs: Iterable[str]) -> str:
+    close = difflib.get_close_matches(word, verbs, 1)
+    return f" (did you mean '{close[0]}'?)" if close else ""

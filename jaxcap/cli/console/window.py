@@ -1,0 +1,42 @@
+"""Windows that verbs open in the browser, until Ctrl-C."""
+
+import threading
+import webbrowser
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any
+
+from ...view.windows.serve import address, address_elsewhere, close_server, open_server
+from .heartbeat import resting
+from .options import arg
+from .say import say
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+else:
+    ViserServer = Any
+
+Port = Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")]
+
+
+def keep_window(
+    verb: str, shown: str, fill: Callable[[ViserServer], object], port: int | None, host: str, browser: bool
+) -> None:
+    """Open a window, tell what is shown where, and wait for Ctrl-C, which closes it.
+
+    **Arguments:** `verb`, what the window is called; `shown`, what is in it; `fill` puts that there; `port` and `host`
+    as of `open_server`; `browser`, whether one is opened.
+
+    **Raises:** `InputError` as `open_server` does.
+    """
+    server = open_server(port, host, f"jaxcap {verb}")
+    try:
+        fill(server)
+        elsewhere = address_elsewhere(server)
+        more = "" if elsewhere is None else f", on other machines {elsewhere}"
+        say(f"{shown}: {address(server)}{more} (Ctrl-C ends)")
+        if browser:
+            webbrowser.open(address(server))
+        with resting():
+            threading.Event().wait()
+    finally:
+        close_server(server)

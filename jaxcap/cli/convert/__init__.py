@@ -1,0 +1,1 @@
+"""`jaxcap convert`: the same content in another format."""

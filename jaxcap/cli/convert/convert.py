@@ -1,0 +1,182 @@
+"""`jaxcap convert`: the same content in another format."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ...body.body import Body
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...io.archives.npz import save_body
+from ...io.meshes.mesh import read_mesh, write_mesh
+from ...io.registry import (
+    MANNERS,
+    is_skinned,
+    read_marker_file,
+    read_skinned,
+    write_markers,
+    write_motion,
+    write_skeleton,
+)
+from ...io.skeletons.amass import is_amass, read_amass
+from ...io.skinned.clip import split_clip
+from ..console.options import Flag, OptionalFile, OptionalUnit, arg
+from ..console.say import counted, say, warn
+from ..motions import load_motion, load_motion_of, load_skeleton, tell_clip
+from ..outputs import check_absent
+from ..sources import load_body, names_human
+from .convert_body import write_linear_body
+from .convert_points import read_labels, write_points
+from .convert_way import PURPOSES, Way, check_options, check_units, find_way
+
+#: metres, and bones a vertex
+TOLERANCE, INFLUENCES = 0.001, 4
+
+
+@dataclass
+class Convert:
+    """Write a motion, its joint centres, a body with its motion, a mesh or markers in another format; suffixes say what
+    is what.
+
+    A motion becomes .bvh or .npz, or joint centres as .trc, .c3d or .csv. A body becomes a skinned, animated .glb, .usda,
+    .usdc or .usdz, with its own motion where its file has one; `human` also a body .npz, and every other body with
+    --as body."""
+
+    source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
+    """A motion, a body, a skeleton, a mesh or markers, from any file that is read; `character.glb:Walk` is one clip of
+    several."""
+    target: tyro.conf.Positional[Annotated[Path, arg(metavar="TARGET")]]
+    """The file to write."""
+    unit: OptionalUnit = None
+    """Unit of the source's lengths; where not given what it says, else metres, and centimetres in BVH."""
+    target_unit: OptionalUnit = None
+    """Unit of the target's lengths; metres where not given, centimetres in BVH, millimetres in TRC and C3D."""
+    motion: OptionalFile = None
+    """The motion of a body that becomes a .glb or USD, from any file with a motion."""
+    body: OptionalFile = None
+    """The body that a motion is of, for files that do not say where joints are, as AMASS's, and for --vertices: `human`, or
+    any file with a body."""
+    as_: Annotated[
+        Literal["amass", "body"] | None, arg(name="as", metavar="amass|body", help_behavior_hint="")
+    ] = None
+    """What an .npz is to be: a motion in the manner of AMASS (`poses`, `trans`, `betas`, `gender` and the rate, z up), or the body of SOURCE."""
+    up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
+    """What is up in a motion in AMASS's manner; z where not given."""
+    vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
+    """Vertices of --body that become markers beside the joints: numbers, NAME=NUMBER, or a text file of names and numbers."""
+    tolerance: float = TOLERANCE
+    """How far, in metres, a .glb or USD may be from a body that does not blend linearly; virtual bones bring it there."""
+    influences: int = INFLUENCES
+    """Bones that move one vertex of a .glb or USD at most; many programs read no more than 4."""
+    overwrite: Flag = False
+    """Replace the target where it is there."""
+
+    def run(self) -> None:
+        check_absent([self.target], self.overwrite)
+        human = names_human(str(self.source))
+        if not human and not split_clip(self.source)[0].exists():
+            raise InputError(f"{self.source}: there is no such file; check the path.")
+        # the human is what a body file would be
+        own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
+        way: Way = "own" if own else find_way(self.source, self.target, human)
+        self.check(way)
+        {
+            "own": self.write_own,
+            "body": self.write_body,
+            "motion": self.write_motion,
+            "points": self.write_points,
+            "markers": self.write_markers,
+            "mesh": self.write_mesh,
+            "skeleton": self.write_skeleton,
+        }[way]()
+
+    def check(self, way: Way) -> None:
+        """That the options given go with what is written. Raises `InputError`."""
+        given = {
+            "motion": self.motion,
+            "body": self.body,
+            "as amass": self.as_ == "amass",
+            "as body": self.as_ == "body",
+            "vertices": self.vertices,
+            "up": self.up,
+            "tolerance": self.tolerance != TOLERANCE,
+            "influences": self.influences != INFLUENCES,
+        }
+        check_options(way, self.target, given)
+        check_units(way, self.source, self.target, self.unit, self.target_unit)
+        read = self.motion if way == "body" else self.source
+        if self.up and (read is None or not is_amass(read)):
+            raise InputError(
+                f"{read or self.target}: --up is for {PURPOSES['up'][0]}; other motions have y up."
+            )
+
+    def read_motion(self) -> tuple[Skeleton, Motion, Body | None]:
+        """The source's motion: of the body where one is given."""
+        if self.body is None:
+            return *self.motion_of(self.source, None), None
+        body = load_body(str(self.body), unit=self.unit or "m")[0]
+        return *self.motion_of(self.source, body), body
+
+    def motion_of(self, path: Path, body: Body | None) -> tuple[Skeleton, Motion]:
+        if is_amass(path):
+            return read_amass(path, None if body is None else body.skeleton, self.up or "z")
+        skeleton, motion = (
+            load_motion(path, self.unit)
+            if body is None
+            else (body.skeleton, load_motion_of(body, path, self.unit))
+        )
+        if not len(motion):
+            raise InputError(f"{path}: there are no frames in this motion.")
+        return skeleton, motion
+
+    def write_own(self) -> None:
+        body = load_body(str(self.source), unit=self.unit or "m")[0]
+        save_body(self.target, body)
+        say(f"{self.target}: {len(body.vertices)} vertices, {body.skeleton.num_joints} joints")
+
+    def write_body(self) -> None:
+        if is_skinned(self.source):
+            body, motion = read_skinned(self.source)
+            tell_clip(self.source)
+        else:
+            body, motion = load_body(str(self.source), unit=self.unit or "m")[0], None
+        if self.motion is not None:
+            motion = self.motion_of(self.motion, body)[1]
+        write_linear_body(self.target, body, motion, self.tolerance, self.influences)
+
+    def write_motion(self) -> None:
+        skeleton, motion, _ = self.read_motion()
+        if self.as_:
+            MANNERS[self.as_](self.target, skeleton, motion)
+        else:
+            write_motion(self.target, skeleton, motion, self.target_unit)
+        say(f"{self.target}: {counted(motion.num_frames, 'frame')} at {motion.rate:g} a second")
+
+    def write_points(self) -> None:
+        # a label that is wrong is told before a long motion is read
+        labels = read_labels(self.vertices)
+        skeleton, motion, body = self.read_motion()
+        write_points(self.target, skeleton, motion, body, labels, self.target_unit)
+
+    def write_markers(self) -> None:
+        file = read_marker_file(self.source, self.unit)
+        frames = file.frames
+        write_markers(self.target, frames, self.target_unit)
+        for sentence in file.told:
+            warn(f"{self.source.name}: {sentence}")
+        say(
+            f"{self.target}: {counted(len(frames.labels), 'marker')}, {counted(len(frames), 'frame')} at {frames.rate:g} a second"
+        )
+
+    def write_mesh(self) -> None:
+        mesh = read_mesh(self.source, self.unit or "m")
+        write_mesh(self.target, mesh, self.target_unit or "m")
+        say(f"{self.target}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")
+
+    def write_skeleton(self) -> None:
+        skeleton = load_skeleton(self.source, self.unit)
+        write_skeleton(self.target, skeleton, self.target_unit)
+        say(f"{self.target}: {skeleton.num_joints} joints")

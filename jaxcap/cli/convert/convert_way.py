@@ -1,0 +1,104 @@
+"""What `jaxcap convert` makes of which suffixes, and which of its options go with that."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from ...errors import InputError
+from ...io.foreign import FOREIGN, INSTEAD
+from ...io.kinds import identify, wrong_kind
+from ...io.meshes.mesh import SUFFIXES
+from ...io.meshes.mesh import WRITTEN as MESH_WRITTEN
+from ...io.registry import (
+    BODY_WRITERS,
+    MARKER_READERS,
+    MARKER_WRITERS,
+    MOTION_READERS,
+    MOTION_WRITERS,
+    SKELETON_READERS,
+    SKELETON_WRITERS,
+    SKINNED_READERS,
+    is_rigged,
+    is_skinned,
+)
+from ...io.skinned.clip import suffix_of
+
+Way = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
+#: what each option is for, and the ways that take it
+PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
+    "motion": ("a body that becomes a .glb or USD", ("body",)),
+    "body": ("a motion that is to be a body's own", ("motion", "points")),
+    "as amass": ("a motion that becomes an .npz", ("motion",)),
+    "as body": ("a body that becomes an .npz", ("own",)),
+    "vertices": ("a motion that becomes .trc, .c3d or .csv", ("points",)),
+    "up": ("a motion in AMASS's manner", ("body", "motion", "points")),
+    "tolerance": ("a body that becomes a .glb or USD", ("body",)),
+    "influences": ("a body that becomes a .glb or USD", ("body",)),
+}
+#: these are in metres, or say what they are in
+OWN_UNIT = (".npz", *SKINNED_READERS, ".asf", ".amc")
+
+
+#: all suffixes that something becomes
+WRITTEN = {*BODY_WRITERS, *MOTION_WRITERS, *MARKER_WRITERS, *SKELETON_WRITERS, *MESH_WRITTEN}
+
+
+def find_way(source: Path, target: Path, human: bool = False) -> Way:
+    """What the suffixes ask for; `human`, where the source is the embedded body. Raises `InputError` where there is no such
+    way."""
+    here, there = ".npz" if human else suffix_of(source), target.suffix.lower()
+    if there not in WRITTEN and there in INSTEAD:
+        raise InputError(f"{target}: '{there}' files are not written; write {INSTEAD[there]}.")
+    if human and there not in BODY_WRITERS:
+        raise InputError(
+            f"{source}: the embedded body cannot become {_files(there)}; write it as {', '.join((*BODY_WRITERS, '.npz'))}."
+        )
+    if there in BODY_WRITERS and (here == ".npz" or is_skinned(source) or is_rigged(source)):
+        return "body"
+    if here in SUFFIXES and there in MESH_WRITTEN:
+        return "mesh"
+    if here in MOTION_READERS and there in MOTION_WRITERS:
+        return "motion"
+    if here in MOTION_READERS and there in MARKER_WRITERS:
+        return "points"
+    if here in MARKER_READERS and there in MARKER_WRITERS:
+        return "markers"
+    if here in SKELETON_READERS and there in SKELETON_WRITERS:
+        return "skeleton"
+    if source.is_dir() or not here or here in FOREIGN or identify(source) is None:
+        raise wrong_kind(
+            source, "something to convert", (*MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, *SUFFIXES)
+        )
+    raise InputError(
+        f"{source}: '{here}' files cannot become {_files(there)}; motions are read from {', '.join(MOTION_READERS)} and "
+        f"written as {', '.join(MOTION_WRITERS)}, their joint centres as {', '.join(MARKER_WRITERS)}, skeletons as .skl, "
+        f"bodies as {', '.join(BODY_WRITERS)} and with --as body as .npz, meshes as {', '.join(MESH_WRITTEN)}."
+    )
+
+
+def _files(suffix: str) -> str:
+    return f"'{suffix}' files" if suffix else "a file without a suffix"
+
+
+def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
+    """That the options given, by their names in `PURPOSES` (None, nothing, or False where one is not), go with what is
+    written. Raises `InputError`."""
+    for name, (purpose, ways) in PURPOSES.items():
+        if given[name] and way not in ways:
+            raise InputError(f"{target}: --{name} is for {purpose}.")
+        if given[name] and name.startswith("as ") and target.suffix.lower() != ".npz":
+            raise InputError(f"{target}: --{name} is written as .npz; give a name that ends so.")
+    if given["vertices"] and given["body"] is None:
+        raise InputError(f"{target}: --vertices are of a body; name it by --body.")
+
+
+def check_units(way: Way, source: Path, target: Path, unit: str | None, target_unit: str | None) -> None:
+    """That units are given where files have none of their own. Raises `InputError`."""
+    if unit and way != "mesh" and suffix_of(source) in OWN_UNIT:
+        raise InputError(
+            f"{source}: '{suffix_of(source)}' files say their unit themselves; leave --unit {unit} out."
+        )
+    if target_unit and way != "mesh" and target.suffix.lower() in (".npz", *BODY_WRITERS):
+        raise InputError(
+            f"{target}: '{target.suffix}' files are written in metres; leave --target-unit {target_unit} out."
+        )

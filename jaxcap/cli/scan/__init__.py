@@ -1,0 +1,1 @@
+"""`jaxcap scan`: the run and its folder of scans."""

@@ -1,0 +1,214 @@
+"""`jaxcap scan`: a body's motion as depth cameras around it would see it."""
+
+import functools
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ...body.body import Body, deform_all, pose_body
+from ...body.pose import Motion, take_poses
+from ...errors import InputError, sentence_of
+from ...geometry.camera import Camera, check_sees, ring_of_cameras
+from ...io.archives.npz import save_motion
+from ...io.cameras import read_cameras, write_cameras
+from ...io.meshes.ply import write_ply
+from ...io.system.lock import run_lock
+from ...scanner.fuse import Scan as Fused
+from ...scanner.scan import dropped_views, scan_frame
+from ...scanner.settings import Scanner, check_scanner
+from ..console.options import BodySpec, Flag, MotionSpec, OptionalCount, OptionalFile, arg
+from ..console.say import progress, say, warn
+from ..motions import load_motion_of
+from ..sources import load_body
+from ..track.results import make_writable
+from .scan_folder import begin_folder, frame_path, gather_clouds
+
+_pose_body = eqx.filter_jit(pose_body)
+#: frames of a motion in which a camera has to see something
+LOOKED_AT = 24
+
+
+@dataclass
+class Scan:
+    """Scan a moving body with virtual depth cameras; writes scan_0000.ply, ..., cameras.json and truth.npz.
+
+    Each frame is written as it is made, and is the same whatever was scanned before it: a run that was
+    killed goes on with --resume."""
+
+    body: BodySpec
+    motion: MotionSpec
+    out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
+    """Folder for the scans."""
+    views: int = 8
+    """Cameras on the arc."""
+    arc: float = 360.0
+    """Arc that the cameras stand on, degrees, with its middle before the body."""
+    distance: float = 2.5
+    """From the cameras to the vertical through the body's middle, metres."""
+    height: float = 1.2
+    """Of the cameras above the lowest point of the body, metres."""
+    resolution: Annotated[tuple[int, int], arg(metavar="WIDTH HEIGHT")] = (320, 240)
+    """Pixels of a picture."""
+    field_of_view: float = 60.0
+    """Angle across a picture, degrees."""
+    cameras: OptionalFile = None
+    """A calibration (.json) in place of the arc of cameras."""
+    noise: float = 0.002
+    """Deviation of a depth, metres, near the camera."""
+    noise_growth: float = 0.0
+    """How it grows: so many metres more at a depth of 1 m, four times that at 2 m."""
+    quantise: float = 0.0
+    """Step between depths, metres at 1 m; it grows with the square of the depth."""
+    flying: float = 0.0
+    """Share of pixels at edges that fly between front and back."""
+    holes: float = 0.0
+    """Share of pixels lost in holes."""
+    grazing: float = 80.0
+    """Surfaces turned away further than this are not measured, degrees."""
+    drop: float = 0.0
+    """Share of views that are lost in a frame."""
+    voxel: float = 0.0
+    """Keep one point for each cube of this side, metres; 0 keeps all."""
+    points: OptionalCount = None
+    """Keep so many random points of each cloud."""
+    kind: Annotated[Literal["cloud", "mesh"], arg(name="as")] = "cloud"
+    """Points alone, or each view's grid of triangles beside the others."""
+    npz: Flag = False
+    """Also write all clouds as one file, clouds.npz."""
+    seed: int = 0
+    """The same seed gives the same scans."""
+    rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
+    """Scans a second, at most the motion's frames; all frames where not given."""
+    resume: Flag = False
+    """Go on with a run that was stopped."""
+    overwrite: Flag = False
+    """Replace earlier scans."""
+
+    def run(self) -> None:
+        scanner = self.scanner()
+        self.check()
+        body, _ = load_body(self.body)
+        motion = thin_motion(load_motion_of(body, self.motion), self.rate)
+        shown = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).round().astype(int))
+        places = np.asarray(deform_all(body, take_poses(motion.poses, shown)), float)
+        cameras = self.place(places)
+        make_writable(self.out)
+        with run_lock(self.out):
+            self.scan_all(scanner, cameras, body, motion)
+
+    def scan_all(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion) -> None:
+        """Scan all frames that are left, alone in the folder."""
+        settings = {**self.settings(), "rate": motion.rate}
+        begin_folder(self.out, settings, (body, motion, cameras), self.resume, self.overwrite)
+        write_cameras(self.out / "cameras.json", cameras)
+        save_motion(self.out / "truth.npz", motion, body.skeleton)
+        missing = [frame for frame in range(len(motion)) if not frame_path(self.out, frame).is_file()]
+        if len(missing) < len(motion):
+            say(f"{len(motion) - len(missing)} of {len(motion)} scans are there")
+        scan = functools.partial(self.scan, scanner, cameras, body, motion)
+        blind, sizes = defaultdict(list), []
+        there, scans = len(motion) - len(missing), ((frame, scan(frame)) for frame in missing)
+        try:
+            for frame, fused in progress(scans, len(motion), there, "scanning"):
+                sizes.append(len(fused.points))
+                looked = np.flatnonzero(~dropped_views(self.drop, len(cameras), self.seed, frame))
+                for view in np.setdiff1d(looked, fused.views):
+                    blind[int(view)].append(frame)
+        except KeyboardInterrupt:
+            kept = there + len(sizes)
+            raise KeyboardInterrupt(
+                f"stopped after {kept} of {len(motion)} scans, which are written; --resume goes on"
+            ) from None
+        for view, frames in sorted(blind.items()):
+            warn(f"view {view} is empty in {len(frames)} of {len(missing)} frames, the first is {frames[0]}")
+        if self.npz:
+            gather_clouds(self.out, len(motion))
+        what = f", {np.mean(sizes):.0f} points each on average," if sizes else ""
+        say(
+            f"{len(motion)} scans from {len(cameras)} views{what} with cameras.json and truth.npz are in {self.out}"
+        )
+
+    def check(self) -> None:
+        """That options are in their ranges, before anything is read. Raises `InputError`."""
+        if self.seed < 0:
+            raise InputError(f"--seed is {self.seed}; it must be at least 0.")
+        if self.rate is not None and not 0 < self.rate < np.inf:
+            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames a second.")
+        if self.resume and self.overwrite:
+            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+        if self.npz and self.kind == "mesh":
+            raise InputError("--npz is for clouds, and --as mesh was given; leave one of them out.")
+        if self.cameras is None:
+            ring_of_cameras(
+                self.views,
+                self.arc,
+                self.distance,
+                self.height,
+                [0.0] * 3,
+                self.resolution,
+                self.field_of_view,
+            )
+
+    def scanner(self) -> Scanner:
+        """The scanner that the options describe. Raises `InputError`."""
+        shared = set(Scanner._fields) & set(self.__dataclass_fields__)
+        scanner = Scanner(**{name: getattr(self, name) for name in shared}, mesh=self.kind == "mesh")
+        try:
+            check_scanner(scanner)
+        except InputError as error:
+            said = sentence_of(error)
+            raise InputError(f"--{said}" if " of the scanner is " in said else said) from None
+        return scanner
+
+    def settings(self) -> dict[str, object]:
+        """What scans depend on, by the names that the user knows."""
+        apart = ("body", "motion", "out", "cameras", "resume", "overwrite", "npz", "kind")
+        names = [name for name in self.__dataclass_fields__ if name not in apart]
+        return {"as": self.kind, **{name: getattr(self, name) for name in names}}
+
+    def place(self, places: Float[np.ndarray, "F V 3"]) -> list[Camera]:
+        """The cameras, which all see something of the body somewhere. Raises `InputError`."""
+        corners = places.reshape(-1, 3)
+        low, high = corners.min(0), corners.max(0)
+        if self.cameras is None:
+            middle, top = 0.5 * (low + high), low[1] + self.height
+            where, cameras = "--views", ring_of_cameras(
+                self.views, self.arc, self.distance, top, middle, self.resolution, self.field_of_view
+            )  # fmt: skip
+        else:
+            where, cameras = str(self.cameras), read_cameras(self.cameras)
+        check_sees(cameras, corners, where)
+        return cameras
+
+    def scan(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion, frame: int) -> Fused:
+        """Scan one frame and write it. Raises `InputError` where no view sees anything."""
+        vertices = np.asarray(_pose_body(body, motion[frame]).vertices, float)
+        fused = scan_frame(scanner, cameras, vertices, np.asarray(body.faces), self.seed, frame)
+        if len(fused.points) == 0 or (scanner.mesh and len(fused.faces) == 0):
+            raise InputError(
+                f"frame {frame}: all {len(cameras)} views are empty; move the cameras, or lose less by --drop, "
+                "--holes and --grazing. The frames before it are kept."
+            )
+        write_ply(frame_path(self.out, frame), fused.points, fused.normals, fused.views, fused.faces)
+        return fused
+
+
+def thin_motion(motion: Motion, rate: float | None) -> Motion:
+    """The frames of a motion that are nearest to those of a lower rate, frames a second.
+
+    **Raises:** `InputError` for a higher rate than the motion's.
+    """
+    if rate is None:
+        return motion
+    if rate > motion.rate * (1 + 1e-9):
+        raise InputError(
+            f"--rate is {rate:g}, and the motion has {motion.rate:g} frames a second; give less."
+        )
+    count = int(np.floor((len(motion) - 1) * rate / motion.rate + 1e-9)) + 1
+    frames = np.floor(np.arange(count) * motion.rate / rate + 0.5).astype(int)
+    return Motion(take_poses(motion.poses, np.minimum(frames, len(motion) - 1)), float(rate))

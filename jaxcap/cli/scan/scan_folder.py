@@ -1,0 +1,93 @@
+"""The folder of a scanned motion: what is in it, and what it was begun with."""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from ...errors import InputError
+from ...io.meshes.mesh import read_mesh
+from ...io.system.atomic import replacing
+from ...io.table import write_json
+from ...io.text import read_json
+
+#: what the scans were made with
+HEADER = "scan.json"
+CLOUDS = "clouds.npz"
+FILES = (HEADER, "cameras.json", "truth.npz", CLOUDS)
+_SCAN = re.compile(r"scan_\d{4,}\.ply$")
+
+
+def frame_path(folder: Path, frame: int) -> Path:
+    """Where the scan of a frame is."""
+    return folder / f"scan_{frame:04d}.ply"
+
+
+def begin_folder(
+    folder: Path, settings: Mapping[str, object], inputs: tuple, resume: bool, overwrite: bool
+) -> None:
+    """Make a folder ready for scans made with `settings` of `inputs`, whose arrays count.
+
+    **Raises:** `InputError` where it holds scans that are neither to be gone on
+    with nor to be replaced, or ones that were made with something else.
+    """
+    header = {**settings, **fingerprint(inputs)}
+    scans = [path for path in folder.iterdir() if _SCAN.match(path.name)]
+    there = [*scans, *(folder / name for name in FILES if (folder / name).exists())]
+    if there and not (resume or overwrite):
+        raise InputError(
+            f"{folder}: this folder holds scans; give --resume to go on with them or --overwrite to replace them."
+        )
+    if resume and there:
+        check_same_scans(folder / HEADER, header)
+    for path in there if overwrite else ():
+        path.unlink()
+    write_json(folder / HEADER, header)
+
+
+def fingerprint(inputs: tuple) -> dict[str, str]:
+    """Hashes that tell whether body, motion and cameras are the same."""
+    found = {}
+    for name, part in zip(("body", "motion", "cameras"), inputs, strict=True):
+        digest = hashlib.sha256()
+        for leaf in jax.tree.leaves(part):
+            digest.update(np.asarray(leaf).tobytes())
+        found[f"{name} arrays"] = digest.hexdigest()
+    return found
+
+
+def gather_clouds(folder: Path, count: int) -> None:
+    """All scans of a folder as one `.npz`, points and normals one after the other with their offsets."""
+    clouds = [read_mesh(frame_path(folder, frame)) for frame in range(count)]
+    normals = [np.zeros_like(c.vertices) if c.normals is None else c.normals for c in clouds]
+    offsets = np.cumsum([0, *(len(cloud.vertices) for cloud in clouds)])
+    with replacing(folder / CLOUDS) as beside, open(beside, "wb") as file:
+        np.savez_compressed(
+            file,
+            points=np.concatenate([cloud.vertices for cloud in clouds]).astype(np.float32),
+            normals=np.concatenate(normals).astype(np.float32),
+            offsets=offsets,
+        )
+
+
+def check_same_scans(path: Path, header: Mapping[str, object]) -> None:
+    """Check that scans were made with what a header says. Raises `InputError` that names the first difference."""
+    if not path.is_file():
+        raise InputError(
+            f"{path}: this file, which tells how the scans were made, is missing; give --overwrite to begin anew."
+        )
+    earlier = read_json(path)
+    if not isinstance(earlier, dict):
+        raise InputError(f"{path}: this file is damaged; give --overwrite to begin anew.")
+    # as JSON tells them, so that a tuple is a list
+    now = json.loads(json.dumps(header))
+    changed = [name for name in now if name not in earlier or earlier[name] != now[name]]
+    if changed:
+        raise InputError(
+            f"{path}: the scans were made with another '{changed[0].replace('_', '-')}'; give the same, or "
+            "--overwrite to begin anew."
+        )

@@ -1,0 +1,1 @@
+"""`jaxcap track`: the run and its folder of results."""

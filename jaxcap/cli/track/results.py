@@ -1,0 +1,115 @@
+"""The folder of a tracking run: what is in it, what it was begun with, what a frame is there."""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...fit.tracking.track import Tracker
+from ...io.archives.journal import Journal
+from ...io.archives.npz import save_motion
+from ...io.meshes.clouds import Scans
+from ...io.skeletons.bvh import write_bvh
+from ...io.table import write_csv, write_json
+from .frame_rows import CLOUD_AT, Results, cloud_sum
+
+FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
+
+
+def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> Path:
+    """The path of the journal in a folder, which is made where it is not there.
+
+    **Raises:** `InputError` where it cannot be written to, or holds results that are neither to
+    be gone on with nor to be replaced.
+    """
+    make_writable(folder)
+    there = [name for name in (*FILES, journal) if (folder / name).exists()]
+    if there and not (resume or overwrite):
+        what = "an unfinished run" if there == [journal] else "the results of a run"
+        raise InputError(
+            f"{folder}: this folder holds {what}; give --resume to go on with it or --overwrite to replace it."
+        )
+    if resume and there and journal not in there:
+        raise InputError(
+            f"{folder}: there is no journal in this folder to go on from; give --overwrite to begin anew."
+        )
+    if overwrite:
+        for name in there:
+            (folder / name).unlink()
+    return folder / journal
+
+
+def make_writable(folder: Path) -> None:
+    """A folder that can be written to, made where it is not there. Raises `InputError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(13, "Permission denied")
+    except OSError as error:
+        raise InputError(
+            f"{folder}: this folder cannot be written to ({error.strerror}); give another one."
+        ) from None
+
+
+def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
+    """What tells that inputs are the same: hashes of the body with its limits and of the first
+    cloud. Clouds further on may be mended or added before a run goes on, behind those that are solved (`check_same_clouds`)."""
+    body = hashlib.sha256()
+    for leaf in jax.tree.leaves(tracker):
+        body.update(np.asarray(leaf).tobytes())
+    first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
+    return {
+        "body arrays": body.hexdigest(),
+        "first cloud": first.hexdigest(),
+        "precision": str(tracker.body.vertices.dtype),
+    }
+
+
+def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:
+    """That the frames of a run that goes on are those of the first clouds that are there now.
+
+    **Raises:** `InputError` with the first that is another one, as where files were added in front of others.
+    """
+    solved = journal.read(slice(CLOUD_AT, CLOUD_AT + 1))[:, 0]
+    for number, (name, was) in enumerate(zip(names, solved, strict=False)):
+        if cloud_sum(name) != was:
+            raise InputError(
+                f"{journal.path}: frame {number} of this run was not {Path(name).name}, which is the cloud of that number "
+                f"now; resume it with the {len(solved)} clouds that it has solved first, or overwrite it."
+            )
+
+
+def write_results(
+    folder: Path, skeleton: Skeleton, results: Results, rate: float, names: Sequence[str]
+) -> None:
+    """Write motion and statistics of the frames of a run; `names` are those of the clouds."""
+    motion = Motion(results.poses, rate)
+    write_bvh(folder / "motion.bvh", skeleton, motion)
+    save_motion(folder / "motion.npz", motion, skeleton, [verdict for verdict, _ in results.verdicts])
+    statistics = results.statistics
+    columns = {
+        # of a mean point, per metre^3: what expectation maximisation makes small
+        "energy": -statistics.log_likelihood,
+        "sigma": statistics.sigma,
+        "outlier_share": statistics.outlier_share,
+        "mean_distance": statistics.mean_distance,
+        "state": np.array([verdict for verdict, _ in results.verdicts]),
+        "reasons": np.array(["; ".join(reasons) for _, reasons in results.verdicts]),
+        "unseen": np.array(["; ".join(parts) for parts in results.unseen]),
+        "seconds": results.seconds,
+    }
+    rows = [
+        {"frame": number, "cloud": Path(name).name, **dict(zip(columns, values, strict=True))}
+        # the names go on where a run was stopped
+        for number, (name, *values) in enumerate(
+            zip(names, *(column.tolist() for column in columns.values()), strict=False)
+        )
+    ]
+    write_csv(folder / "statistics.csv", rows)
+    write_json(folder / "statistics.json", {"rate": rate, "frames": rows})

@@ -1,0 +1,219 @@
+"""`jaxcap track`: fit a body to a sequence of clouds."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+
+from ...body.body import Body
+from ...energy.term import AbstractEnergy
+from ...errors import InputError, sentence_of
+from ...fit.tracking.em import make_mixture
+from ...fit.tracking.recover import TrackedFrame
+from ...fit.tracking.sequence import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
+from ...fit.tracking.track import Tracker, make_tracker
+from ...io.archives.journal import Journal, begin_journal, resume_journal
+from ...io.meshes.clouds import Scans, read_clouds
+from ...io.system.lock import run_lock
+from ..console.heartbeat import doing
+from ..console.options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, Skl, Unit, Up, Vj, arg
+from ..console.say import counted, progress, say, warn
+from ..console.timed import timed
+from ..scan.scan_rate import Rate, ScanRate, rate_of, tell_rate
+from ..sources import Clouds, load_body, load_cloud
+from ..terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
+from .frame_rows import pack, results_of, results_width, row_template, row_width, unpack, whose_poses
+from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
+
+JOURNAL = "journal"
+#: of --initialise
+SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": False}
+
+
+@dataclass
+class Track:
+    """Fit a body to a sequence of clouds; writes motion.bvh, motion.npz and statistics.
+
+    A run that was killed goes on with --resume, and ends with the same result."""
+
+    body: BodySpec
+    clouds: CloudsSpec
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """Folder for the results."""
+    skl: Skl = None
+    vj: Vj = None
+    cst: Cst = None
+    limits: LimitsFile = None
+    prior: LikelyFile = None
+    floor: FloorHeight = None
+    limit_weight: LimitWeight = 100.0
+    first: OptionalCount = None
+    """First frame: the number in a pattern's names, else counted from 0."""
+    last: OptionalCount = None
+    """Last frame, included."""
+    unit: Unit = "m"
+    """Unit of mesh and clouds: m, dm, cm, mm, in or ft."""
+    up: Up = "y"
+    """Axis that points up in mesh and clouds. Results have y up."""
+    rate: ScanRate = None
+    normal_angle: float = 60.0
+    """Largest angle between a point's normal and its vertex's, degrees."""
+    sigma0: float = 0.1
+    """Deviation of the first frame's points from the body to start with, metres."""
+    outlier: float = 0.1
+    """Share of points that are not of the body."""
+    damping: float = 1.0
+    """Constant on the diagonal of the normal equations."""
+    iterations: int = 3
+    """Steps of expectation maximisation on a frame."""
+    vertices: OptionalCount = None
+    """Reduce the body to about so many vertices, for speed."""
+    estimate_priors: Flag = False
+    """Estimate the share of points of each part too."""
+    initialise: Literal["auto", "always", "never"] = "auto"
+    """Search for the pose of the first frame: where rest does not explain its cloud, always or never."""
+    resume: Flag = False
+    """Go on with a run that was stopped."""
+    overwrite: Flag = False
+    """Replace the results of an earlier run."""
+
+    def run(self) -> None:
+        self.check()
+        body, ranges = load_body(
+            self.body, self.skl, self.vj, self.cst, vertices=self.vertices, unit=self.unit, up=self.up
+        )
+        terms = read_terms(
+            body,
+            limits=self.limits,
+            others=() if ranges is None else (ranges,),
+            limit_weight=self.limit_weight,
+            floor=self.floor,
+            prior=self.prior,
+        )
+        rate = rate_of(self.rate, self.clouds)
+        scans = read_clouds(self.clouds, self.first, self.last, self.unit)
+        # the first cloud shows most of what may be wrong, before anything is written
+        load_cloud(scans, 0, body, self.up)
+        tracker = self.tracker(body, terms)
+        header = {**self.settings(), **fingerprint(tracker, scans), **whose_poses(body.skeleton)}
+        make_writable(self.out)
+        tell_rate(rate)
+        with run_lock(self.out):
+            self.track(tracker, scans, rate, header)
+
+    def track(self, tracker: Tracker, scans: Scans, rate: Rate, header: dict[str, object]) -> None:
+        """Track all frames that are left, and write the results, alone in the folder."""
+        path, body = check_folder(self.out, JOURNAL, self.resume, self.overwrite), tracker.body
+        template = row_template(tracker)
+        going_on = self.resume and path.is_file()
+        journal = (
+            resume_journal(path, header, row_width(template))
+            if going_on
+            else begin_journal(path, header, row_width(template))
+        )
+        with journal:
+            check_same_clouds(journal, scans.names)
+            last = None if journal.last is None else unpack(template, journal.last)[0]
+            self.follow(tracker, scans, journal, last)
+        doing("writing the results")
+        rows = journal.read(slice(results_width(template)))[: len(scans)]
+        results = results_of(template, rows)
+        write_results(self.out, body.skeleton, results, rate.frames, scans.names)
+        say(
+            f"{counted(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
+            f"statistics.json are in {self.out}"
+        )
+        for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
+            warn(sentence)
+        if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
+            raise InputError(
+                f"{self.out}: the body was found in none of the {len(rows)} frames; what is written there shows none of them. "
+                "Are the unit, what is up, and the body those of the capture?"
+            )
+        if len(rows) < len(scans):
+            raise KeyboardInterrupt(
+                f"stopped after {len(rows)} of {len(scans)} frames, which are written; --resume goes on"
+            )
+
+    def check(self) -> None:
+        """That options are in their ranges. Raises `InputError`."""
+        wrong = {
+            "--normal-angle": (
+                self.normal_angle,
+                0 < self.normal_angle <= 180,
+                "above 0 and at most 180 degrees",
+            ),
+            "--sigma0": (self.sigma0, 0 < self.sigma0 < np.inf, "above 0 metres"),
+            "--outlier": (self.outlier, 0 < self.outlier < 1, "between 0 and 1"),
+            "--damping": (self.damping, 0 <= self.damping < np.inf, "at least 0"),
+            "--iterations": (self.iterations, self.iterations >= 1, "at least 1"),
+            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames a second"),
+        }
+        for name, (value, fine, what) in wrong.items():
+            if not fine:
+                raise InputError(f"{name} is {value:g}; it must be {what}.")
+        if self.resume and self.overwrite:
+            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+
+    def settings(self) -> dict[str, object]:
+        """The numbers on which the result depends, by the names that the user knows."""
+        numbers = ("normal_angle", "sigma0", "outlier", "damping", "iterations", "limit_weight")
+        choices = ("vertices", "unit", "up", "estimate_priors", "initialise")
+        return {name: getattr(self, name) for name in (*numbers, *choices)}
+
+    def tracker(self, body: Body, terms: tuple[AbstractEnergy, ...]) -> Tracker:
+        mixture = make_mixture(
+            normal_threshold=float(np.cos(np.radians(self.normal_angle))),
+            outlier=self.outlier,
+            damping=self.damping,
+            estimate_priors=self.estimate_priors,
+        )
+        return make_tracker(body, mixture, terms, iterations=self.iterations)
+
+    def follow(self, tracker: Tracker, scans: Scans, journal: Journal, last: TrackedFrame | None) -> None:
+        """Track all frames behind the `last` of the journal, into it; fewer after Ctrl-C."""
+        steps = self.steps(tracker, scans, journal.count, last)
+        try:
+            for frame, took in progress(steps, len(scans), min(journal.count, len(scans))):
+                journal.append(pack(frame, took, scans.names[journal.count]))
+        except KeyboardInterrupt:
+            if not journal.count:
+                journal.path.unlink()
+                raise
+        except InputError as error:
+            kept = f" The {journal.count} frames before it are kept; mend it and give --resume to go on."
+            raise InputError(f"{sentence_of(error)}{kept}") from None
+
+    def steps(
+        self, tracker: Tracker, scans: Scans, begin: int, last: TrackedFrame | None
+    ) -> Iterator[tuple[TrackedFrame, float]]:
+        """Yield the frames from `begin` on, each with the seconds it took."""
+        return timed(
+            track_frames(
+                tracker,
+                iter(Clouds(scans, tracker.body, self.up)[begin:]),
+                last,
+                search=SEARCHES[self.initialise],
+                sigma=self.sigma0,
+                first=begin,
+                announce=announcing(),
+            )
+        )
+
+
+def announcing() -> Callable[[Search], None]:
+    """A function that says which frame is searched for and why, before that begins."""
+    compiled = False
+
+    def announce(search: Search) -> None:
+        nonlocal compiled
+        why = f": {', '.join(search.reasons)}" if search.reasons else ", as --initialise always asks for"
+        many = "1 search" if search.before == 1 else f"{search.before} searches"
+        before = f"; {many} before it" if search.before else ""
+        once = "" if compiled else "; the first search compiles its functions, which may take some minutes"
+        warn(f"searching for the pose of frame {search.frame}{why}{before}{once}")
+        compiled = True
+
+    return announce

@@ -1,0 +1,68 @@
+"""A floor that a body stands on and does not sink into."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...arguments import check_fields, checked
+from ...body.body import Body, Posed
+from ...values import check_deviations, check_direction, check_values
+from .vertices import AbstractVertexEnergy
+
+#: vertices that are looked at: those lowest at rest, and others spread over the surface
+LOWEST, SPREAD = 100, 200
+
+
+class Floor(AbstractVertexEnergy):
+    """How far some vertices are below a plane, in standard deviations; nothing above it.
+
+    The plane is `up . x = height`.
+    """
+
+    vertices: Int[Array, "C"]
+    up: Float[Array, "3"]
+    #: metres
+    height: Float[Array, ""]
+    #: how far a vertex may sink in, metres
+    deviation: Float[Array, ""]
+
+    def __check_init__(self):
+        check_fields(self)
+        check_direction("Floor", up=self.up)
+        check_deviations("Floor", deviation=self.deviation)
+
+    def residual(self, posed: Posed) -> Float[Array, "C"]:
+        return jnp.minimum(self._above(posed), 0.0) / self.deviation
+
+    def slopes(self, posed: Posed):
+        below = self._above(posed) < 0
+        return self.vertices, jnp.where(below[:, None, None], self.up, 0.0) / self.deviation
+
+    def _above(self, posed: Posed) -> Float[Array, "C"]:
+        return posed.vertices[self.vertices] @ self.up - self.height
+
+
+@checked
+def make_floor(
+    body: Body,
+    height: float | Float[Array, ""] = 0.0,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    deviation: float | Float[Array, ""] = 0.01,
+) -> Floor:
+    """Make the floor of a body, seen by its lowest vertices at rest and some others.
+
+    **Arguments:** `height` of the floor along `up`, a vector of any length, metres; `deviation`, how far a vertex may sink in,
+    metres.
+
+    **Raises:** `InputError` where `up` has no direction, the height is not finite or the deviation is not above zero.
+    """
+    check_direction("make_floor", up=up)
+    check_values("make_floor", np.isfinite, "a finite number of metres", height=height)
+    check_deviations("make_floor", deviation=deviation)
+    vertical = np.asarray(up, float) / np.linalg.norm(up)
+    places, dtype = np.asarray(body.vertices, float) @ vertical, body.vertices.dtype
+    lowest = np.argsort(places, kind="stable")[:LOWEST]
+    others = np.linspace(0, len(places) - 1, min(SPREAD, len(places))).astype(int)
+    rows = np.union1d(lowest, others)
+    numbers = (jnp.asarray(number, dtype) for number in (vertical, height, deviation))
+    return Floor(jnp.asarray(rows, jnp.int32), *numbers)

@@ -1,0 +1,36 @@
+"""A surface that keeps its shape: the Laplacian vectors of a posed body against those of a mesh."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...arguments import checked
+from ...body.body import Body, Posed
+from ...geometry.laplacian import Conformance, laplacian, make_conformance
+from ..term import AbstractEnergy
+
+
+class LaplacianShape(AbstractEnergy):
+    """How far the Laplacian vectors of the posed surface, each vertex from the mean of its neighbours, are from those of a
+    mesh: the mean over vertices of squares, metres squared (Adaptation, eq. 4.12 of one mesh)."""
+
+    metric: Conformance
+    vectors: Float[Array, "V 3"]
+
+    def residual(self, posed: Posed) -> Float[Array, "R"]:
+        apart = laplacian(self.metric, posed.vertices) - self.vectors
+        return apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
+
+
+@checked
+def make_laplacian_shape(body: Body, mesh: Float[np.ndarray, "V 3"]) -> LaplacianShape:
+    """The shape of a mesh that is registered to a body, in the mesh's own pose; metres.
+
+    **Raises:** `ValueError` where it has another number of vertices than the body.
+    """
+    if mesh.shape != body.vertices.shape:
+        raise ValueError(
+            f"The mesh is of the shape {mesh.shape} and the body has {len(body.vertices)} vertices; register it to the body."
+        )
+    metric = make_conformance(np.asarray(body.faces), len(body.vertices), 0.0)
+    return LaplacianShape(metric, laplacian(metric, jnp.asarray(mesh, body.vertices.dtype)))

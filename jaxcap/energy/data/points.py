@@ -1,0 +1,46 @@
+"""Distances between points of a posed surface and points that were observed."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ...body.body import Posed
+from ..term import root
+from .vertices import AbstractVertexEnergy, along_axes
+
+
+class PointToPoint(AbstractVertexEnergy):
+    """`sum_i w_i |x_i - y_i|^2` over pairs of a body's vertex and an observed point
+    (Kineben, eq. 2; with posteriors for weights the M-step of eq. 29).
+
+    `vertices (C,)` indices, `points (C, 3)` metres, `weights (C,)` at least zero.
+    """
+
+    vertices: Int[Array, "C"]
+    points: Float[Array, "C 3"]
+    weights: Float[Array, "C"]
+
+    def residual(self, posed):
+        apart = posed.vertices[self.vertices] - self.points
+        return (root(self.weights)[:, None] * apart).reshape(-1)
+
+    def slopes(self, posed: Posed):
+        del posed
+        return self.vertices, along_axes(self.weights)
+
+
+class PointToPlane(AbstractVertexEnergy):
+    """`sum_i w_i (n_i . (x_i - y_i))^2`: distance along fixed directions `n (C, 3)`, so
+    that points slide along the surface (Chen and Medioni 1991)."""
+
+    vertices: Int[Array, "C"]
+    points: Float[Array, "C 3"]
+    normals: Float[Array, "C 3"]
+    weights: Float[Array, "C"]
+
+    def residual(self, posed):
+        apart = posed.vertices[self.vertices] - self.points
+        return root(self.weights) * jnp.sum(self.normals * apart, -1)
+
+    def slopes(self, posed: Posed):
+        del posed
+        return self.vertices, (root(self.weights)[:, None] * self.normals)[:, None]

@@ -1,0 +1,238 @@
+"""A body as a soft object: an implicit surface of ellipsoids fixed to bones, and points drawn to it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...arguments import check_fields, checked
+from ...body.body import Body, Posed
+from ...geometry.linear import inverse_symmetric
+from ..term import AbstractEnergy, root
+
+#: within this share of an ellipsoid's size around its centre the cone of distances is rounded off
+ROUNDING = 0.1
+
+
+class SoftObject(eqx.Module):
+    """Exponential primitives fixed to bones, whose sum has the skin for a level set (Plaenkers and
+    Fua 2003; joint-limits paper, section 5.1).
+
+    Primitive `i` is the ellipsoid `d_i(y) = (y - c)^T Q (y - c) = 1` in the rest frame of the
+    world, with the axes' directions and `1 / semi-axis^2` for the eigenvectors and eigenvalues of
+    its precision `Q`. Its field is `exp(-stiffness * phi_i)`, of the distance `phi_i` from it in
+    metres (`primitive_distance`), and the skin is where the fields' sum is 1: of one
+    primitive exactly its ellipsoid, of several their blend. The paper's primitives are
+    exponentials of `d_i` itself, whose reach grows with their size; of metres one stiffness
+    blends fingers and trunk alike.
+    """
+
+    #: bone of each primitive
+    bones: Int[Array, "P"]
+    #: rest frame of the world, metres
+    centres: Float[Array, "P 3"]
+    #: symmetric and positive, per metre squared
+    precisions: Float[Array, "P 3 3"]
+    #: per metre: primitives nearer to each other than about its inverse blend
+    stiffness: Float[Array, ""]
+
+    def __check_init__(self):
+        check_fields(self)
+
+
+class SoftPoints(AbstractEnergy):
+    """`sum_i w_i rho(D(x_i))^2` over observed points, with their distances `D` from a soft
+    object's skin (joint-limits paper, eq. 4), metres; a weight of zero is a point that is not
+    there, whatever its place says.
+
+    `rho(D) = D / sqrt(1 + (D / robust)^2)` is `D` near the skin and saturates at `robust` metres
+    (Geman and McClure 1987), so that erroneous points lose their pull; infinite: never.
+    """
+
+    soft: SoftObject
+    points: Float[Array, "N 3"]
+    weights: Float[Array, "N"]
+    robust: Float[Array, ""] = eqx.field(default=np.inf, converter=jnp.asarray)
+
+    def residual(self, posed: Posed):
+        # depth images have no numbers where nothing was seen
+        points = jnp.where((self.weights > 0)[:, None], self.points, 0.0)
+        distances = soft_distance(self.soft, posed, points)
+        return root(self.weights) * distances / jnp.sqrt(1.0 + (distances / self.robust) ** 2)
+
+
+@checked
+def soft_distance(soft: SoftObject, posed: Posed, points: Float[Array, "N 3"]) -> Float[Array, "N"]:
+    """Signed distance of points from the posed skin, metres, negative inside.
+
+    With `F = sum_i exp(-k phi_i)` it is `-log(F) / k`, the smooth minimum of the primitives'
+    distances: zero on the skin, below the least of them by at most `log(P) / k`, and its slope is
+    their mean by shares of F, so it stays about one. `(1 - F) / |grad F|` has the same zeros and
+    slope there, but grows exponentially outside, and has poles inside, where fields balance.
+
+    Primitives are carried into the world, as similarities take them there: P of them, not N
+    points into the frame of each.
+    """
+    r, scale = posed.transforms.rotations[soft.bones], posed.pose.scale
+    centres = jnp.einsum("pab,pb->pa", r, soft.centres) + posed.transforms.translations[soft.bones]
+    # a similarity's inverse: its rotation block is a rotation times the scale
+    precisions = jnp.einsum("pab,pbc,pdc->pad", r, soft.precisions, r) / scale**4
+    return _blend(points, centres, precisions, soft.stiffness / scale)
+
+
+def primitive_distance(offset: Float[Array, "3"], precision: Float[Array, "3 3"]) -> Float[Array, ""]:
+    """Distance `phi` in metres from an ellipsoid, of a point at an `offset` from its centre.
+
+    To first order it is `(sqrt(d) - 1) / |grad sqrt(d)|` (Taubin 1991), which is exact along the axes
+    and has slope one on the surface, but a tip at the centre. With `d + ROUNDING^2` for `d`, and
+    likewise below, it is smooth there too, and has the same zeros.
+    """
+    gradient = precision @ offset
+    length = jnp.sqrt(offset @ gradient + ROUNDING**2)
+    slope = jnp.sqrt(gradient @ gradient + ROUNDING**2 * jnp.trace(precision) / 3)
+    return (length - (1 + ROUNDING**2) ** 0.5) * length / slope
+
+
+@jax.custom_jvp
+def _blend(points, centres, precisions, stiffness):
+    """The smooth minimum over primitives in the world, by point.
+
+    Its derivative is written down for the sake of forward mode: the slopes of N x P distances
+    are found once, and each tangent is a product with them. Left to itself, every
+    tangent would pass through all of the N x P distances.
+    """
+    apart = points[:, None] - centres
+    distances = jax.vmap(jax.vmap(primitive_distance), (0, None))(apart, precisions)
+    return -jax.nn.logsumexp(-stiffness * distances, axis=1) / stiffness
+
+
+@_blend.defjvp
+def _blend_tangent(primals, tangents):
+    points, centres, precisions, stiffness = primals
+    d_points, d_centres, d_precisions, d_stiffness = tangents
+    measure = jax.vmap(jax.vmap(jax.value_and_grad(primitive_distance, (0, 1))), (0, None))
+    distances, (along, across) = measure(points[:, None] - centres, precisions)
+    value = -jax.nn.logsumexp(-stiffness * distances, axis=1) / stiffness
+    shares = jax.nn.softmax(-stiffness * distances, axis=1)
+    along, across = shares[..., None] * along, shares[..., None, None] * across
+    tangent = (
+        jnp.sum(jnp.sum(along, 1) * d_points, -1)
+        - along.reshape(len(points), -1) @ d_centres.reshape(-1)
+        + across.reshape(len(points), -1) @ d_precisions.reshape(-1)
+        + (jnp.sum(shares * distances, 1) - value) / stiffness * d_stiffness
+    )
+    return value, tangent
+
+
+_measure = jax.jit(_blend)
+
+
+#: a slice of a part with fewer vertices has no shape
+FEWEST = 4
+#: rounds in which primitives are grown and shrunk until each one's vertices lie on the skin
+ROUNDS = 20
+
+
+@checked
+def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None) -> SoftObject:
+    """A soft object in the place of a body's surface; not for use under `jit`.
+
+    Each bone's vertices (`skin.parts()`) are cut into slices across their longest axis, about as
+    long as they are wide, and each slice becomes an ellipsoid of its mean and covariance. All are
+    then scaled until each one's vertices lie on the skin in the mean, weighted by area. Bones with
+    fewer than four vertices get none.
+
+    **Arguments:** `primitives` most slices of a bone; `blend` metres, the inverse of the
+    stiffness, where not given 0.6 of the median of the primitives' shortest semi-axes.
+
+    **Raises:** `ValueError` where no bone has four vertices, `primitives` is less than one, or
+    `blend` is not positive.
+    """
+    if primitives < 1:
+        raise ValueError(f"A bone was to have {primitives} primitives at most; give one or more.")
+    if blend is not None and not blend > 0:
+        raise ValueError(f"Primitives were to blend over {blend} metres; give a positive length.")
+    vertices, areas = np.asarray(body.vertices, float), _areas(body)
+    parts = np.asarray(body.skin.parts())
+    bones, slices, shapes = [], [], []
+    for bone in np.unique(parts):
+        for chosen, along in _slices(vertices, areas, np.flatnonzero(parts == bone), primitives):
+            bones.append(int(bone))
+            slices.append(chosen)
+            shapes.append(_shape(vertices[chosen], areas[chosen], along))
+    if not bones:
+        raise ValueError(
+            f"No bone of this body has {FEWEST} vertices or more, so there is no shape to take on; "
+            "give a body with a surface."
+        )
+    centres = np.array([centre for centre, _ in shapes])
+    covariances = np.array([covariance for _, covariance in shapes])
+    shortest = np.sqrt(3 * np.linalg.eigvalsh(covariances)[:, 0])
+    stiffness = 1.0 / (0.6 * np.median(shortest) if blend is None else blend)
+    # the surface of an ellipsoid has a third of its semi-axes squared for a covariance
+    precisions = inverse_symmetric(3 * covariances)
+    precisions = _settled(vertices, areas, slices, centres, precisions, stiffness)
+    dtype = body.vertices.dtype
+    return SoftObject(
+        jnp.asarray(bones),
+        jnp.asarray(centres, dtype),
+        jnp.asarray(precisions, dtype),
+        jnp.asarray(stiffness, dtype),
+    )
+
+
+def _areas(body: Body) -> Float[np.ndarray, "V"]:
+    """Area around each vertex, square metres, and next to nothing for one that has no triangle."""
+    vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    thirds = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
+    return np.bincount(faces.reshape(-1), np.repeat(thirds, 3), len(vertices)) + 1e-12
+
+
+def _slices(vertices, areas, chosen, most: int):
+    """`(vertices, axis)` of each slice of one part; the axis as long as the slice is thick."""
+    if len(chosen) < FEWEST:
+        return []
+    x = vertices[chosen]
+    centre, covariance = _moments(x, areas[chosen])
+    values, vectors = np.linalg.eigh(covariance)
+    along = (x - centre) @ vectors[:, 2]
+    # a tube of length l and radius r has variances l^2 / 12 and r^2 / 2
+    length, width = np.sqrt(12 * values[2]), np.sqrt(8 * values[1])
+    count = int(np.clip(np.round(length / width), 1, most)) if width > 0 else most
+    edges = np.linspace(along.min(), along.max(), count + 1)
+    slots = np.searchsorted(edges[1:-1], along)
+    axis = (edges[1] - edges[0]) * vectors[:, 2] * (count > 1)
+    return [(chosen[slots == k], axis) for k in range(count) if np.sum(slots == k) >= FEWEST]
+
+
+def _moments(x, weights):
+    weights = weights / weights.sum()
+    centre = weights @ x
+    return centre, (x - centre).T @ ((x - centre) * weights[:, None])
+
+
+def _shape(x, weights, along):
+    """Centre and covariance of a slice, that much longer that it reaches into its neighbours."""
+    centre, covariance = _moments(x, weights)
+    values, vectors = np.linalg.eigh(covariance + 0.1 * np.outer(along, along))
+    # a flat slice is given a thickness, for the distance from a disc hardly grows along it
+    values = np.maximum(values, 0.04 * values[2] + 1e-12)
+    return centre, (vectors * values) @ vectors.T
+
+
+def _settled(vertices, areas, slices, centres, precisions, stiffness):
+    """Precisions scaled so that the vertices of each primitive lie on the skin in the mean, where
+    half and double its size is enough: one that others bury would shrink to nothing."""
+    chosen = np.concatenate(slices)
+    owner = np.repeat(np.arange(len(slices)), [len(one) for one in slices])
+    total = np.bincount(owner, areas[chosen])
+    radii, sizes = np.linalg.det(precisions) ** (-1 / 6), np.ones(len(slices))
+    scaled = precisions
+    for _ in range(ROUNDS):
+        distances = np.asarray(_measure(vertices[chosen], centres, scaled, stiffness), float)
+        outside = np.bincount(owner, areas[chosen] * distances) / total
+        sizes = np.clip(sizes + np.clip(outside / radii, -0.2, 0.2), 0.5, 2.0)
+        scaled = precisions / sizes[:, None, None] ** 2
+    return scaled

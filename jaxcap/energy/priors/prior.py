@@ -1,0 +1,75 @@
+"""A preference for poses near a given one, or near rest."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...arguments import check_fields, checked
+from ...body.body import Posed
+from ...body.pose import Pose, difference, own_vectors
+from ...body.skeleton import Skeleton, dof_layout
+from ...geometry import rotation
+from ...values import check_deviations
+from ..term import AbstractEnergy
+
+
+class PosePrior(AbstractEnergy):
+    """`sum_k (d_k / s_k)^2`, where `d` is the tangent from a reference pose to this one and
+    `s (D,)` are standard deviations in metres and radians (infinite: free).
+
+    Holds what the data do not show, damps a step, or ties a frame to its prediction.
+    """
+
+    reference: Pose
+    deviations: Float[Array, "D"]
+
+    def __check_init__(self):
+        check_fields(self)
+        check_deviations("PosePrior", deviations=self.deviations)
+
+    def residual(self, posed: Posed):
+        return difference(posed.body.skeleton, self.reference, posed.pose) / self.deviations
+
+
+class RestPrior(AbstractEnergy):
+    """`sum (w / s)^2` over the rotation vectors `w` of joints from rest, each in its joint's own
+    frame (twist, flexion, sideways), with standard deviations `s (J, 3)` in radians (infinite:
+    free). An elbow that bends sideways costs more than one that flexes."""
+
+    deviations: Float[Array, "J 3"]
+
+    def __check_init__(self):
+        check_fields(self)
+        check_deviations("RestPrior", deviations=self.deviations)
+
+    def residual(self, posed: Posed):
+        return (own_vectors(posed.body.skeleton, posed.pose) / self.deviations).reshape(-1)
+
+
+class ReferencePrior(AbstractEnergy):
+    """`sum (t / m)^2 + sum (w / s)^2` over the shifts `t` and rotation vectors `w` of joints from a reference
+    pose, each vector in its joint's own frame as in `RestPrior`, with standard deviations `m (J,)` in metres and
+    `s (J, 3)` in radians (infinite: free). An elbow that leaves the reference bends rather than shears."""
+
+    reference: Pose
+    metres: Float[Array, "J"]
+    radians: Float[Array, "J 3"]
+
+    def __check_init__(self):
+        check_fields(self)
+        check_deviations("ReferencePrior", metres=self.metres, radians=self.radians)
+
+    def residual(self, posed: Posed):
+        here, there = self.reference, posed.pose
+        shifts = there.translations - here.translations
+        turns = rotation.multiply(rotation.conjugate(here.rotations), there.rotations)
+        vectors = own_vectors(posed.body.skeleton, Pose(shifts, turns, there.scale))
+        return jnp.concatenate(
+            [(shifts / self.metres[:, None]).reshape(-1), (vectors / self.radians).reshape(-1)]
+        )
+
+
+@checked
+def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:
+    """A deviation for every number of a tangent: one for what slides, one for what turns."""
+    deviations = jnp.full(skeleton.num_dofs + 1, radians, skeleton.centres.dtype)
+    return deviations.at[dof_layout(skeleton).translations].set(metres)[:-1]

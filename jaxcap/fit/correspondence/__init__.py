@@ -1,0 +1,1 @@
+"""Which part of a body belongs to which point of a scan."""

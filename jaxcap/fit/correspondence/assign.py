@@ -1,0 +1,171 @@
+"""Which place of a scan each place of a posed body is held against: the nearest vertex, or the nearest point
+of the surface (Adaptation, section 4.1.2)."""
+
+import abc
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from ...arguments import checked
+from ...geometry.closest import nearest_on_surface
+from ...observe import Cloud, as_cloud, padded_size, unit_normals
+from ...observe import Scan as FileScan
+
+
+class Scan(NamedTuple):
+    """The real points of a cloud, or the vertices of a mesh, with a tree to search them, made once a frame."""
+
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    tree: KDTree
+    #: how many points the cloud has with its padding
+    padded: int
+    #: the triangles between the points; none of a cloud
+    faces: Int[np.ndarray, "F 3"]
+
+
+@checked
+def make_scan(cloud: Cloud) -> Scan:
+    """The points of a cloud that are there, and their tree.
+
+    **Raises:** `ValueError` where there is none.
+    """
+    there = np.asarray(cloud.weights) > 0
+    if not there.any():
+        raise ValueError("The cloud has no points with a weight above zero.")
+    points, normals = (np.asarray(part, float)[there] for part in (cloud.points, cloud.normals))
+    return Scan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
+
+
+def as_scan(frame: Scan | Cloud | FileScan) -> Scan:
+    """A frame as what pairs are found in: the points of a cloud, or of a frame as a file has it; a scan as it is."""
+    return frame if isinstance(frame, Scan) else make_scan(as_cloud(frame))
+
+
+@checked
+def make_mesh_scan(
+    vertices: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], faces: Int[np.ndarray, "F 3"]
+) -> Scan:
+    """The surface of a scan whose points are joined by triangles; vertices in metres, normals of any length.
+
+    **Raises:** `ValueError` where it has no vertices or one that is not finite, or a triangle of a vertex that is not there.
+    """
+    if not len(vertices) or not np.isfinite(vertices).all() or normals.shape != vertices.shape:
+        raise ValueError(
+            f"The mesh has {len(vertices)} vertices and {len(normals)} normals; give some, finite, and one normal for each."
+        )
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise ValueError(f"A triangle is of vertex {faces.max()}, and the mesh has {len(vertices)} vertices.")
+    return Scan(vertices, unit_normals(normals), KDTree(vertices), padded_size(len(vertices)), faces)
+
+
+class Surface(NamedTuple):
+    """A posed body, and which of its vertices may be in a pair."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    #: unit, or zero where not known
+    normals: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    seen: Bool[np.ndarray, "V"]
+
+
+class Assigned(NamedTuple):
+    """Places of a body, `sum_k shares_k vertices_k`, each with the place of a scan that it is held against."""
+
+    vertices: Int[np.ndarray, "C K"]
+    #: at least zero, one in sum
+    shares: Float[np.ndarray, "C K"]
+    points: Float[np.ndarray, "C 3"]
+    #: the scan's there, of length one at most
+    normals: Float[np.ndarray, "C 3"]
+    #: how many points a pair stands for; zero where there is no pair
+    mass: Float[np.ndarray, "C"]
+    #: one for every point of the scan, in their order; for every vertex of the body with what is nearest to it;
+    #: or for every vertex with a mean of all points that it explains
+    each: Literal["point", "vertex", "mean"]
+
+
+class AbstractAssignment(eqx.Module):
+    """How pairs are formed. Both ways look no further than `reach`, metres; normals of hard pairs are
+    judged after the search, soft ones need the least `cosine` between them within it."""
+
+    @abc.abstractmethod
+    def from_scan(self, surface: Surface, scan: Scan, reach: float, cosine: float) -> Assigned:
+        """What of the body explains the scan's points."""
+
+    @abc.abstractmethod
+    def from_body(self, surface: Surface, scan: Scan, reach: float, cosine: float) -> Assigned:
+        """What of the scan explains the body's vertices that are seen."""
+
+
+class NearestVertex(AbstractAssignment):
+    """For every point of a scan the nearest vertex; for every vertex the nearest point."""
+
+    def from_scan(self, surface, scan, reach, cosine):
+        del cosine
+        chosen = np.flatnonzero(surface.seen)
+        if not len(chosen):
+            return _nothing(scan, 1)
+        distances, nearest = KDTree(surface.vertices[chosen]).query(
+            scan.points, distance_upper_bound=reach, workers=-1
+        )
+        found = np.isfinite(distances)
+        row = np.where(found, chosen[np.minimum(nearest, len(chosen) - 1)], 0)
+        shares = np.ones((len(row), 1))
+        return Assigned(row[:, None], shares, scan.points, scan.normals, found.astype(float), "point")
+
+    def from_body(self, surface, scan, reach, cosine):
+        del cosine
+        return nearest_points(surface, scan, reach)
+
+
+class NearestOnSurface(AbstractAssignment):
+    """For every point of a scan the nearest point of the body's surface, exactly; for every vertex the nearest point of the
+    scan's surface where the scan is a mesh, and of a cloud the nearest of its points, whose surface is met by
+    distances that count along normals.
+
+    Of the body those triangles are searched all of whose corners are seen.
+    """
+
+    def from_scan(self, surface, scan, reach, cosine):
+        del cosine
+        faces = surface.faces[surface.seen[surface.faces].all(1)]
+        if not len(faces):
+            return _nothing(scan, 3)
+        triangles, shares, apart = nearest_on_surface(scan.points, surface.vertices, faces, reach)
+        found = np.isfinite(apart).astype(float)
+        return Assigned(faces[triangles], shares, scan.points, scan.normals, found, "point")
+
+    def from_body(self, surface, scan, reach, cosine):
+        del cosine
+        if not len(scan.faces):
+            return nearest_points(surface, scan, reach)
+        triangles, shares, apart = nearest_on_surface(surface.vertices, scan.points, scan.faces, reach)
+        corners, every = scan.faces[triangles], np.arange(len(surface.vertices))[:, None]
+        points, normals = (
+            np.einsum("ck,cka->ca", shares, part[corners]) for part in (scan.points, scan.normals)
+        )
+        found = (np.isfinite(apart) & surface.seen).astype(float)
+        return Assigned(every, np.ones(every.shape), points, normals, found, "vertex")
+
+
+def nearest_points(surface: Surface, scan: Scan, reach: float) -> Assigned:
+    """Every vertex with the point of a scan nearest to it."""
+    distances, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach, workers=-1)
+    found = np.isfinite(distances) & surface.seen
+    place = np.where(found, np.minimum(nearest, len(scan.points) - 1), 0)
+    every = np.arange(len(surface.vertices))[:, None]
+    return Assigned(
+        every, np.ones(every.shape), scan.points[place], scan.normals[place], found.astype(float), "vertex"
+    )
+
+
+def _nothing(scan: Scan, corners: int) -> Assigned:
+    """No pair at any point."""
+    count = len(scan.points)
+    shares = np.eye(1, corners).repeat(count, 0)
+    vertices = np.zeros((count, corners), int)
+    return Assigned(vertices, shares, scan.points, scan.normals, np.zeros(count), "point")

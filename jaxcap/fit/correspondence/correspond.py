@@ -1,0 +1,150 @@
+"""Which place on a posed body belongs to which place of a scan (Adaptation, section 4.1.2)."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...arguments import checked
+from ...energy.data.pairs import Pairs as Pairs
+from ...energy.data.pairs import places_on as places_on
+from ...geometry.camera import Camera, in_picture
+from .assign import AbstractAssignment, Assigned, NearestVertex, Surface
+from .assign import NearestOnSurface as NearestOnSurface
+from .assign import Scan as Scan
+from .assign import as_scan as as_scan
+from .assign import make_mesh_scan as make_mesh_scan
+from .assign import make_scan as make_scan
+from .assign_soft import SoftAssignment as SoftAssignment
+
+
+class Matching(NamedTuple):
+    """What makes a pair."""
+
+    #: largest angle between the two normals, degrees
+    angle: float = 90.0
+    #: largest distance, metres
+    reach: float = 0.3
+    #: search from the scan to the body, and from the body to the scan
+    from_scan: bool = True
+    from_body: bool = True
+    #: in every triangle of the body and of the scan, or of a cloud among the points at one vertex, leave out the pair furthest
+    #: apart; means of many points are none of these
+    uniform: bool = True
+    #: deviation up to which distances count squared, and beyond linearly (Charbonnier), metres
+    charbonnier: float = 0.003
+    #: squared distances along the surface count by this share of those across it: 1 is point to point, 0 point to plane; a
+    #: nearest vertex is only about the right one
+    along: float = 0.05
+    #: nearest vertices, nearest points of the surface, or Gaussian shares
+    assignment: AbstractAssignment = NearestVertex()
+    #: the sensors, where a body may be partly outside of what they can see: vertices that are within no
+    #: sensor's angle of aperture are in no pair; none says nothing
+    aperture: tuple[Camera, ...] = ()
+
+
+@checked
+def find_pairs(
+    vertices: Float[np.ndarray, "V 3"],
+    normals: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    scan: Scan,
+    matching: Matching = Matching(),
+    visible: Bool[np.ndarray, "V"] | None = None,
+) -> Pairs:
+    """Pairs both ways: for every point of the scan a place on the body, then for every vertex a place in the scan.
+
+    **Arguments:** `vertices` and `normals` of the posed body; `visible`, which of its vertices some
+    camera sees (`visible_vertices`): the others are in no pair. It bounds the body to the cameras' pictures too;
+    `Matching.aperture` does so alone, where nothing else is known to hide the body.
+
+    A normal of zero, which is not known, is at a right angle to all others. The number of pairs is that of
+    the scan's points, with padding (of the vertices where assignment is soft), and of the vertices.
+    """
+    seen = np.ones(len(vertices), bool) if visible is None else visible
+    if matching.aperture:
+        seen = seen & within_aperture(matching.aperture, vertices)
+    surface = Surface(vertices, normals, faces, seen)
+    cosine = float(np.cos(np.radians(matching.angle)) - 1e-9)
+    ways = matching.assignment.from_scan, matching.assignment.from_body
+    found = [
+        way(surface, scan, matching.reach, cosine)
+        for way, wanted in zip(ways, (matching.from_scan, matching.from_body), strict=True)
+        if wanted
+    ]
+    width = max(part.vertices.shape[1] for part in found)
+    parts = [_judged(part, surface, scan, width, cosine, matching) for part in found]
+    rows, shares, points, both, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return Pairs(
+        jnp.asarray(rows, jnp.int32),
+        *(jnp.asarray(part, float) for part in (shares, points, both, weights)),
+        along=jnp.full(len(weights), matching.along, float),
+    )
+
+
+def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, "V"]:
+    """Which vertices some camera's angle of aperture reaches, hidden or not (Adaptation, 4.1.2, visibility
+    constraint of a body that is partly outside; after Ye et al. 2016). A pinhole's aperture is its picture."""
+    inside = np.zeros(len(vertices), bool)
+    for camera in cameras:
+        inside |= np.asarray(in_picture(camera, jnp.asarray(vertices, float)))
+    return inside
+
+
+def _judged(
+    found: Assigned, surface: Surface, scan: Scan, width: int, cosine: float, matching: Matching
+) -> tuple[np.ndarray, ...]:
+    """Vertices, shares, points, directions and weights of one way's pairs, the weights of bad ones zero."""
+    count = len(surface.vertices)
+    own = _unit(np.einsum("ck,cka->ca", found.shares, surface.normals[found.vertices]))
+    places = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
+    apart = np.linalg.norm(places - found.points, axis=1)
+    good = (found.mass > 0) & (np.sum(own * found.normals, 1) >= cosine)
+    if matching.uniform and found.each == "point" and len(scan.faces):
+        good &= ~_furthest_in(scan.faces, np.where(good, apart, 0.0))
+    elif matching.uniform and found.each == "point":
+        corner = np.take_along_axis(found.vertices, np.argmax(found.shares, 1)[:, None], 1)[:, 0]
+        good &= ~_furthest_at(corner, np.where(good, apart, 0.0), count)
+    elif matching.uniform and found.each == "vertex":
+        good &= ~_furthest_in(surface.faces, np.where(good, apart, 0.0))
+    weights = np.where(good, found.mass * _robust(apart, matching), 0.0)
+    wide = ((0, 0), (0, width - found.vertices.shape[1]))
+    columns = (
+        # a vertex with itself for a neighbour, whose share is none
+        np.pad(found.vertices, wide, mode="edge"),
+        np.pad(found.shares, wide),
+        found.points,
+        _unit(own + _unit(found.normals)),
+        weights,
+    )
+    if found.each != "point":
+        return columns
+    *places, weights = columns
+    extra = (0, scan.padded - len(weights))
+    return *(np.pad(part, (extra, (0, 0)), mode="edge") for part in places), np.pad(weights, extra)
+
+
+def _unit(rows: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C 3"]:
+    return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
+
+
+def _robust(apart: Float[np.ndarray, "C"], matching: Matching) -> Float[np.ndarray, "C"]:
+    """The weight that makes squares of distances count as Charbonnier's norm does (eq. 4.6), one at zero."""
+    return matching.charbonnier / np.sqrt(apart**2 + matching.charbonnier**2)
+
+
+def _furthest_in(faces: Int[np.ndarray, "F 3"], apart: Float[np.ndarray, "V"]) -> Bool[np.ndarray, "V"]:
+    """The vertex of each triangle whose pair is furthest apart."""
+    worst = np.zeros(len(apart), bool)
+    worst[faces[np.arange(len(faces)), np.argmax(apart[faces], 1)]] = True
+    return worst
+
+
+def _furthest_at(rows: Int[np.ndarray, "N"], apart: Float[np.ndarray, "N"], count: int):
+    """Of three and more points at one vertex the one furthest from it."""
+    largest = np.zeros(count)
+    np.maximum.at(largest, rows, apart)
+    many = np.bincount(rows, minlength=count) >= 3
+    return many[rows] & (apart >= largest[rows])

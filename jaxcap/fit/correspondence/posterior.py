@@ -1,0 +1,147 @@
+"""The E-step: which part of the body each point belongs to, and which to none."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...arguments import checked
+from ...observe import Cloud
+from .nearest import nearest_vertices
+from .parts import Parts
+
+#: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without
+#: which a point with no compatible vertex would have no posterior.
+EPSILON = 1e-9
+
+
+class Posterior(eqx.Module):
+    """Soft assignment of N points to C candidate parts each and to the outlier class.
+
+    C is the number of parts, in their order, or fewer: then a point's candidates are its most
+    likely parts, likeliest first. A weight of zero is no correspondence, whatever its vertex.
+    """
+
+    #: nearest compatible vertex of each candidate part
+    vertices: Int[Array, "N C"]
+    parts: Int[Array, "N C"]
+    #: posterior probability of each candidate part
+    weights: Float[Array, "N C"]
+    #: posterior probability that no part explains the point
+    outlier: Float[Array, "N"]
+    #: squared distance to the vertex in metres^2, infinite where there is no correspondence
+    squared_distances: Float[Array, "N C"]
+    #: log of the mixture's density at the point, per metre^3; zero for padding
+    log_density: Float[Array, "N"]
+
+
+@checked
+def posterior(
+    parts: Parts,
+    vertices: Float[Array, "V 3"],
+    normals: Float[Array, "V 3"],
+    cloud: Cloud,
+    sigma: float | Float[Array, ""],
+    *,
+    normal_threshold: float | Float[Array, ""] = 0.5,
+    outlier: float | Float[Array, ""] = 0.05,
+    box_volume: float | Float[Array, ""] = 10.0,
+    priors: Float[Array, "K"] | None = None,
+    candidates: int | None = 4,
+) -> Posterior:
+    """Posterior of every part and of the outlier class at every point (Kineben, eqs. 20, 21).
+
+    The mixture is `p(y) = (1 - w) sum_k prior_k p_k(y) + w / V` with `w` the share `outlier`
+    (at least `EPSILON`) and `V` the `box_volume`. `p_k` is the isotropic normal density with
+    deviation `sigma` about the part's nearest vertex with a compatible normal, and zero where
+    there is none; the uniform density of eq. 20 for that case is the outlier class's, as it has
+    no vertex to pull. A part whose density falls below the outlier class's by more than the
+    precision of a number counts as zero, so that far parts need not be searched.
+
+    A posterior is constant in its M-step, so no derivative flows through it; the slope
+    of `log_density` is that of the M-step's bound (Fisher's identity).
+
+    **Arguments:** posed `vertices (V, 3)` in metres and unit `normals (V, 3)`; `cloud`, whose
+    points of weight zero are padding and go to the outlier class, and whose zero normals are
+    compatible with everything; `sigma` metres; `normal_threshold` the least cosine between
+    compatible normals; `outlier` in [0, 1); `box_volume` metres^3; `priors (K,)` shares of the
+    parts, sum one, uniform over the parts that have vertices where not given; `candidates` C
+    to keep of each point, `None` for all K. What is left out is the least likely and is
+    not shared out among the rest.
+    """
+    vertices, normals, cloud, sigma = jax.lax.stop_gradient((vertices, normals, cloud, jnp.asarray(sigma)))
+    dtype = cloud.points.dtype
+    if priors is None:
+        present = jnp.array([count > 0 for count in parts.blocks_of_part])
+        priors = present / jnp.sum(present)
+    share = jnp.maximum(jnp.asarray(outlier, dtype), EPSILON)
+    log_shares = jnp.log(priors.astype(dtype)) + jnp.log1p(-share)
+    log_normaliser = -1.5 * jnp.log(2 * jnp.pi * sigma**2).astype(dtype)
+    log_outlier = jnp.log(share) - jnp.log(jnp.asarray(box_volume, dtype))
+    # at this distance exp(-d^2 / (2 sigma^2)) has sunk below rounding, against the outlier class
+    negligible = np.log(1e-3 * np.finfo(dtype).eps)
+    reach = sigma * jnp.sqrt(2 * (jnp.maximum(log_normaliser - log_outlier, 0.0) - negligible))
+    squared, nearest = nearest_vertices(
+        parts, vertices, normals, cloud, normal_threshold=normal_threshold, reach=reach
+    )
+    log_parts = log_shares[:, None] + log_normaliser - squared / (2 * sigma**2).astype(dtype)
+    highest = jnp.maximum(jnp.max(log_parts, 0), log_outlier)
+    unscaled = jnp.exp(log_parts - highest)
+    total = jnp.sum(unscaled, 0) + jnp.exp(log_outlier - highest)
+    real = cloud.weights > 0
+    weights = jnp.where(real, unscaled / total, 0.0)
+    which = jnp.broadcast_to(jnp.arange(parts.num_parts, dtype=jnp.int32)[:, None], squared.shape)
+    columns = (weights, which, nearest, squared)
+    if candidates is not None and candidates < parts.num_parts:
+        columns = _likeliest(columns, candidates)
+    weights, which, nearest, squared = (column.T for column in columns)
+    return Posterior(
+        vertices=nearest,
+        parts=which,
+        weights=weights,
+        outlier=jnp.where(real, jnp.exp(log_outlier - highest) / total, 1.0),
+        squared_distances=squared,
+        log_density=jnp.where(real, highest + jnp.log(total), 0.0),
+    )
+
+
+def _likeliest(columns, count: int):
+    """The `count` rows of largest first entry at each point, `(C, N)` each, largest first.
+
+    Taking the largest away `count` times is faster on a CPU than `top_k`.
+    """
+    values = columns[0]
+    rows = jnp.arange(values.shape[0])[:, None]
+    chosen = []
+    for _ in range(count):
+        row = jnp.min(jnp.where(values == jnp.max(values, 0), rows, values.shape[0] - 1), 0)
+        values, row = jax.lax.optimization_barrier((jnp.where(rows == row, -1.0, values), row))
+        chosen.append(row)
+    return tuple(jnp.take_along_axis(column, jnp.stack(chosen), 0) for column in columns)
+
+
+def log_likelihood(posterior: Posterior, weights: Float[Array, "N"]) -> Float[Array, ""]:
+    """Weighted log-likelihood of the cloud under the mixture that gave `posterior`."""
+    return jnp.sum(weights * posterior.log_density)
+
+
+def update_sigma(
+    posterior: Posterior, squared_distances: Float[Array, "N C"], weights: Float[Array, "N"]
+) -> Float[Array, ""]:
+    """The deviation of largest expected likelihood, metres: `sigma^2 = sum w p d^2 / (3 sum w p)`,
+    the second step of the conditional maximisation (Kineben, section 3.3.2).
+
+    `squared_distances (N, C)` are those after the pose has moved. Without any inlier it is
+    not finite.
+    """
+    share = weights[:, None] * posterior.weights
+    squared = jnp.where(share > 0, squared_distances, 0.0)
+    return jnp.sqrt(jnp.sum(share * squared) / (3 * jnp.sum(share)))
+
+
+def update_priors(posterior: Posterior, weights: Float[Array, "N"], num_parts: int) -> Float[Array, "K"]:
+    """Each part's share of what is no outlier, `(K,)`: the priors of largest expected likelihood."""
+    share = weights[:, None] * posterior.weights
+    of_part = jnp.zeros(num_parts, share.dtype).at[posterior.parts].add(share)
+    return of_part / jnp.sum(of_part)

@@ -1,0 +1,117 @@
+"""Which vertices of a surface cameras can see (Adaptation, 4.1.2, visibility constraint)."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ...arguments import checked
+from ...geometry.camera import Camera, in_picture, project
+from ...geometry.mesh import vertex_normals
+
+#: what is nearer to a camera hides nothing, metres
+NEAR = 0.01
+#: a surface changes its depth by no more than this from pixel to pixel of the buffer, metres
+STEEP = 0.03
+
+
+@checked
+def visible_vertices(
+    cameras: Camera | Sequence[Camera],
+    vertices: Float[Array, "V 3"],
+    faces: Int[Array, "F 3"],
+    tolerance: float = 0.005,
+    *,
+    pixels: int = 320,
+) -> Bool[Array, "V"]:
+    """Which vertices at least one camera sees: within its picture, turned towards it, and not hidden.
+
+    A vertex is hidden where a depth buffer of the triangles is nearer than the surface around it by more
+    than `tolerance`, metres, at most of the pixels around, each by its share. The buffer has `pixels` rows
+    and columns, spread over the part of the picture that the surface is in: within one of them of an edge
+    that hides it a vertex may be told wrong. Triangles that reach behind the camera hide nothing. Shapes
+    are fixed, so this may be called under `jit` and `vmap`.
+    """
+    cameras = [cameras] if isinstance(cameras, Camera) else list(cameras)
+    normals = vertex_normals(vertices, faces)
+    seen = jnp.zeros(len(vertices), bool)
+    for camera in cameras:
+        seen = seen | _visible_from(camera, vertices, normals, faces, tolerance, pixels)
+    return seen
+
+
+@partial(jax.jit, static_argnums=5)
+def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: int) -> Bool[Array, "V"]:
+    turned = jnp.sum(normals * (camera.eye - vertices), -1) > 0
+    places, depth = project(camera, vertices)
+    front = depth > NEAR
+    # the buffer is spread over the box around what may be seen
+    inside = in_picture(camera, vertices)
+    first = jnp.min(jnp.where(inside[:, None], places, jnp.inf), 0)
+    last = jnp.max(jnp.where(inside[:, None], places, -jnp.inf), 0)
+    scale = (pixels - 1) / jnp.maximum(last - first, 1e-3)
+    places = jnp.where(inside.any(), (places - first) * scale, 0.0)
+    nearest = _nearest(places, jnp.where(front, 1.0 / jnp.where(front, depth, 1.0), 0.0), faces, pixels)
+    # how the inverse depth of the plane at each vertex changes from column to column and row to row
+    normal = normals @ camera.rotation.T
+    away = jnp.sum(normals * (vertices - camera.eye), -1)
+    slopes = normal[:, :2] / (camera.focal * scale * jnp.where(turned, away, -1.0)[:, None])
+    corner = jnp.clip(jnp.floor(places), 0, pixels - 2)
+    clear = jnp.zeros(len(vertices))
+    for step in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        at = corner + jnp.array(step)
+        apart = at - places
+        there = nearest[at[:, 1].astype(int), at[:, 0].astype(int)]
+        # of a plane that is seen from its edge the prediction is worth nothing
+        change = jnp.clip(jnp.sum(slopes * apart, -1) * depth**2, -STEEP, STEEP)
+        share = jnp.prod(1 - jnp.abs(apart), -1)
+        clear = clear + share * (there * (depth - change - tolerance) < 1.0)
+    return inside & front & turned & (clear > 0.5)
+
+
+def _nearest(
+    places: Float[Array, "V 2"], inverse: Float[Array, "V"], faces: Int[Array, "F 3"], pixels: int
+) -> Float[Array, "P P"]:
+    """The greatest inverse depth of all triangles at each whole row and column; zero where there is none.
+
+    Every triangle is tried at the pixels of a window at its corner. Windows have fixed sizes: a small one
+    for all triangles, and doubled ones for ever fewer, the largest of them in the picture. Of a mesh with
+    many triangles much larger than its mean the last ones are cut off at their windows.
+    """
+    corners, depths = places[faces], inverse[faces]
+    low = jnp.clip(jnp.ceil(corners.min(1)), 0, pixels)
+    high = jnp.clip(jnp.floor(corners.max(1)), -1, pixels - 1)
+    whole = jnp.all(depths > 0, 1) & jnp.all(high >= low, 1)
+    extent = jnp.where(whole, jnp.max(high - low, 1) + 1, 0)
+    order = jnp.argsort(-extent)
+    buffer = jnp.zeros(pixels * pixels, places.dtype)
+    # as large as triangles are that cover the buffer evenly, and twice, from both sides
+    side, count = int(min(pixels, 2 + (4 * pixels * pixels / len(faces)) ** 0.5)), len(faces)
+    while True:
+        chosen = order[:count]
+        buffer = _splat(buffer, corners[chosen], depths[chosen], low[chosen], whole[chosen], side, pixels)
+        if side == pixels:
+            return buffer.reshape(pixels, pixels)
+        side, count = min(2 * side, pixels), max(count // 6, 1)
+
+
+def _splat(buffer, corners, depths, low, whole, side: int, pixels: int) -> Float[Array, "Q"]:
+    """The buffer after triangles at the `side x side` pixels from `low` on."""
+    steps = jnp.arange(side)
+    column, row = (low[:, axis, None].astype(int) + steps for axis in (0, 1))
+    a, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    safe = jnp.where(area == 0, 1.0, area)[:, None, None]
+    x, y = (column - a[:, :1])[:, None, :], (row - a[:, 1:])[:, :, None]
+    second = (x * ac[:, 1, None, None] - y * ac[:, 0, None, None]) / safe
+    third = (y * ab[:, 0, None, None] - x * ab[:, 1, None, None]) / safe
+    within = (second >= -1e-6) & (third >= -1e-6) & (second + third <= 1 + 1e-6)
+    good = within & (whole & (area != 0))[:, None, None]
+    good = good & (column < pixels)[:, None, :] & (row < pixels)[:, :, None]
+    # the inverse depth of a plane is linear in a picture
+    rises = depths - depths[:, :1]
+    value = depths[:, :1, None] + second * rises[:, 1, None, None] + third * rises[:, 2, None, None]
+    index = jnp.where(good, row[:, :, None] * pixels + column[:, None, :], pixels * pixels)
+    return buffer.at[index.reshape(-1)].max(value.reshape(-1), mode="drop")

@@ -1,0 +1,1 @@
+"""Linear operators with structure, and solvers of their systems."""

@@ -1,0 +1,97 @@
+"""Normal equations of many frames that share some unknowns.
+
+Every frame has its own unknowns `x_f`, all share `s`. Without what frames have to do with each other the equations are
+
+    [ A_1           B_1 ] [x_1]   [g_1]
+    [      A_2      B_2 ] [x_2] = [g_2]
+    [ B_1^T  B_2^T  C   ] [ s ]   [ h ]
+
+and the frames are eliminated by the Schur complement `C - sum_f B_f^T A_f^-1 B_f`. Where neighbouring frames meet, `A` is
+block-banded, and the same holds with its factor.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..solvers.equalities import Equalities, keep_equalities
+from .block_banded import BandedFactor, BlockBanded, frames_before
+from .cholesky import CholeskyFactor, factorise
+from .structured import AbstractFactor, AbstractStructured
+
+#: what is unknown: the numbers of each frame, and those that all share
+Unknowns = tuple[Float[Array, "F D"], Float[Array, "S"]]
+
+
+class BlockArrow(AbstractStructured):
+    """A symmetric matrix over `(x (F, D), s (S,))`; S may be zero."""
+
+    frames: BlockBanded
+    coupling: Float[Array, "F D S"]
+    shared: Float[Array, "S S"]
+
+    def mv(self, vector: Unknowns) -> Unknowns:
+        x, s = vector
+        with jax.default_matmul_precision("highest"):
+            across = jnp.einsum("fds,fd->s", self.coupling, x)
+            return self.frames.mv(x) + self.coupling @ s, self.shared @ s + across
+
+    def magnitudes(self, x: Unknowns) -> Unknowns:
+        return BlockArrow(
+            BlockBanded(jnp.abs(self.frames.blocks)), jnp.abs(self.coupling), jnp.abs(self.shared)
+        ).mv(x)
+
+    def among(self, free: tuple[Bool[Array, "F D"], Bool[Array, "S"]]) -> "BlockArrow":
+        x, s = free
+        coupling = jnp.where(x[:, :, None] & s, self.coupling, 0.0)
+        shared = jnp.where(s[:, None] & s, self.shared, 0.0) + jnp.diag(jnp.where(s, 0.0, 1.0))
+        return BlockArrow(self.frames.among(x), coupling, shared)
+
+    def in_structure(self):
+        return self.frames.in_structure(), jax.ShapeDtypeStruct(self.shared.shape[:1], self.shared.dtype)
+
+    def diagonal(self) -> Unknowns:
+        return self.frames.diagonal(), jnp.diagonal(self.shared)
+
+    def add_diagonal(self, amounts: Unknowns) -> "BlockArrow":
+        x, s = amounts
+        return BlockArrow(self.frames.add_diagonal(x), self.coupling, self.shared + jnp.diag(s))
+
+    def turned(self, turn: Float[Array, "F D D"]) -> "BlockArrow":
+        """Write the equations of other numbers `y` of the frames, of which `x = turn @ y`."""
+        before = frames_before(turn, self.frames.blocks.shape[1])
+        product = partial(jnp.einsum, precision="highest")
+        blocks = product("fai,fwab,fwbj->fwij", turn, self.frames.blocks, before)
+        return BlockArrow(BlockBanded(blocks), product("fai,fas->fis", turn, self.coupling), self.shared)
+
+    def rescaled(self, x: Float[Array, "F D"], s: Float[Array, "S"]) -> "BlockArrow":
+        """Write the equations of numbers in other units, so many of these numbers each."""
+        before = frames_before(x, self.frames.blocks.shape[1])
+        blocks = self.frames.blocks * x[:, None, :, None] * before[:, :, None, :]
+        coupling = self.coupling * x[:, :, None] * s
+        return BlockArrow(BlockBanded(blocks), coupling, self.shared * s[:, None] * s)
+
+    def factorise(self) -> "ArrowFactor":
+        frames = self.frames.factorise()
+        columns = frames.forward(self.coupling)
+        with jax.default_matmul_precision("highest"):
+            told = jnp.tensordot(columns, columns, ((0, 1), (0, 1)))
+            return ArrowFactor(frames, columns, factorise(self.shared - told))
+
+
+class ArrowFactor(AbstractFactor):
+    """The frames' factor `L`, `L^-1 B`, and the factor of the Schur complement."""
+
+    frames: BandedFactor
+    columns: Float[Array, "F D S"]
+    shared: CholeskyFactor
+
+    def solve(self, side: Unknowns, equalities: Equalities | None = None) -> Unknowns:
+        """Solve for all unknowns; with equalities, for the least of `y^T A y / 2 - side^T y` that keeps them."""
+        with jax.default_matmul_precision("highest"):
+            known = self.frames.forward(side[0][:, :, None])[:, :, 0]
+            s = self.shared.solve(side[1] - jnp.einsum("fds,fd->s", self.columns, known))
+            s = keep_equalities(self.shared.solve, s, equalities)
+            return self.frames.backward((known - self.columns @ s)[:, :, None])[:, :, 0], s

@@ -1,0 +1,161 @@
+"""Normal equations of many frames in which only near ones meet.
+
+Rows that each touch `W + 1` successive frames leave equations whose blocks are zero further than `W` from the diagonal; with
+`W = 2`, as of second differences,
+
+    [ A_00  A_10^T A_20^T               ] [x_0]   [b_0]
+    [ A_10  A_11   A_21^T A_31^T        ] [x_1]   [b_1]
+    [ A_20  A_21   A_22   A_32^T A_42^T ] [x_2] = [b_2]
+    [       A_31   A_32   A_33   A_43^T ] [x_3]   [b_3]
+    [              A_42   A_43   A_44   ] [x_4]   [b_4]
+
+Cholesky's factor has the same band, and is found frame by frame (Golub and Van Loan, *Matrix Computations*, 4.3):
+time and memory grow with the number of frames, not with its cube and square. With `W = 0` every frame is alone.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Bool, Float, Shaped
+
+from ..solvers.equalities import Equalities
+from .cholesky import rounding, unit_scale
+from .structured import AbstractFactor, AbstractStructured
+
+_einsum = partial(jnp.einsum, precision="highest")
+
+
+class BlockBanded(AbstractStructured):
+    """A symmetric block-banded matrix over `x (F, D)`.
+
+    `blocks[f, w]`, with `B = W + 1` of them a frame, is by the numbers of frame `f` and of the frame `w` before it. What would lie
+    before the first frame is not read.
+    """
+
+    blocks: Float[Array, "F B D D"]
+
+    def mv(self, vector: Float[Array, "F D"]) -> Float[Array, "F D"]:
+        total = _einsum("fij,fj->fi", self.blocks[:, 0], vector)
+        for w in range(1, self.blocks.shape[1]):
+            total = total.at[w:].add(_einsum("fij,fj->fi", self.blocks[w:, w], vector[:-w]))
+            total = total.at[:-w].add(_einsum("fij,fi->fj", self.blocks[w:, w], vector[w:]))
+        return total
+
+    def magnitudes(self, x: Float[Array, "F D"]) -> Float[Array, "F D"]:
+        return BlockBanded(jnp.abs(self.blocks)).mv(x)
+
+    def among(self, free: Bool[Array, "F D"]) -> "BlockBanded":
+        both = free[:, None, :, None] & frames_before(free, self.blocks.shape[1])[:, :, None, :]
+        return BlockBanded(jnp.where(both, self.blocks, 0.0)).add_diagonal(jnp.where(free, 0.0, 1.0))
+
+    def in_structure(self):
+        frames, _, dofs, _ = self.blocks.shape
+        return jax.ShapeDtypeStruct((frames, dofs), self.blocks.dtype)
+
+    def diagonal(self) -> Float[Array, "F D"]:
+        return jnp.diagonal(self.blocks[:, 0], axis1=1, axis2=2)
+
+    def add_diagonal(self, amounts: Float[Array, "F D"]) -> "BlockBanded":
+        one = jnp.eye(self.blocks.shape[2], dtype=self.blocks.dtype)
+        return BlockBanded(self.blocks.at[:, 0].add(amounts[:, :, None] * one))
+
+    def factorise(self) -> "BandedFactor":
+        """Factor frame after frame: batches of small factors stall on a CPU. The blocks on the factor's diagonal are
+        inverted, which makes all else products, of which there are many and which all devices are fast at."""
+        frames, width, dofs, _ = self.blocks.shape
+        scale = unit_scale(self.diagonal())
+        even = self.blocks * scale[:, None, :, None] * frames_before(scale, width)[:, :, None, :]
+        there = jnp.arange(frames)[:, None] >= jnp.arange(width)
+        even = jnp.where(there[:, :, None, None], even, 0.0)
+        one = jnp.eye(dofs, dtype=even.dtype)
+        even = even.at[:, 0].add(rounding(dofs, even.dtype) * one)
+
+        def row(above, blocks):
+            """A row of the factor by those of the `W` frames before it, the nearest first."""
+            found = [jnp.zeros_like(blocks[0])] * width
+            for w in range(width - 1, 0, -1):
+                left = blocks[w] - sum(found[v] @ above[w - 1, v - w].T for v in range(w + 1, width))
+                found[w] = left @ above[w - 1, 0].T
+            corner = jnp.linalg.cholesky(blocks[0] - sum(part @ part.T for part in found[1:]))
+            found[0] = solve_triangular(corner, one, lower=True)
+            whole = jnp.stack(found)
+            return jnp.concatenate([whole[None], above])[: width - 1], whole
+
+        # no frame is before the first; a factor of one there leaves its zeros as they are
+        none = jnp.zeros((width - 1, width, dofs, dofs), even.dtype).at[:, 0].set(one)
+        with jax.default_matmul_precision("highest"):
+            return BandedFactor(jax.lax.scan(row, none, even)[1], scale)
+
+
+class BandedFactor(AbstractFactor):
+    """The Cholesky factor's band `L`, with the inverses of its blocks on the diagonal, of equations brought to a unit
+    diagonal by `scale`."""
+
+    blocks: Float[Array, "F B D D"]
+    scale: Float[Array, "F D"]
+
+    def solve(self, side: Float[Array, "F D"], equalities: Equalities | None = None) -> Float[Array, "F D"]:
+        if equalities is not None:
+            raise NotImplementedError("Frames that share nothing keep no equations.")
+        return self.backward(self.forward(side[:, :, None]))[:, :, 0]
+
+    def forward(self, sides: Float[Array, "F D K"]) -> Float[Array, "F D K"]:
+        """Compute `L^-1 S b`, from the first frame on."""
+        sides = self.scale[:, :, None] * sides
+        if self.blocks.shape[1] == 1:
+            return _einsum("fij,fjk->fik", self.blocks[:, 0], sides)
+
+        def one(before, row):
+            blocks, side = row
+            known = _einsum("wij,wjk->ik", blocks[1:], before)
+            found = _einsum("ij,jk->ik", blocks[0], side - known)
+            return jnp.concatenate([found[None], before])[: len(before)], found
+
+        none = jnp.zeros((self.blocks.shape[1] - 1, *sides.shape[1:]), sides.dtype)
+        return jax.lax.scan(one, none, (self.blocks, sides))[1]
+
+    def backward(self, sides: Float[Array, "F D K"]) -> Float[Array, "F D K"]:
+        """Compute `S L^-T b`, from the last frame on. What a frame that is found takes from the sides of those before it
+        is carried along, the nearest first."""
+        if self.blocks.shape[1] == 1:
+            return self.scale[:, :, None] * _einsum("fij,fik->fjk", self.blocks[:, 0], sides)
+
+        def one(known, row):
+            blocks, side = row
+            found = _einsum("ij,ik->jk", blocks[0], side - known[0])
+            passed = jnp.concatenate([known, jnp.zeros_like(found)[None]])[1:]
+            taken = _einsum("wij,ik->wjk", blocks[1:], found)
+            return passed.at[: len(taken)].add(taken), found
+
+        none = jnp.zeros((self.blocks.shape[1], *sides.shape[1:]), sides.dtype)
+        return self.scale[:, :, None] * jax.lax.scan(one, none, (self.blocks, sides), reverse=True)[1]
+
+    def diagonal_inverse(self) -> Float[Array, "F D D"]:
+        """Compute the blocks on the diagonal of the inverse, in time linear in the number of frames: from the last frame on, each by
+        those within the band after it (Takahashi, Fagan and Chin 1973)."""
+        frames, width, dofs, _ = self.blocks.shape
+        reach = width - 1
+        # what is below each block of the factor's diagonal: of the frame w later, L_{f+w, f}
+        below = [jnp.roll(self.blocks[:, w], -w, 0).at[frames - w :].set(0.0) for w in range(1, width)]
+        below = jnp.stack(below, 1) if reach else jnp.zeros((frames, 0, dofs, dofs), self.blocks.dtype)
+
+        def one(later, row):
+            """Inverse blocks of the `W` frames after this one with each other, `later (W, W, D, D)`."""
+            corner, under = row
+            slopes = _einsum("wij,jk->wik", under, corner)
+            across = -_einsum("vwij,wjk->vik", later, slopes)
+            own = _einsum("ji,jk->ik", corner, corner) - _einsum("wij,wik->jk", slopes, across)
+            whole = jnp.zeros((width, width, dofs, dofs), own.dtype).at[1:, 1:].set(later)
+            whole = whole.at[0, 0].set(own).at[1:, 0].set(across).at[0, 1:].set(jnp.swapaxes(across, 1, 2))
+            return whole[:reach, :reach], own
+
+        none = jnp.zeros((reach, reach, dofs, dofs), self.blocks.dtype)
+        _, own = jax.lax.scan(one, none, (self.blocks[:, 0], below), reverse=True)
+        return own * self.scale[:, :, None] * self.scale[:, None, :]
+
+
+def frames_before(each: Shaped[Array, "F *D"], width: int) -> Shaped[Array, "F B *D"]:
+    """Gather what the frame itself has, the one before it, and so on; those before the first have the last ones'."""
+    return jnp.stack([jnp.roll(each, w, 0) for w in range(width)], 1)

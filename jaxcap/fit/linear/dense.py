@@ -1,0 +1,49 @@
+"""A symmetric matrix without structure."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..solvers.equalities import Equalities, keep_equalities
+from .cholesky import CholeskyFactor, factorise
+from .structured import AbstractFactor, AbstractStructured
+
+
+class Dense(AbstractStructured):
+    """All of a symmetric positive semidefinite matrix over `x (D,)`."""
+
+    matrix: Float[Array, "D D"]
+
+    def mv(self, vector: Float[Array, "D"]) -> Float[Array, "D"]:
+        return jnp.matmul(self.matrix, vector, precision="highest")
+
+    def magnitudes(self, x: Float[Array, "D"]) -> Float[Array, "D"]:
+        return jnp.abs(self.matrix) @ x
+
+    def among(self, free: Bool[Array, "D"]) -> "Dense":
+        return Dense(jnp.where(free[:, None] & free, self.matrix, 0.0) + jnp.diag(jnp.where(free, 0.0, 1.0)))
+
+    def in_structure(self):
+        return jax.ShapeDtypeStruct(self.matrix.shape[:1], self.matrix.dtype)
+
+    def diagonal(self) -> Float[Array, "D"]:
+        return jnp.diagonal(self.matrix)
+
+    def add_diagonal(self, amounts: Float[Array, "D"]) -> "Dense":
+        return Dense(self.matrix + jnp.diag(amounts))
+
+    def factorise(self) -> "DenseFactor":
+        # little, as equations without structure come damped: a ridge moves what is hardly held
+        return DenseFactor(factorise(self.matrix, 10 * float(jnp.finfo(self.matrix.dtype).eps)))
+
+    def as_matrix(self) -> Float[Array, "D D"]:
+        return self.matrix
+
+
+class DenseFactor(AbstractFactor):
+    """The Cholesky factor of all of the matrix."""
+
+    factor: CholeskyFactor
+
+    def solve(self, side: Float[Array, "D"], equalities: Equalities | None = None) -> Float[Array, "D"]:
+        return keep_equalities(self.factor.solve, self.factor.solve(side), equalities)

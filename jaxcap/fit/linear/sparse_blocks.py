@@ -1,0 +1,161 @@
+"""Symmetric matrices of 3 x 3 blocks over vertices, and such matrices with a dense border.
+
+Vertices that share a pair or an edge meet, and few others, so that the blocks are listed. Conjugate gradients solve by products, with
+the blocks on the diagonal as preconditioner.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..solvers.equalities import Equalities
+from .conjugate_gradients import conjugate_gradients
+from .structured import AbstractFactor, AbstractStructured
+
+#: steps of conjugate gradients at most
+STEPS = 2000
+
+
+class SparseBlocks(AbstractStructured):
+    """A symmetric matrix over `e (V, 3)` by its blocks: those of each vertex, and those of couples of two."""
+
+    own: Float[Array, "V 3 3"]
+    #: each once; the block of a couple is by the numbers of its first vertex and of its second
+    couples: Int[Array, "E 2"]
+    across: Float[Array, "E 3 3"]
+    #: the share of the right side at which conjugate gradients end
+    tolerance: Float[Array, ""]
+
+    def mv(self, vector: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
+        first, second = self.couples.T
+        with jax.default_matmul_precision("highest"):
+            total = jnp.einsum("vab,vb->va", self.own, vector)
+            total = total.at[first].add(jnp.einsum("eab,eb->ea", self.across, vector[second]))
+            return total.at[second].add(jnp.einsum("eab,ea->eb", self.across, vector[first]))
+
+    def magnitudes(self, x: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
+        return SparseBlocks(jnp.abs(self.own), self.couples, jnp.abs(self.across), self.tolerance).mv(x)
+
+    def among(self, free: Array) -> "SparseBlocks":
+        one = jnp.eye(3, dtype=self.own.dtype)
+        own = (
+            jnp.where(free[:, :, None] & free[:, None], self.own, 0.0)
+            + one * jnp.where(free, 0.0, 1.0)[:, None]
+        )
+        first, second = self.couples.T
+        across = jnp.where(free[first][:, :, None] & free[second][:, None], self.across, 0.0)
+        return SparseBlocks(own, self.couples, across, self.tolerance)
+
+    def in_structure(self):
+        return jax.ShapeDtypeStruct(self.own.shape[:2], self.own.dtype)
+
+    def diagonal(self) -> Float[Array, "V 3"]:
+        return jnp.diagonal(self.own, axis1=1, axis2=2)
+
+    def add_diagonal(self, amounts: Float[Array, "V 3"]) -> "SparseBlocks":
+        one = jnp.eye(3, dtype=self.own.dtype)
+        return eqx.tree_at(lambda s: s.own, self, self.own + amounts[:, :, None] * one)
+
+    def factorise(self) -> "SparseFactor":
+        return SparseFactor(self, jnp.linalg.inv(jax.lax.stop_gradient(self.own)))
+
+
+class SparseFactor(AbstractFactor):
+    """The matrix with the inverses of its blocks on the diagonal."""
+
+    matrix: SparseBlocks
+    inverses: Float[Array, "V 3 3"]
+
+    def precondition(self, side: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
+        return jnp.einsum("vab,vb->va", self.inverses, side)
+
+    def solve(self, side: Float[Array, "V 3"], equalities: Equalities | None = None) -> Float[Array, "V 3"]:
+        if equalities is not None:
+            raise NotImplementedError("Vertices by themselves keep no equations.")
+        tolerance = self.matrix.tolerance
+        return conjugate_gradients(
+            self.matrix.mv, side, self.precondition, tolerance=tolerance, max_steps=STEPS
+        )
+
+
+class Bordered(AbstractStructured):
+    """A symmetric matrix over `(x (F, D), s (S,), e (V, 3))`: an arrow over `(x, s)`, blocks over `e`, and all that couples them.
+
+    The arrow is eliminated. What is left on the vertices is never formed: its products need one solution of the arrow each.
+    """
+
+    arrow: AbstractStructured
+    frames: Float[Array, "F D V 3"]
+    shared: Float[Array, "S V 3"]
+    vertices: SparseBlocks
+
+    def mv(self, vector):
+        x, s, e = vector
+        inner = self.arrow.mv((x, s))
+        outer = self._up(e)
+        return inner[0] + outer[0], inner[1] + outer[1], self.vertices.mv(e) + self._down((x, s))
+
+    def magnitudes(self, x):
+        absolute = jax.tree.map(jnp.abs, (self.frames, self.shared))
+        rest = Bordered(self.arrow, absolute[0], absolute[1], self.vertices)
+        inner, outer = self.arrow.magnitudes(x[:2]), rest._up(x[2])
+        return inner[0] + outer[0], inner[1] + outer[1], self.vertices.magnitudes(x[2]) + rest._down(x[:2])
+
+    def among(self, free):
+        x, s, e = free
+        frames = jnp.where(x[:, :, None, None] & e, self.frames, 0.0)
+        shared = jnp.where(s[:, None, None] & e, self.shared, 0.0)
+        return Bordered(self.arrow.among((x, s)), frames, shared, self.vertices.among(e))
+
+    def in_structure(self):
+        return (*self.arrow.in_structure(), self.vertices.in_structure())
+
+    def diagonal(self):
+        return (*self.arrow.diagonal(), self.vertices.diagonal())
+
+    def add_diagonal(self, amounts):
+        x, s, e = amounts
+        arrow, vertices = self.arrow.add_diagonal((x, s)), self.vertices.add_diagonal(e)
+        return Bordered(arrow, self.frames, self.shared, vertices)
+
+    def factorise(self) -> "BorderedFactor":
+        return BorderedFactor(self, self.arrow.factorise(), self.vertices.factorise())
+
+    def _up(self, e):
+        with jax.default_matmul_precision("highest"):
+            return jnp.tensordot(self.frames, e, 2), jnp.tensordot(self.shared, e, 2)
+
+    def _down(self, known):
+        x, s = known
+        with jax.default_matmul_precision("highest"):
+            return jnp.tensordot(x, self.frames, 2) + jnp.tensordot(s, self.shared, 1)
+
+
+class BorderedFactor(AbstractFactor):
+    """The factor of the arrow, and the preconditioner of the vertices."""
+
+    matrix: Bordered
+    arrow: AbstractFactor
+    vertices: SparseFactor
+
+    def solve(self, side, equalities: Equalities | None = None):
+        x, s, e = side
+        # equations are kept by any solution for (x, s); those of its products are of zero
+        still = None if equalities is None else Equalities(equalities.rows, jnp.zeros_like(equalities.values))
+
+        def product(e):
+            known = self.arrow.solve(self.matrix._up(e), still)
+            return self.matrix.vertices.mv(e) - self.matrix._down(known)
+
+        first = self.arrow.solve((x, s), equalities)
+        left = e - self.matrix._down(first)
+        found = conjugate_gradients(
+            product,
+            left,
+            self.vertices.precondition,
+            tolerance=self.matrix.vertices.tolerance,
+            max_steps=STEPS,
+        )
+        back = self.arrow.solve(self.matrix._up(found), still)
+        return first[0] - back[0], first[1] - back[1], found

@@ -1,0 +1,102 @@
+"""Matrices of normal equations that know their structure, and the solver that asks them for it.
+
+They are operators of lineax, so that optimistix's descents and searches take them as the Hessian of
+`optx.FunctionInfo.EvalGradHessian`.
+"""
+
+import abc
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, PyTree
+
+from ..solvers.equalities import Equalities
+
+Structured = TypeVar("Structured", bound="AbstractStructured")
+
+
+class AbstractFactor(eqx.Module):
+    """A matrix made ready for solving."""
+
+    @abc.abstractmethod
+    def solve(self, side: Any, equalities: Equalities | None = None) -> Any:
+        """Solve `A x = side`, or with equations find the least of `x^T A x / 2 - side^T x` that keeps them; not numbers where
+        `A` is not positive definite."""
+
+
+class AbstractStructured(lx.AbstractLinearOperator):
+    """A symmetric positive semidefinite matrix over unknowns that are a pytree of arrays."""
+
+    @abc.abstractmethod
+    def diagonal(self) -> PyTree[Array]:
+        """Its diagonal, in the shape of the unknowns."""
+
+    @abc.abstractmethod
+    def add_diagonal(self: Structured, amounts: PyTree[Array]) -> Structured:
+        """Add amounts, in the shape of the unknowns, to the diagonal."""
+
+    @abc.abstractmethod
+    def magnitudes(self, x: PyTree[Array]) -> PyTree[Array]:
+        """Compute `|A| x`, of which the rounding errors of a product are a share."""
+
+    @abc.abstractmethod
+    def among(self: Structured, free: PyTree[Array]) -> Structured:
+        """Keep rows and columns of free unknowns, and put those of the identity in place of the others: they are masked,
+        not removed, so that shapes stay."""
+
+    @abc.abstractmethod
+    def factorise(self) -> AbstractFactor:
+        """Factor the matrix in time linear in the number of frames."""
+
+    def solve(self, side: PyTree[Array]) -> PyTree[Array]:
+        """Solve `A x = side`, differentiably in both modes: a derivative is one more substitution with the same factor."""
+        factor = jax.lax.stop_gradient(self).factorise()
+        return jax.lax.custom_linear_solve(self.mv, side, lambda _, b: factor.solve(b), symmetric=True)
+
+    def as_matrix(self) -> Float[Array, "N N"]:
+        """Write out all of the matrix, for tests and small problems."""
+        zero = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), self.in_structure())
+        flat, unravel = ravel_pytree(zero)
+        columns = jax.vmap(lambda x: ravel_pytree(self.mv(unravel(x)))[0])(
+            jnp.eye(len(flat), dtype=flat.dtype)
+        )
+        return columns.T
+
+    def transpose(self):
+        return self
+
+    def out_structure(self):
+        return self.in_structure()
+
+
+def damped(matrix: Structured, share: Float[Array, ""]) -> Structured:
+    """Damp after Marquardt: every diagonal grows by a share of it, and none is left far below the largest of its own block,
+    so that unknowns without data stay still."""
+
+    def raised(diagonal):
+        if diagonal.shape[-1] == 0:
+            return diagonal
+        floor = jnp.finfo(diagonal.dtype)
+        return share * diagonal + jnp.maximum(jnp.max(diagonal, -1, keepdims=True) * floor.eps, floor.tiny)
+
+    return matrix.add_diagonal(jax.tree.map(raised, matrix.diagonal()))
+
+
+for _question in (lx.is_symmetric, lx.is_positive_semidefinite):
+    _question.register(AbstractStructured)(lambda operator: True)
+for _question in (
+    lx.is_diagonal, lx.is_tridiagonal, lx.has_unit_diagonal, lx.is_lower_triangular, lx.is_upper_triangular,
+    lx.is_negative_semidefinite,
+):  # fmt: skip
+    _question.register(AbstractStructured)(lambda operator: False)
+for _same in (lx.linearise, lx.materialise, lx.conj):
+    _same.register(AbstractStructured)(lambda operator: operator)
+
+
+@lx.diagonal.register(AbstractStructured)
+def _(operator):
+    return ravel_pytree(operator.diagonal())[0]

@@ -1,0 +1,1 @@
+"""Many frames and what they share as one least-squares problem."""

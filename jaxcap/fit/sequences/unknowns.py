@@ -1,0 +1,252 @@
+"""What the frames of a sequence may share as unknowns, and how each makes the body that they pose."""
+
+import abc
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from ...arguments import check_fields
+from ...body.body import Body
+from ...body.shape_modes import Modes, moved
+from ...errors import InputError
+from ...geometry import rotation
+
+Value = TypeVar("Value")
+
+
+class AbstractUnknown(eqx.Module, Generic[Value]):
+    """An unknown that all frames share: a value of its own, and the body that follows from it.
+
+    Tangents `d (N,)` are flat arrays, by metres, radians or shares of one, whatever `scales` brings to one measure. `apply` may
+    change any array of a body: which ones it does is found from it.
+    """
+
+    def __check_init__(self):
+        check_fields(self)
+
+    @abc.abstractmethod
+    def size(self, body: Body) -> int:
+        """Count the numbers N of a tangent."""
+
+    @abc.abstractmethod
+    def start(self, body: Body) -> Value:
+        """Make the value that leaves a body as it is."""
+
+    @abc.abstractmethod
+    def apply(self, body: Body, value: Value) -> Body:
+        """Change a body by a value."""
+
+    @abc.abstractmethod
+    def retract(self, value: Value, d: Float[Array, "N"]) -> Value:
+        """Move a value along a tangent."""
+
+    def bounds(self, value: Value) -> tuple[Float[Array, "N"], Float[Array, "N"]] | None:
+        """Bound a tangent at a value from below and above; None where nothing bounds it."""
+        del value
+        return None
+
+    def scales(self, body: Body) -> Float[Array, "N"]:
+        """Bring the numbers of a tangent to one measure; see `AbstractProblem.scales`."""
+        return jnp.ones(self.size(body), body.vertices.dtype)
+
+
+def _number(given: float | Float[Array, ""] | None) -> Float[Array, ""] | None:
+    return None if given is None else jnp.asarray(given, float)
+
+
+class Size(AbstractUnknown[Float[Array, ""]]):
+    """The size of the whole body about the origin, within bounds; its value is the logarithm."""
+
+    smallest: Float[Array, ""] | None = eqx.field(converter=_number, default=None)
+    largest: Float[Array, ""] | None = eqx.field(converter=_number, default=None)
+
+    def __check_init__(self):
+        super().__check_init__()
+        for name, end in (("smallest", self.smallest), ("largest", self.largest)):
+            if isinstance(end, jax.Array) and not isinstance(end, Tracer) and not end > 0:
+                raise InputError(f"Size: `{name}` is {float(end):g}; expected is a factor above 0.")
+
+    def size(self, body):
+        return 1
+
+    def start(self, body):
+        return jnp.zeros((), body.vertices.dtype)
+
+    def apply(self, body, value):
+        factor = jnp.exp(value)
+        grown = body.skeleton.centres * factor, body.vertices * factor
+        return eqx.tree_at(lambda b: (b.skeleton.centres, b.vertices), body, grown)
+
+    def retract(self, value, d):
+        return value + d[0]
+
+    def bounds(self, value):
+        if self.smallest is None and self.largest is None:
+            return None
+        low = (
+            -jnp.inf
+            if self.smallest is None
+            else jnp.log(jnp.maximum(self.smallest, 0.0)).astype(value.dtype)
+        )
+        high = jnp.inf if self.largest is None else jnp.log(self.largest).astype(value.dtype)
+        return jnp.reshape(low - value, (1,)), jnp.reshape(high - value, (1,))
+
+
+class JointCentres(AbstractUnknown[Float[Array, "C 3"]]):
+    """The rest centres of some joints; its value is their shifts, metres. The surface stays."""
+
+    joints: tuple[int, ...] = eqx.field(static=True)
+
+    def size(self, body):
+        return 3 * len(self.joints)
+
+    def start(self, body):
+        return jnp.zeros((len(self.joints), 3), body.vertices.dtype)
+
+    def apply(self, body, value):
+        centres = body.skeleton.centres.at[jnp.array(self.joints, int)].add(value)
+        return eqx.tree_at(lambda b: b.skeleton.centres, body, centres)
+
+    def retract(self, value, d):
+        return value + d.reshape(value.shape)
+
+
+class JointOrientations(AbstractUnknown[Float[Array, "C 4"]]):
+    """The orientations of some joints, where twist ends and swing begins; its value is quaternions by which they turn, on
+    the right. A roll about a twist axis changes nothing, so that tangents are two numbers a joint, radians."""
+
+    joints: tuple[int, ...] = eqx.field(static=True)
+
+    def size(self, body):
+        return 2 * len(self.joints)
+
+    def start(self, body):
+        return jnp.tile(rotation.identity(body.vertices.dtype), (len(self.joints), 1))
+
+    def apply(self, body, value):
+        joints = jnp.array(self.joints, int)
+        turned = rotation.multiply(body.skeleton.orientations[joints], value)
+        orientations = body.skeleton.orientations.at[joints].set(rotation.normalise(turned))
+        return eqx.tree_at(lambda b: b.skeleton.orientations, body, orientations)
+
+    def retract(self, value, d):
+        turn = jnp.pad(d.reshape(-1, 2), ((0, 0), (1, 0)))
+        return rotation.normalise(rotation.multiply(value, rotation.exp(turn)))
+
+
+class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
+    """Amounts of modes of a shape space: joints and surface together (`Modes`), within bounds."""
+
+    modes: Modes
+    lowest: Float[Array, "K"] | None = None
+    highest: Float[Array, "K"] | None = None
+
+    def size(self, body):
+        return len(self.modes.centres)
+
+    def start(self, body):
+        return jnp.zeros(self.size(body), body.vertices.dtype)
+
+    def apply(self, body, value):
+        return moved(body, self.modes, value)
+
+    def retract(self, value, d):
+        return value + d
+
+    def bounds(self, value):
+        if self.lowest is None and self.highest is None:
+            return None
+        low, high = (jnp.full_like(value, sign * jnp.inf) for sign in (-1, 1))
+        low = low if self.lowest is None else self.lowest - value
+        return low, high if self.highest is None else self.highest - value
+
+
+class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):
+    """The rest places of some vertices, such as markers on bones; its value is their shifts, metres. The equations are
+    dense in them: not for whole surfaces."""
+
+    vertices: tuple[int, ...] = eqx.field(static=True)
+
+    def size(self, body):
+        return 3 * len(self.vertices)
+
+    def start(self, body):
+        return jnp.zeros((len(self.vertices), 3), body.vertices.dtype)
+
+    def apply(self, body, value):
+        places = body.vertices.at[jnp.array(self.vertices, int)].add(value)
+        return eqx.tree_at(lambda b: b.vertices, body, places)
+
+    def retract(self, value, d):
+        return value + d.reshape(value.shape)
+
+
+class SkinningWeights(AbstractUnknown[Float[Array, "C K"]]):
+    """The skinning weights of some vertices for some bones, at least zero and together as much as at the start; its value is
+    these weights, and the last of the bones has what the others leave."""
+
+    vertices: tuple[int, ...] = eqx.field(static=True)
+    bones: tuple[int, ...] = eqx.field(static=True)
+
+    def size(self, body):
+        return len(self.vertices) * (len(self.bones) - 1)
+
+    def start(self, body):
+        return self._weights(body)[self._places()]
+
+    def apply(self, body, value):
+        changed = self._weights(body).at[self._places()].set(value)
+        return eqx.tree_at(lambda b: b.skin.weights, body, changed)
+
+    def retract(self, value, d):
+        whole = jnp.sum(value, 1, keepdims=True)
+        most = jnp.maximum(value[:, :-1] + d.reshape(len(value), -1), 0.0)
+        share = jnp.sum(most, 1, keepdims=True)
+        most = most * jnp.where(share > whole, whole / jnp.where(share > 0, share, 1.0), 1.0)
+        return jnp.concatenate([most, jnp.maximum(whole - jnp.sum(most, 1, keepdims=True), 0.0)], 1)
+
+    def bounds(self, value):
+        most = value[:, :-1]
+        return -most.reshape(-1), (jnp.sum(value, 1, keepdims=True) - most).reshape(-1)
+
+    def _places(self):
+        return np.array(self.vertices, int)[:, None], np.array(self.bones, int)
+
+    def _weights(self, body: Body) -> Float[Array, "V J"]:
+        weights = getattr(body.skin, "weights", None)
+        if weights is None:
+            raise InputError(
+                f"SkinningWeights: a {type(body.skin).__name__} has no one weight for each vertex and bone; give a body with a LinearSkin or a "
+                "DualQuaternionSkin."
+            )
+        return weights
+
+
+def make_body(body: Body, unknowns: dict[str, AbstractUnknown], values: dict) -> Body:
+    """Apply all unknowns, one after the other in the order of their names."""
+    for name in sorted(unknowns):
+        body = unknowns[name].apply(body, values[name])
+    return body
+
+
+def split_tangent(
+    body: Body, unknowns: dict[str, AbstractUnknown], d: Float[Array, "S"]
+) -> dict[str, Float[Array, "N"]]:
+    """Cut a tangent of all unknowns into those of each."""
+    names = sorted(unknowns)
+    ends = _ends(body, [unknowns[name] for name in names])
+    return dict(zip(names, jnp.split(d, ends[:-1]) if names else [], strict=True))
+
+
+def _ends(body: Body, unknowns: Sequence[AbstractUnknown]) -> list[int]:
+    ends, total = [], 0
+    for unknown in unknowns:
+        total += unknown.size(body)
+        ends.append(total)
+    return ends

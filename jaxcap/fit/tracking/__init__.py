@@ -1,0 +1,1 @@
+"""Track a body through clouds by expectation maximisation."""

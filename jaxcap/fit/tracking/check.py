@@ -1,0 +1,59 @@
+"""Whether a cloud can be fitted by a body at all, before an hour is spent on it."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ...body.body import Body
+from ...errors import InputError
+from ...observe import Cloud
+
+#: metres in one unit, of those in which files come
+_UNITS = {
+    "millimetres (mm)": 1e-3,
+    "centimetres (cm)": 1e-2,
+    "decimetres (dm)": 0.1,
+    "inches (in)": 0.0254,
+    "feet (ft)": 0.3048,
+}
+#: a cloud so many times as large as its body is in another unit; outliers and floors reach far
+LARGEST, SMALLEST = 8.0, 0.02
+#: in a unit that it may be in it is of such a part of the body's size
+PART, WHOLE = 0.25, 1.35
+
+
+def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
+    """That a cloud of one frame has more numbers than the pose and about the size of the body.
+
+    The size is the longest side of the box that holds all but one point in twenty at each
+    end, so that a few outliers do not count.
+
+    **Raises:** `InputError` with one sentence: fewer points than the pose has parameters, or an
+    extent that points to another unit, which is named.
+    """
+    check_extent(body, np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], name)
+
+
+def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> None:
+    """`check_cloud` of points that are in no cloud yet, metres."""
+    dofs = body.skeleton.num_dofs
+    if len(points) < dofs:
+        raise InputError(
+            f"{name} has {len(points)} points, fewer than the {dofs} parameters of the body's pose; "
+            "give more points, or a body with fewer joints."
+        )
+    low, high = np.quantile(points, [0.05, 0.95], axis=0)
+    extent, height = float((high - low).max()), float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
+    if SMALLEST * height <= extent <= LARGEST * height:
+        return
+    shares = {unit: extent * size / height for unit, size in _UNITS.items()}
+    # centimetres and inches are too near to each other for people of whom only a part is seen
+    likely = [unit for unit, share in shares.items() if PART < share < WHOLE]
+    if not likely:
+        # with a floor or a room around it
+        nearest = min(shares, key=lambda unit: abs(np.log(shares[unit])))
+        likely = [nearest] if abs(np.log(shares[nearest])) < np.log(4.0) else []
+    if extent > height and likely:
+        hint = f"it looks like {' or '.join(likely)}: say so with the unit"
+    else:
+        hint = "check the units of both"
+    raise InputError(f"{name} is {extent:.4g} m long, and the body {height:.4g} m; {hint}.")

@@ -1,0 +1,196 @@
+"""Expectation conditional maximisation of a pose against a cloud (Kineben, section 3.3.2)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...arguments import check_fields, checked
+from ...body.body import Body, Posed, pose_body
+from ...body.pose import Pose
+from ...energy.data.moments import rigid_moments
+from ...energy.data.points import PointToPlane
+from ...energy.term import AbstractEnergy, Sum, terms_of
+from ...observe import Cloud
+from ...values import as_number, check_at_least, check_positive, check_values, check_within
+from ..correspondence.parts import Parts
+from ..correspondence.posterior import Posterior, posterior, update_priors, update_sigma
+from ..problem import PoseProblem
+from ..solvers.descent import NormalDescent
+from ..solvers.minimise import take_step
+
+
+class Mixture(eqx.Module):
+    """What the mixture model takes for given."""
+
+    #: least cosine between a point's normal and that of the vertex it may belong to
+    normal_threshold: Float[Array, ""]
+    #: share of points that no part explains
+    outlier: Float[Array, ""]
+    #: deviations below this are not believed, metres
+    smallest_sigma: Float[Array, ""]
+    #: weight of the distance along the surface against the one across it; 1 is Kineben's
+    #: point-to-point distance, 0 lets points slide freely
+    tangential: Float[Array, ""]
+    #: constant on the diagonal of the normal equations, per metre and radian squared
+    damping: Float[Array, ""]
+    #: most likely parts that a point may pull at; on a skinned surface the next part over moves
+    #: almost alike, so that one is enough
+    candidates: int = eqx.field(static=True, default=1)
+    #: whether the parts' prior shares are estimated too, or uniform
+    estimate_priors: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        check_fields(self)
+
+
+@checked
+def make_mixture(
+    normal_threshold: float = 0.5,
+    outlier: float = 0.1,
+    smallest_sigma: float = 0.002,
+    tangential: float = 0.05,
+    damping: float = 1.0,
+    candidates: int = 1,
+    estimate_priors: bool = False,
+) -> Mixture:
+    """A `Mixture` of plain numbers.
+
+    **Raises:** `InputError` for one that is out of its range.
+    """
+    where = "make_mixture"
+    check_within(where, -1, 1, normal_threshold=normal_threshold)
+    check_values(where, lambda share: (share > 0) & (share < 1), "a share between 0 and 1", outlier=outlier)
+    check_positive(where, "metres", smallest_sigma=smallest_sigma)
+    check_within(where, 0, 1, tangential=tangential)
+    check_at_least(where, 0, damping=damping)
+    check_at_least(where, 1, candidates=candidates)
+    return Mixture(
+        normal_threshold=as_number(normal_threshold),
+        outlier=as_number(outlier),
+        smallest_sigma=as_number(smallest_sigma),
+        tangential=as_number(tangential),
+        damping=as_number(damping),
+        candidates=candidates,
+        estimate_priors=estimate_priors,
+    )
+
+
+class Estimate(eqx.Module):
+    """What expectation maximisation estimates."""
+
+    pose: Pose
+    #: deviation of the points from the surface, metres
+    sigma: Float[Array, ""]
+    #: prior share of each part
+    priors: Float[Array, "K"]
+
+
+class FrameStatistics(eqx.Module):
+    """How well an estimate explains a cloud."""
+
+    #: mean log-likelihood of a point, per metre^3
+    log_likelihood: Float[Array, ""]
+    #: share of points that no part explains
+    outlier_share: Float[Array, ""]
+    #: mean distance between the points that are explained and their vertices, metres
+    mean_distance: Float[Array, ""]
+    sigma: Float[Array, ""]
+
+
+def uniform_priors(parts: Parts, dtype=None) -> Float[Array, "K"]:
+    """The same prior for every part that has vertices (Kineben, eq. 19)."""
+    present = jnp.array([float(count > 0) for count in parts.blocks_of_part], dtype)
+    return present / jnp.sum(present)
+
+
+def data_energy(
+    found: Posterior, posed: Posed, cloud: Cloud, sigma: Float[Array, ""], tangential: Float[Array, ""]
+) -> AbstractEnergy:
+    """The expected negative log-likelihood, twice (Kineben, eq. 29): `sum p d^2 / sigma^2`.
+
+    The distance across the surface counts whole, the one along it by `tangential`: a point's
+    nearest vertex is only about its own place on the surface. The second is summed into the
+    moments of each part, whose points move with the part's bone; the first is not, for there
+    the blend of bones in the skin shows.
+    """
+    weights = (cloud.weights[:, None] * found.weights / sigma**2).reshape(-1)
+    vertices, bones = found.vertices.reshape(-1), found.parts.reshape(-1)
+    points = jnp.repeat(cloud.points, found.weights.shape[1], axis=0)
+    r, t = posed.transforms.rotations[bones], posed.transforms.translations[bones]
+    # a similarity's inverse: its rotation block is a rotation times the scale
+    rest = jnp.einsum("cba,cb->ca", r, posed.vertices[vertices] - t) / posed.pose.scale**2
+    across = PointToPlane(vertices, points, posed.normals[vertices], (1.0 - tangential) * weights)
+    return Sum((across, rigid_moments(bones, rest, points, tangential * weights, len(posed.joints))))
+
+
+def expectation(body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume, estimate: Estimate):
+    """The E-step at an estimate: `(posed, posterior)`."""
+    posed = pose_body(body, estimate.pose)
+    found = posterior(
+        parts,
+        posed.vertices,
+        posed.normals,
+        cloud,
+        estimate.sigma,
+        normal_threshold=mixture.normal_threshold,
+        outlier=mixture.outlier,
+        box_volume=volume,
+        priors=estimate.priors,
+        candidates=mixture.candidates,
+    )
+    return posed, found
+
+
+def em_step(
+    body: Body,
+    parts: Parts,
+    mixture: Mixture,
+    prior: AbstractEnergy,
+    cloud: Cloud,
+    volume: Float[Array, ""],
+    estimate: Estimate,
+) -> tuple[Estimate, FrameStatistics]:
+    """E-step, one Gauss-Newton step on the pose, then the deviation and, where asked, the
+    parts' shares (Kineben, section 3.3.2). The statistics are those of the E-step."""
+    posed, found = expectation(body, parts, mixture, cloud, volume, estimate)
+    data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential)
+    energy = Sum(terms_of(data) + terms_of(prior))
+    pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
+    apart = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
+    squared = jnp.sum(apart**2, -1)
+    # without a single inlier there is nothing to estimate from, and nothing moves
+    seen = jnp.sum(cloud.weights[:, None] * found.weights) > 0
+    sigma = jnp.maximum(update_sigma(found, squared, cloud.weights), mixture.smallest_sigma)
+    sigma = jnp.where(seen, sigma, estimate.sigma)
+    priors = estimate.priors
+    if mixture.estimate_priors:
+        priors = jnp.where(seen, update_priors(found, cloud.weights, parts.num_parts), priors)
+    return Estimate(pose, sigma, priors), _statistics(found, cloud, estimate.sigma)
+
+
+def frame_statistics(
+    body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume: Float[Array, ""], estimate: Estimate
+) -> FrameStatistics:
+    """How well an estimate explains its cloud."""
+    _, found = expectation(body, parts, mixture, cloud, volume, estimate)
+    return _statistics(found, cloud, estimate.sigma)
+
+
+def _statistics(found: Posterior, cloud: Cloud, sigma: Float[Array, ""]) -> FrameStatistics:
+    total = jnp.maximum(jnp.sum(cloud.weights), jnp.finfo(cloud.weights.dtype).tiny)
+    share = cloud.weights[:, None] * found.weights
+    distances = jnp.sqrt(jnp.where(share > 0, found.squared_distances, 0.0))
+    return FrameStatistics(
+        log_likelihood=jnp.sum(cloud.weights * found.log_density) / total,
+        outlier_share=jnp.sum(cloud.weights * found.outlier) / total,
+        mean_distance=jnp.sum(share * distances) / jnp.maximum(jnp.sum(share), jnp.finfo(share.dtype).tiny),
+        sigma=sigma,
+    )
+
+
+def box_volume(cloud: Cloud) -> Float[Array, ""]:
+    """Volume of the box around a cloud, metres^3: the support of the outlier class."""
+    real = (cloud.weights > 0)[:, None]
+    highest = jnp.max(jnp.where(real, cloud.points, -jnp.inf), 0)
+    lowest = jnp.min(jnp.where(real, cloud.points, jnp.inf), 0)
+    return jnp.maximum(jnp.prod(highest - lowest), 1e-6)

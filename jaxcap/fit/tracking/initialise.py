@@ -1,0 +1,222 @@
+"""Find a pose from nothing: many starts side by side, the best go on."""
+
+import logging
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from ...arguments import checked
+from ...body.body import pose_body
+from ...body.pose import Pose, rest_pose, retract
+from ...body.reduce import reduce_body
+from ...body.skeleton import Skeleton, dof_layout
+from ...energy.priors.limits import JointLimits
+from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
+from ...energy.term import Sum, bare
+from ...geometry import rotation
+from ...observe import Cloud, Scan, as_cloud, thin_cloud
+from ...values import check_at_least, check_direction
+from ..correspondence.parts import make_parts
+from .em import Estimate, box_volume, em_step, uniform_priors
+from .track import Tracker
+
+_LOG = logging.getLogger(__name__)
+
+#: sigma falls from the size of a trunk to that of a wrist, metres
+COARSE = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
+FINE = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
+#: deviation at which starts are compared, metres
+JUDGE = 0.02
+#: size of the body and of the cloud with which starts are searched, and of the cloud for refining
+COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
+
+
+def anneal(
+    tracker: Tracker, cloud: Cloud, start: Pose, sigmas: Float[Array, "S"]
+) -> tuple[Estimate, Float[Array, ""]]:
+    """Expectation maximisation with a given deviation at every step, which falls: wide, it
+    pulls a body from afar, narrow, it fits it (deterministic annealing, Ueda and Nakano 1998).
+
+    Returns the estimate and its mean log-likelihood at a deviation common to all starts.
+    """
+    prior = Sum((RestPrior(tracker.rest_deviations), *tracker.terms))
+    volume = box_volume(cloud)
+
+    def step(estimate, sigma):
+        wide = Estimate(estimate.pose, sigma, estimate.priors)
+        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
+
+    judged = jnp.append(sigmas, jnp.asarray(JUDGE, sigmas.dtype))
+    last, statistics = jax.lax.scan(
+        step, Estimate(start, sigmas[0], uniform_priors(tracker.parts, sigmas.dtype)), judged
+    )
+    likelihood = statistics.log_likelihood[-1]
+    return last, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
+
+
+@eqx.filter_jit
+def anneal_each(
+    tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
+) -> tuple[Pose, Float[Array, "P"]]:
+    """`anneal` from each of P stacked starts; poses and scores in their order."""
+
+    def one(start):
+        estimate, score = anneal(tracker, cloud, start, sigmas)
+        return estimate.pose, score
+
+    return jax.lax.map(one, starts)
+
+
+@eqx.filter_jit
+def anneal_all(
+    tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
+) -> tuple[Pose, Float[Array, "P"]]:
+    """`anneal_each`, best first."""
+    poses, scores = anneal_each(tracker, cloud, starts, sigmas)
+    order = jnp.argsort(-scores)
+    return jax.tree.map(lambda leaf: leaf[order], poses), scores[order]
+
+
+def turned_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]) -> Pose:
+    """A pose turned about the vertical `up` in `count` equal steps and moved so that the middles
+    of surface and cloud meet; `(count, ...)`. The middle is a median, which outliers do not move."""
+    skeleton = tracker.body.skeleton
+    posed = pose_body(tracker.body, pose)
+    middle = jnp.median(posed.vertices, 0)
+    points = jnp.where((cloud.weights > 0)[:, None], cloud.points, jnp.nan)
+    target = jnp.nanmedian(points, 0)
+    angles = jnp.linspace(0.0, 2 * jnp.pi, count, endpoint=False).astype(middle.dtype)
+    # a root that only slides has its turns in the first joint below it
+    turner = next((j for j, kind in enumerate(skeleton.kinds) if kind in ("ball", "free")), None)
+    mover = next((j for j, kind in enumerate(skeleton.kinds) if kind in ("translate", "free")), None)
+
+    def turn(angle):
+        rotations, translations, moved = pose.rotations, pose.translations, middle
+        if turner is not None:
+            q = rotation.about_axis(up, angle)
+            centre = posed.joints[turner]
+            moved = rotation.rotate(q, middle - centre) + centre
+            rotations = rotations.at[turner].set(rotation.multiply(q, rotations[turner]))
+        if mover is not None:
+            translations = translations.at[mover].add((target - moved) / pose.scale)
+        return Pose(translations, rotations, pose.scale)
+
+    return jax.vmap(turn)(angles)
+
+
+def perturbed_starts(
+    skeleton: Skeleton, poses: Pose, count: int, deviations: Float[Array, "D"], key: PRNGKeyArray
+) -> Pose:
+    """`count` random neighbours of each of P stacked poses, and the poses themselves;
+    `(P * (count + 1), ...)`."""
+    num = poses.rotations.shape[0]
+    steps = deviations * jax.random.normal(key, (count, num, skeleton.num_dofs), poses.rotations.dtype)
+    return _neighbours(skeleton, poses, steps)
+
+
+def subtree_starts(
+    skeleton: Skeleton, poses: Pose, count: int, deviations: Float[Array, "D"], key: PRNGKeyArray
+) -> Pose:
+    """As `perturbed_starts`, but each neighbour turns one random joint and all that hangs on
+    it: a limb that was lost finds its place while the rest of the body stays."""
+    num = poses.rotations.shape[0]
+    which, how = jax.random.split(key)
+    below_root = np.array(skeleton.parents) >= 0
+    bearers = np.flatnonzero((skeleton.descent.sum(1) > 1) & below_root)
+    bearers = bearers if bearers.size else np.arange(skeleton.num_joints)
+    joints = jax.random.choice(which, jnp.asarray(bearers), (count, num))
+    below = jnp.asarray(skeleton.descent)[joints][..., dof_layout(skeleton).joints]
+    near, far = jax.random.split(how)
+    steps = deviations * jax.random.normal(near, (count, num, skeleton.num_dofs), poses.rotations.dtype)
+    # some steps small, some large enough to turn a hand over
+    size = 2.0 ** jax.random.uniform(far, (count, num, 1), poses.rotations.dtype, 0.0, 3.0)
+    return _neighbours(skeleton, poses, jnp.where(below, size * steps, 0.0))
+
+
+def _neighbours(skeleton: Skeleton, poses: Pose, steps: Float[Array, "C P D"]) -> Pose:
+    steps = jnp.concatenate([jnp.zeros_like(steps[:1]), steps])
+    tiled = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(steps)), poses)
+    flat = steps.reshape(-1, skeleton.num_dofs)
+    return jax.vmap(lambda pose, step: retract(skeleton, pose, step))(tiled, flat)
+
+
+def coarse_tracker(tracker: Tracker) -> Tracker:
+    """The same tracker with fewer vertices, for searches. Of its further terms only those over
+    joints go with it: vertices have other numbers on the coarse body."""
+    body = reduce_body(tracker.body, COARSE_VERTICES)
+    over_joints = tuple(t for t in tracker.terms if isinstance(bare(t), JointLimits | PosePrior | RestPrior))
+    parts = make_parts(body.skin.parts(), body.skeleton.num_joints, body.vertices)
+    return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, over_joints))
+
+
+@checked
+def initialise(
+    tracker: Tracker,
+    cloud: Cloud | Scan,
+    *,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    turns: int = 12,
+    keep: int = 4,
+    neighbours: int = 7,
+    rounds: int = 2,
+    coarse: Tracker | None = None,
+    key: PRNGKeyArray | None = None,
+    starts: Pose | None = None,
+) -> tuple[Pose, Float[Array, ""]]:
+    """The pose of a body in a cloud, with no start: orientation about `up` and place unknown. Stacked `starts` replace
+    those at rest.
+
+    Starts in all directions are annealed with a coarse body and few points; the best `keep`
+    and `neighbours` random neighbours of each are annealed again, then in `rounds` the best
+    with single limbs moved, and last so with the whole body and more points, which show hands
+    and feet. Returns the best of all and its mean log-likelihood.
+
+    **Raises:** `InputError` where `up` has no direction, or where nothing is to be tried or kept.
+    """
+    cloud = as_cloud(cloud)
+    check_direction("initialise", up=up)
+    check_at_least("initialise", 1, turns=turns, keep=keep)
+    check_at_least("initialise", 0, neighbours=neighbours, rounds=rounds)
+    keys = jax.random.split(jax.random.key(0) if key is None else key, 3 + rounds)
+    coarse = coarse_tracker(tracker) if coarse is None else coarse
+    few = thin_cloud(cloud, COARSE_POINTS)
+    skeleton = tracker.body.skeleton
+    _LOG.info("searching for the pose in all directions")
+    rest = rest_pose(skeleton)
+    vertical = jnp.asarray(up, rest.rotations.dtype)
+    wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE, FINE))
+    if starts is None:
+        starts = turned_starts(coarse, few, rest, turns, vertical)
+        starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
+    poses, _ = anneal_all(coarse, few, starts, wide)
+    _LOG.info("searching near the best poses")
+    limbs = tangent_deviations(skeleton, 0.02, 0.4)
+    poses = perturbed_starts(skeleton, _first(poses, keep), neighbours, limbs, keys[1])
+    poses, _ = anneal_all(coarse, few, poses, fine)
+    for number in range(rounds):
+        poses = subtree_starts(
+            skeleton, _first(poses, keep // 2), 2 * neighbours + 1, limbs, keys[2 + number]
+        )
+        poses, _ = anneal_all(coarse, few, poses, fine)
+    return refine(tracker, cloud, _first(poses, 1), 2 * neighbours + 1, keys[-1])
+
+
+def refine(
+    tracker: Tracker, cloud: Cloud, poses: Pose, count: int, key: PRNGKeyArray
+) -> tuple[Pose, Float[Array, ""]]:
+    """The best of stacked poses and `count` neighbours of each with single limbs moved, by the
+    whole body and `FINE_POINTS` points: what a coarse search cannot tell apart, such as a
+    hand and the same hand turned over."""
+    skeleton = tracker.body.skeleton
+    near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
+    _LOG.info("searching near the best pose with the whole body")
+    sigmas = jnp.asarray(FINE[2:], poses.rotations.dtype)
+    poses, scores = anneal_all(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)
+    return jax.tree.map(lambda leaf: leaf[0], poses), scores[0]
+
+
+def _first(poses: Pose, count: int) -> Pose:
+    return jax.tree.map(lambda leaf: leaf[:count], poses)

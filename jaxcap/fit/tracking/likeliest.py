@@ -1,0 +1,94 @@
+"""Compare poses of one frame by one likelihood, and keep the best."""
+
+from collections.abc import Iterable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...body.kinematics import forward_kinematics, joint_positions
+from ...body.pose import Pose, difference
+from ...body.skeleton import Skeleton
+from ...observe import Cloud
+from .em import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
+from .recover import next_frame, settled
+from .track import Tracker, TrackState, start_state
+
+#: deviation at which poses are compared, metres
+COMPARED = 0.02
+#: a pose whose mean log-likelihood is lower than the best by more than this is not worth improving
+HOPELESS = 0.3
+#: metres: a pose that is not likelier than another and as near to it leads to the same one; bones turn at so many from a joint
+NEAR, AROUND = 0.01, 0.1
+
+_change = eqx.filter_jit(difference)
+
+
+@eqx.filter_jit
+def _apart(skeleton: Skeleton, one: Pose, other: Pose) -> Float[Array, ""]:
+    """The largest distance between what moves with a bone in two poses, at a joint or `AROUND` it, metres."""
+    here, there = (forward_kinematics(skeleton, pose) for pose in (one, other))
+    moved = joint_positions(skeleton, here) - joint_positions(skeleton, there)
+    turned = AROUND * jnp.linalg.norm(here.rotations - there.rotations, axis=1)
+    return jnp.maximum(jnp.max(jnp.linalg.norm(moved, axis=-1)), jnp.max(turned))
+
+
+@eqx.filter_jit
+def log_likelihood(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""]:
+    """Evaluate a pose by the mean log-likelihood of a cloud's points, at a deviation that is the same for all poses."""
+    sigma = jnp.asarray(COMPARED, pose.rotations.dtype)
+    estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
+    volume = box_volume(cloud)
+    found = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
+    # a pose that is no number explains nothing
+    return jnp.where(jnp.isfinite(found.log_likelihood), found.log_likelihood, -jnp.inf)
+
+
+def improve(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:
+    """Track a frame from a pose that is near, by the tracker's own steps; never to a less likely pose.
+
+    Returns what `track_frame` does, and the log-likelihood of the pose.
+    """
+    state, statistics = next_frame(tracker, settled(tracker, start_state(tracker, pose), 0.0), cloud)
+    state = settled(tracker, state)
+    before, after = (float(log_likelihood(tracker, p, cloud)) for p in (pose, state.estimate.pose))
+    if after >= before:
+        return state, statistics, after
+    return eqx.tree_at(lambda s: s.estimate.pose, state, pose), statistics, before
+
+
+def likeliest(
+    tracker: Tracker,
+    state: TrackState,
+    statistics: FrameStatistics,
+    poses: Iterable[Pose],
+    before: Pose,
+    cloud: Cloud,
+    worth: float = 0.0,
+) -> tuple[TrackState, FrameStatistics]:
+    """Choose between what a frame was tracked to and some other `poses`, as they are and improved.
+
+    **Arguments:** `before` is the pose of the frame before, from which the body has moved; `worth` the mean log-likelihood
+    by which another pose has to be better.
+
+    The state and the statistics are the same objects where none is.
+    """
+    skeleton = tracker.body.skeleton
+    best = float(log_likelihood(tracker, state.estimate.pose, cloud)) + worth
+    for pose in poses:
+        likelihood = float(log_likelihood(tracker, pose, cloud))
+        if likelihood < best - HOPELESS:
+            continue
+        if likelihood <= best and float(_apart(skeleton, state.estimate.pose, pose)) < NEAR:
+            continue
+        found, measured, likelihood = improve(tracker, pose, cloud)
+        if likelihood > best:
+            change = _change(skeleton, before, found.estimate.pose)
+            best, state, statistics = likelihood, TrackState(found.estimate, change), measured
+    return state, statistics
+
+
+def likelier_pose(tracker: Tracker, one: Pose, other: Pose, cloud: Cloud) -> Pose:
+    """Choose between two poses of a frame; the first where they are equal."""
+    likelihoods = [float(log_likelihood(tracker, pose, cloud)) for pose in (one, other)]
+    return one if likelihoods[0] >= likelihoods[1] else other

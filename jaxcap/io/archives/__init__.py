@@ -1,0 +1,1 @@
+"""Our own files: arrays that are checked and never pickled."""

@@ -1,0 +1,196 @@
+"""The arrays of `.npz` files: checked before they take memory, and never pickled."""
+
+import contextlib
+import math
+import os
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import InputError
+
+#: what arrays may take, in bytes at 8 for a number, as all become double precision somewhere, or in the sizes of the file
+ROOM, PACKED = 2**27, 64
+#: arrays in one file
+MOST = 4096
+#: length of an axis of an array without elements
+LONGEST = 1_000_000
+_METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
+_READ = 2**20
+
+
+class _Head(NamedTuple):
+    """What the first bytes of an array say of it."""
+
+    shape: tuple[int, ...]
+    by_columns: bool
+    dtype: np.dtype
+
+
+def array_names(path: str | Path) -> list[str]:
+    """Return the names of the arrays of an `.npz` file. Raises `InputError` where it is not one."""
+    with open_archive(path) as archive:
+        return list(archive.members)
+
+
+def kind_of(path: str | Path) -> str:
+    """Return the format that an `.npz` file says it has; none is empty. Raises `InputError` where it is not an `.npz`
+    file."""
+    return str(load_arrays(path, lambda name: name == "format").get("format", ""))
+
+
+def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
+    """Read the arrays of any `.npz` file whose names are `wanted`, all where not given.
+
+    **Raises:** `InputError` where the file is not one, and as `Archive.load` does.
+    """
+    with open_archive(path) as archive:
+        return archive.load(wanted)
+
+
+class Archive(NamedTuple):
+    """Hold an open `.npz` file; its arrays are read on demand."""
+
+    path: str | Path
+    file: zipfile.ZipFile
+    #: by the names of their arrays
+    members: dict[str, zipfile.ZipInfo]
+
+    def load(self, wanted: Callable[[str], bool]) -> dict[str, np.ndarray]:
+        """Read the arrays whose names are `wanted`.
+
+        The heads of these are checked before one is inflated, and the others are not looked at.
+
+        **Raises:** `InputError` where the file is damaged, and where a wanted array holds pickled objects or something
+        else than numbers and text, or the arrays inflate beyond what a file of its size can hold.
+        """
+        path, file = self.path, self.file
+        chosen = {name: info for name, info in self.members.items() if wanted(name)}
+        heads = {name: _head(file, info, f"{path}: the array '{name}'") for name, info in chosen.items()}
+        taken = sum(math.prod(head.shape) * max(head.dtype.itemsize, 8) for head in heads.values())
+        size = os.path.getsize(path)
+        if taken > max(ROOM, PACKED * size):
+            raise InputError(
+                f"{path}: its arrays take {taken / 1e6:.0f} MB, and the file {size / 1e6:.2g} MB; it is damaged, or made "
+                "to fill the memory."
+            )
+        return {
+            name: _numbers(file, info, heads[name], f"{path}: the array '{name}'")
+            for name, info in chosen.items()
+        }
+
+
+@contextlib.contextmanager
+def open_archive(path: str | Path) -> Iterator[Archive]:
+    """Open an `.npz` file; every error of the library that reads it becomes one of the file.
+
+    **Raises:** `InputError` where the file is not one or cannot be read.
+    """
+    try:
+        with open(path, "rb") as raw:
+            start = raw.read(6)
+            if start == b"\x93NUMPY":
+                raise InputError(
+                    f"{path}: this is a single array, not an .npz file of named arrays; save it by numpy.savez."
+                )
+            if not start.startswith(b"PK"):
+                raise InputError(f"{path}: this is not an .npz file; give one.")
+            with zipfile.ZipFile(raw) as file:
+                yield Archive(path, file, _members(file, path))
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; check the path.") from None
+    except (IsADirectoryError, PermissionError) as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
+    except Exception as error:  # whatever a damaged file makes of zipfile and zlib
+        raise InputError(
+            f"{path}: this is not a whole .npz file ({type(error).__name__}); copy or write it again."
+        ) from None
+
+
+def _members(file: zipfile.ZipFile, path: str | Path) -> dict[str, zipfile.ZipInfo]:
+    """The members of an archive by the names of their arrays. Raises `InputError` for too many, or one name twice."""
+    found: dict[str, zipfile.ZipInfo] = {}
+    members = file.infolist()
+    if len(members) > MOST:
+        raise InputError(f"{path}: there are {len(members)} arrays in it; give a file of at most {MOST}.")
+    for info in members:
+        name = info.filename.removesuffix(".npy")
+        if name in found:
+            raise InputError(f"{path}: there are two arrays called '{name}' in it; write the file again.")
+        found[name] = info
+    return found
+
+
+def _head(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _Head:
+    """What an array says of itself, which has to be what the archive says of it. Raises `InputError`."""
+    if info.flag_bits & 1:
+        raise InputError(f"{where} is encrypted; write the file without a password.")
+    if info.compress_type not in _METHODS:
+        raise InputError(
+            f"{where} is packed by the method {info.compress_type}; write it by numpy.savez_compressed."
+        )
+    with file.open(info) as stream:
+        try:
+            head = _parse_head(stream)
+        except ValueError:
+            raise InputError(f"{where} is no array of NumPy; write the file by numpy.savez.") from None
+        begins = stream.tell()
+    if head.dtype.hasobject:
+        raise InputError(f"{where} holds pickled objects, which are never read; write plain arrays.")
+    if head.dtype.kind not in "biufUS":
+        raise InputError(f"{where} is of the type {head.dtype}; write numbers or text.")
+    size, there = math.prod(head.shape) * head.dtype.itemsize, info.file_size - begins
+    if size != there:
+        raise InputError(
+            f"{where} has the shape {head.shape} and needs {size} bytes, but {there} are there; it is damaged."
+        )
+    if max(head.shape, default=0) > max(LONGEST, size):
+        raise InputError(f"{where} has the shape {head.shape}, and no elements; it is damaged.")
+    return head
+
+
+def _parse_head(stream: Any) -> _Head:
+    """The head of an array. Raises `ValueError` where it is none."""
+    version = np.lib.format.read_magic(stream)
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in readers:
+        raise ValueError(f"version {version}")
+    try:
+        shape, by_columns, dtype = readers[version](stream)
+    except Exception as error:  # a head is a literal of Python, and may be any
+        raise ValueError("no head") from error
+    if not all(isinstance(length, int) and 0 <= length < 2**40 for length in shape) or len(shape) > 16:
+        raise ValueError(f"shape {shape}")
+    return _Head(shape, by_columns, dtype)
+
+
+def _numbers(file: zipfile.ZipFile, info: zipfile.ZipInfo, head: _Head, where: str) -> np.ndarray:
+    """The elements of an array, in the machine's order of bytes. Raises `InputError` for text that is none."""
+    data = bytearray(math.prod(head.shape) * head.dtype.itemsize)
+    with file.open(info) as stream:
+        _parse_head(stream)
+        at = 0
+        while at < len(data):
+            piece = stream.read(_READ)
+            if not piece:
+                raise EOFError
+            data[at : at + len(piece)] = piece
+            at += len(piece)
+    if not data:
+        return np.zeros(head.shape, head.dtype.newbyteorder("=") if head.dtype.kind != "S" else "U1")
+    values = np.frombuffer(data, head.dtype).reshape(head.shape, order="F" if head.by_columns else "C")
+    if head.dtype.kind == "f" and head.dtype.itemsize > 8:
+        return values.astype(float)
+    if head.dtype.kind == "S":
+        return np.strings.decode(values, "latin-1")
+    values = values.astype(head.dtype.newbyteorder("="), copy=False)
+    if head.dtype.kind == "U":
+        letters = np.frombuffer(values.tobytes(), np.uint32)
+        if ((letters > 0x10FFFF) | ((letters >= 0xD800) & (letters < 0xE000))).any():
+            raise InputError(f"{where} holds text that is none; the file is damaged.")
+    return values

@@ -1,0 +1,81 @@
+"""How far the learning of a body has come, in one file that is replaced as a whole after every round."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...body.body import Body
+from ...body.pose import Motion
+from ...errors import InputError
+from ..system.door import reads
+from ..text import parse_json
+from .journal import check_same_run
+from .npz import body_arrays, body_of, get_array, load_kind, motion_arrays, motion_of, save_arrays
+
+KIND = "jaxcap checkpoint"
+
+
+class Checkpoint(NamedTuple):
+    """All that a run needs to go on, to the last bit."""
+
+    body: Body
+    #: poses of the training meshes
+    motion: Motion
+    #: (step, value of the objective) from the start on
+    history: tuple[tuple[str, float], ...]
+    #: further arrays by name
+    arrays: dict[str, np.ndarray]
+
+
+def save_checkpoint(path: str | Path, checkpoint: Checkpoint, header: Mapping[str, object]) -> None:
+    """Write a checkpoint in place of the one before; `header` is what the run was begun with, as JSON
+    can say it. Raises `InputError` where it cannot be written."""
+    steps = [step for step, _ in checkpoint.history]
+    arrays = {
+        "header": np.array(json.dumps(header)),
+        "history.steps": np.array(steps, dtype=str),
+        "history.values": np.array([value for _, value in checkpoint.history], float),
+        **{f"body.{name}": values for name, values in body_arrays(checkpoint.body, path).items()},
+        **{f"motion.{name}": values for name, values in motion_arrays(checkpoint.motion).items()},
+        **{f"more.{name}": values for name, values in checkpoint.arrays.items()},
+    }
+    save_arrays(path, KIND, arrays)
+
+
+@reads("a checkpoint")
+def load_checkpoint(path: str | Path, header: Mapping[str, object], needs: Sequence[str] = ()) -> Checkpoint:
+    """The checkpoint of a run that was begun with the same `header`.
+
+    **Raises:** `InputError` where the file is none, is damaged, lacks one of the further arrays that the
+    run `needs`, or was begun with another header: the first difference is told.
+    """
+    path = Path(path)
+    arrays = load_kind(path, KIND)
+    kept, past = _group(arrays, "more."), _group(arrays, "history.")
+    if "header" not in arrays or any(name not in kept for name in needs):
+        raise InputError(f"{path}: this checkpoint is not whole; overwrite it to begin anew.")
+    there = parse_json(str(arrays["header"]), f"{path}: its header")
+    if not isinstance(there, dict):
+        raise InputError(f"{path}: this checkpoint is not whole; overwrite it to begin anew.")
+    check_same_run(path, there, header)
+    steps = get_array(past, "steps", path, (None,), "text").tolist()
+    values = get_array(past, "values", path, (len(steps),)).tolist()
+    body, motion = body_of(_group(arrays, "body."), path), motion_of(_group(arrays, "motion."), path)
+    return Checkpoint(body, motion, tuple(zip(steps, values, strict=True)), kept)
+
+
+@reads("a checkpoint")
+def load_progress(path: str | Path) -> tuple[Body, Motion]:
+    """The body and the poses of a run that is not over, whichever run it is.
+
+    **Raises:** `InputError` where the file is no checkpoint or is damaged.
+    """
+    arrays = load_kind(path, KIND, wanted=lambda name: name.startswith(("body.", "motion.")))
+    return body_of(_group(arrays, "body."), path), motion_of(_group(arrays, "motion."), path)
+
+
+def _group(arrays: Mapping[str, np.ndarray], start: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(start): values for name, values in arrays.items() if name.startswith(start)}

@@ -1,0 +1,218 @@
+"""An append-only file of records of one size, so that a run that was killed can go on.
+
+    8 bytes     JAXCAPJ1
+    4 bytes     length of the header, little endian
+    header      JSON: what the run was begun with, and the number of floats in a record
+    records     float64 little endian, each with a CRC-32 behind it
+
+A record that was torn by the end of the program is told by its length or its sum, and is
+written anew. Records are read in blocks: memory does not grow with their number.
+"""
+
+import json
+import shutil
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Float
+
+from ...errors import InputError
+from ..system.atomic import FULL, replacing
+from ..text import parse_json
+
+MAGIC = b"JAXCAPJ1"
+#: numbers of a record
+WIDEST = 1_000_000
+#: bytes of records that are read at once
+BLOCK = 1 << 22
+
+
+class Journal:
+    """Records of `width` floats at the end of a file. Make one by `begin_journal` or `resume_journal`.
+
+    `count` is the number of records in the file, `last` the last one of those that were there at the start.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        width: int,
+        start: int,
+        count: int = 0,
+        last: Float[np.ndarray, "width"] | None = None,
+    ):
+        self.path, self.width, self.count, self.last = path, width, count, last
+        # without a buffer: what cannot be written must not be tried once more when the file is closed
+        self._file = open(path, "r+b", buffering=0)  # noqa: SIM115 - closed by `close`
+        end = start + _size(width) * count
+        self._file.truncate(end)
+        self._file.seek(end)
+
+    def append(self, record: Float[np.ndarray, "width"]) -> None:
+        """Write one record and hand it to the operating system: it outlives this program.
+
+        **Raises:** `InputError` where the disk is full: the records before this one are in the file.
+        """
+        data = np.asarray(record, "<f8").tobytes()
+        if len(data) != 8 * self.width:
+            raise ValueError(f"A record of this journal has {self.width} numbers, not {len(data) // 8}.")
+        left = memoryview(data + struct.pack("<I", zlib.crc32(data)))
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError as error:
+            mend = "free some space there" if error.errno in FULL else "see that its folder can be written to"
+            raise InputError(
+                f"{self.path}: record {self.count} cannot be written ({error.strerror}); {mend} and resume the run."
+            ) from None
+        self.count += 1
+
+    def read(self, columns: slice = slice(None)) -> Float[np.ndarray, "N columns"]:
+        """Some columns of all records, those of this run included."""
+        return read_records(self.path, columns=columns)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+
+def begin_journal(path: str | Path, header: Mapping[str, object], width: int) -> Journal:
+    """A new journal, in place of one that is there. Raises `InputError` where it cannot be written."""
+    path = Path(path)
+    text = json.dumps({"width": width, **header}).encode()
+    data = MAGIC + struct.pack("<I", len(text)) + text
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+    try:
+        return Journal(path, width, len(data))
+    except OSError as error:
+        mend = "free some space there" if error.errno in FULL else "give a path in a writable folder"
+        raise InputError(f"{path}: cannot be written ({error.strerror}); {mend}.") from None
+
+
+def read_header(path: str | Path) -> dict[str, object]:
+    """Read the header that a journal was begun with. Raises `InputError` where the file is no journal."""
+    with _opened(Path(path)) as (_, header, _):
+        return header
+
+
+def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -> Journal:
+    """Open a journal of records of `width` numbers behind its last whole one.
+
+    A torn last record is written anew. Where one in front of others is damaged, a warning says so, and a copy is kept.
+
+    **Raises:** `InputError` where the file is no journal, or was begun with another `header`, of which the first difference
+    is named, or by another version whose records are of other numbers.
+    """
+    path = Path(path)
+    with _opened(path) as (file, there, start):
+        begun = int(str(there.pop("width")))
+        check_same_run(path, there, header)
+        if begun != width:
+            raise InputError(
+                f"{path}: this run was begun by another version of jaxcap, with {begun} numbers for each frame where there "
+                f"are {width} now; finish it with that version, or give --overwrite to begin anew."
+            )
+        count, last = 0, None
+        for block in _blocks(file, width):
+            count, last = count + len(block), block[-1].copy()
+        file.seek(0, 2)
+        behind = (file.tell() - start) // _size(width) - count
+    # the last record may be torn by the end of the program; one in front of others was damaged since
+    if behind > 1:
+        kept = path.with_name(f"{path.name}.damaged")
+        with replacing(kept) as temporary:
+            shutil.copyfile(path, temporary)
+        warnings.warn(
+            f"{path}: record {count}, counted from 0, is damaged, so that this and the {behind - 1} behind it are made anew; "
+            f"{kept.name} beside it is what was there.",
+            stacklevel=2,
+        )
+    return Journal(path, width, start, count, last)
+
+
+def read_records(
+    path: str | Path, after: int = 0, columns: slice = slice(None)
+) -> Float[np.ndarray, "N columns"]:
+    """Read the whole records behind the first `after`, or some columns of them, also while another program writes the
+    journal: a record that is half written is left out. Raises `InputError` where the file is no journal."""
+    with _opened(Path(path)) as (file, there, start):
+        width = int(str(there["width"]))
+        file.seek(start + _size(width) * after)
+        blocks = [block[:, columns].copy() for block in _blocks(file, width)]
+    return np.concatenate([np.zeros((0, width))[:, columns], *blocks])
+
+
+def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str, object]) -> None:
+    """That what a file was begun with is what a run is to go on with.
+
+    **Raises:** `InputError` that tells the first difference.
+    """
+    # as JSON has it: tuples are lists there
+    now = json.loads(json.dumps(header))
+    for name in [*now, *there]:
+        if there.get(name) != now.get(name):
+            raise InputError(
+                f"{path}: this run was begun with {name} {_short(there.get(name))}, not {_short(now.get(name))}; "
+                "resume it with the same settings, or overwrite it."
+            )
+
+
+def _size(width: int) -> int:
+    """The bytes of a record with its sum."""
+    return 8 * width + 4
+
+
+def _blocks(file: BinaryIO, width: int) -> Iterator[Float[np.ndarray, "N width"]]:
+    """The records from where the file stands, up to the first that is torn."""
+    size = _size(width)
+    record = np.dtype([("numbers", "<f8", (width,)), ("sum", "<u4")])
+    while data := file.read(max(BLOCK // size, 1) * size):
+        block = np.frombuffer(data, record, len(data) // size)
+        whole = next(
+            (n for n, (numbers, total) in enumerate(block) if zlib.crc32(numbers.tobytes()) != total),
+            len(block),
+        )
+        if whole:
+            yield block["numbers"][:whole]
+        if whole < len(block) or len(data) % size:
+            return
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[BinaryIO, dict[str, object], int]]:
+    """A journal that is open where its records start, its header, and this place."""
+    try:
+        file = open(path, "rb")  # noqa: SIM115 - closed below
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the journal of a run.") from None
+    with file:
+        try:
+            magic, length = file.read(8), file.read(4)
+            if magic != MAGIC:
+                raise ValueError
+            start = 12 + struct.unpack("<I", length)[0]
+            text = file.read(min(start - 12, path.stat().st_size))
+            header = parse_json(text, path)
+            width = header.get("width") if isinstance(header, dict) else None
+            if len(text) < start - 12 or type(width) is not int or not 0 < width <= WIDEST:
+                raise ValueError
+        except (ValueError, struct.error):
+            raise InputError(f"{path}: this is not the journal of a run; overwrite it.") from None
+        yield file, header, start
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 40 else text[:16] + "..."

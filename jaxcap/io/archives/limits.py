@@ -1,0 +1,136 @@
+"""Joint limits in files: learned surfaces as `.npz`, and those of other programs."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...arguments import checked
+from ...body.limits.chart import DIMENSIONS, Chart
+from ...body.limits.limit_surface import LimitSurface, SurfaceLimits, fits
+from ...body.limits.limits import AbstractLimits, AllLimits
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ..kinds import wrong_kind
+from ..skeletons.asf import read_asf
+from ..skeletons.cst import read_cst
+from ..system.door import reads
+from ..text import shortened
+from .npz import LEAST, get_array, load_kind, save_arrays
+
+#: the format's name in the file
+KIND = "jaxcap limits"
+#: a surface's arrays: how many axes of each are free, and what follows
+_ARRAYS: dict[str, tuple[int | None, ...]] = {
+    "keys": (None, 3),
+    "reach": (),
+    "centres": (None, None, 3),
+    "thickness": (None, None),
+    "unit": (),
+    "level": (),
+    "stiffness": (),
+    "counts": (None, None),
+    "densities": (None,),
+}
+
+
+@checked
+def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
+    """Write learned limits. Raises `InputError` where the file cannot be written."""
+    arrays: dict[str, np.ndarray] = {"joints": np.array([s.joint for s in limits.surfaces], dtype=str)}
+    for number, surface in enumerate(limits.surfaces):
+        start = f"{number}."
+        arrays |= {f"{start}{name}": np.asarray(getattr(surface, name)) for name in _ARRAYS}
+        arrays[f"{start}parent"] = np.array(surface.parent or "", dtype=str)
+        arrays |= _chart_arrays(f"{start}chart.", surface.chart)
+        if surface.parent_chart is not None:
+            arrays |= _chart_arrays(f"{start}parent_chart.", surface.parent_chart)
+    save_arrays(path, KIND, arrays)
+
+
+@checked
+@reads("limits of joints")
+def load_limits(path: str | Path) -> SurfaceLimits:
+    """Read limits that `save_limits` wrote.
+
+    **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
+    """
+    arrays = load_kind(path, KIND)
+    joints = get_array(arrays, "joints", path, (None,), "text").tolist()
+    return SurfaceLimits(tuple(_surface(arrays, f"{i}.", joint, path) for i, joint in enumerate(joints)))
+
+
+@checked
+@reads("limits of joints")
+def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
+    """Limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
+
+    **Raises:** `InputError` where the suffix is unknown, the file is wrong, or the limits are of
+    joints that the skeleton lacks.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        limits = load_limits(path)
+        lacking = fits(limits, skeleton)
+        if lacking:
+            raise InputError(
+                f"{path}: these limits are of another skeleton: there is no joint '{lacking[0]}' among "
+                f"{', '.join(skeleton.names)}; learn limits from motions of this one."
+            )
+        return limits
+    if suffix == ".cst":
+        return read_cst(path, skeleton).ranges
+    if suffix == ".asf":
+        asf = read_asf(path)
+        if asf.skeleton.names != skeleton.names:
+            raise InputError(
+                f"{path}: these limits are of another skeleton: its joints are {', '.join(asf.skeleton.names)}, not "
+                f"{', '.join(skeleton.names)}; give the .asf of this one."
+            )
+        return AllLimits((asf.ranges, asf.boxes))
+    raise wrong_kind(path, "a file of joint limits", (".npz", ".cst", ".asf"))
+
+
+def _chart_arrays(start: str, chart: Chart) -> dict[str, np.ndarray]:
+    return {
+        f"{start}middle": np.asarray(chart.middle),
+        f"{start}axes": np.asarray(chart.axes),
+        f"{start}kind": np.array(chart.kind, dtype=str),
+    }
+
+
+def _chart(arrays: Mapping[str, np.ndarray], start: str, path: str | Path) -> Chart:
+    kind = str(get_array(arrays, f"{start}kind", path, (), "text"))
+    if kind not in DIMENSIONS:
+        raise InputError(
+            f"{path}: the chart '{shortened(kind)}' is not known; this version reads {', '.join(DIMENSIONS)}."
+        )
+    middle = get_array(arrays, f"{start}middle", path, (4,))
+    if not np.linalg.norm(middle) > LEAST:
+        raise InputError(
+            f"{path}: the middle of a chart is a quaternion of no length; learn the limits again."
+        )
+    return Chart(jnp.asarray(middle), jnp.asarray(get_array(arrays, f"{start}axes", path, (2, 3))), kind)  # pyright: ignore[reportArgumentType]
+
+
+def _surface(arrays: Mapping[str, np.ndarray], start: str, joint: str, path: str | Path) -> LimitSurface:
+    values = {name: get_array(arrays, f"{start}{name}", path, shape) for name, shape in _ARRAYS.items()}
+    keyframes, primitives = values["centres"].shape[:2]
+    alike = values["thickness"].shape == values["counts"].shape == (keyframes, primitives)
+    if not (alike and keyframes and primitives and len(values["keys"]) == keyframes):
+        raise InputError(f"{path}: the limits of '{joint}' do not fit together; this file is damaged.")
+    for name in ("reach", "unit", "stiffness"):
+        if not values[name] > 0:
+            raise InputError(
+                f"{path}: the '{name}' of the limits of '{joint}' is {values[name]:g}; it has to be above 0."
+            )
+    parent = str(get_array(arrays, f"{start}parent", path, (), "text")) or None
+    return LimitSurface(
+        joint=joint,
+        parent=parent,
+        chart=_chart(arrays, f"{start}chart.", path),
+        parent_chart=None if parent is None else _chart(arrays, f"{start}parent_chart.", path),
+        **{name: jnp.asarray(value) for name, value in values.items()},
+    )

@@ -1,0 +1,358 @@
+"""Bodies and motions as `.npz`: plain arrays with a format name and a version, never pickled."""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...arguments import checked
+from ...body.body import Body
+from ...body.pose import Motion, Pose
+from ...body.skeleton import Skeleton, make_skeleton, rest_difference
+from ...body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from ...errors import InputError, sentence_of
+from ..kinds import WORDS, check_npz, wrong_arrays
+from ..system.atomic import replacing
+from ..system.door import reads
+from ..text import LARGEST, RATES, shortened
+from .archive import open_archive
+
+VERSION = 1
+
+#: a quaternion that is no longer is no rotation
+LEAST = 1e-6
+#: by how much the weights of a vertex may miss one
+SHARE = 1e-3
+#: frames that are named of each verdict
+NAMED = 10
+_SKELETON = ("names", "parents", "kinds", "centres", "orientations", "axes")
+#: what the arrays beside a body are called in front
+LIMITS = "limits."
+#: skins by the name that a file gives them, with their arrays
+SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
+    "rigid": (RigidSkin, ("bones",)),
+    "linear": (LinearSkin, ("weights",)),
+    "dual quaternion": (DualQuaternionSkin, ("weights",)),
+    "swing-twist": (SwingTwistSkin, ("bases", "swing", "twist")),
+}
+
+
+@checked
+def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | None = None) -> None:
+    """Write a body, with joint limits as any arrays by name; load them with `load_limits`.
+
+    **Raises:** `InputError` where the file cannot be written or the skin has no name in
+    `SKINS`.
+    """
+    save_arrays(path, "jaxcap body", {**body_arrays(body, path), **beside_body(limits or {})})
+
+
+def beside_body(limits: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What a body's file says beside the body, by the names it has there."""
+    return {f"{LIMITS}{name}": values for name, values in limits.items()}
+
+
+def limits_in(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What `beside_body` named, by its own names."""
+    return {name.removeprefix(LIMITS): a for name, a in arrays.items() if name.startswith(LIMITS)}
+
+
+def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
+    """What a file says of a body; `path` is for messages, as in `body_of`."""
+    kind = next((name for name, (cls, _) in SKINS.items() if type(body.skin) is cls), None)
+    if kind is None:
+        raise InputError(
+            f"{path}: a body with a {type(body.skin).__name__} cannot be written; use {', '.join(SKINS)} skins."
+        )
+    return {
+        **skeleton_arrays(body.skeleton),
+        "vertices": body.vertices,
+        "faces": body.faces,
+        "skin": np.array(kind),
+        **{f"skin.{name}": getattr(body.skin, name) for name in SKINS[kind][1]},
+    }
+
+
+@checked
+@reads("a body")
+def load_body(path: str | Path) -> Body:
+    """Read a body that `save_body` wrote.
+
+    **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
+    """
+    return body_of(load_kind(path, "jaxcap body", wanted=lambda name: not name.startswith(LIMITS)), path)
+
+
+def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
+    """The body of arrays that `body_arrays` made. Raises `InputError` where they do not fit together."""
+    kind = str(get_array(arrays, "skin", path, (), "text"))
+    if kind not in SKINS:
+        raise InputError(
+            f"{path}: the skin '{shortened(kind)}' is not known; this version reads {', '.join(SKINS)} skins."
+        )
+    cls, names = SKINS[kind]
+    skeleton = skeleton_of(arrays, path)
+    vertices = get_array(arrays, "vertices", path, (None, 3), rows="vertex")
+    faces = get_array(arrays, "faces", path, (None, 3), "whole")
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        wrong = faces.max() if faces.min() >= 0 else faces.min()
+        raise InputError(f"{path}: a face names vertex {wrong}, but there are {len(vertices)} vertices.")
+    count, joints = len(vertices), skeleton.num_joints
+    fields = []
+    for name in names:
+        whole = name in ("bones", "bases")
+        shape = (count,) if whole else (count, None)
+        values = get_array(arrays, f"skin.{name}", path, shape, "whole" if whole else "numbers", "vertex")
+        if not whole and values.shape[1] != joints:
+            raise InputError(
+                f"{path}: the skin is for other bones than the {joints} of the skeleton; write the body again."
+            )
+        if whole and count and not 0 <= values.min() <= values.max() < joints:
+            wrong = values.max() if values.min() >= 0 else values.min()
+            raise InputError(
+                f"{path}: the skin names bone {wrong}, but the skeleton has {joints}: 0 to {joints - 1}."
+            )
+        if not whole:
+            _check_shares(values, path, rest=name != "weights")
+        fields.append(jnp.asarray(values))
+    return Body(skeleton, cls(*fields), jnp.asarray(vertices), jnp.asarray(faces))
+
+
+def _check_shares(weights: np.ndarray, path: str | Path, rest: bool) -> None:
+    """That weights are shares of whole vertices, whose `rest` may follow the base. Raises `InputError`."""
+    if (weights < -SHARE).any():
+        vertex, bone = divmod(int(weights.argmin()), weights.shape[1])
+        raise InputError(
+            f"{path}: vertex {vertex} follows bone {bone} with the weight {weights.min():g}, below zero; write shares that add "
+            "up to one."
+        )
+    apart = weights.sum(1) - 1.0
+    wrong = (apart > SHARE) | ((apart < -SHARE) & (not rest))
+    if wrong.any():
+        vertex = int(wrong.argmax())
+        raise InputError(
+            f"{path}: the weights of vertex {vertex} add up to {weights[vertex].sum():g}; write shares that add up to one."
+        )
+
+
+def load_limits(path: str | Path) -> dict[str, np.ndarray]:
+    """The joint limits of a body file, by the names they were saved under; none is `{}`."""
+    return limits_in(load_kind(path, "jaxcap body", wanted=lambda name: name.startswith(LIMITS)))
+
+
+@checked
+def save_motion(
+    path: str | Path, motion: Motion, skeleton: Skeleton | None = None, verdicts: Sequence[str] = ()
+) -> None:
+    """Write a motion; with its skeleton, the file says whose it is.
+
+    **Arguments:** `verdicts` are those of tracked frames, `good`, `doubtful` or `lost`, of which who reads the file is told.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    names = {} if skeleton is None else skeleton_arrays(skeleton)
+    told = {"verdicts": np.array(verdicts, dtype=str)} if len(verdicts) else {}
+    save_arrays(path, "jaxcap motion", {**motion_arrays(motion), **names, **told})
+
+
+def motion_arrays(motion: Motion) -> dict[str, Any]:
+    """What a file says of a motion."""
+    poses = motion.poses
+    arrays = {"translations": poses.translations, "rotations": poses.rotations, "scale": poses.scale}
+    return {**arrays, "rate": np.array(motion.rate, float)}
+
+
+@checked
+@reads("a motion")
+def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
+    """Read a motion that `save_motion` wrote.
+
+    Warns of frames that the tracker which made the motion called doubtful or lost.
+
+    **Raises:** `InputError` where the file is not one or is damaged, or where `skeleton` is
+    given and has other joints, or stands otherwise at rest (`rest_difference`), where rotations mean something else.
+    """
+    arrays = load_kind(path, "jaxcap motion")
+    motion = motion_of(arrays, path)
+    if "verdicts" in arrays:
+        _tell_verdicts(get_array(arrays, "verdicts", path, (len(motion),), "text"), path)
+    if skeleton is not None:
+        own = get_array(arrays, "names", path, (None,), "text") if "names" in arrays else skeleton.names
+        names, joints = tuple(str(name) for name in own), motion.poses.rotations.shape[1]
+        if names != skeleton.names or joints != skeleton.num_joints:
+            raise InputError(
+                f"{path}: this motion is of the {joints} joints {', '.join(names)}, not of the skeleton's "
+                f"{', '.join(skeleton.names)}; give it to that one by `jaxcap edit retarget`."
+            )
+        if "parents" in arrays:
+            other = rest_difference(skeleton_of(arrays, path), skeleton)
+            if other is not None:
+                raise InputError(
+                    f"{path}: this motion is of a skeleton whose {other}; give it to this one by `jaxcap edit retarget`."
+                )
+    return motion
+
+
+def _tell_verdicts(verdicts: np.ndarray, path: str | Path) -> None:
+    told = []
+    for verdict in ("lost", "doubtful"):
+        numbers = np.flatnonzero(verdicts == verdict)
+        if len(numbers):
+            named = ", ".join(map(str, numbers[:NAMED])) + (" and more" if len(numbers) > NAMED else "")
+            told.append(f"{len(numbers)} of {len(verdicts)} frames are {verdict} ({named}, counted from 0)")
+    if told:
+        warnings.warn(
+            f"{path}: where this motion was tracked {' and '.join(told)}; statistics.csv beside it says why.",
+            stacklevel=3,
+        )
+
+
+def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
+    """The motion of arrays that `motion_arrays` made. Raises `InputError` where they do not fit together."""
+    rotations = get_array(arrays, "rotations", path, (None, None, 4), rows="frame")
+    frames, joints = rotations.shape[:2]
+    translations = get_array(arrays, "translations", path, (frames, joints, 3), rows="frame")
+    scale = get_array(arrays, "scale", path, (frames,), rows="frame")
+    rate = get_array(arrays, "rate", path, ()).item()
+    if not RATES[0] <= rate <= RATES[1]:
+        raise InputError(
+            f"{path}: the rate is {rate}; it must be from {RATES[0]:g} to {RATES[1]:g} frames a second."
+        )
+    if not (np.linalg.norm(rotations, axis=-1) > LEAST).all():
+        raise InputError(
+            f"{path}: the array 'rotations' has quaternions of no length; write rotations as these."
+        )
+    if not (scale > 0).all():
+        raise InputError(
+            f"{path}: the scale is {scale.min():g} in frame {int(scale.argmin())}; it must be above 0."
+        )
+    return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), rate)
+
+
+@reads("a skeleton")
+def load_skeleton(path: str | Path) -> Skeleton:
+    """The skeleton in a body or subject file, or in a motion file that was written with one."""
+    kinds = ("jaxcap body", "jaxcap motion", "jaxcap subject")
+    return skeleton_of(load_kind(path, *kinds, wanted=lambda name: name in _SKELETON), path)
+
+
+def skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
+    """What a file says of a skeleton."""
+    return {
+        "names": np.array(skeleton.names, dtype=str),
+        "parents": np.array(skeleton.parents, dtype=np.int64),
+        "kinds": np.array(skeleton.kinds, dtype=str),
+        "centres": np.asarray(skeleton.centres),
+        "orientations": np.asarray(skeleton.orientations),
+        "axes": np.asarray(skeleton.axes),
+    }
+
+
+def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
+    """The skeleton of arrays that `skeleton_arrays` made. Raises `InputError` where they do not fit together."""
+    names = get_array(arrays, "names", path, (None,), "text").tolist()
+    count = len(names)
+    parents = get_array(arrays, "parents", path, (count,), "whole").tolist()
+    kinds = get_array(arrays, "kinds", path, (count,), "text").tolist()
+    shapes = {"centres": (count, 3), "orientations": (count, 4), "axes": (count, 2, 3)}
+    numbers = {name: get_array(arrays, name, path, shape, rows="joint") for name, shape in shapes.items()}
+    if not (np.linalg.norm(numbers["orientations"], axis=1) > LEAST).all():
+        raise InputError(
+            f"{path}: the array 'orientations' has quaternions of no length; write rotations as these."
+        )
+    try:
+        checked = make_skeleton(names, parents, kinds, numbers["centres"])
+    except ValueError as error:
+        raise InputError(f"{path}: {sentence_of(error)}") from None
+    if checked.names != tuple(names):
+        raise InputError(f"{path}: a joint stands before its parent; this file was not written by save_body.")
+    # the arrays as they are, so that a body comes back to the last bit
+    centres, orientations, axes = (jnp.asarray(numbers[name]) for name in shapes)
+    return Skeleton(checked.names, checked.parents, checked.kinds, centres, orientations, axes)
+
+
+def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
+    """Write arrays under the name of a format, for `load_kind`. Raises `InputError` where the file
+    cannot be written or something is not an array of numbers or text."""
+    plain = {name: np.asarray(values) for name, values in arrays.items()}
+    for name, values in plain.items():
+        if values.dtype == object:
+            raise InputError(f"{path}: '{name}' is not an array of numbers or text; it cannot be written.")
+    with replacing(path) as beside, open(beside, "wb") as file:
+        everything: dict[str, Any] = {"format": np.array(kind), "version": np.array(VERSION), **plain}
+        np.savez_compressed(file, **everything)
+
+
+def load_kind(
+    path: str | Path, *kinds: str, wanted: Callable[[str], bool] = lambda name: True
+) -> dict[str, np.ndarray]:
+    """Read the arrays that are `wanted` of a file of one of some formats, and its `format` and `version`.
+
+    **Raises:** `InputError` where it is another format, or of another version.
+    """
+    check_npz(path, WORDS[kinds[0].removeprefix("jaxcap ")])
+    with open_archive(path) as archive:
+        marks = archive.load(lambda name: name in ("format", "version"))
+        if str(marks.get("format", "")) not in kinds:
+            raise wrong_arrays(path, f"not a '{kinds[0]}'")
+        version = get_array(marks, "version", path, (), "whole").item() if "version" in marks else 0
+        if version != VERSION:
+            raise InputError(
+                f"{path}: this file has version {version}; this program reads version {VERSION}."
+            )
+        return marks | archive.load(lambda name: name not in marks and wanted(name))
+
+
+#: what arrays hold: their types, and words for these
+_CONTENTS = {
+    "numbers": ("fiu", "numbers"),
+    "whole": ("iu", "whole numbers"),
+    "text": ("U", "text"),
+}
+
+
+def get_array(
+    arrays: Mapping[str, np.ndarray],
+    name: str,
+    path: str | Path,
+    shape: tuple[int | None, ...],
+    holds: Literal["numbers", "whole", "text"] = "numbers",
+    rows: str = "row",
+) -> np.ndarray:
+    """Get an array of a `shape`, in which None is any length.
+
+    Numbers have to be finite, and small enough for a length or an angle; `rows` is what the first axis counts, for the
+    message. **Raises:** `InputError` where the array is missing or is another.
+    """
+    if name not in arrays:
+        raise InputError(f"{path}: the array '{name}' is missing; this file is not whole.")
+    values = arrays[name]
+    fits = values.ndim == len(shape) and all(
+        n is None or n == m for n, m in zip(shape, values.shape, strict=True)
+    )
+    if not fits:
+        wanted = " x ".join("any" if n is None else str(n) for n in shape) or "a single value"
+        raise InputError(f"{path}: the array '{name}' has the shape {values.shape}; it must be {wanted}.")
+    types, words = _CONTENTS[holds]
+    # an array without elements may be of any type
+    if values.dtype.kind not in types and values.size:
+        raise InputError(
+            f"{path}: the array '{name}' holds other than {words} ({values.dtype}); write it again."
+        )
+    if holds != "numbers":
+        return values
+    _check_finite(values, name, path, rows)
+    return values if values.dtype.kind == "f" else values.astype(float)
+
+
+def _check_finite(values: np.ndarray, name: str, path: str | Path, rows: str) -> None:
+    """That an array holds finite numbers. Raises `InputError`."""
+    sizes = np.abs(np.atleast_1d(values).astype(float))
+    wrong = ~(sizes <= LARGEST)
+    if wrong.any():
+        which = f", first in {rows} {int(np.argwhere(wrong)[0, 0])}" if values.ndim else ""
+        why = "too large" if np.isfinite(sizes).all() else "not finite"
+        raise InputError(f"{path}: the array '{name}' has numbers that are {why}{which}; write it again.")

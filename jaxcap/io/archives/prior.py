@@ -1,0 +1,238 @@
+"""Priors of poses and of shape in files: by themselves, or in the file of the body that they are of."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Int
+
+from ...adapt.shape.shape_prior import ShapePrior, neighbours_in, uniform_laplacian
+from ...arguments import checked
+from ...body.body import Body
+from ...body.limits.pose_boxes import PoseBoxes, make_pose_boxes
+from ...body.pair_prior import PairPrior, make_pair_prior, misfit
+from ...body.pose import Pose
+from ...body.skeleton import Skeleton
+from ...errors import InputError, sentence_of
+from ...geometry.mesh import mesh_edges
+from ..system.door import reads
+from .archive import load_arrays
+from .npz import LEAST, LIMITS, get_array, limits_in, load_kind, save_arrays, save_body
+
+#: the format's name in a file of its own
+KIND = "jaxcap prior"
+
+
+class Priors(NamedTuple):
+    """What a file knows of a body beforehand."""
+
+    #: which poses are likely
+    prior: PairPrior
+    #: how far joints turn; None where the file does not say
+    boxes: PoseBoxes | None
+    #: the shape that its meshes show; None where there were none
+    shape: ShapePrior | None
+
+
+@checked
+def save_prior(
+    path: str | Path,
+    prior: PairPrior,
+    boxes: PoseBoxes | None = None,
+    body: Body | None = None,
+    limits: Mapping[str, np.ndarray] | None = None,
+    shape: ShapePrior | None = None,
+) -> None:
+    """Write a prior, and boxes and what is known of `shape` where given; with a body, into a file of the body,
+    which `load_body` reads, beside what other `limits` it is to carry.
+
+    **Raises:** `InputError` where the file cannot be written, or a prior is of another skeleton or another
+    surface than the body's.
+    """
+    arrays = prior_arrays(prior, boxes) | ({} if shape is None else shape_arrays(shape))
+    if body is None:
+        save_arrays(path, KIND, arrays)
+        return
+    check_fit(prior, body.skeleton, path)
+    if shape is not None:
+        _check_surface(len(shape.vectors[0]), neighbours_in(shape), body, path)
+    save_body(path, body, {**(limits or {}), **arrays})
+
+
+@checked
+@reads("a prior")
+def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
+    """All that a file knows of the poses and the shape of `body`, read once; without `shape`, of its poses alone.
+
+    **Raises:** `InputError` where the file holds no pose prior, is damaged or does not fit together, or is of another
+    skeleton than the body's, or its shape of another surface.
+    """
+    arrays = _arrays(path)
+    prior, boxes = _prior(arrays, path, body.skeleton), _boxes(arrays, path, body.skeleton)
+    return Priors(prior, boxes, _shape(arrays, path, body) if shape else None)
+
+
+def carries_prior(path: str | Path) -> bool:
+    """Whether the file of a body has a pose prior in it. Raises `InputError` where it is no whole `.npz`."""
+    name = f"{LIMITS}prior.weights"
+    return name in load_arrays(path, lambda there: there == name)
+
+
+@checked
+@reads("a prior")
+def load_prior(path: str | Path, skeleton: Skeleton | None = None) -> PairPrior:
+    """Read a prior from a file of its own or from that of a body.
+
+    **Raises:** `InputError` where the file holds none, is damaged or does not fit together, or where
+    `skeleton` is given and the prior is of another.
+    """
+    return _prior(_arrays(path), path, skeleton)
+
+
+@reads("a prior")
+def load_boxes(path: str | Path, skeleton: Skeleton | None = None) -> PoseBoxes | None:
+    """The boxes beside a prior; None where there are none. Errors as in `load_prior`."""
+    return _boxes(_arrays(path), path, skeleton)
+
+
+@reads("a prior")
+def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
+    """The shape beside a prior, in the numbers of `body`, of which it must be; None where there is none.
+
+    **Raises:** `InputError` where the file is damaged, or the prior is of another number of vertices or of
+    joints, or of other triangles, than the body's.
+    """
+    return _shape(_arrays(path), path, body)
+
+
+def shape_counts(path: str | Path) -> tuple[int, int] | None:
+    """Of how many meshes and vertices a file knows the shape; None where of none. Errors as in `load_prior`."""
+    arrays = _arrays(path)
+    if "shape.vectors" not in arrays:
+        return None
+    meshes, vertices = get_array(arrays, "shape.vectors", path, (None, None, 3), rows="mesh").shape[:2]
+    return meshes, vertices
+
+
+def check_fit(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
+    """Raises `InputError` where a prior is of another skeleton."""
+    reason = misfit(prior, skeleton)
+    if reason is not None:
+        raise InputError(
+            f"{path}: this prior is of another skeleton: {reason}; learn one for this skeleton; "
+            "`jaxcap prior learn --body` carries motions over."
+        )
+
+
+def prior_arrays(prior: PairPrior, boxes: PoseBoxes | None = None) -> dict[str, np.ndarray]:
+    """What a file says of a prior; peaks are found again when it is read."""
+    arrays = {"prior.pairs": np.array(prior.pairs, dtype=str)}
+    arrays |= {
+        f"prior.{name}": np.asarray(getattr(prior, name))
+        for name in ("frames", "weights", "means", "factors")
+    }
+    if boxes is not None:
+        arrays["boxes.joints"] = np.array(boxes.joints, dtype=str)
+        arrays |= {f"boxes.{name}": np.asarray(getattr(boxes, name)) for name in ("lower", "upper")}
+    return arrays
+
+
+def shape_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
+    """What a file says of a shape prior, in float32; its Laplacian is that of the body it is read for."""
+    arrays = {"shape.edges": neighbours_in(shape).astype(np.int32)}
+    numbers = {"vectors": shape.vectors}
+    numbers |= {
+        name: np.asarray(getattr(shape.poses, name)) for name in ("translations", "rotations", "scale")
+    }
+    return arrays | {f"shape.{name}": values.astype(np.float32) for name, values in numbers.items()}
+
+
+def _prior(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleton | None) -> PairPrior:
+    if "prior.weights" not in arrays:
+        raise InputError(f"{path}: there is no pose prior in this file; learn one with `jaxcap prior learn`.")
+    pairs = get_array(arrays, "prior.pairs", path, (None, 2), "text").tolist()
+    weights = get_array(arrays, "prior.weights", path, (len(pairs), None))
+    shape = weights.shape
+    try:
+        prior = make_pair_prior(
+            tuple((above, below) for above, below in pairs),
+            _turns(arrays, "prior.frames", path, (len(pairs), 2, 4)),
+            weights,
+            get_array(arrays, "prior.means", path, (*shape, 6)),
+            get_array(arrays, "prior.factors", path, (*shape, 6, 6)),
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: {sentence_of(error)}") from None
+    if skeleton is not None:
+        check_fit(prior, skeleton, path)
+    return prior
+
+
+def _boxes(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleton | None) -> PoseBoxes | None:
+    if "boxes.joints" not in arrays:
+        return None
+    joints = get_array(arrays, "boxes.joints", path, (None,), "text").tolist()
+    lower, upper = (get_array(arrays, f"boxes.{name}", path, (len(joints), 3)) for name in ("lower", "upper"))
+    lacking = [] if skeleton is None else [name for name in joints if name not in skeleton.names]
+    if skeleton is not None and lacking:
+        raise InputError(
+            f"{path}: these boxes are of another skeleton: there is no joint '{lacking[0]}' among "
+            f"{', '.join(skeleton.names)}."
+        )
+    try:
+        return make_pose_boxes(joints, lower, upper)
+    except ValueError as error:
+        raise InputError(f"{path}: {sentence_of(error)}") from None
+
+
+def _shape(arrays: Mapping[str, np.ndarray], path: str | Path, body: Body) -> ShapePrior | None:
+    if "shape.vectors" not in arrays:
+        return None
+    vectors = get_array(arrays, "shape.vectors", path, (None, None, 3), rows="mesh")
+    meshes, vertices = vectors.shape[:2]
+    _check_surface(vertices, get_array(arrays, "shape.edges", path, (None, 2), "whole"), body, path)
+    joints = body.skeleton.num_joints
+    if not meshes:
+        raise InputError(f"{path}: the shape prior has no meshes; learn it again.")
+    numbers = (
+        get_array(arrays, "shape.translations", path, (meshes, joints, 3), rows="mesh"),
+        _turns(arrays, "shape.rotations", path, (meshes, joints, 4)),
+        get_array(arrays, "shape.scale", path, (meshes,), rows="mesh"),
+    )
+    poses = Pose(*(jnp.asarray(values, body.vertices.dtype) for values in numbers))
+    return ShapePrior(uniform_laplacian(body), poses, vectors.astype(float))
+
+
+def _turns(
+    arrays: Mapping[str, np.ndarray], name: str, path: str | Path, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Quaternions, which have a length. Raises `InputError`."""
+    turns = get_array(arrays, name, path, shape)
+    if not (np.linalg.norm(turns, axis=-1) > LEAST).all():
+        raise InputError(f"{path}: the array '{name}' has quaternions of no length; learn the prior again.")
+    return turns
+
+
+def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, path: str | Path) -> None:
+    """Raises `InputError` where a shape prior is of other vertices, or other neighbours among them."""
+    if vertices != len(body.vertices):
+        raise InputError(
+            f"{path}: this shape prior is of {vertices} vertices and the body has {len(body.vertices)}; learn one from "
+            "meshes of this body."
+        )
+    if not np.array_equal(edges, mesh_edges(np.asarray(body.faces))):
+        raise InputError(
+            f"{path}: this shape prior is of other triangles than the body's; learn one from meshes of this body."
+        )
+
+
+def _of_prior(name: str) -> bool:
+    return name.removeprefix(LIMITS).startswith(("prior.", "boxes.", "shape."))
+
+
+def _arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """What a file says beside a body, or by itself."""
+    arrays = load_kind(path, KIND, "jaxcap body", wanted=_of_prior)
+    return arrays if str(arrays["format"]) == KIND else limits_in(arrays)

@@ -1,0 +1,39 @@
+"""What a run says of each of its frames, in the `statistics.json` of its folder."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from ...errors import InputError
+from ..system.door import reads
+from ..text import LARGEST, read_json
+
+
+class RunStatistics(NamedTuple):
+    """By frame."""
+
+    #: standard deviation of the tracker's mixture, metres
+    sigmas: tuple[float, ...]
+    #: name of the cloud
+    clouds: tuple[str, ...]
+
+
+@reads("the statistics of a run")
+def read_statistics(path: str | Path) -> RunStatistics:
+    """Read the statistics of a run.
+
+    **Raises:** `InputError` where the file is not one: no list of frames, or one without its numbers.
+    """
+    content = read_json(path)
+    rows = content.get("frames") if isinstance(content, dict) else None
+    if not isinstance(rows, list):
+        raise InputError(
+            f"{path}: there is no list 'frames' in it, as the statistics of a run have; remove the file."
+        )
+    for number, row in enumerate(rows):
+        if not (isinstance(row, dict) and _is_length(row.get("sigma")) and isinstance(row.get("cloud"), str)):
+            raise InputError(f"{path}: frame {number} lacks its 'sigma' or its 'cloud'; remove the file.")
+    return RunStatistics(tuple(float(row["sigma"]) for row in rows), tuple(row["cloud"] for row in rows))
+
+
+def _is_length(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= LARGEST

@@ -1,0 +1,1 @@
+"""Skinned, animated bodies as glTF 2.0."""

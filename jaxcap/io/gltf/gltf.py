@@ -1,0 +1,172 @@
+"""Skinned, animated bodies as binary glTF 2.0 (`.glb`), which most 3D programs open.
+
+Every joint is a node in its own frame: at rest it stands at the joint's centre, turned by the
+joint's orientation, so its x axis is the twist axis. Above the roots is one node that carries
+the scale of the poses. glTF skins by linear blending (Khronos, glTF 2.0, section 3.7.3), as
+`LinearSkin` does; other skins are made linear first, by `jaxcap.linearise`.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from ...arguments import checked
+from ...body.body import Body
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ..meshes.mesh import vertex_normals
+from ..skinned.skinned import (
+    SET,
+    bind_frames,
+    check_motion,
+    check_skin,
+    influences,
+    moving_frames,
+    rest_frames,
+)
+from ..system.atomic import replacing
+from .glb import INDICES, VERTICES, Blob
+
+if TYPE_CHECKING:
+    import pygltflib
+
+#: a channel is written where a number leaves its rest by more than single precision shows
+_STILL = 1e-7
+
+
+@checked
+def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> None:
+    """Write a body, with a motion as its animation where there is one, in metres, y up.
+
+    Every influence is kept, by fours in `JOINTS_0`, `JOINTS_1`, ...; the strongest come first.
+    Some programs read the first four only: `limit_influences` makes a body that needs no more.
+    Kinds and axes of joints stand in the nodes' extras, so that `read_gltf` gives the skeleton back.
+
+    **Raises:** `InputError` where the suffix is not `.glb`, the skin does not blend linearly,
+    the motion has other joints or no frames, or the file cannot be written.
+    """
+    import pygltflib
+
+    path = Path(path)
+    if path.suffix.lower() != ".glb":
+        raise InputError(f"{path}: skinned bodies are not written as '{path.suffix}' files; use .glb.")
+    check_skin(path, body, "glTF")
+    check_motion(path, body.skeleton, motion)
+    document = pygltflib.GLTF2(asset=pygltflib.Asset(version="2.0", generator="jaxcap"))
+    blob = Blob(document)
+    roots = [joint for joint, parent in enumerate(body.skeleton.parents) if parent < 0]
+    top, surface = body.skeleton.num_joints, body.skeleton.num_joints + 1
+    document.nodes = _joint_nodes(body.skeleton)
+    document.nodes.append(pygltflib.Node(name=_free_name("Armature", body.skeleton), children=roots))
+    # beside the armature, because a skinned mesh does not follow its own node
+    document.nodes.append(pygltflib.Node(name=_free_name("Body", body.skeleton), mesh=0, skin=0))
+    document.meshes = [pygltflib.Mesh(name="Body", primitives=[_surface(blob, body)])]
+    # glTF's own default is a mirror of metal
+    look = pygltflib.PbrMetallicRoughness(
+        baseColorFactor=[0.8, 0.8, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.8
+    )
+    document.materials = [pygltflib.Material(name="Body", pbrMetallicRoughness=look)]
+    document.skins = [
+        pygltflib.Skin(
+            name="Armature",
+            joints=list(range(top)),
+            skeleton=top,
+            inverseBindMatrices=blob.add(_inverse_bind(body.skeleton)),
+        )
+    ]
+    if motion is not None:
+        document.animations = _animations(blob, body.skeleton, motion)
+    document.scenes, document.scene = [pygltflib.Scene(nodes=[top, surface])], 0
+    with replacing(path) as beside:
+        beside.write_bytes(blob.file())
+
+
+def _free_name(name: str, skeleton: Skeleton) -> str:
+    while name in skeleton.names:
+        name += "_"
+    return name
+
+
+def _joint_nodes(skeleton: Skeleton) -> "list[pygltflib.Node]":
+    import pygltflib
+
+    places, turns = rest_frames(skeleton)
+    return [
+        pygltflib.Node(
+            name=name,
+            translation=places[joint].tolist(),
+            rotation=turns[joint].tolist(),
+            children=[child for child, parent in enumerate(skeleton.parents) if parent == joint],
+            extras={"kind": skeleton.kinds[joint], "axes": np.asarray(skeleton.axes[joint], float).tolist()},
+        )
+        for joint, name in enumerate(skeleton.names)
+    ]
+
+
+def _inverse_bind(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:
+    """From the world at rest into each joint's frame."""
+    bind = bind_frames(skeleton)
+    inverse = np.tile(np.eye(4), (len(bind), 1, 1))
+    inverse[:, :3, :3] = bind[:, :3, :3].swapaxes(1, 2)
+    inverse[:, :3, 3] = -np.einsum("jba,jb->ja", bind[:, :3, :3], bind[:, :3, 3])
+    return inverse.astype("<f4")
+
+
+def _surface(blob: Blob, body: Body) -> "pygltflib.Primitive":
+    import pygltflib
+
+    vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
+    normals = vertex_normals(vertices, faces)
+    # a vertex of no face has no normal, and glTF wants one of unit length
+    normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 1.0, 0.0]
+    attributes = pygltflib.Attributes(
+        POSITION=blob.add(vertices.astype("<f4"), VERTICES, bounds=True),
+        NORMAL=blob.add(normals.astype("<f4"), VERTICES),
+    )
+    joints, weights = influences(np.asarray(body.skin.influence(body.skeleton.num_joints), float))
+    number = "u1" if body.skeleton.num_joints <= 256 else "<u2"
+    for place in range(joints.shape[1] // SET):
+        part = slice(SET * place, SET * (place + 1))
+        setattr(attributes, f"JOINTS_{place}", blob.add(joints[:, part].astype(number), VERTICES))
+        setattr(attributes, f"WEIGHTS_{place}", blob.add(weights[:, part], VERTICES))
+    # the largest number of a type ends a strip, so it cannot be a vertex
+    number = "<u2" if len(vertices) <= 0xFFFF else "<u4"
+    indices = blob.add(faces.reshape(-1).astype(number), INDICES) if len(faces) else None
+    return pygltflib.Primitive(
+        attributes=attributes, indices=indices, material=0, mode=4 if len(faces) else 0
+    )
+
+
+def _animations(blob: Blob, skeleton: Skeleton, motion: Motion) -> "list[pygltflib.Animation]":
+    """One animation with a channel for every node's property that leaves its rest; none where
+    all is at rest."""
+    import pygltflib
+
+    animation = pygltflib.Animation(name="Motion")
+    times = np.arange(motion.num_frames) / motion.rate
+    clock = None
+
+    def channel(node: int, what: str, values: np.ndarray, rest: np.ndarray) -> None:
+        nonlocal clock
+        if np.abs(values - rest).max() <= _STILL:
+            return
+        clock = blob.add(times.astype("<f4"), bounds=True) if clock is None else clock
+        output = blob.add(values.astype("<f4"))
+        animation.samplers.append(
+            pygltflib.AnimationSampler(input=clock, output=output, interpolation="LINEAR")
+        )
+        target = pygltflib.AnimationChannelTarget(node=node, path=what)
+        animation.channels.append(
+            pygltflib.AnimationChannel(sampler=len(animation.samplers) - 1, target=target)
+        )
+
+    rest, moving = rest_frames(skeleton), moving_frames(skeleton, motion)
+    for joint in range(skeleton.num_joints):
+        channel(joint, "translation", moving.places[:, joint], rest.places[joint])
+        channel(joint, "rotation", moving.turns[:, joint], rest.turns[joint])
+    scales = np.repeat(np.asarray(motion.poses.scale, float)[:, None], 3, 1)
+    channel(skeleton.num_joints, "scale", scales, np.ones(3))
+    return [animation] if animation.channels else []

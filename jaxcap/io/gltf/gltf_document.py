@@ -1,0 +1,88 @@
+"""The JSON and the buffers of a glTF 2.0 file, binary (`.glb`) or text (`.gltf`) with files next to it."""
+
+import shlex
+import struct
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError
+from ..skinned.clip import clip_names
+from ..system.inside import read_inside
+from ..text import parse_json, read_json
+from .gltf_parts import Part
+from .gltf_scene import chunks
+
+#: both forms of the format
+SUFFIXES = (".glb", ".gltf")
+#: files and pieces with numbers
+MOST_BUFFERS = 1000
+
+
+def read_head(path: str | Path) -> dict[str, Any]:
+    """Read the JSON of a file without its buffers; empty where it is not a glTF file that can be read."""
+    try:
+        with Path(path).open("rb") as stream:
+            if Path(path).suffix.lower() == ".gltf":
+                head = parse_json(stream.read(), path)
+            else:
+                magic, _, _, length, _ = struct.unpack("<4s4I", stream.read(20))
+                # of another kind of file nothing is read
+                # and never more than is there
+                length = min(length, Path(path).stat().st_size)
+                head = parse_json(stream.read(length), path) if magic == b"glTF" else {}
+    except (OSError, ValueError, struct.error):
+        return {}
+    return head if isinstance(head, dict) else {}
+
+
+def has_skin(path: str | Path) -> bool:
+    """Whether this is a `.glb` or `.gltf` with joints that move a surface."""
+    head = read_head(path)
+    nodes = head.get("nodes")
+    return bool(head.get("skins")) and any("skin" in node for node in _dicts(nodes))
+
+
+def clips_of(path: str | Path) -> tuple[str, ...]:
+    """Return the names of the animations in a `.glb` or `.gltf`; none where it cannot be read."""
+    names = [one.get("name") for one in _dicts(read_head(path).get("animations"))]
+    return clip_names([name if isinstance(name, str) else None for name in names])
+
+
+def no_skin(path: str | Path) -> InputError:
+    """Say that a file, glTF or USD, has no joints that move its surface, and what to do."""
+    rig = f"rig it with `jaxcap rig {shlex.quote(str(path))} -o body.npz`"
+    if Path(path).suffix.lower() not in SUFFIXES:
+        rig = "export its mesh as .glb and rig that with `jaxcap rig`"
+    return InputError(
+        f"{path}: there is no skin in it, so no joint moves its surface; {rig}, or export it again with its armature."
+    )
+
+
+def read_document(path: Path) -> tuple[Part, list[bytes | None]]:
+    """Read a whole file: its content, and the bytes of each buffer, None where the file has none for it.
+
+    Buffers are the file's own, data URIs, or files in the same folder or below.
+
+    **Raises:** `InputError` where the file is not whole, or a buffer is missing, cut short or elsewhere.
+    """
+    if path.suffix.lower() == ".gltf":
+        root, own = Part(read_json(path), str(path)), None
+    else:
+        head, own = chunks(path)
+        root = Part(parse_json(head, path), str(path))
+    parts, found = root.parts("buffers"), dict[str, bytes]()
+    if len(parts) > MOST_BUFFERS:
+        raise InputError(
+            f"{path}: there are {len(parts)} buffers in it; export it with {MOST_BUFFERS} at most."
+        )
+    buffers: list[bytes | None] = []
+    for number, buffer in enumerate(parts):
+        uri = buffer.word("uri") if "uri" in buffer else None
+        if uri is not None and uri not in found:
+            found[uri] = read_inside(path, uri)
+        buffers.append(found[uri] if uri is not None else own if number == 0 else None)
+    return root, buffers
+
+
+def _dicts(rows: object) -> list[dict]:
+    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []

@@ -1,0 +1,136 @@
+"""Bodies, skeletons and motions from glTF 2.0 (`.glb`, `.gltf`), whichever program wrote them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...arguments import checked
+from ...body.body import Body
+from ...body.pose import Motion
+from ...body.skeleton import KINDS, Skeleton
+from ..skinned.bound import Bound, Joints, bind, body_of, motion_of, placing
+from ..skinned.left_out import warn_left_out
+from ..system.door import reads
+from ..text import LARGEST
+from .gltf_file import GltfFile
+from .gltf_parts import Part
+from .gltf_surface import inverse_binds, left_out, read_surface, skin_joints
+
+_HINGES = ("revolute", "universal")
+
+
+@checked
+@reads("a skinned glTF file")
+def read_gltf(
+    path: str | Path, rate: float | None = None, clip: str | None = None
+) -> tuple[Skeleton, Motion | None]:
+    """The joints of a file's first skin, and an animation as their motion: the one called `clip`, or the first.
+
+    Rest is where the inverse bind matrices have the joints, in metres and as upright as what stands above the roots
+    makes it; the joints' frames there are their orientations. Kinds and axes are those that `write_gltf` notes, else
+    roots are free and other joints turn freely. Times are sampled at `rate`, from the first key of any node to the last; where
+    it is not given, at the coarsest rate that has all keys, and with a warning at 30 frames a second where none has. Other
+    figures of the file are left out with a warning.
+    Scale may change above the roots alone and be the same along all axes.
+
+    **Raises:** `InputError` where the file is not a whole one, has no skin or no such clip, or has what a
+    `Skeleton` and its `Pose` cannot hold: sheared, sparse or compressed transforms.
+    """
+    file = GltfFile(path, clip)
+    bound = _bind(file)
+    warn_left_out(file.path, left_out(file, skin_joints(file, 0), surface=False))
+    return bound.skeleton, _motion(file, bound, rate)
+
+
+@reads("a skinned glTF file")
+def read_gltf_body(
+    path: str | Path, rate: float | None = None, clip: str | None = None
+) -> tuple[Body, Motion | None]:
+    """The body of a file's first skin, which blends linearly, and an animation; skeleton and `clip` as in `read_gltf`.
+
+    All meshes that this skin moves are the surface, or those of other skins of the same joints. Vertices that were split along
+    the seams of textures are one again. Shape keys (morph targets), meshes that hang on a joint without a skin, and those of a
+    second figure, whose skin has no joint of the first one, are left out with a warning.
+
+    **Raises:** `InputError` as `read_gltf`, and where the surface is no triangles, or a vertex follows no joint.
+    """
+    file = GltfFile(path, clip)
+    bound = _bind(file)
+    surface = read_surface(file, _nodes(file, bound))
+    warn_left_out(file.path, left_out(file, skin_joints(file, 0), surface=True))
+    return body_of(file.path, bound, surface), _motion(file, bound, rate)
+
+
+def _bind(file: GltfFile) -> Bound:
+    """The skeleton of the first skin, at rest."""
+    joints = skin_joints(file, 0)
+    place = {joint: number for number, joint in enumerate(joints)}
+    parents = _parents(file, place)
+    inverse = inverse_binds(file, 0)
+    nodes = [file.nodes[joint] for joint in joints]
+    for joint in joints:
+        # rest is where it is bound, and where it stands counts as soon as something moves
+        file.still(joint)
+    axes, kinds = np.tile(np.eye(3)[:2], (len(joints), 1, 1)), []
+    for number, node in enumerate(nodes):
+        kind, noted = _notes(node)
+        kinds.append(kind)
+        if noted is not None:
+            axes[number] = noted
+    names = [node.word("name") or f"joint{number}" for number, node in enumerate(nodes)]
+    root = parents.index(-1)
+    over = file.above.get(joints[root])
+    world = file.world({}, [joints[root]] if over is None else [joints[root], over])
+    above = np.eye(3) if over is None else world[over][0, :3, :3]
+    placed = placing(file.path, above, (world[joints[root]][0] @ inverse[root])[:3, :3])
+    return bind(file.path, Joints(names, parents, kinds, axes, inverse), placed)
+
+
+def _notes(node: Part) -> tuple[str | None, np.ndarray | None]:
+    """The kind and the axes that `write_gltf` notes of a joint; None where they are not there, or other programs' own."""
+    note = node.content.get("extras")
+    if not isinstance(note, dict):
+        return None, None
+    try:
+        axes = np.array(note["axes"], float)
+        axes = axes if axes.shape == (2, 3) and (np.abs(axes) <= LARGEST).all() else None
+    except (KeyError, TypeError, ValueError, OverflowError):
+        axes = None
+    kind = note.get("kind")
+    # a hinge without its axes could turn about any
+    known = isinstance(kind, str) and kind in KINDS and (axes is not None or kind not in _HINGES)
+    return (kind if known else None), axes
+
+
+def _parents(file: GltfFile, place: Mapping[int, int]) -> list[int]:
+    """For each joint the next one above, whatever nodes stand between; -1 for a root."""
+    # of every node the joint that it is, or hangs on
+    nearest: dict[int, int] = dict(place)
+    parents = []
+    for joint in place:
+        chain, node = [], file.above.get(joint)
+        while node is not None and node not in nearest:
+            chain.append(node)
+            node = file.above.get(node)
+        found = -1 if node is None else nearest[node]
+        nearest.update(dict.fromkeys(chain, found))
+        parents.append(found)
+    return parents
+
+
+def _motion(file: GltfFile, bound: Bound, rate: float | None) -> Motion | None:
+    if not file.animations:
+        return None
+    clock, moving = file.animation(rate)
+    nodes = _nodes(file, bound)
+    world = file.world(moving, nodes)
+    file.spend(3 * 16 * len(clock) * len(nodes), "the motion of its joints")
+    frames = np.stack([np.broadcast_to(world[node], (len(clock), 4, 4)) for node in nodes], 1)
+    found = (len(clock) - 1) / (clock[-1] - clock[0]) if len(clock) > 1 else 30.0
+    return motion_of(file.path, bound, frames, found)
+
+
+def _nodes(file: GltfFile, bound: Bound) -> list[int]:
+    joints = skin_joints(file, 0)
+    return [joints[number] for number in bound.order]

@@ -1,0 +1,88 @@
+"""The build of a glTF file: its chunks, the tree of its nodes, and whether it is as large as it says."""
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...errors import InputError
+from ..archives.archive import PACKED, ROOM
+from ..text import parse_json, read_json
+from .gltf_parts import Part
+
+#: how many numbers an element of each type has
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+#: meshes, each counted as often as a node shows it, that a reader of scenes joins in seconds
+MOST_MESHES = 2000
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942
+
+
+def chunks(path: Path) -> tuple[bytes, bytes]:
+    """The JSON and the numbers of a binary file. Raises `InputError` where it is not a whole one."""
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; check the path.")
+    data = path.read_bytes()
+    found: dict[int, bytes] = {}
+    if data[:4] == b"glTF" and len(data) >= 12 and struct.unpack_from("<I", data, 8)[0] == len(data):
+        at = 12
+        while at + 8 <= len(data):
+            length, kind = struct.unpack_from("<II", data, at)
+            at += 8 + length
+            if at > len(data):
+                break
+            found.setdefault(kind, data[at - length : at])
+    if _JSON not in found:
+        raise InputError(f"{path}: this is not a whole .glb file; copy or export it again.")
+    return found[_JSON], found.get(_BINARY, b"")
+
+
+def tree(nodes: Sequence[Part]) -> dict[int, int]:
+    """The node above each that has one. Raises `InputError` where nodes are no tree."""
+    above: dict[int, int] = {}
+    for number, node in enumerate(nodes):
+        for child in node.indices("children", len(nodes)):
+            if child in above:
+                raise InputError(
+                    f"{node.where}: its child {child} hangs on node {above[child]} as well; nodes must be a tree."
+                )
+            above[child] = number
+    rooted: set[int] = set()
+    for number in range(len(nodes)):
+        chain: dict[int, None] = {}
+        while number in above and number not in rooted:
+            if number in chain:
+                raise InputError(f"{nodes[number].where} descends from itself; nodes must be a tree.")
+            chain[number] = None
+            number = above[number]
+        rooted.update(chain)
+    return above
+
+
+def check_scene(path: Path) -> None:
+    """Check what a general reader of scenes takes for granted: a tree, counts that the file can hold, and not too many meshes.
+
+    **Raises:** `InputError` with the place in the file.
+    """
+    binary = path.suffix.lower() == ".glb"
+    root = Part(parse_json(chunks(path)[0], path) if binary else read_json(path), str(path))
+    nodes, meshes = root.parts("nodes"), root.parts("meshes")
+    tree(nodes)
+    beside = [
+        path.parent / buffer.word("uri") for buffer in root.parts("buffers") if len(buffer.word("uri")) < 256
+    ]
+    size = path.stat().st_size + sum(other.stat().st_size for other in beside if _is_file(other))
+    room = max(ROOM, PACKED * size)
+    for accessor in root.parts("accessors"):
+        room -= 8 * accessor.whole("count") * WIDTHS.get(accessor.word("type"), 1)
+        if room < 0:
+            raise InputError(f"{accessor.where} has more numbers than the file can hold; it is damaged.")
+    shown = [node.index("mesh", len(meshes)) for node in nodes]
+    count = sum(len(meshes[mesh].values("primitives")) for mesh in shown if mesh is not None)
+    if count > MOST_MESHES:
+        raise InputError(f"{path}: there are {count} meshes in it; join them to {MOST_MESHES} at most.")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,149 @@
+"""The surface that a skin of a glTF file moves, and which joints each vertex follows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ...errors import InputError
+from ..skinned.bound import inverted
+from ..skinned.left_out import FIGURES, RIGID, SHAPES
+from ..skinned.surface import Surface, as_shares, joined, sewn
+from .gltf_file import GltfFile
+from .gltf_parts import Part
+
+#: triangles, and points where there are no faces
+_TRIANGLES, _POINTS = 4, 0
+
+
+def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
+    """The meshes of all skins that share joints with the first, whose nodes `joints` are columns of weights.
+
+    **Raises:** `InputError` where there is none, one is not of triangles, or a vertex follows no joint.
+    """
+    parts: list[Surface] = []
+    skins = {skin: skin_joints(file, skin) for skin in sharing(file, joints)}
+    for _, mesh, skin in skinned(file):
+        if skin not in skins:
+            continue
+        move = _between_skins(file, skin, joints)
+        for primitive in file.meshes[mesh].parts("primitives"):
+            part = _part(file, primitive, skins[skin], joints)
+            parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
+    if not parts:
+        raise InputError(f"{file.path}: no mesh of this file follows its joints; read it as a skeleton.")
+    return sewn(joined(parts))
+
+
+def sharing(file: GltfFile, joints: Sequence[int]) -> tuple[int, ...]:
+    """The skins in use that have one of some joints. Raises `InputError`."""
+    wanted = set(joints)
+    used = dict.fromkeys(skin for _, _, skin in skinned(file))
+    return tuple(skin for skin in used if not wanted.isdisjoint(skin_joints(file, skin)))
+
+
+def skinned(file: GltfFile) -> list[tuple[Part, int, int]]:
+    """The nodes with a mesh and a skin, and the numbers of these. Raises `InputError`."""
+    found = [
+        (node, node.index("mesh", len(file.meshes)), node.index("skin", len(file.skins)))
+        for node in file.nodes
+    ]
+    return [(node, mesh, skin) for node, mesh, skin in found if mesh is not None and skin is not None]
+
+
+def left_out(file: GltfFile, joints: Sequence[int], surface: bool) -> dict[str, list[str]]:
+    """What is not read of a file beside the figure of some joints, by kind; that of its `surface` where it is read."""
+
+    def name(node: Part, mesh: int) -> str:
+        return node.word("name") or file.meshes[mesh].word("name") or f"mesh {mesh}"
+
+    own, with_skin = set(sharing(file, joints)), skinned(file)
+    found = {FIGURES: [name(node, mesh) for node, mesh, skin in with_skin if skin not in own]}
+    if surface:
+        meshes = ((node, node.index("mesh", len(file.meshes))) for node in file.nodes if "skin" not in node)
+        found[RIGID] = [name(node, mesh) for node, mesh in meshes if mesh is not None]
+        found[SHAPES] = [
+            name(node, mesh)
+            for node, mesh, skin in with_skin
+            if skin in own and any("targets" in part for part in file.meshes[mesh].parts("primitives"))
+        ]
+    return found
+
+
+def skin_joints(file: GltfFile, skin: int) -> list[int]:
+    """The nodes that are the joints of a skin. Raises `InputError` where there are none, or one twice."""
+    joints = file.skins[skin].indices("joints", len(file.nodes))
+    if not joints or len(set(joints)) < len(joints):
+        raise file.skins[skin].wrong("joints", "a list of nodes, each of them once")
+    return joints
+
+
+def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
+    """From the space of the surface into the frame of each joint of a skin."""
+    part, count = file.skins[skin], len(skin_joints(file, skin))
+    if "inverseBindMatrices" not in part:
+        return np.tile(np.eye(4), (count, 1, 1))
+    where = f"{part.where}.inverseBindMatrices"
+    found = file.array(part.whole("inverseBindMatrices"), 16, where)
+    if len(found) != count:
+        raise InputError(f"{where} are {len(found)} matrices for {count} joints; give one for each.")
+    return found.reshape(-1, 4, 4).swapaxes(1, 2)
+
+
+def _between_skins(file: GltfFile, skin: int, joints: Sequence[int]) -> Float[np.ndarray, "4 4"]:
+    """From the space in which a skin was bound to that of the first, by a joint of both."""
+    if skin == 0 or any("inverseBindMatrices" not in file.skins[number] for number in (0, skin)):
+        return np.eye(4)
+    shared = next(joint for joint in skin_joints(file, skin) if joint in joints)
+    to_first, to_other = (
+        inverse_binds(file, number)[skin_joints(file, number).index(shared)] for number in (0, skin)
+    )
+    return inverted(file.path, to_first) @ to_other
+
+
+def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[int]) -> Surface:
+    mode, where = primitive.whole("mode", _TRIANGLES), primitive.where
+    if mode not in (_TRIANGLES, _POINTS):
+        raise InputError(f"{where}: a mesh is lines, or strips of triangles; export it as triangles.")
+    names = primitive.part("attributes")
+    vertices = _attribute(file, names, "POSITION", 3)
+    if mode == _POINTS:
+        faces = np.zeros((0, 3), np.int64)
+    elif "indices" not in primitive:
+        faces = np.arange(len(vertices))
+    else:
+        faces = file.array(primitive.whole("indices"), 1, f"{where}.indices")[:, 0].astype(np.int64)
+    if faces.size % 3:
+        raise InputError(f"{where}: its triangles have {faces.size} corners; they must be three for each.")
+    faces = faces.reshape(-1, 3)
+    if faces.max(initial=-1) >= len(vertices) or faces.min(initial=0) < 0:
+        raise InputError(
+            f"{where}: a face names vertex {faces.max()} of {len(vertices)}; export the mesh again."
+        )
+    file.spend(4 * len(vertices) * len(joints), "the weights of its vertices")
+    column = {node: number for number, node in enumerate(joints)}
+    columns = np.array([column.get(node, -1) for node in own])
+    weights, rows, place = np.zeros((len(vertices), len(joints))), np.arange(len(vertices)), 0
+    while f"JOINTS_{place}" in names:
+        chosen = _attribute(file, names, f"JOINTS_{place}", 4).astype(int)
+        shares = _attribute(file, names, f"WEIGHTS_{place}", 4)
+        if len(chosen) != len(vertices) or len(shares) != len(vertices):
+            raise InputError(
+                f"{where}: there are {len(vertices)} vertices, {len(chosen)} joints and {len(shares)} weights of them; "
+                "export the mesh again."
+            )
+        if chosen.max(initial=0) >= len(columns) or chosen.min(initial=0) < 0:
+            raise InputError(f"{where}: a vertex follows joint {chosen.max()} of {len(columns)}.")
+        if shares.min(initial=0) < 0:
+            raise InputError(
+                f"{where}: a vertex follows a joint with a weight below zero; export the mesh again."
+            )
+        for numbers, share in zip(columns[chosen].T, shares.T, strict=True):
+            np.add.at(weights, (rows[numbers >= 0], numbers[numbers >= 0]), share[numbers >= 0])
+        place += 1
+    return Surface(vertices, faces, as_shares(weights, str(file.path)))
+
+
+def _attribute(file: GltfFile, names: Part, name: str, width: int) -> Float[np.ndarray, "V W"]:
+    """The numbers of an attribute of all vertices."""
+    return file.array(names.whole(name) if name in names else None, width, f"{names.where}.{name}")

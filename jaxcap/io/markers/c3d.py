@@ -1,0 +1,189 @@
+"""C3D, the files of optical motion capture (c3d.org), by ezc3d.
+
+Trajectories of markers share their table with whatever a capture program computed: angles, forces,
+moments, powers, axes of segments. Those are told apart by the lists in the POINT group
+(`POINT:ANGLES`, ...; `POINT:TYPE_GROUPS` names more of them) and, where a program left these out, by
+the names that Plug-in Gait gives to its outputs.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...observe import MarkerFrames
+from ..system.atomic import replacing
+from ..text import unit_scale
+from .c3d_child import load_c3d
+from .c3d_header import announced_size, read_header
+from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file
+
+#: lists in the POINT group of what is no marker
+KINDS = (
+    "ANGLES",
+    "FORCES",
+    "MOMENTS",
+    "POWERS",
+    "SCALARS",
+    "REACTIONS",
+    "MODELED_MARKERS",
+    "MODEL_OUTPUTS",
+    "GRFS",
+    "BONES",
+    "LENGTHS",
+    "VELOCITIES",
+    "ACCELERATIONS",
+)
+#: names of model outputs by how they end
+_OUTPUTS = {
+    "angles": r".*Angles?",
+    "forces": r".*(Force|GRF|GroundReactionForce)",
+    "moments": r".*(Moment|GRM|GroundReactionMoment)",
+    "powers": r".*Power",
+    "model outputs": r"CentreOf(Mass|MassFloor|Pressure)|CenterOf(Mass|MassFloor|Pressure)",
+}
+#: frames that the header's 16 bits count
+LONGEST = 65535
+
+
+def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
+    """The markers of a C3D file; not seen is what has a negative residual, NaN, or zeros for a place.
+
+    **Arguments:** `unit` of lengths, in place of what `POINT:UNITS` says, or millimetres where it says
+    none.
+
+    **Raises:** `InputError` where there is no such file, it is no C3D file or cut short, or it holds no
+    markers or no frames.
+    """
+    path = Path(path)
+    first, declared = read_header(path)
+    try:
+        loaded = load_c3d(path)
+    except InputError:
+        if path.stat().st_size < announced_size(path, declared):
+            raise InputError(
+                f"{path}: the file is cut short: it ends before its {declared} frames do; copy it again."
+            ) from None
+        raise
+    points, residuals, words = loaded.points, loaded.residuals, loaded.words
+    if points.shape[1] and points.shape[2] < declared:
+        raise InputError(
+            f"{path}: the file is cut short: {points.shape[2]} of the {declared} frames that it announces are in "
+            "it; copy it again."
+        )
+    labels, told = _strings(words, "LABELS"), []
+    count = points.shape[1]
+    if len(labels) > count:
+        told.append(
+            f"there are {len(labels)} labels for {count} points; the last {len(labels) - count} are dropped."
+        )
+    labels = [label.strip(" \t\r\n\0") for label in labels[:count]] + [""] * (count - len(labels))
+    kinds = point_kinds(labels, words)
+    others: dict[str, tuple[str, ...]] = {}
+    for label, kind in zip(labels, kinds, strict=True):
+        if kind:
+            others[kind] = (*others.get(kind, ()), label)
+    markers = [i for i, kind in enumerate(kinds) if not kind]
+    places = np.transpose(points[:, markers], (2, 1, 0)).copy()
+    places[(residuals[markers] < 0).T] = np.nan
+    _check_finite(path, places, [labels[i] for i in markers])
+    said = " ".join(_strings(words, "UNITS")[:1])
+    if unit is None and not file_unit(said, ""):
+        told.append(f"its unit is {repr(said) if said else 'not told'}; lengths are read as millimetres.")
+    rate = loaded.rates[0] if loaded.rates and loaded.rates[0] > 0 else loaded.header_rate
+    return make_file(
+        path,
+        places,
+        # a point without a label is called by its place in the file
+        [labels[i] or f"*{i + 1}" for i in markers],
+        # the rate is stored in four bytes
+        float(f"{rate:.7g}"),
+        file_unit(said) if unit is None else unit,
+        first_frame=first,
+        others=others,
+        told=told,
+    )
+
+
+def _check_finite(path: Path, places: np.ndarray, labels: list[str]) -> None:
+    """Raises `InputError` where a coordinate is infinite; NaN is a gap."""
+    wrong = np.isinf(places).any(2)
+    if wrong.any():
+        frame, marker = np.unravel_index(int(wrong.argmax()), wrong.shape)
+        raise InputError(
+            f"{path}: {wrong.sum()} places of markers are infinite, the first is '{labels[marker]}' in frame "
+            f"{frame + 1}; copy or export it again."
+        )
+
+
+def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:
+    """Write markers, or joint centres, as C3D with 4-byte numbers; not seen has zeros and residual -1.
+
+    **Raises:** `InputError` where the file cannot be written, or for more than 65,535 frames, which the
+    format's header cannot count.
+    """
+    import ezc3d
+
+    path, metres = Path(path), unit_scale(unit)
+    if len(frames) > LONGEST:
+        raise InputError(
+            f"{path}: {len(frames)} frames are more than the {LONGEST} of a C3D file; write them in pieces."
+        )
+    places, seen = clear_of_zero(frames)
+    values = np.ones((4, places.shape[1], len(places)))
+    values[:3] = np.transpose(np.where(seen[..., None], places / metres, 0), (2, 1, 0))
+    file = ezc3d.c3d()
+    group = file["parameters"]["POINT"]
+    group["RATE"]["value"] = [frames.rate]
+    group["UNITS"]["value"] = [unit if isinstance(unit, str) else f"{unit:g} m"]
+    group["LABELS"]["value"] = list(frames.labels)
+    file["data"]["points"] = values
+    file["data"]["meta_points"]["residuals"] = np.where(seen, 0.0, -1.0).T[None]
+    with replacing(path) as beside:
+        # ezc3d puts the ending behind names that lack it in small letters
+        lower = beside.with_suffix(".c3d")
+        try:
+            file.write(str(lower))
+            lower.replace(beside)
+        finally:
+            if lower != beside:
+                lower.unlink(missing_ok=True)
+
+
+def point_kinds(labels: list[str], group: dict[str, list[str]]) -> list[str]:
+    """For each point "" for a marker, or what else it is: `angles`, `forces`, ..."""
+    named: dict[str, str] = {}
+    groups = [*KINDS, *(word.strip().upper() for word in _strings(group, "TYPE_GROUPS"))]
+    for kind in dict.fromkeys(groups):
+        if kind and kind not in ("LABELS", "DESCRIPTIONS", "UNITS", "MARKERS", "TYPE_GROUPS"):
+            for label in _strings(group, kind):
+                named.setdefault(label.strip(" \0"), kind.lower().replace("_", " "))
+    bare = [label.partition(":")[2] or label for label in labels]
+    axes = _segment_axes(bare)
+    return [
+        (label and (named.get(label) or named.get(short)))
+        or ("segment axes" if short in axes else _by_name(short))
+        for label, short in zip(labels, bare, strict=True)
+    ]
+
+
+def _by_name(label: str) -> str:
+    return next((kind for kind, ending in _OUTPUTS.items() if re.fullmatch(ending, label)), "")
+
+
+def _segment_axes(labels: list[str]) -> set[str]:
+    """Plug-in Gait writes each segment as four points: PELO, its origin, and PELP, PELA, PELL on its axes."""
+    there = set(labels)
+    stems = {label[:3] for label in there if len(label) == 4 and label.endswith("O")}
+    return {stem + end for stem in stems if {stem + end for end in "OPAL"} <= there for end in "OPAL"}
+
+
+def _strings(group: dict[str, list[str]], name: str) -> list[str]:
+    """A list of words that goes on in NAME2, NAME3, ..., as lists of more than 255 do."""
+    words: list[str] = []
+    number = 1
+    while (key := name if number == 1 else f"{name}{number}") in group:
+        words += group[key]
+        number += 1
+    return words

@@ -1,0 +1,84 @@
+"""What the first blocks of a C3D file tell, and whether it is one: ezc3d tells damaged files less well, or never ends."""
+
+import math
+import struct
+from pathlib import Path
+
+from ...errors import InputError
+
+#: processors whose numbers a file holds: Intel, DEC, MIPS; all integers of the first two are alike
+_INTEL, _DEC, _MIPS = 84, 85, 86
+
+
+def read_header(path: Path) -> tuple[int, int]:
+    """First frame and count of frames as the first block tells; ezc3d tells only how many it found.
+
+    **Raises:** `InputError` where there is no such file, or it is no C3D file, or damaged or cut short there.
+    """
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; check the path.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
+    if not raw:
+        raise InputError(f"{path}: the file is empty; copy or export it again.")
+    if len(raw) < 2 or raw[1] != 0x50:
+        raise InputError(
+            f"{path}: this is not a C3D file, or it is damaged at its beginning; export it as C3D."
+        )
+    begin = 512 * (raw[0] - 1)
+    # a picture's second letter is a P as well
+    if len(raw) < max(begin, 512) + 4:
+        raise InputError(
+            f"{path}: this is not a C3D file, or it is cut short within its header; copy or export it again."
+        )
+    if begin < 512 or raw[begin + 3] not in (_INTEL, _DEC, _MIPS):
+        raise InputError(
+            f"{path}: this is not a C3D file, or its header is damaged; copy or export it again."
+        )
+    if raw[begin + 3] == _MIPS:
+        raise InputError(
+            f"{path}: its numbers are those of a MIPS processor, which ezc3d does not read; convert it to Intel's."
+        )
+    try:
+        _walk_parameters(raw, begin + 4)
+    except (IndexError, struct.error):
+        raise InputError(
+            f"{path}: the file is cut short or damaged within its parameters; copy it again."
+        ) from None
+    first, last = struct.unpack_from("<HH", raw, 6)
+    return first, max(last - first + 1, 0)
+
+
+def _walk_parameters(raw: bytes, at: int) -> None:
+    """Follows the chain of parameters to its end, which ezc3d looks for without end in a damaged file.
+
+    **Raises:** `IndexError` or `struct.error` where it leads out of the file, or values out of their parameter.
+    """
+    while raw[at]:
+        length, number = struct.unpack_from("bb", raw, at)
+        link = at + 2 + abs(length)
+        (step,) = struct.unpack_from("<H", raw, link)
+        end = link + 2
+        if number > 0:
+            size, rank = struct.unpack_from("bB", raw, end)
+            end += 2 + rank + abs(size) * math.prod(raw[end + 2 : end + 2 + rank])
+            if size not in (-1, 1, 2, 4) or rank > 7:
+                raise IndexError
+        # behind the values, a description with its length before it
+        if end + 1 + raw[end] > (link + step if step else len(raw)):
+            raise IndexError
+        if step == 0:
+            return
+        at = link + step
+
+
+def announced_size(path: Path, frames: int) -> int:
+    """Bytes that the header says a file has."""
+    head = path.read_bytes()[:512]
+    points, values = struct.unpack_from("<HH", head, 2)
+    (scale,) = struct.unpack_from("<f", head, 12)
+    (block,) = struct.unpack_from("<H", head, 16)
+    # numbers are integers where their scale is above zero
+    return 512 * (block - 1) + frames * (4 * points + values) * (2 if scale > 0 else 4)

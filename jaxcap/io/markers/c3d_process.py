@@ -1,0 +1,69 @@
+"""Read a C3D file by ezc3d, as a program of its own: `python -I -S c3d_process.py FILE FOLDERS...`.
+
+ezc3d is C++ and ends its process on some damaged files, or takes all memory. So `c3d_child.py` starts this file, which
+imports nothing of jaxcap. It writes a line of JSON to stdout, then points `(3, M, F)` and residuals `(M, F)` in NumPy's
+own format. `FOLDERS` are those of NumPy and ezc3d.
+"""
+
+import json
+import os
+import runpy
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+#: bytes, and seconds of CPU, for a file of no bytes, and more for each byte: some ten times what whole files take
+MEMORY, MEMORY_PER_BYTE = 512 << 20, 100
+SECONDS, SECONDS_PER_BYTE = 10, 2e-6
+
+
+def main(path: str, folders: list[str]) -> None:
+    sys.path[:0] = folders
+    out = os.fdopen(os.dup(1), "wb")
+    # what ezc3d prints must not come between the results
+    os.dup2(2, 1)
+    import ezc3d
+    import numpy as np
+
+    limits = runpy.run_path(os.path.join(os.path.dirname(__file__), "..", "system", "process_limits.py"))
+    size = os.path.getsize(path)
+    limits["limit"](int(SECONDS + SECONDS_PER_BYTE * size), MEMORY + MEMORY_PER_BYTE * size)
+    try:
+        loaded = _load(ezc3d, path)
+        points = np.asarray(loaded["data"]["points"], float)[:3]
+        residuals = np.asarray(loaded["data"]["meta_points"]["residuals"], float)[0]
+        group = loaded["parameters"].get("POINT", {})
+        head = {
+            "words": {name: _words(entry.get("value")) for name, entry in group.items()},
+            "rates": np.ravel(group.get("RATE", {}).get("value", ())).tolist(),
+            "header_rate": float(loaded["header"]["points"]["frame_rate"]),
+        }
+    except Exception as error:
+        head = {"error": f"{type(error).__name__}: {error}"}
+        points, residuals = np.zeros((3, 0, 0)), np.zeros((0, 0))
+    out.write(json.dumps(head).encode("ascii") + b"\n")
+    for array in (points, residuals):
+        # an object that only writes: into a file NumPy would seek, which a pipe does not
+        pipe: Any = SimpleNamespace(write=out.write)
+        np.lib.format.write_array(pipe, np.ascontiguousarray(array), allow_pickle=False)
+    out.close()
+
+
+def _load(ezc3d: Any, path: str) -> Any:
+    try:
+        return ezc3d.c3d(path)
+    except Exception:
+        try:
+            return ezc3d.c3d(path, ignore_bad_formatting=True)
+        except Exception:
+            pass
+        raise
+
+
+def _words(value: object) -> list[str]:
+    """A parameter's words; none where it has numbers."""
+    return [word for word in value if isinstance(word, str)] if isinstance(value, list) else []
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2:])

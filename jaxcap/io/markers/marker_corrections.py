@@ -1,0 +1,56 @@
+"""Corrections of which marker sits on which segment, read and written as text.
+
+    # marker  segment  weight
+    RMFE      -        0
+    LSHO      trunk    0.5
+
+The segment `-`, or the weight 0, makes a marker loose. The weight may be left out and then is one.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ...errors import InputError
+from ..system.atomic import write_text
+from ..system.door import reads
+from ..text import numbered_lines, parse_floats, read_text, shortened
+
+
+@reads("corrections of markers")
+def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
+    """Corrections as marker -> (segment, weight), for `markers.segments.partition.correct` and `fit_local`.
+
+    **Raises:** `InputError` with file and line: a line of fewer than two or more than three words, a
+    weight that is not a number from 0 to 1, a marker that stands twice.
+    """
+    corrections: dict[str, tuple[str, float]] = {}
+    for number, line in numbered_lines(read_text(path)):
+        words, where = line.split(), f"{path}:{number}"
+        if len(words) not in (2, 3):
+            raise InputError(
+                f"{where}: '{shortened(line)}' has {len(words)} words; write a marker, its segment and its weight."
+            )
+        marker, segment = words[:2]
+        named = f"the weight of '{shortened(marker)}'"
+        weight = parse_floats(words[2:], where, named)[0] if len(words) == 3 else 1.0
+        if not 0 <= weight <= 1:
+            raise InputError(f"{where}: {named} is {weight:g}; write a number from 0 to 1.")
+        if marker in corrections:
+            raise InputError(
+                f"{where}: the marker '{shortened(marker)}' stands twice; keep one of its lines."
+            )
+        corrections[marker] = (segment, 0.0 if segment == "-" else weight)
+    return corrections
+
+
+def write_corrections(path: str | Path, corrections: Mapping[str, tuple[str, float]]) -> None:
+    """Write corrections as `read_corrections` reads them. Raises `InputError` where a name has a blank, or
+    the file cannot be written."""
+    for marker, (segment, _) in corrections.items():
+        for name in (marker, segment):
+            if not name or len(name.split()) != 1 or "#" in name:
+                raise InputError(
+                    f"{path}: '{name}' cannot stand in the file; names have no blanks and no '#'."
+                )
+    lines = [f"{marker} {segment} {weight:.9g}" for marker, (segment, weight) in corrections.items()]
+    write_text(path, "\n".join(["# marker segment weight", *lines]) + "\n")

@@ -1,0 +1,242 @@
+"""What files of markers have in common: labels, subjects, units that cannot be right, rows on frames."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...errors import InputError
+from ...observe import MarkerFrames
+from ..text import LARGEST, check_rate, likely_units, unit_scale
+
+#: metres between which the longest side of the markers of one frame has to be
+SIZE = (0.2, 5.0)
+#: what units are called in files, in lower case and without a plural's s
+_UNIT_WORDS = {
+    "m": ("m", "meter", "metre"),
+    "dm": ("dm", "decimeter", "decimetre"),
+    "cm": ("cm", "centimeter", "centimetre"),
+    "mm": ("mm", "millimeter", "millimetre"),
+    "in": ("in", "inch", "inche", '"'),
+    "ft": ("ft", "foot", "feet"),
+}
+UNIT_NAMES = {name: words[-1] + "s" for name, words in _UNIT_WORDS.items()} | {"in": "inches", "ft": "feet"}
+
+
+class MarkerFile(NamedTuple):
+    """Everything that a file says of markers."""
+
+    #: all markers; labels as in the file, so with their subject's prefix
+    frames: MarkerFrames
+    #: metres in one unit of the file, and what the file calls it
+    scale: float
+    unit: str
+    #: the number that the file gives its first frame
+    first_frame: int
+    #: kind -> labels of the points that are no markers: angles, forces, ...
+    others: dict[str, tuple[str, ...]]
+    #: what was found wrong and mended, one sentence each
+    told: tuple[str, ...]
+
+
+def file_unit(word: str, default: str = "mm") -> str:
+    """The unit that a file calls `word`; `default` for an empty or unknown one."""
+    word = word.strip().lower()
+    return next(
+        (unit for unit, words in _UNIT_WORDS.items() if word in words or word.rstrip("s") in words), default
+    )
+
+
+def tidy_labels(labels: Sequence[str], count: int) -> tuple[list[str], list[str]]:
+    """`count` labels, each other than all others, and sentences of what was changed for that.
+
+    Blanks around them go; where there is none the point is called `*7`, as capture programs call what
+    they have no name for; the second `A` becomes `A_2`. Labels beyond `count` go.
+    """
+    told, names = [], [label.strip(" \t\r\n\0") for label in labels[:count]]
+    names += [""] * (count - len(names))
+    nameless = [i for i, name in enumerate(names) if not name]
+    if nameless:
+        told.append(f"{len(nameless)} points have no label, the first is point {nameless[0] + 1}; they are called "
+                    f"*{nameless[0] + 1} and so on.")  # fmt: skip
+    names = [name or f"*{i + 1}" for i, name in enumerate(names)]
+    taken = set(names)
+    met: Counter[str] = Counter()
+    for i, name in enumerate(names):
+        met[name] += 1
+        if met[name] > 1:
+            number = met[name]
+            while f"{name}_{number}" in taken:
+                number += 1
+            names[i] = f"{name}_{number}"
+            taken.add(names[i])
+            told.append(f"{number} points have the label '{name}'; this one is called '{names[i]}'.")
+    return names, told
+
+
+def subjects_of(labels: Sequence[str]) -> dict[str, list[int]]:
+    """Subject -> its markers, by the prefix of labels such as `Anna:LKNE`, in the file's order."""
+    found: dict[str, list[int]] = {}
+    for i, label in enumerate(labels):
+        subject, colon, rest = label.partition(":")
+        if colon and subject.strip() and rest.strip():
+            found.setdefault(subject.strip(), []).append(i)
+    return found
+
+
+def pick_subject(
+    frames: MarkerFrames, where: str | Path, subject: str | None = None, asked: str = "subject='{}'"
+) -> MarkerFrames:
+    """The markers of one subject, without the prefix of their labels.
+
+    With one subject in the file, or none, that is every marker. With more, `subject` says which;
+    markers without a prefix then belong to nobody. `asked` is how an error says where to choose.
+
+    **Raises:** `InputError` naming the subjects, where there are several and none of them is chosen.
+    """
+    subjects = subjects_of(frames.labels)
+    if subject is not None and subject not in subjects:
+        there = f"there are {_listed(subjects)}" if subjects else "no label has a prefix such as 'Anna:'"
+        raise InputError(f"{where}: there is no subject '{subject}' in it; {there}.")
+    if subject is None and len(subjects) > 1:
+        raise InputError(
+            f"{where}: there are {len(subjects)} subjects in it, {_listed(subjects)}; choose one, such as "
+            f"{asked.format(max(subjects, key=lambda name: len(subjects[name])))}."
+        )
+    if not subjects:
+        return frames
+    chosen = range(len(frames.labels)) if subject is None else subjects[subject]
+    prefixed = {i for members in subjects.values() for i in members}
+    short = [frames.labels[i].partition(":")[2] if i in prefixed else frames.labels[i] for i in chosen]
+    labels, _ = tidy_labels(short, len(short))
+    index = np.asarray(list(chosen))
+    return MarkerFrames(frames.places[:, index], frames.seen[:, index], tuple(labels), frames.rate)
+
+
+def frame_size(frames: MarkerFrames) -> float:
+    """The median over frames of the longest side of a box around all markers seen, metres; NaN where no
+    frame shows two."""
+    seen = np.asarray(frames.seen)
+    several = seen.sum(1) > 1
+    if not several.any():
+        return float("nan")
+    places, seen = np.asarray(frames.places, float)[several], seen[several][..., None]
+    sides = np.where(seen, places, -np.inf).max(1) - np.where(seen, places, np.inf).min(1)
+    return float(np.median(sides.max(1)))
+
+
+def check_extent(
+    frames: MarkerFrames,
+    where: str | Path,
+    scale: float,
+    size: tuple[float, float] = SIZE,
+    asked: str = "pass unit='{}', or give another size if it is right",
+) -> None:
+    """That the markers are as large as a body's, read in units of `scale` metres; `asked` is how an error says
+    which unit to give.
+
+    **Raises:** `InputError` naming the likely unit.
+    """
+    extent = frame_size(frames)
+    if np.isnan(extent) or size[0] <= extent <= size[1]:
+        return
+    length = extent / scale
+    likely = likely_units(length, size)
+    hint = (
+        f"this looks like {UNIT_NAMES[likely[0]]}: {asked.format(likely[0])}" if likely else "check the unit"
+    )
+    raise InputError(
+        f"{where}: the markers of a frame stretch over {extent:.4g} m, and those of a body over {size[0]:g} to "
+        f"{size[1]:g} m; {hint}."
+    )
+
+
+def make_file(
+    where: str | Path,
+    places: Float[np.ndarray, "F M 3"],
+    labels: Sequence[str],
+    rate: float,
+    unit: str | float,
+    *,
+    first_frame: int = 1,
+    others: dict[str, tuple[str, ...]] | None = None,
+    told: Sequence[str] = (),
+) -> MarkerFile:
+    """A `MarkerFile` of places in the file's `unit`, NaN where not seen.
+
+    A place at zero in all three coordinates is a gap as well: many programs write one so.
+
+    **Raises:** `InputError` where there are no markers or frames, none is ever seen, or the rate is wrong.
+    """
+    if places.shape[1] == 0:
+        more = f"; it holds {_kinds(others)} only" if others else ""
+        raise InputError(f"{where}: there are no markers in it{more}; give a file of marker trajectories.")
+    if len(places) == 0:
+        raise InputError(f"{where}: there are no frames in it; give a file of marker trajectories.")
+    names, changed = tidy_labels(labels, places.shape[1])
+    lost = np.isnan(places).any(2) | (places == 0).all(2)
+    if lost.all():
+        raise InputError(f"{where}: none of its {len(names)} markers is seen in any of {len(places)} frames.")
+    scale = unit_scale(unit)
+    if not (np.abs(places[~lost]) * scale <= LARGEST).all():
+        raise InputError(
+            f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
+        )
+    check_rate(rate, str(where))
+    # whether a person fits this unit is `check_extent`'s to say, which knows of more units
+    frames = MarkerFrames(np.where(lost[..., None], 0.0, places * scale), ~lost, tuple(names), float(rate))
+    said = unit if isinstance(unit, str) else f"{unit:g} m"
+    return MarkerFile(frames, scale, said, first_frame, others or {}, (*told, *changed))
+
+
+def clear_of_zero(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"], Bool[np.ndarray, "F M"]]:
+    """Places and what is seen, for writing: a marker exactly at the origin stands a nanometre beside it, as
+    zeros in files are gaps."""
+    places, seen = np.array(frames.places, float), np.asarray(frames.seen)
+    places[seen & (places == 0).all(2), 0] = 1e-9
+    return places, seen
+
+
+def regular_rows(
+    where: str | Path, times: Float[np.ndarray, "R"], places: Float[np.ndarray, "R M 3"], what: str
+) -> tuple[float, Float[np.ndarray, "F M 3"]]:
+    """Rows with their times, on frames of equal steps: the rate, one over the times' unit, and places with
+    NaN in frames that no row is for.
+
+    **Raises:** `InputError` where times do not rise, or rows stand at no regular frames.
+    """
+    steps = np.diff(times)
+    if (steps <= 0).any():
+        row = int(np.argmax(steps <= 0))
+        raise InputError(
+            f"{where}: {what} goes from {times[row]:g} to {times[row + 1]:g} in row {row + 2}; it has to rise."
+        )
+    # times of few digits come in steps of two lengths, and their mean is the right one
+    usual = float(np.mean(steps[steps < 1.5 * np.median(steps)]))
+    # in floats until it is known that they are not too large for whole numbers
+    with np.errstate(over="ignore", invalid="ignore"):
+        at = np.rint((times - times[0]) / usual)
+        rate = at[-1] / (times[-1] - times[0])
+        at = np.rint((times - times[0]) * rate)
+    if (
+        not at[-1] <= 20 * len(at)
+        or np.abs((times - times[0]) * rate - at).max() > 0.26
+        or (np.diff(at) < 1).any()
+    ):
+        raise InputError(f"{where}: {what} does not go in equal steps; resample the file to a constant rate.")
+    at = at.astype(int)
+    full = np.full((at[-1] + 1, *places.shape[1:]), np.nan)
+    full[at] = places
+    return float(f"{rate:.9g}"), full
+
+
+def _listed(subjects: dict[str, list[int]]) -> str:
+    names = [f"'{name}' ({len(members)} markers)" for name, members in subjects.items()]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _kinds(others: dict[str, tuple[str, ...]]) -> str:
+    return " and ".join(f"{len(labels)} {kind}" for kind, labels in others.items())

@@ -1,0 +1,189 @@
+"""Markers in tables of labelled columns, CSV: a row for each frame, three columns a marker.
+
+The columns of a marker are called `LKNE.x, LKNE.y, LKNE.z`, or `LKNE_x`, `LKNE:X`, `LKNE x`; or
+there are two rows of head, labels above and axes below them. Cells that are empty or NaN are gaps. A
+column `time` in seconds (`time_ms`, in milliseconds), or a line `# rate: 120`, tells the rate.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...observe import MarkerFrames
+from ..system.atomic import write_text
+from ..system.door import reads
+from ..text import check_rate, parse_floats, read_text, shortened, unit_scale
+from .marker_file import MarkerFile, clear_of_zero, make_file, regular_rows
+from .trc import read_places
+
+#: a label, a mark between, and an axis with or without its unit; blanks in a row are one, and names are short, as
+#: the time of a search grows with their length
+_COLUMN = re.compile(r"(?P<label>.*\S) ?[._:/|\- ] ?\(?(?P<axis>[xyzXYZ])\)?( ?[\[(]\w+[\])])?")
+LONGEST_NAME = 200
+_TIMES = re.compile(r"(time|times|t|seconds|timestamp)[\s_.]*[\[(]?(s|sec|seconds|ms|milliseconds)?[\])]?")
+_FRAMES = re.compile(r"(frame|frames|frame#|index|sample|#)[\s_]*(no|number)?\.?")
+_RATE = re.compile(
+    r"#? ?(rate|frame ?rate|datarate)(?: ?[:=,;]| ) ?([^\s,;]+?)[ ,;]*(hz)?[,; ]*", re.IGNORECASE
+)
+
+
+@reads("a table of markers")
+def read_marker_table(
+    path: str | Path, unit: str | float | None = None, rate: float | None = None
+) -> MarkerFile:
+    """The markers of a CSV file whose cells are parted by commas, semicolons or tabs.
+
+    **Arguments:** `unit` of lengths, metres where not given; `rate`, frames a second, in place of what the
+    file says. Rows that the column of times or of frames leaves out become frames where nothing is seen.
+
+    **Raises:** `InputError`, with the line, where there is no such file, no column is a marker's, a marker
+    lacks an axis, a cell is no number, a row has cells too many or too few, nothing tells the rate, or
+    there are no frames.
+    """
+    path = Path(path)
+    text = read_text(path)
+    if text.startswith("PathFileType"):
+        raise InputError(f"{path}: this is a TRC file; give it a name that ends in .trc.")
+    said, rows = _rows(path, text)
+    if not rows:
+        raise InputError(f"{path}: the table is empty; give a row of column names and a row for each frame.")
+    names, begin = _column_names(rows)
+    names = [_plain(name) for name in names]
+    long = next((name for name in names if len(name) > LONGEST_NAME), None)
+    if long is not None:
+        raise InputError(
+            f"{path}:{rows[0][0]}: the column '{shortened(long)}' has a name of {len(long)} letters; give at most "
+            f"{LONGEST_NAME}."
+        )
+    labels, columns = _markers(path, rows[0][0], names)
+    width = len(names)
+    places, clock, numbers = [], [], []
+    time_at, frame_at = _find(_TIMES, names), _find(_FRAMES, names)
+    for number, cells in rows[begin:]:
+        where = f"{path}:{number}"
+        if len(cells) != width and any(cells[width:] if len(cells) > width else [True]):
+            raise InputError(f"{where}: there are {len(cells)} cells in this row for {width} columns; it is damaged or cut short.")  # fmt: skip
+        places.append(read_places([cells[i] for three in columns for i in three], labels, where))
+        if time_at is not None:
+            clock += parse_floats([cells[time_at]], where, f"column '{names[time_at]}'")
+        if frame_at is not None:
+            numbers += parse_floats([cells[frame_at]], where, f"column '{names[frame_at]}'")
+    there = np.asarray(places, float).reshape(len(places), len(labels), 3)
+    full, found = there, None
+    if len(there) > 1 and time_at is not None:
+        scale = 1e-3 if "m" in (re.sub(r"^(times?stamp|times?)", "", names[time_at].lower())) else 1.0
+        found, full = regular_rows(path, scale * np.asarray(clock), there, f"column '{names[time_at]}'")
+    elif len(there) > 1 and frame_at is not None:
+        _, full = regular_rows(path, np.asarray(numbers), there, f"column '{names[frame_at]}'")
+    # one frame has no rate, and any will do
+    rate = rate or said or found or (1.0 if len(there) == 1 else None)
+    if len(there) and rate is None:
+        raise InputError(
+            f"{path}: nothing tells the frames a second; add a column 'time' in seconds, or a first line such as "
+            "'# rate: 120'."
+        )
+    missing = len(full) - len(there)
+    told = [f"{missing} frames are missing between its rows; nothing is seen in them."] if missing else []
+    first = round(numbers[0]) if numbers else 1
+    return make_file(
+        path, full, labels, rate or 1.0, "m" if unit is None else unit, first_frame=first, told=told
+    )
+
+
+def write_marker_table(path: str | Path, frames: MarkerFrames, unit: str | float = "m") -> None:
+    """Write markers, or joint centres, as CSV with columns `time, LKNE.x, LKNE.y, LKNE.z, ...`; a gap is
+    three empty cells. A single frame, whose time tells no rate, gets a line `# rate: 120` above.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    places, seen = clear_of_zero(frames)
+    places = places / unit_scale(unit)
+    text = io.StringIO()
+    if len(frames) == 1:
+        text.write(f"# rate: {frames.rate:.9g}\n")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["time", *(f"{label}.{axis}" for label in frames.labels for axis in "xyz")])
+    for number, (row, there) in enumerate(zip(places, seen, strict=True)):
+        cells = [
+            f"{x:.9g}" if is_seen else "" for place, is_seen in zip(row, there, strict=True) for x in place
+        ]
+        writer.writerow([f"{number / frames.rate:.12g}", *cells])
+    write_text(path, text.getvalue())
+
+
+def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str]]]]:
+    """The rate that a line before the table tells, and its rows with their lines."""
+    rate, lines = None, text.splitlines(keepends=True)
+    start = len(lines)
+    for i, line in enumerate(lines):
+        match = _RATE.fullmatch(_plain(line)) if len(line) <= LONGEST_NAME else None
+        if match:
+            (rate,) = parse_floats([match[2]], f"{path}:{i + 1}", "the rate")
+            check_rate(rate, f"{path}:{i + 1}")
+        elif line.strip() and not line.lstrip().startswith("# "):
+            start = i
+            break
+    head = lines[start] if start < len(lines) else ""
+    mark = max(",;\t", key=head.count)
+    reader = csv.reader(io.StringIO("".join(lines[start:]), newline=""), delimiter=mark)
+    try:
+        rows = [(start + reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except csv.Error as error:
+        raise InputError(f"{path}:{start + reader.line_num}: this is not a table ({error}).") from None
+    return rate, [(number, cells) for number, cells in rows if any(cells)]
+
+
+def _plain(text: str) -> str:
+    """A text with one blank where there are several, or tabs."""
+    return " ".join(text.split())
+
+
+def _column_names(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[str], int]:
+    """Names of columns, and the row that frames begin in."""
+    above = rows[0][1]
+    below = rows[1][1] if len(rows) > 1 else []
+    axes = [cell for cell in below if re.fullmatch(r"[xyzXYZ]\d*", cell)]
+    if not axes:
+        return above, 1
+    names, label = [], ""
+    for i, cell in enumerate(below):
+        given = above[i] if i < len(above) else ""
+        is_axis = bool(re.fullmatch(r"[xyzXYZ]\d*", cell))
+        # a label stands above the first of its columns, or above all of them
+        label = given or (label if is_axis else "")
+        names.append(f"{label}.{cell[0]}" if is_axis else given or cell)
+    return names, 2
+
+
+def _markers(path: Path, line: int, names: list[str]) -> tuple[list[str], list[list[int]]]:
+    """Labels, and for each the places of its columns x, y and z."""
+    found: dict[str, dict[str, int]] = {}
+    for i, name in enumerate(names):
+        match = _COLUMN.fullmatch(name)
+        if match and not _TIMES.fullmatch(name.lower()):
+            axes = found.setdefault(match["label"], {})
+            axis = match["axis"].lower()
+            if axis in axes:
+                raise InputError(
+                    f"{path}:{line}: two columns are called '{name}'; give each marker a label of its own."
+                )
+            axes[axis] = i
+    if not found:
+        raise InputError(
+            f"{path}:{line}: there are no markers in it: no columns are called such as 'LKNE.x', 'LKNE.y', 'LKNE.z'; name them so."
+        )
+    for label, axes in found.items():
+        if lacking := [axis for axis in "xyz" if axis not in axes]:
+            raise InputError(
+                f"{path}:{line}: marker '{label}' has no column '{label}.{lacking[0]}'; give all three."
+            )
+    return list(found), [[axes[axis] for axis in "xyz"] for axes in found.values()]
+
+
+def _find(pattern: re.Pattern, names: list[str]) -> int | None:
+    return next((i for i, name in enumerate(names) if pattern.fullmatch(name.strip().lower())), None)

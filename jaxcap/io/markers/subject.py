@@ -1,0 +1,67 @@
+"""Subjects as `.npz`: a skeleton and the markers on it, in plain arrays, never pickled."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...arguments import checked
+from ...errors import InputError, sentence_of
+from ...markers.subject import Subject, make_subject
+from ..archives.npz import get_array, load_kind, save_arrays, skeleton_arrays, skeleton_of
+from ..system.door import reads
+
+#: the format's name in the file
+KIND = "jaxcap subject"
+
+
+@checked
+def save_subject(path: str | Path, subject: Subject) -> None:
+    """Write a subject; the file appears whole or not at all.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    save_arrays(path, KIND, subject_arrays(subject))
+
+
+def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
+    """What a file says of a subject: its skeleton's arrays, and those of its markers as `marker.*`."""
+    return {
+        **skeleton_arrays(subject.skeleton),
+        "marker.labels": np.array(subject.labels, dtype=str),
+        "marker.models": np.array(subject.models, dtype=str),
+        "marker.bones": np.asarray(subject.bones, np.int64),
+        "marker.offsets": np.asarray(subject.offsets),
+        "marker.weights": np.asarray(subject.weights),
+        "marker.deviations": np.asarray(subject.deviations),
+    }
+
+
+@checked
+@reads("a subject")
+def load_subject(path: str | Path) -> Subject:
+    """Read a subject that `save_subject` wrote.
+
+    **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
+    """
+    return subject_of(load_kind(path, KIND), path)
+
+
+def subject_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Subject:
+    """The subject of arrays that `subject_arrays` made. Raises `InputError` where they do not fit together."""
+    labels = get_array(arrays, "marker.labels", path, (None,), "text").tolist()
+    count = len(labels)
+    models = get_array(arrays, "marker.models", path, (count,), "text").tolist()
+    bones = get_array(arrays, "marker.bones", path, (count,), "whole")
+    weights, deviations = (
+        get_array(arrays, f"marker.{name}", path, (count,), rows="marker")
+        for name in ("weights", "deviations")
+    )
+    offsets = get_array(arrays, "marker.offsets", path, (count, 3), rows="marker")
+    skeleton = skeleton_of(arrays, path)
+    try:
+        return make_subject(
+            skeleton, bones, offsets, labels, weights=weights, deviations=deviations, models=models
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: {sentence_of(error)}") from None

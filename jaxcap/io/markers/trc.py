@@ -1,0 +1,191 @@
+"""TRC, the tables of marker trajectories of Motion Analysis and OpenSim.
+
+Five lines of head (type, names of settings, settings, labels, axes), then a row for each frame: its
+number, its time, and three numbers a marker. Cells that are empty are gaps.
+"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import InputError
+from ...observe import MarkerFrames
+from ..system.atomic import write_text
+from ..system.door import reads
+from ..text import UNITS, check_rate, parse_floats, parse_int, read_text, shortened, unit_scale
+from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file, regular_rows
+
+#: cells of markers in any file
+MOST_CELLS = 1_000_000
+
+
+class _Head(NamedTuple):
+    rate: float
+    #: frames and markers that the head announces; None where it announces none
+    frames: int | None
+    markers: int | None
+    unit: str
+    labels: list[str]
+
+
+@reads("a TRC file")
+def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
+    """The markers of a TRC file; not seen is a cell that is empty or NaN, or zeros for a place.
+
+    **Arguments:** `unit` of lengths, in place of what the head says, or millimetres where it says none.
+
+    **Raises:** `InputError`, with the line, where there is no such file, it is no TRC file or cut short,
+    a cell is no number, or it holds no markers or no frames.
+    """
+    path = Path(path)
+    lines = read_text(path).splitlines()
+    if not any(line.strip() for line in lines):
+        raise InputError(f"{path}: the file is empty; copy or export it again.")
+    head = _read_head(path, lines)
+    count, numbers, times, rows, last = len(head.labels), [], [], [], 5
+    # cells that are empty may be missing, and a file of few could claim many
+    room = max(MOST_CELLS, 8 * sum(map(len, lines)))
+    for number, line in enumerate(lines[5:], 6):
+        if not line.strip():
+            continue
+        where = f"{path}:{number}"
+        cells = [cell.strip() for cell in line.split("\t")] if "\t" in line else line.split()
+        last = number
+        if any(cells[2 + 3 * count :]):
+            raise InputError(
+                f"{where}: there are {len(cells)} cells in this row, and {2 + 3 * count} for {count} markers."
+            )
+        if len(rows) * 3 * count > room:
+            raise InputError(
+                f"{where}: the rows up to here have {3 * count} cells by the head, and most are not there; correct the head."
+            )
+        # empty cells at the end of a row may be missing, as editors take trailing blanks away
+        cells = (cells + [""] * (2 + 3 * count))[: 2 + 3 * count]
+        numbers.append(parse_int(cells[0], where, "the frame"))
+        times.append(read_cell(cells[1], where, "the time"))
+        rows.append(np.array(read_places(cells[2:], head.labels, where)))
+    if head.frames is not None and len(rows) < head.frames:
+        raise InputError(
+            f"{path}:{last}: the file is cut short: {len(rows)} of the {head.frames} frames that its head announces "
+            "are in it."
+        )
+    places = np.asarray(rows, float).reshape(len(rows), count, 3)
+    told = (
+        []
+        if head.frames in (None, len(rows))
+        else [f"there are {len(rows)} frames; its head announces {head.frames}."]
+    )
+    rate = head.rate
+    if len(rows) > 1:
+        at = np.asarray(numbers, float)
+        _, places = regular_rows(path, at, places, "the column of frames")
+        if len(places) > len(rows):
+            told.append(
+                f"{len(places) - len(rows)} frames are missing between its rows; nothing is seen in them."
+            )
+        if not rate > 0 and np.isfinite(times).all():
+            rate, _ = regular_rows(
+                path, np.asarray(times), np.zeros((len(rows), 0, 3)), "the column of times"
+            )
+    unit = file_unit(head.unit) if unit is None else unit
+    first = numbers[0] if numbers else 1
+    return make_file(path, places, head.labels, rate, unit, first_frame=first, told=told)
+
+
+def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:
+    """Write markers, or joint centres, as TRC; `unit` by name only, as the head holds a word. Gaps are empty.
+
+    **Raises:** `InputError` where the file cannot be written, or a label holds a tab or a line's end.
+    """
+    path = Path(path)
+    if unit not in UNITS:
+        raise InputError(f"{path}: {unit!r} cannot stand in a TRC file; give one of {', '.join(UNITS)}.")
+    wrong = [label for label in frames.labels if set(label) & set("\t\r\n\v\f\x1c\x1d\x1e\x85\u2028\u2029")]
+    if wrong:
+        raise InputError(
+            f"{path}: the label {wrong[0]!r} holds a tab or ends a line; TRC files cannot hold it."
+        )
+    places, seen = clear_of_zero(frames)
+    count, rate = len(frames.labels), f"{frames.rate:.9g}"
+    settings = ("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame",
+                "OrigNumFrames")  # fmt: skip
+    values = (rate, rate, len(frames), count, unit, rate, 1, len(frames))
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "\t".join(settings),
+        "\t".join(str(value) for value in values),
+        "\t".join(["Frame#", "Time", *(cell for label in frames.labels for cell in (label, "", ""))]),
+        "\t".join(["", "", *(f"{axis}{i + 1}" for i in range(count) for axis in "XYZ")]),
+        "",
+    ]
+    places = places / unit_scale(unit)
+    for number, (row, there) in enumerate(zip(places, seen, strict=True)):
+        cells = [
+            f"{x:.9g}" if is_seen else "" for place, is_seen in zip(row, there, strict=True) for x in place
+        ]
+        lines.append("\t".join([str(number + 1), f"{number / frames.rate:.9g}", *cells]))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def read_cell(cell: str, where: str, what: str) -> float:
+    """A number, or NaN for a cell that is empty or says so."""
+    if not cell or cell.lower() in ("nan", "na", "n/a", "null", "none", "-nan", "-nan(ind)", "nan(ind)"):
+        return math.nan
+    return parse_floats([cell], where, what)[0]
+
+
+def read_places(cells: list[str], labels: list[str], where: str) -> list[float]:
+    """Three numbers for each label; all NaN for a marker without any.
+
+    **Raises:** `InputError` where a marker has one or two of three coordinates, or a cell is no number.
+    """
+    numbers = [read_cell(cell, where, f"marker {shortened(labels[i // 3])}") for i, cell in enumerate(cells)]
+    for i, label in enumerate(labels):
+        missing = sum(map(math.isnan, numbers[3 * i : 3 * i + 3]))
+        if missing in (1, 2):
+            raise InputError(
+                f"{where}: marker '{shortened(label)}' has {3 - missing} of three coordinates; the row is damaged or cut short."
+            )
+    return numbers
+
+
+def _read_head(path: Path, lines: list[str]) -> _Head:
+    if not lines or not lines[0].strip().startswith("PathFileType"):
+        raise InputError(f"{path}:1: this is not a TRC file; the first line of one begins with PathFileType.")
+    if len(lines) < 5:
+        raise InputError(f"{path}:{len(lines)}: the file is cut short within the five lines of its head.")
+    values = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+
+    def setting(name: str) -> int | None:
+        return parse_int(values[name], f"{path}:3", name) if name in values else None
+
+    markers = setting("NumMarkers")
+    # every marker has a label, or its axes, or its cells
+    most = max(map(len, lines))
+    if markers is not None and not 0 <= markers <= most:
+        raise InputError(
+            f"{path}:3: NumMarkers is {markers}, and no line of the file has as many cells; correct the number."
+        )
+    rate = parse_floats([values["DataRate"]], f"{path}:3", "DataRate")[0] if "DataRate" in values else 0.0
+    if rate:
+        check_rate(rate, f"{path}:3")
+    cells = lines[3].split("\t")
+    if "\t" in lines[3]:
+        # every third cell; a marker without a name leaves its cell empty
+        axes = sum(bool(cell.strip()) for cell in lines[4].split("\t"))
+        count = markers if markers is not None else axes // 3
+        labels = [cell.strip() for cell in cells[2 : 2 + 3 * count : 3]]
+        packed = [cell.strip() for cell in cells[2:] if cell.strip()]
+        # some programs write one tab between labels
+        labels = packed if len(packed) > sum(map(bool, labels)) and len(packed) == count else labels
+    else:
+        labels = cells[0].split()[2:]
+    if markers is not None and len(labels) > markers:
+        raise InputError(f"{path}:4: there are {len(labels)} labels for {markers} markers.")
+    extra = 0 if "\t" not in lines[3] else sum(bool(cell.strip()) for cell in cells[2:]) - len(labels)
+    if extra > 0:
+        raise InputError(f"{path}:4: there are {len(labels) + extra} labels for {len(labels)} markers.")
+    labels += [""] * ((markers or 0) - len(labels))
+    return _Head(rate, setting("NumFrames"), markers, values.get("Units", ""), labels)

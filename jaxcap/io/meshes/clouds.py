@@ -1,0 +1,159 @@
+"""Sequences of clouds: numbered files, folders, globs, or one `.npz`; read when asked for."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import overload
+
+import numpy as np
+from jaxtyping import Float
+
+from ...arguments import checked
+from ...errors import InputError
+from ...observe import Scan as Scan
+from ..archives.archive import array_names, load_arrays
+from ..kinds import wrong_arrays
+from ..system.door import reads
+from ..system.paths import cut, find_files, order_files
+from ..text import LARGEST, unit_scale
+from .mesh import check_faces, check_points, read_mesh, vertex_normals
+
+_ARRAYS = ("points", "vertices", "normals", "offsets", "faces")
+#: of what is a cloud
+NO_FACES = np.zeros((0, 3), int)
+#: points, normals and triangles of a frame
+Load = Callable[[int], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
+
+
+class Scans(Sequence):
+    """A sequence of clouds that loads each one when it is asked for: its points, normals or None, and triangles, `NO_FACES` of
+    a cloud; `names` and `len` cost nothing."""
+
+    def __init__(self, names: Sequence[str], load: Load):
+        self.names, self._load = tuple(names), load
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @overload
+    def __getitem__(self, frame: int) -> Scan: ...
+    @overload
+    def __getitem__(self, frame: slice) -> "Scans": ...
+    def __getitem__(self, frame):
+        if isinstance(frame, slice):
+            numbers = range(len(self))[frame]
+            return Scans([self.names[i] for i in numbers], lambda i: self._load(numbers[i]))
+        return self._scan(range(len(self))[frame])
+
+    def _scan(self, frame: int) -> Scan:
+        points, normals, faces = self._load(frame)
+        check_points(points, self.names[frame])
+        return Scan(self.names[frame], points, normals, faces)
+
+    def __iter__(self) -> Iterator[Scan]:
+        return (self._scan(frame) for frame in range(len(self)))
+
+
+@checked
+@reads("clouds")
+def read_clouds(
+    source: str | Path | Sequence[str | Path],
+    first: int | None = None,
+    last: int | None = None,
+    unit: str | float = "m",
+) -> Scans:
+    """A sequence of clouds.
+
+    **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, one
+    mesh file, or an `.npz` with `points (F, N, 3)`, or `points (T, 3)` and `offsets (F + 1,)`
+    for clouds of different sizes (`normals` alike), or `vertices (F, V, 3)` and
+    `faces (T, 3)`; or several mesh files, each one frame, in the order of the numbers in their
+    names as a glob has it, whichever way they are given. `first` and `last`, both included, are
+    the numbers in a pattern, and else frames counted from 0. `unit` as in `read_mesh`.
+
+    **Raises:** `InputError` where nothing is found, a number is missing in a numbered
+    sequence, other sources than mesh files are among several, or (when it is read) a cloud is
+    wrong.
+    """
+    metres = unit_scale(unit)
+    sources = [source] if isinstance(source, str | Path) else list(source)
+    if not sources:
+        raise InputError("No clouds were given; name files, a folder, a pattern, or an .npz.")
+    path = Path(sources[0])
+    if len(sources) > 1:
+        paths = order_files(sources, first, last)
+    elif path.suffix.lower() == ".npz" and not path.is_dir():
+        return _arrays(path, first, last, metres)
+    else:
+        paths = find_files(sources[0], first, last)
+
+    def load(frame: int):
+        mesh = read_mesh(paths[frame], unit)
+        if mesh.normals is None and len(mesh.faces):
+            return mesh.vertices, vertex_normals(mesh.vertices, mesh.faces), mesh.faces
+        return mesh.vertices, mesh.normals, mesh.faces
+
+    return Scans([str(path) for path in paths], load)
+
+
+def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> Scans:
+    arrays = load_arrays(path, lambda name: name in _ARRAYS)
+    held = array_names(path)
+    faces, offsets = arrays.get("faces"), arrays.get("offsets")
+    points, normals = arrays.get("points", arrays.get("vertices")), arrays.get("normals")
+    if points is None or "skin" in held:
+        raise wrong_arrays(path, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
+    if points.dtype.kind not in "fiu":
+        raise InputError(
+            f"{path}: '{'points' if 'points' in arrays else 'vertices'}' holds {points.dtype}; give numbers, (F, N, 3)."
+        )
+    if offsets is None and points.ndim == 2:
+        offsets = np.array([0, len(points)])
+    if points.ndim != (3 if offsets is None else 2) or points.shape[-1] != 3:
+        wanted = "(F, N, 3)" if offsets is None else "(T, 3) with offsets"
+        raise InputError(f"{path}: the points have the shape {points.shape}; it must be {wanted}.")
+    if normals is not None and (normals.shape != points.shape or normals.dtype.kind not in "fiu"):
+        raise InputError(
+            f"{path}: the normals have the shape {normals.shape} and hold {normals.dtype}; give numbers of the shape "
+            f"of the points, {points.shape}."
+        )
+    if offsets is not None and (offsets.ndim != 1 or offsets.dtype.kind not in "iu" or not len(offsets)):
+        raise InputError(
+            f"{path}: the offsets have the shape {offsets.shape} and hold {offsets.dtype}; they must be whole numbers, "
+            "(F + 1,)."
+        )
+    if offsets is not None and not (
+        offsets[0] == 0 and offsets[-1] == len(points) and (offsets[1:] >= offsets[:-1]).all()
+    ):
+        raise InputError(f"{path}: the offsets must rise from 0 to the number of points, {len(points)}.")
+    if faces is not None:
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+            raise InputError(
+                f"{path}: the faces are {faces.dtype} of the shape {faces.shape}; they must be whole numbers, (T, 3)."
+            )
+        # the same for all frames, so of the points of the one that has the least
+        least = points.shape[1] if offsets is None else np.diff(offsets).min(initial=len(points))
+        check_faces(faces, int(least), path)
+    count = len(points) if offsets is None else len(offsets) - 1
+    if count > max(len(points), 1):
+        raise InputError(
+            f"{path}: there are {count} frames of {len(points)} points in all; leave empty frames out."
+        )
+    frames = cut(list(range(count)), first, last, str(path))
+
+    def load(index: int):
+        frame = frames[index]
+        rows = frame if offsets is None else slice(offsets[frame], offsets[frame + 1])
+        here = np.asarray(points[rows], float) * metres
+        own = None if normals is None else _known(np.asarray(normals[rows], float))
+        if faces is None:
+            return here, own, NO_FACES
+        # before anything is computed of them
+        check_points(here, f"{path}[{frame}]")
+        return here, vertex_normals(here, faces) if own is None else own, faces
+
+    return Scans([f"{path}[{frame}]" for frame in frames], load)
+
+
+def _known(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Normals, zero where they are no directions: those are not known."""
+    return np.where((np.abs(normals) <= LARGEST).all(1, keepdims=True), normals, 0.0)

@@ -1,0 +1,243 @@
+"""Meshes and point clouds from files: OFF and OBJ here, PLY, STL and GLB by trimesh.
+
+Vertices keep the order of the file, because `.vj` files and true correspondences count on
+it; only STL, which has no shared vertices, is merged.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...arguments import checked
+from ...errors import InputError
+from ...observe import unit_normals
+from ..gltf.gltf_scene import check_scene
+from ..kinds import wrong_kind
+from ..system.atomic import replacing, write_text
+from ..system.door import reads
+from ..system.inside import InsideResolver
+from ..text import BODY, LARGEST, likely_units, unit_scale
+from .obj import read_obj, write_obj
+from .off import read_off
+from .ply_check import check_ply
+
+#: suffixes that `read_mesh` knows
+SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
+#: suffixes that `write_mesh` knows
+WRITTEN = (".off", ".obj", ".ply", ".stl", ".glb")
+_UNIT_NAMES = {
+    "m": "metres",
+    "cm": "centimetres",
+    "mm": "millimetres",
+    "in": "inches",
+    "dm": "decimetres",
+    "ft": "feet",
+}
+
+
+class Mesh(NamedTuple):
+    """A surface, or a cloud where there are no faces. Metres; indices from 0."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    #: as the file gives them, of unit length; None where it gives none
+    normals: Float[np.ndarray, "V 3"] | None = None
+
+
+@checked
+@reads("a mesh")
+def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
+    """Read a mesh or a cloud; polygons are cut into triangles as fans.
+
+    **Arguments:** `unit` of the file's lengths: `m, dm, cm, mm, in, ft` or metres in one.
+
+    **Raises:** `InputError`, with the line in OFF and OBJ, where the file is wrong, holds no
+    points, or holds coordinates that are not finite.
+    """
+    path = Path(path)
+    metres, suffix = unit_scale(unit), path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise wrong_kind(path, "a mesh or a cloud", SUFFIXES)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; check the path.")
+    reader = {".off": read_off, ".obj": read_obj}.get(suffix, _read_trimesh)
+    vertices, faces, normals = reader(path)
+    check_faces(faces, len(vertices), path)
+    if normals is not None:
+        normals = unit_normals(normals)
+    vertices = vertices * metres
+    check_points(vertices, path)
+    return Mesh(vertices, faces.astype(np.int64), normals)
+
+
+@checked
+def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
+    """Write a mesh, or points without faces, in the format of the path's suffix, vertices in their order.
+
+    Normals are kept in `.ply`, and of a mesh in `.glb`.
+
+    **Raises:** `InputError` where the suffix is not known, it cannot hold points, or the file cannot be written.
+    """
+    path = Path(path)
+    vertices, faces = np.asarray(mesh.vertices, float) / unit_scale(unit), np.asarray(mesh.faces)
+    suffix = path.suffix.lower()
+    if suffix == ".off":
+        rows = [f"OFF\n{len(vertices)} {len(faces)} 0"]
+        rows += [f"{x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
+        rows += [f"3 {a} {b} {c}" for a, b, c in faces]
+        write_text(path, "\n".join(rows) + "\n")
+    elif suffix == ".obj":
+        write_obj(path, vertices, faces)
+    elif suffix in (".ply", ".stl", ".glb"):
+        import trimesh
+
+        if suffix == ".stl" and not len(faces):
+            raise InputError(f"{path}: .stl holds triangles alone, and there are none; use .ply for points.")
+        # clouds of trimesh have no normals
+        solid = (
+            trimesh.Trimesh(vertices, faces, vertex_normals=mesh.normals, process=False)
+            if len(faces) or suffix == ".ply"
+            else trimesh.PointCloud(vertices)
+        )
+        data = solid.export(file_type=suffix[1:])
+        with replacing(path) as beside:
+            beside.write_bytes(data if isinstance(data, bytes) else str(data).encode())
+    else:
+        raise InputError(
+            f"{path}: meshes are not written as '{path.suffix}' files; use {', '.join(WRITTEN)}."
+        )
+
+
+def check_points(points: np.ndarray, where: str | Path) -> None:
+    """Raises `InputError` where there are no points, or some are NaN, infinite or too large for any length."""
+    if len(points) == 0:
+        raise InputError(f"{where}: there are no points in it; give at least one.")
+    # half floats do not hold a number so large: beside a double they become doubles
+    wrong = ~(np.abs(points) <= np.float64(LARGEST)).all(1)
+    if wrong.any():
+        why = "too large" if np.isfinite(points).all() else "NaN or infinite"
+        raise InputError(
+            f"{where}: {wrong.sum()} of {len(points)} points are {why}, the first is point "
+            f"{int(wrong.argmax())}; remove them."
+        )
+
+
+def check_faces(faces: np.ndarray, count: int, where: str | Path) -> None:
+    """Raises `InputError` where a face is of a vertex that is not among the `count`."""
+    if faces.size and not (faces.min() >= 0 and faces.max() < count):
+        row = int(np.argmax((faces < 0).any(1) | (faces >= count).any(1)))
+        raise InputError(
+            f"{where}: face {row} names vertices {faces[row].tolist()}, but there are only 0 to {count - 1}."
+        )
+
+
+def check_mesh(mesh: Mesh, where: str | Path) -> None:
+    """That a mesh can be a body's surface.
+
+    **Raises:** `InputError` where it has no faces, a face without area, or a vertex that no
+    face uses.
+    """
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    if len(faces) == 0:
+        raise InputError(f"{where}: there are no faces in it; a body needs a surface, not a cloud.")
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], 0)
+    # an area of nothing at the precision of the numbers in a file
+    flat = area <= 1e-10 * np.maximum(longest, 1e-12) ** 2
+    if flat.any():
+        row = int(flat.argmax())
+        raise InputError(
+            f"{where}: {flat.sum()} of {len(faces)} faces have no area, the first is face {row} of vertices "
+            f"{faces[row].tolist()}; remove them."
+        )
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    if not used.all():
+        raise InputError(
+            f"{where}: {(~used).sum()} of {len(vertices)} vertices are in no face, the first is vertex "
+            f"{int(used.argmin())}; remove them."
+        )
+
+
+def check_size(extent: float, where: str | Path, unit: str | float = "m") -> None:
+    """That a body or its cloud, `extent` metres along its longest side, is between 0.3 and 3 m.
+
+    `unit` is the one that the file was read in, to say which one it is likely to be in.
+
+    **Raises:** `InputError` naming the likely unit.
+    """
+    if BODY[0] <= extent <= BODY[1]:
+        return
+    length = float(extent) / unit_scale(unit)
+    likely = likely_units(length)
+    hint = (
+        f"looks like {_UNIT_NAMES[likely[0]]}: pass unit='{likely[0]}' or --unit {likely[0]}"
+        if likely
+        else "is none: check its unit"
+    )
+    raise InputError(f"{where}: it is {extent:.4g} m long, and a body is from 0.3 to 3 m; this {hint}.")
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) unit normals, faces weighed by area; zero at a vertex without one."""
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(total, faces[:, corner], across)
+    lengths = np.linalg.norm(total, axis=1, keepdims=True)
+    return total / np.where(lengths > 0, lengths, 1.0)
+
+
+def load_by_trimesh(path: Path) -> Any:
+    """A mesh or a cloud of trimesh's: without its textures and materials, which nothing here needs, and with other files
+    that it names from its own folder alone."""
+    import trimesh
+
+    if path.suffix.lower() in (".glb", ".gltf"):
+        check_scene(path)
+    elif path.suffix.lower() == ".ply":
+        check_ply(path)
+    more: dict[str, Any] = {"resolver": InsideResolver(path), "skip_materials": True}
+    if path.suffix.lower() == ".ply":
+        # vertices stay as they are in the file, where trimesh would take them apart along seams of a texture
+        more["fix_texture"] = False
+    # what cannot be is told by its place in the file, and not by NumPy
+    with np.errstate(all="ignore"):
+        loaded: Any = trimesh.load(path, process=False, **more)
+    if isinstance(loaded, trimesh.Scene):
+        loaded = loaded.to_geometry() if loaded.geometry else trimesh.Trimesh()
+    return loaded
+
+
+def _read_trimesh(path: Path):
+    try:
+        loaded = load_by_trimesh(path)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a damaged file makes of a reader
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:120].rstrip(". ")
+        raise InputError(
+            f"{path}: this is not a whole {path.suffix} file ({reason}); write it again."
+        ) from None
+    if not hasattr(loaded, "vertices"):
+        raise InputError(f"{path}: this file holds no mesh and no points.")
+    if path.suffix.lower() == ".stl":
+        # vertices that are no places cannot be held against each other
+        check_points(np.asarray(loaded.vertices, float), path)
+        loaded.merge_vertices()
+    vertices = np.array(loaded.vertices, float).reshape(-1, 3)
+    faces = np.array(getattr(loaded, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
+    return vertices, faces, _file_normals(loaded)
+
+
+def _file_normals(loaded) -> np.ndarray | None:
+    """The normals that stand in a PLY file, not ones computed from faces."""
+    raw = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    names = raw.keys() if isinstance(raw, dict) else getattr(getattr(raw, "dtype", None), "names", None) or ()
+    if not {"nx", "ny", "nz"} <= set(names):
+        return None
+    return np.stack([np.asarray(raw[name], float).reshape(-1) for name in ("nx", "ny", "nz")], 1)

@@ -1,0 +1,198 @@
+"""Registered meshes: the same surface many times over, from many files or one `.npz`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...arguments import checked
+from ...errors import InputError
+from ...observe import MeshSequence
+from ..archives.archive import array_names, load_arrays
+from ..archives.npz import save_arrays
+from ..kinds import wrong_arrays
+from ..system.door import reads
+from ..system.paths import find_files
+from ..text import check_rate, shortened, unit_scale
+from .mesh import check_points, read_mesh
+
+KIND = "jaxcap meshes"
+_ARRAYS = ("vertices", "faces", "face_counts", "face_indices", "names", "rate")
+
+
+class NamedMeshes(NamedTuple):
+    """A sequence, and what to call each of its meshes."""
+
+    sequence: MeshSequence
+    names: tuple[str, ...]
+
+
+class _File(NamedTuple):
+    names: list[str]
+    vertices: Float[np.ndarray, "F V 3"]
+    faces: Int[np.ndarray, "T 3"]
+    rate: float | None
+
+
+@checked
+def read_meshes(
+    paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
+) -> MeshSequence:
+    """Registered meshes: the same vertices in the same order in each.
+
+    **Arguments:** `paths` is one source or several, one behind the other: a mesh file (`.obj`, `.ply`,
+    `.off`, `.glb`; not `.stl`, which has no vertices to keep an order of), a folder of them, a quoted glob
+    or a printf pattern, or an `.npz` with `vertices (F, V, 3)` and `faces (T, 3)`, or polygons as
+    `face_counts (P,)` and `face_indices (sum,)`, which are cut into triangles as fans. `unit` as in
+    `read_mesh`; `rate` meshes a second, that of the file or 30 where not given.
+
+    **Raises:** `InputError` where nothing is found, a file is wrong, or a mesh has other triangles than
+    the first.
+    """
+    return read_named_meshes(paths, unit, rate).sequence
+
+
+@reads("registered meshes")
+def read_named_meshes(
+    paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
+) -> NamedMeshes:
+    """As `read_meshes`, with the names of the meshes, for messages."""
+    metres = unit_scale(unit)
+    sources = [paths] if isinstance(paths, str | Path) else list(paths)
+    if not sources:
+        raise InputError("No meshes were given; name files, a folder, or an .npz.")
+    found = [path for source in sources for path in find_files(source, whole=False, also=(".npz",))]
+    files = [_read(path) for path in found]
+    for path, file in zip(found[1:], files[1:], strict=True):
+        _same_triangles(path, file, found[0], files[0])
+    rates = [file.rate for file in files if file.rate is not None]
+    names = tuple(name for file in files for name in file.names)
+    vertices = metres * np.concatenate([file.vertices for file in files])
+    sequence = MeshSequence(vertices, files[0].faces, rate or (rates[0] if rates else 30.0))
+    return NamedMeshes(sequence, names)
+
+
+@checked
+def save_meshes(path: str | Path, sequence: MeshSequence) -> None:
+    """Write a sequence as an `.npz` that `read_meshes` reads. Raises `InputError` where it cannot be written."""
+    arrays = {"vertices": sequence.vertices, "faces": sequence.faces, "rate": np.array(sequence.rate, float)}
+    save_arrays(path, KIND, arrays)
+
+
+def triangulate(
+    counts: Int[np.ndarray, "P"], indices: Int[np.ndarray, "N"], where: str | Path = "The mesh"
+) -> Int[np.ndarray, "T 3"]:
+    """Polygons, `counts` corners each, one behind the other in `indices`, as fans of triangles.
+
+    **Raises:** `InputError` where the two do not fit, or a polygon has fewer than three corners.
+    """
+    counts, indices = np.asarray(counts), np.asarray(indices)
+    # a count of more than all corners could make the sum right again, as it overflows
+    if (counts < 3).any() or (counts > len(indices)).any() or counts.sum() != len(indices):
+        raise InputError(
+            f"{where}: the faces have {counts.sum()} corners by their counts and {len(indices)} by their indices, "
+            f"the least {counts.min(initial=3)}; each has at least 3."
+        )
+    starts = np.cumsum(counts) - counts
+    polygon = np.repeat(np.arange(len(counts)), counts - 2)
+    fan = np.arange(len(polygon)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
+    first = starts[polygon]
+    return indices[np.stack([first, first + fan + 1, first + fan + 2], 1)]
+
+
+def _read(path: Path) -> _File:
+    if path.suffix.lower() == ".npz":
+        return _arrays(path)
+    if path.suffix.lower() == ".stl":
+        raise InputError(
+            f"{path}: an .stl file has no shared vertices, so meshes cannot be matched by their order; use .ply or .obj."
+        )
+    mesh = read_mesh(path)
+    if len(mesh.faces) == 0:
+        raise InputError(f"{path}: there are no faces in it; a registered mesh is a surface, not a cloud.")
+    return _File([str(path)], mesh.vertices[None], mesh.faces, None)
+
+
+def _arrays(path: Path) -> _File:
+    arrays, held = load_arrays(path, lambda name: name in _ARRAYS), array_names(path)
+    vertices = arrays.get("vertices")
+    if vertices is None or "skin" in held:
+        raise wrong_arrays(path, "without an array 'vertices' (F, V, 3) of numbers")
+    if vertices.dtype.kind not in "fiu":
+        raise InputError(f"{path}: 'vertices' holds {vertices.dtype}; give numbers, (F, V, 3).")
+    if vertices.ndim == 2:
+        vertices = vertices[None]
+    if vertices.ndim != 3 or vertices.shape[-1] != 3 or not vertices.size:
+        raise InputError(f"{path}: the vertices have the shape {vertices.shape}; it must be (F, V, 3).")
+    faces = arrays.get("faces")
+    if faces is None and {"face_counts", "face_indices"} <= set(arrays):
+        faces = triangulate(
+            _whole(arrays["face_counts"], "face_counts", path),
+            _whole(arrays["face_indices"], "face_indices", path),
+            path,
+        )
+    if faces is None or faces.dtype.kind not in "iu":
+        held_as = "is not there" if faces is None else f"holds {faces.dtype}"
+        raise InputError(
+            f"{path}: an array 'faces' {held_as}; give the meshes' triangles as whole numbers, 'faces' (T, 3), or polygons as "
+            "'face_counts' and 'face_indices'."
+        )
+    if faces.ndim == 2 and faces.shape[1] > 3:
+        faces = triangulate(np.full(len(faces), faces.shape[1]), faces.reshape(-1), path)
+    if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+        raise InputError(f"{path}: the faces have the shape {faces.shape}; it must be (T, 3).")
+    if not (faces.min() >= 0 and faces.max() < vertices.shape[1]):
+        raise InputError(
+            f"{path}: a face names vertex {faces.min() if faces.min() < 0 else faces.max()}, but there are only "
+            f"0 to {vertices.shape[1] - 1}."
+        )
+    given = arrays.get("names", np.zeros(0))
+    named = given.shape == (len(vertices),) and given.dtype.kind == "U"
+    names = [
+        f"{path}[{shortened(str(name))}]" for name in (given.tolist() if named else range(len(vertices)))
+    ]
+    for name, mesh in zip(names, vertices, strict=True):
+        check_points(mesh, name)
+    rate = arrays.get("rate")
+    if rate is not None and not (rate.shape == () and rate.dtype.kind in "fiu"):
+        raise InputError(
+            f"{path}: the rate has the shape {rate.shape} and holds {rate.dtype}; it must be one number above 0."
+        )
+    rate = None if rate is None else check_rate(rate.item(), str(path))
+    return _File(names, vertices.astype(float), faces.astype(np.int64), rate)
+
+
+def _whole(values: np.ndarray, name: str, path: Path) -> np.ndarray:
+    """A list of whole numbers. Raises `InputError` where it is none."""
+    if values.ndim != 1 or values.dtype.kind not in "iu":
+        raise InputError(
+            f"{path}: the array '{name}' has the shape {values.shape} and holds {values.dtype}; it must be a list of "
+            "whole numbers."
+        )
+    return values.astype(np.int64)
+
+
+def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> None:
+    counts = [(f.vertices.shape[1], len(f.faces)) for f in (file, reference)]
+    if counts[0] != counts[1]:
+        raise InputError(
+            f"{path}: this mesh has {counts[0][0]} vertices and {counts[0][1]} triangles, and {first} has "
+            f"{counts[1][0]} and {counts[1][1]}; registered meshes have one topology."
+        )
+    if (file.faces == reference.faces).all():
+        return
+    # a file may list the same triangles in another order, or begin each at another corner
+    rows = [set(map(tuple, _turned(f.faces).tolist())) for f in (file, reference)]
+    if rows[0] != rows[1]:
+        raise InputError(
+            f"{path}: {len(rows[0] - rows[1])} of its {counts[0][1]} triangles join other vertices than in {first}; "
+            "registered meshes have one topology and one order of vertices."
+        )
+
+
+def _turned(faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"]:
+    """The same triangles, each from its least vertex on."""
+    start = faces.argmin(1)[:, None]
+    return np.take_along_axis(faces, (start + np.arange(3)) % 3, 1)

@@ -1,0 +1,102 @@
+"""The header of a PLY file: which elements follow, how many of each, and the numbers of one."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import InputError
+from ..text import parse_int, shortened
+
+#: the types of numbers, by both of their names
+TYPES = {
+    **dict(zip(("char", "uchar", "short", "ushort"), ("i1", "u1", "i2", "u2"), strict=True)),
+    **dict(zip(("int", "uint", "float", "double"), ("i4", "u4", "f4", "f8"), strict=True)),
+    **dict(zip(("int8", "uint8", "int16", "uint16"), ("i1", "u1", "i2", "u2"), strict=True)),
+    **dict(zip(("int32", "uint32", "float32", "float64"), ("i4", "u4", "f4", "f8"), strict=True)),
+}
+_FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+class Property(NamedTuple):
+    """One number of an element, or, where `counts` is the type of its length, a list of them."""
+
+    name: str
+    type: np.dtype
+    counts: np.dtype | None = None
+
+
+class Element(NamedTuple):
+    """What there are `count` of, as `vertex` and `face`."""
+
+    name: str
+    count: int
+    properties: list[Property]
+
+    @property
+    def has_lists(self) -> bool:
+        return any(one.counts is not None for one in self.properties)
+
+
+class Header(NamedTuple):
+    """What a header says; `lines` of it, and its end in bytes."""
+
+    text: bool
+    elements: list[Element]
+    lines: int
+    end: int
+
+    def count_of(self, name: str) -> int:
+        """How many elements of this name there are."""
+        return sum(element.count for element in self.elements if element.name == name)
+
+
+def read_header(data: bytes, path: Path) -> Header:
+    """Read the header that a file begins with. Raises `InputError` with its line."""
+    order, elements, at = None, [], 0
+    for number in range(1, data.count(b"\n") + 1):
+        end = data.index(b"\n", at) + 1
+        words, where = data[at:end].decode("utf-8", "replace").split(), f"{path}:{number}"
+        at = end
+        match words:
+            case ["end_header", *_]:
+                if order is None:
+                    raise InputError(f"{where}: the header does not say its format; write the file again.")
+                return Header(order == "", elements, number, end)
+            case ["format", name, *_]:
+                if name not in _FORMATS:
+                    raise InputError(
+                        f"{where}: '{shortened(name)}' is no format; give {', '.join(_FORMATS)}."
+                    )
+                order = _FORMATS[name]
+            case ["element", name, count]:
+                elements.append(Element(name, _count(count, where, name), []))
+            case ["property", *rest]:
+                if not elements or order is None:
+                    raise InputError(f"{where}: a property stands before the format or any element; move it.")
+                elements[-1].properties.append(_property(rest, order, where))
+    raise InputError(
+        f"{path}: this is not a whole .ply file (its header has no line 'end_header'); write it again."
+    )
+
+
+def _count(word: str, where: str, name: str) -> int:
+    count = parse_int(word, where, f"the number of '{shortened(name)}'")
+    if count < 0:
+        raise InputError(f"{where}: {count} of '{shortened(name)}' cannot be; write how many there are.")
+    return count
+
+
+def _property(words: list[str], order: str, where: str) -> Property:
+    types, name = words[:-1], (words or [""])[-1]
+    strange = next((word for word in types if word not in TYPES and word != "list"), None)
+    if strange is not None:
+        raise InputError(f"{where}: '{shortened(strange)}' is no type of a number; give {', '.join(TYPES)}.")
+    found = [np.dtype(order + TYPES[word]) for word in types if word != "list"]
+    if types[:1] == ["list"] and len(types) == len(found) + 1 == 3 and found[0].kind in "iu":
+        return Property(name, found[1], found[0])
+    if len(types) == len(found) == 1:
+        return Property(name, found[0])
+    raise InputError(
+        f"{where}: '{shortened(' '.join(words))}' is no property; give its type and name, or a list's two types and name."
+    )

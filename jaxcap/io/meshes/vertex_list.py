@@ -1,0 +1,38 @@
+"""Vertices of a body under names, read from text.
+
+# marker  vertex
+LFHD      1023
+RFHD      88
+"""
+
+from pathlib import Path
+
+from ...errors import InputError
+from ..system.door import reads
+from ..text import numbered_lines, parse_int, read_text, shortened
+
+
+@reads("a list of vertices")
+def read_vertex_list(path: str | Path) -> dict[str, int]:
+    """Names with the vertex of each; a line of a number alone is named `v` and the number.
+
+    **Raises:** `InputError` with file and line: a line of more than two words, a vertex that is no number from 0, a name
+    that stands twice; or where the list is empty.
+    """
+    found: dict[str, int] = {}
+    for number, line in numbered_lines(read_text(path)):
+        words, where = line.split(), f"{path}:{number}"
+        if len(words) > 2:
+            raise InputError(
+                f"{where}: '{shortened(line)}' has {len(words)} words; write a name and a vertex."
+            )
+        vertex = parse_int(words[-1], where, "the vertex")
+        if vertex < 0:
+            raise InputError(f"{where}: there is no vertex {vertex}; they count from 0.")
+        name = words[0] if len(words) == 2 else f"v{vertex}"
+        if name in found:
+            raise InputError(f"{where}: the name '{shortened(name)}' stands twice; give each marker its own.")
+        found[name] = vertex
+    if not found:
+        raise InputError(f"{path}: there are no vertices in it; write a name and a vertex on each line.")
+    return found

@@ -1,0 +1,1 @@
+"""Skeletons, motions and joint limits in files."""

@@ -1,0 +1,208 @@
+"""Motions as `.npz` in the manner of AMASS (Mahmood et al., ICCV 2019): one rotation vector a joint, one place a frame.
+
+`poses (F, 3 J)` are rotation vectors of joints, parents first, each in the axes of the world at rest, and
+`trans (F, 3)` moves the root, which turns about its rest centre: x' = R (x - c) + c + trans for what hangs on the root
+alone. SMPL has the same map (Loper et al., 2015), so it holds numbers of other skeletons as well; what is SMPL's alone is
+which joints there are, where they stand, and what `betas` make of them. A body's rest is y up, the world z up.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...arguments import checked
+from ...body.pose import Motion, Pose
+from ...body.skeleton import Skeleton, rest_distance, same_joints
+from ...errors import InputError
+from ..archives.archive import array_names, load_arrays
+from ..archives.npz import get_array, skeleton_arrays, skeleton_of
+from ..skinned.skinned import check_motion
+from ..system.atomic import replacing
+from ..system.door import reads
+from ..text import check_rate
+
+#: from a world with y up to one with z up
+_LIFT = Rotation.from_euler("x", 90, degrees=True)
+#: what the two generations of the data set call the rate
+_RATES = ("mocap_framerate", "mocap_frame_rate")
+_OWN = "skeleton."
+#: joints at rest that stand further apart are another body's, metres
+SAME_BODY = 0.01
+_TRUNK = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
+
+
+def _hand(wrist: int, first: int) -> tuple[int, ...]:
+    """Five fingers of three joints."""
+    return tuple(
+        parent for finger in range(5) for parent in (wrist, first + 3 * finger, first + 3 * finger + 1)
+    )
+
+
+#: parents of the joints of SMPL's family, by their number: without hands, SMPL, SMPL-H, SMPL-X
+TREES = {
+    22: _TRUNK,
+    24: (*_TRUNK, 20, 21),
+    52: (*_TRUNK, *_hand(20, 22), *_hand(21, 37)),
+    55: (*_TRUNK, 15, 15, 15, *_hand(20, 25), *_hand(21, 40)),
+}
+
+
+@checked
+def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
+    """Write a motion in AMASS's keys, z up: `trans`, `poses`, `betas` (zeros), `gender` (neutral), `mocap_framerate` and
+    `mocap_frame_rate`; and the skeleton under keys that begin with `skeleton.`, without which nothing could be drawn.
+
+    A scale that is the same in all poses goes into the skeleton.
+
+    **Raises:** `InputError` where a joint other than the root moves away from its place, there are several roots, the
+    scale changes, the motion has no frames or numbers that are not finite, or the file cannot be written.
+    """
+    check_motion(Path(path), skeleton, motion)
+    moves = np.asarray(motion.poses.translations, float)
+    scales = np.asarray(motion.poses.scale, float)
+    scale = float(scales[0])
+    roots = [name for name, parent in zip(skeleton.names, skeleton.parents, strict=True) if parent < 0]
+    if len(roots) > 1:
+        raise InputError(
+            f"{path}: the skeleton has {len(roots)} roots, {', '.join(roots)}; AMASS moves one only. Write it as .npz or "
+            ".bvh."
+        )
+    if np.abs(scales - scale).max() > 1e-6 * abs(scale):
+        raise InputError(
+            f"{path}: the motion's scale changes from frame to frame; AMASS has one size for all."
+        )
+    away = np.abs(moves[:, 1:]).max((0, 2), initial=0.0)
+    if away.max(initial=0.0) > 1e-6:
+        raise InputError(
+            f"{path}: the joint '{skeleton.names[1 + int(away.argmax())]}' moves away from its place, and AMASS holds "
+            "rotations only; write it as .npz or .bvh."
+        )
+    root = scale * np.asarray(skeleton.centres, float)[0]
+    frames, joints = moves.shape[:2]
+    turns = Rotation.from_quat(
+        np.asarray(motion.poses.rotations, float).reshape(-1, 4), scalar_first=True
+    ).as_rotvec()
+    turns = turns.reshape(frames, joints, 3)
+    turns[:, 0] = (_LIFT * Rotation.from_rotvec(turns[:, 0])).as_rotvec()
+    own = {f"{_OWN}{name}": values for name, values in skeleton_arrays(skeleton).items()}
+    own[f"{_OWN}centres"] = scale * np.asarray(skeleton.centres, float)
+    arrays = {
+        "trans": _LIFT.apply(root + scale * moves[:, 0]) - root,
+        "poses": turns.reshape(frames, 3 * joints),
+        "betas": np.zeros(16),
+        "gender": np.array("neutral"),
+        **{name: np.array(float(motion.rate)) for name in _RATES},
+        **own,
+    }
+    with replacing(path) as beside, open(beside, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def is_amass(path: str | Path) -> bool:
+    """Whether a file is an `.npz` with AMASS's keys; one that is not there, or damaged, is not."""
+    try:
+        return {"poses", "trans"} <= set(array_names(path))
+    except InputError:
+        return False
+
+
+@checked
+@reads("a motion of AMASS")
+def read_amass(
+    path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] = "z"
+) -> tuple[Skeleton, Motion]:
+    """Read a motion in AMASS's keys; the world's `up` becomes y.
+
+    Files of AMASS itself do not say where joints are: `skeleton` does, with the same joints in the same order, as SMPL's
+    own. What the file says of shape (`betas`, `dmpls`, `gender`) is not read, and need not be readable.
+
+    **Raises:** `InputError` where the file is none of AMASS's, is damaged, has pickled numbers, says no rate, or its
+    joints are not the skeleton's.
+    """
+    arrays = load_arrays(path, lambda name: name in ("poses", "trans", *_RATES) or name.startswith(_OWN))
+    poses = get_array(arrays, "poses", path, (None, None), rows="frame")
+    trans = get_array(arrays, "trans", path, (len(poses), 3), rows="frame")
+    if poses.shape[1] % 3 or not poses.shape[1]:
+        raise InputError(
+            f"{path}: the array 'poses' has the shape {poses.shape}; it must be frames x 3 times joints."
+        )
+    if not len(poses):
+        raise InputError(f"{path}: there are no frames in it; give a file with one at least.")
+    found = _skeleton(path, arrays, poses.shape[1] // 3, skeleton)
+    return found, _motion(found, poses, trans, _rate(path, arrays), up)
+
+
+def _motion(
+    skeleton: Skeleton, poses: np.ndarray, trans: Float[np.ndarray, "F 3"], rate: float, up: str
+) -> Motion:
+    frames, joints = len(poses), skeleton.num_joints
+    turns = poses.astype(float).reshape(frames, joints, 3)
+    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat(canonical=True, scalar_first=True)
+    rotations = rotations.reshape(frames, joints, 4)
+    moves, root = np.zeros((frames, joints, 3)), np.asarray(skeleton.centres, float)[0]
+    moves[:, 0] = trans
+    if up == "z":
+        lowered = _LIFT.inv() * Rotation.from_rotvec(turns[:, 0])
+        rotations[:, 0] = lowered.as_quat(canonical=True, scalar_first=True)
+        moves[:, 0] = _LIFT.inv().apply(root + trans) - root
+    return Motion(Pose(jnp.asarray(moves), jnp.asarray(rotations), jnp.ones(frames)), rate)
+
+
+def _skeleton(
+    path: str | Path, arrays: Mapping[str, np.ndarray], joints: int, given: Skeleton | None
+) -> Skeleton:
+    """The given skeleton, which has to have the file's joints, else the file's own."""
+    noted = {name.removeprefix(_OWN): values for name, values in arrays.items() if name.startswith(_OWN)}
+    if noted:
+        own = skeleton_of(noted, path)
+        if own.num_joints != joints:
+            raise InputError(
+                f"{path}: there are poses of {joints} joints, and its skeleton has {own.num_joints}."
+            )
+        if given is None:
+            return own
+        if not same_joints(own, given):
+            raise InputError(
+                f"{path}: this motion is of the joints {', '.join(own.names)}, not of the body's {', '.join(given.names)}; "
+                "retarget it."
+            )
+        apart = rest_distance(own, given)
+        if apart > SAME_BODY:
+            raise InputError(
+                f"{path}: this motion is of another body, whose joints stand up to {1000 * apart:.0f} mm from those of "
+                "this one; retarget it."
+            )
+        return given
+    what = {22: "SMPL without hands", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X"}.get(joints)
+    told = f"poses of {joints} joints{f', as of {what},' if what else ''}"
+    if given is None:
+        raise InputError(
+            f"{path}: there are {told} and no skeleton in this file; give a body with these joints (--body)."
+        )
+    if given.num_joints != joints:
+        raise InputError(
+            f"{path}: there are {told} and the body has {given.num_joints} joints; give one with the same joints."
+        )
+    if joints in TREES and given.parents != TREES[joints]:
+        wrong = next(j for j in range(joints) if given.parents[j] != TREES[joints][j])
+        raise InputError(
+            f"{path}: there are {told} and the body's joint {wrong}, '{given.names[wrong]}', hangs on another one than "
+            f"{what} has it on; give a body with joints in that order."
+        )
+    return given
+
+
+def _rate(path: str | Path, arrays: Mapping[str, np.ndarray]) -> float:
+    found = next((arrays[name] for name in _RATES if name in arrays), None)
+    if found is None:
+        raise InputError(f"{path}: neither '{_RATES[0]}' nor '{_RATES[1]}' is there; the rate is not known.")
+    if found.size != 1 or found.dtype.kind not in "iuf":
+        raise InputError(
+            f"{path}: the rate of frames has the shape {found.shape} and holds {found.dtype}; it has to be a number above zero."
+        )
+    return check_rate(float(found.reshape(-1)[0]), str(path))

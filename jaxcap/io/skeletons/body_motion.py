@@ -1,0 +1,75 @@
+"""The motion of a body from a file of any format that motions are read from."""
+
+import functools
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...body.body import Body
+from ...body.kinematics import joint_paths
+from ...body.pose import Motion, Pose, project
+from ...body.skeleton import rest_distance
+from ...errors import InputError
+from ...metrics import joint_errors
+from ..archives.archive import array_names
+from ..archives.npz import load_motion, load_skeleton
+from ..registry import read_motion
+from ..system.door import reads
+from .amass import SAME_BODY, is_amass, read_amass
+
+
+@reads("a motion")
+def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
+    """A motion of a body; one from BVH, whose lengths are in `unit`, is matched to its joints by name.
+
+    **Raises:** `InputError` where the file is wrong or of another body.
+    """
+    if is_amass(path):
+        return read_amass(path, body.skeleton)[1]
+    if path.suffix.lower() == ".npz":
+        motion = load_motion(path, body.skeleton)
+        # a motion may have been saved without its skeleton
+        if "centres" in array_names(path):
+            _check_near(path, rest_distance(body.skeleton, load_skeleton(path)))
+        return motion
+    skeleton, motion = read_motion(path, unit)
+    target = body.skeleton
+    missing = [
+        name
+        for name in target.names
+        if name not in skeleton.names and target.names.index(name) in target.parents
+    ]
+    if missing or target.names[0] not in skeleton.names:
+        raise InputError(
+            f"{path}: there is no joint '{(missing or target.names)[0]}' in this motion; give it to the body by `jaxcap edit retarget`."
+        )
+    count = motion.num_frames
+    rotations = np.tile([1.0, 0, 0, 0], (count, target.num_joints, 1))
+    translations = np.zeros((count, target.num_joints, 3))
+    for joint, name in enumerate(target.names):
+        if name in skeleton.names:
+            source = skeleton.names.index(name)
+            rotations[:, joint] = motion.poses.rotations[:, source]
+            translations[:, joint] = motion.poses.translations[:, source]
+    there = np.asarray(joint_paths(skeleton, motion.poses))
+    root = there[:, skeleton.names.index(target.names[0])]
+    translations[:, 0] = root - np.asarray(target.centres)[0]
+    dtype = target.centres.dtype
+    poses = Pose(jnp.asarray(translations, dtype), jnp.asarray(rotations, dtype), jnp.ones(count, dtype))
+    poses = jax.vmap(functools.partial(project, target))(poses)
+    shared = [name for name in target.names if name in skeleton.names]
+    here = np.asarray(joint_paths(target, poses))[:, [target.names.index(name) for name in shared]]
+    # the rest of a file with other joints may be another pose: what counts is where the motion takes them
+    there = there[:, [skeleton.names.index(name) for name in shared]]
+    _check_near(path, float(joint_errors(here, there).max()))
+    return Motion(poses, motion.rate)
+
+
+def _check_near(path: Path, apart: float) -> None:
+    if apart > SAME_BODY:
+        raise InputError(
+            f"{path}: this motion is of another skeleton, whose joints stand up to {1000 * apart:.0f} mm from "
+            "those of the body; give it to the body by `jaxcap edit retarget`."
+        )

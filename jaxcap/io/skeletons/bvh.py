@@ -1,0 +1,306 @@
+"""BVH files (Kineben, appendix A.6), read as other tools write them.
+
+Rotation channels multiply in the order listed, the first outermost; they turn about the
+world's axes at rest, as this library's joints do. Position channels take the place of the
+joint's `OFFSET`, as in Blender and MotionBuilder, whether the joint is the root or not.
+
+Joints become what their channels allow: three rotations a `ball`, two a `universal`, one a
+`revolute`, positions a `translate`, both a `free`, none a `fixed` joint. An `End Site`
+becomes a `fixed` joint `<parent>.end`, unless its offset is zero and it says nothing.
+"""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...arguments import checked
+from ...body.pose import Motion, Pose
+from ...body.skeleton import Skeleton, make_skeleton
+from ...errors import InputError
+from ..system.door import reads
+from ..text import RATES, float_table, parse_floats, parse_int, read_text, shortened, unit_scale
+from .bvh_writer import BvhWriter, write_bvh
+from .tree import END, twist_orientations
+
+__all__ = ["BvhWriter", "read_bvh", "write_bvh"]
+
+_CHANNEL = re.compile(r"([xyz])(position|rotation)$", re.IGNORECASE)
+#: frames of a motion in which nothing moves
+MOST_STILL = 100_000
+_KINDS = ("fixed", "revolute", "universal", "ball")
+
+
+class _Joint(NamedTuple):
+    name: str
+    parent: int
+    line: int
+    offset: list[float]
+    #: such as ("position", "x")
+    channels: list[tuple[str, str]]
+
+
+@checked
+@reads("a BVH file")
+def read_bvh(path: str | Path, unit: str | float = "cm") -> tuple[Skeleton, Motion]:
+    """Read a BVH file: its skeleton in metres, and its motion.
+
+    **Arguments:** `unit` is what the file's lengths are in: `m, dm, cm, mm, in, ft`, or the
+    number of metres in one (the CMU database's own files need `0.0254 / 0.45`).
+
+    **Raises:** `InputError` with file and line where the file is wrong or cut short.
+    """
+    metres = unit_scale(unit)
+    lines = _lines(read_text(path))
+    start = next((i for i, (_, line) in enumerate(lines) if line.strip().lower() == "motion"), None)
+    if start is None:
+        raise InputError(f"{path}: there is no MOTION section; this is not a whole BVH file.")
+    joints = _Hierarchy(lines[:start], path).joints()
+    values, rate = _motion(lines[start + 1 :], sum(len(joint.channels) for joint in joints), path)
+    return _assemble(joints, values, rate, metres)
+
+
+def _lines(text: str) -> list[tuple[int, str]]:
+    """Numbered lines without comments: from `#` or `//` at the start, or ` #` after values."""
+    lines = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.strip()
+        if not words or words.startswith(("#", "//")):
+            continue
+        if not words.upper().startswith(("ROOT", "JOINT")):
+            line = re.split(r"\s#", line, maxsplit=1)[0]
+        lines.append((number, line))
+    return lines
+
+
+class _Hierarchy:
+    """Reads the tree: words and braces with the lines they stand on, in any layout."""
+
+    def __init__(self, lines: list[tuple[int, str]], path):
+        self.path = path
+        self.words = [
+            (n, m[0], line, m.end()) for n, line in lines for m in re.finditer(r"[{}]|[^\s{}]+", line)
+        ]
+        self.at = 0
+        #: of every joint the line of its name
+        self.lines: dict[str, int] = {}
+        #: of every joint how many names were tried for its ends
+        self.ends: dict[int, int] = {}
+
+    def joints(self) -> list[_Joint]:
+        found: list[_Joint] = []
+        if self.peek().lower() == "hierarchy":
+            self.take("a joint")
+        while self.at < len(self.words):
+            self.expect("ROOT", "ROOT or MOTION")
+            self.joint(found)
+        if not found:
+            raise InputError(f"{self.path}: there is no ROOT joint in HIERARCHY.")
+        return found
+
+    def joint(self, found: list[_Joint]) -> None:
+        """One joint with all below it; a stack, because chains may be long."""
+        stack = [self.open(found, -1)]
+        while stack:
+            number, word = self.take("'}'")
+            if word == "}":
+                stack.pop()
+            elif word.lower() == "joint":
+                stack.append(self.open(found, stack[-1]))
+            elif word.lower() == "end":
+                self.expect("Site", "'Site'")
+                self.end_site(found, stack[-1])
+            else:
+                raise InputError(
+                    f"{self.path}:{number}: '{shortened(word)}' stands where JOINT, End Site or '}}' belongs, "
+                    f"in joint '{shortened(found[stack[-1]].name)}'."
+                )
+
+    def open(self, found: list[_Joint], parent: int) -> int:
+        name, line = self.name()
+        if name in self.lines:
+            raise InputError(
+                f"{self.path}:{line}: the joint '{shortened(name)}' is already there in line {self.lines[name]}; "
+                "names must differ."
+            )
+        self.lines[name] = line
+        self.expect("{", "'{'")
+        offset, channels = [], []
+        while self.peek().lower() in ("offset", "channels"):
+            _, word = self.take("OFFSET")
+            if word.lower() == "offset":
+                offset = self.floats(3, f"the OFFSET of '{shortened(name)}'")
+            else:
+                channels = self.channels(name)
+        if not offset:
+            raise InputError(f"{self.path}:{line}: the joint '{shortened(name)}' has no OFFSET.")
+        found.append(_Joint(name, parent, line, offset, channels))
+        return len(found) - 1
+
+    def end_site(self, found: list[_Joint], parent: int) -> None:
+        number, word = self.take("'{'")
+        if word != "{":  # some tools name their end sites
+            self.expect("{", "'{'")
+        self.expect("OFFSET", "OFFSET")
+        offset = self.floats(3, f"the End Site of '{found[parent].name}'")
+        self.expect("}", "'}'")
+        if any(offset):
+            name = found[parent].name + END
+            count = self.ends.get(parent, 1)
+            while name in self.lines:
+                count += 1
+                name = f"{found[parent].name}{END}{count}"
+            self.ends[parent], self.lines[name] = count, number
+            found.append(_Joint(name, parent, number, offset, []))
+
+    def channels(self, name: str) -> list[tuple[str, str]]:
+        number, word = self.take("the number of CHANNELS")
+        count = parse_int(word, f"{self.path}:{number}", f"the number of CHANNELS of '{shortened(name)}'")
+        channels: list[tuple[str, str]] = []
+        for _ in range(count):
+            number, word = self.take("a channel")
+            match = _CHANNEL.match(word)
+            if not match:
+                raise InputError(
+                    f"{self.path}:{number}: '{shortened(word)}' is not a channel; joint '{shortened(name)}' promises {count} of "
+                    "Xposition, Yposition, Zposition, Xrotation, Yrotation, Zrotation."
+                )
+            channel = (match[2].lower(), match[1].lower())
+            if channel in channels:
+                raise InputError(
+                    f"{self.path}:{number}: the channel '{word}' of joint '{shortened(name)}' stands twice."
+                )
+            channels.append(channel)
+        return channels
+
+    def name(self) -> tuple[str, int]:
+        """The rest of the line, or up to a brace: names may hold blanks."""
+        number, _, line, end = self.words[self.at - 1]
+        name = re.split(r"[{}]", line[end:])[0].strip()
+        if not name:
+            raise InputError(f"{self.path}:{number}: a joint has no name.")
+        while (
+            self.at < len(self.words)
+            and self.words[self.at][0] == number
+            and self.words[self.at][1] not in "{}"
+        ):
+            self.at += 1
+        return name, number
+
+    def floats(self, count: int, what: str) -> list[float]:
+        numbers = []
+        for _ in range(count):
+            number, word = self.take(f"a number of {what}")
+            numbers += parse_floats([word], f"{self.path}:{number}", what)
+        return numbers
+
+    def peek(self) -> str:
+        return self.words[self.at][1] if self.at < len(self.words) else ""
+
+    def take(self, wanted: str) -> tuple[int, str]:
+        if self.at >= len(self.words):
+            line = self.words[-1][0] if self.words else 1
+            raise InputError(
+                f"{self.path}:{line}: HIERARCHY ends where {wanted} belongs; the file is cut short."
+            )
+        self.at += 1
+        return self.words[self.at - 1][:2]
+
+    def expect(self, word: str, wanted: str) -> None:
+        number, found = self.take(wanted)
+        if found.lower() != word.lower():
+            raise InputError(f"{self.path}:{number}: '{shortened(found)}' stands where {wanted} belongs.")
+
+
+def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray, float]:
+    """Channel values `(F, width)` and the rate."""
+    if len(lines) < 2:
+        raise InputError(
+            f"{path}: 'Frames:' and 'Frame Time:' are missing after MOTION; the file is cut short."
+        )
+    (first, frames), (second, time), *rows = lines
+    word = _setting(frames, "frames", f"{path}:{first}", "Frames: <number>")
+    count = parse_int(word, f"{path}:{first}", "the number of Frames")
+    word = _setting(time, "frame time", f"{path}:{second}", "Frame Time: <seconds>")
+    seconds = parse_floats([word], f"{path}:{second}", "the Frame Time")[0]
+    if not (seconds > 0 and count >= 0):
+        raise InputError(f"{path}:{second}: {count} frames of {seconds:g} seconds each are not a motion.")
+    if not 1 / RATES[1] <= seconds <= 1 / RATES[0]:
+        raise InputError(
+            f"{path}:{second}: the Frame Time is {seconds:g} seconds; give one from {1 / RATES[1]:g} to {1 / RATES[0]:g}."
+        )
+    if width == 0 and count > MOST_STILL:
+        raise InputError(
+            f"{path}:{first}: there are {count} frames of joints without CHANNELS, which do not move; leave them out."
+        )
+    words = [line.split() for _, line in rows]
+    total = sum(len(line) for line in words)
+    if total != count * width:
+        # where nearly all lines are whole frames the odd line is the culprit
+        odd = [n for (n, _), line in zip(rows, words, strict=True) if len(line) != width]
+        if odd and len(odd) < 0.5 * len(rows) and not (total < count * width and odd[0] == rows[-1][0]):
+            here = len(words[[n for n, _ in rows].index(odd[0])])
+            raise InputError(
+                f"{path}:{odd[0]}: this frame has {here} numbers; the joints have {width} channels."
+            )
+        ending = "the file is cut short" if total < count * width else "correct the number of Frames"
+        raise InputError(
+            f"{path}:{rows[-1][0] if rows else second}: there are {total} numbers for {count} frames of {width} "
+            f"channels, which is {total / max(width, 1):.4g} frames; {ending}."
+        )
+    values = float_table([word for line in words for word in line])
+    if values is None:
+        # line by line, which names the line
+        read = [
+            parse_floats(line, f"{path}:{number}", "a frame")
+            for (number, _), line in zip(rows, words, strict=True)
+        ]
+        values = np.array([number for line in read for number in line])
+    rate = 1.0 / seconds
+    # files round the frame time: 0.0083333 means 120 a second
+    rate = float(round(rate)) if abs(rate - round(rate)) < 2e-5 * rate else rate
+    return values.reshape(count, width), rate
+
+
+def _setting(line: str, name: str, where: str, wanted: str) -> str:
+    """The one word behind a name and a colon, which may be missing. Raises `InputError`."""
+    words = line.replace(":", " ").lower().split()
+    known = name.split()
+    if words[:-1] != known:
+        raise InputError(f"{where}: '{shortened(line.strip())}' stands where '{wanted}' belongs.")
+    return words[-1]
+
+
+def _assemble(
+    joints: list[_Joint], values: np.ndarray, rate: float, metres: float
+) -> tuple[Skeleton, Motion]:
+    frames, count = len(values), len(joints)
+    centres, axes, kinds = np.zeros((count, 3)), np.tile(np.eye(3)[:2], (count, 1, 1)), []
+    translations = np.zeros((frames, count, 3))
+    rotations = np.tile([1.0, 0, 0, 0], (frames, count, 1))
+    column = 0
+    for j, joint in enumerate(joints):
+        centres[j] = np.array(joint.offset) * metres + (centres[joint.parent] if joint.parent >= 0 else 0.0)
+        turned, turns = Rotation.identity(frames), []
+        for i, (what, letter) in enumerate(joint.channels):
+            numbers, axis = values[:, column + i], "xyz".index(letter)
+            if what == "position":
+                translations[:, j, axis] = (numbers - joint.offset[axis]) * metres
+            else:
+                if frames:
+                    turned = turned * Rotation.from_euler(letter, numbers[:, None], degrees=True)
+                turns.append(np.eye(3)[axis])
+        column += len(joint.channels)
+        if turns and frames:
+            rotations[:, j] = turned.as_quat(canonical=True, scalar_first=True)
+        if len(turns) in (1, 2):
+            axes[j, : len(turns)] = turns
+        moves = len(turns) < len(joint.channels)
+        kinds.append(("free" if turns else "translate") if moves else _KINDS[len(turns)])
+    parents = [joint.parent for joint in joints]
+    names = [joint.name for joint in joints]
+    skeleton = make_skeleton(names, parents, kinds, centres, twist_orientations(centres, parents), axes)
+    return skeleton, Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.ones(frames)), rate)

@@ -1,0 +1,305 @@
+"""BVH files, written: whole motions at once, or frame by frame by a run that may be killed.
+
+Every joint gets three rotations and every joint that can move away three positions too, so
+that any pose is written exactly, whatever the joints' kinds. Angles are in degrees, in the
+order Z X Y, and go on from frame to frame without jumps of a turn.
+"""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...arguments import checked
+from ...body.pose import Motion, Pose
+from ...body.skeleton import Skeleton
+from ...errors import InputError, sentence_of
+from ..system.atomic import replacing
+from ..text import unit_scale
+from .tree import is_end
+
+_ROTATIONS = "Zrotation Xrotation Yrotation"
+_POSITIONS = "Xposition Yposition Zposition"
+#: digits kept for the number of frames, which is not known before the end
+_WIDTH = 10
+#: frames that are written at once
+_AT_ONCE = 1000
+
+
+@checked
+def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | float = "cm") -> None:
+    """Write a motion, in a file that appears only when it is whole.
+
+    The scale of the poses goes into the offsets. `unit` is as in `read_bvh`.
+
+    **Raises:** `InputError` where the file cannot be written, the scale changes from frame
+    to frame, or a joint moves away whose kind does not let it.
+    """
+    path = Path(path)
+    scales = np.asarray(motion.poses.scale)
+    with replacing(path) as beside:
+        try:
+            with BvhWriter(
+                beside, skeleton, motion.rate, unit, float(scales[0]) if len(scales) else 1.0
+            ) as writer:
+                translations, rotations = (
+                    np.asarray(motion.poses.translations),
+                    np.asarray(motion.poses.rotations),
+                )
+                for start in range(0, len(scales), _AT_ONCE):
+                    some = slice(start, start + _AT_ONCE)
+                    writer.write_arrays(translations[some], rotations[some], scales[some], count=False)
+        except InputError as error:
+            raise InputError(sentence_of(error).replace(str(beside), str(path))) from None
+
+
+class BvhWriter:
+    """Writes poses as they come; after each one the file is a whole BVH file.
+
+        with BvhWriter(path, skeleton, rate=30.0) as writer:
+            writer.write(pose)
+
+    `frames` is how many there are. A run that was killed goes on with `BvhWriter.resume`.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        skeleton: Skeleton,
+        rate: float = 30.0,
+        unit: str | float = "cm",
+        scale: float = 1.0,
+    ):
+        """Start a new file. `scale` is the poses' own, the same for all of them.
+
+        **Raises:** `InputError` where the file cannot be written.
+        """
+        self._prepare(path, skeleton, rate, unit, scale)
+        try:
+            self._file = open(self.path, "w+b")  # noqa: SIM115
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be written ({error.strerror}); give a path in a writable folder."
+            ) from None
+        self._file.write(self._header + self._count(0) + self._time)
+        self._file.flush()
+
+    @classmethod
+    def resume(
+        cls,
+        path: str | Path,
+        skeleton: Skeleton,
+        rate: float = 30.0,
+        unit: str | float = "cm",
+        scale: float = 1.0,
+        frames: int | None = None,
+    ) -> "BvhWriter":
+        """Go on after the last whole frame of a file that was begun with the same arguments,
+        or after its first `frames` frames. A frame that was cut short is dropped.
+
+        **Raises:** `InputError` where the file has another hierarchy, rate or unit, or has
+        fewer frames than `frames`.
+        """
+        self = cls.__new__(cls)
+        self._prepare(path, skeleton, rate, unit, scale)
+        try:
+            self._file = open(self.path, "r+b")  # noqa: SIM115
+        except OSError as error:
+            raise InputError(f"{path}: cannot go on with this file ({error.strerror}).") from None
+        size = len(self._header) + _WIDTH + len(self._time)
+        start = self._file.read(size)
+        same = (
+            start[: len(self._header)] == self._header and start[len(self._header) + _WIDTH :] == self._time
+        )
+        if not same:
+            self._file.close()
+            raise InputError(
+                f"{path}: cannot go on with this file, which was not begun with this skeleton, rate and unit; "
+                "start a new one."
+            )
+        end, last = size, b""
+        for line in self._file:
+            if not line.endswith(b"\n") or len(line.split()) != self._width or self.frames == frames:
+                break
+            end += len(line)
+            self.frames += 1
+            last = line
+        if frames is not None and self.frames < frames:
+            self._file.close()
+            raise InputError(f"{path}: there are {self.frames} whole frames in this file, not {frames}.")
+        if self.frames:
+            self._previous = self._angles_of(last)
+        self._file.seek(end)
+        self._file.truncate()
+        self._rewrite_count()
+        return self
+
+    def write(self, pose: Pose) -> None:
+        """Append one frame and hand it to the operating system.
+
+        **Raises:** `InputError` where its scale is not the file's, or a joint moves away
+        whose kind does not let it.
+        """
+        arrays = (pose.translations, pose.rotations, pose.scale)
+        translations, rotations, scales = (np.asarray(array)[None] for array in arrays)
+        self.write_arrays(translations, rotations, scales)
+
+    def write_arrays(
+        self,
+        translations: Float[np.ndarray, "F J 3"],
+        rotations: Float[np.ndarray, "F J 4"],
+        scales: Float[np.ndarray, "F"],
+        count: bool = True,
+    ) -> None:
+        """`write` for the arrays of some frames; without `count` the number of frames in the file
+        is left until the end."""
+        self._check(translations, scales)
+        turned = np.asarray(rotations, float)[:, self._order]
+        matrices = Rotation.from_quat(turned.reshape(-1, 4), scalar_first=True).as_matrix()
+        angles = _euler(matrices.reshape(*turned.shape[:2], 3, 3), self._previous)
+        self._previous = angles[-1]
+        moves = self._moves[self._order]
+        places = (self._places + translations[:, self._order]) * self._factor
+        numbers = np.concatenate([places, np.degrees(angles)], 2)
+        # positions of the joints that move, and rotations of all
+        rows = numbers[:, np.stack([moves, np.ones_like(moves)], 1).repeat(3, 1)]
+        line = " ".join(["%.6f"] * self._width) + "\n"
+        self._file.write("".join(line % tuple(row) for row in rows.tolist()).encode())
+        self.frames += len(rows)
+        if count:
+            self._rewrite_count()
+
+    def close(self) -> None:
+        """Finish the file. Harmless when done twice."""
+        if not self._file.closed:
+            self._rewrite_count()
+            self._file.close()
+
+    def __enter__(self) -> "BvhWriter":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+    def _check(self, translations: np.ndarray, scales: np.ndarray) -> None:
+        """That frames have the file's scale and no joint moves away. Raises `InputError`."""
+        wrong = np.abs(scales - self.scale) > 1e-6 * abs(self.scale)
+        if wrong.any():
+            first = int(wrong.argmax())
+            raise InputError(
+                f"{self.path}: frame {self.frames + first} has the scale {scales[first]:g} and the file "
+                f"{self.scale:g}; BVH has one size for all frames."
+            )
+        still = np.abs(np.where(self._moves[:, None], 0.0, translations)).max(2)
+        wrong = still.max(1) > 1e-6
+        if wrong.any():
+            first = int(wrong.argmax())
+            joint = int(still[first].argmax())
+            raise InputError(
+                f"{self.path}: frame {self.frames + first} moves joint '{self._skeleton.names[joint]}' away from "
+                f"its place, but it is a {self._skeleton.kinds[joint]} joint."
+            )
+
+    def _prepare(self, path, skeleton: Skeleton, rate: float, unit: str | float, scale: float) -> None:
+        self.path, self.scale, self.frames = Path(path), scale, 0
+        self._skeleton = skeleton
+        self._factor = scale / unit_scale(unit)
+        kinds, parents = np.array(skeleton.kinds), np.array(skeleton.parents)
+        self._moves = np.isin(kinds, ["translate", "free"]) | (parents < 0)
+        header, self._order = _hierarchy(skeleton, self._factor, self._moves)
+        centres = np.asarray(skeleton.centres, float)
+        self._places = (centres - np.where(parents[:, None] < 0, 0.0, centres[parents]))[self._order]
+        self._width = int(3 * len(self._order) + 3 * self._moves[self._order].sum())
+        self._previous = np.zeros((len(self._order), 3))
+        self._header = (header + "MOTION\nFrames: ").encode()
+        self._time = f"\nFrame Time: {1.0 / rate:.10g}\n".encode()
+
+    def _angles_of(self, line: bytes) -> np.ndarray:
+        numbers = iter(line.split())
+        rows = [
+            [float(next(numbers)) for _ in range(6 if moves else 3)] for moves in self._moves[self._order]
+        ]
+        return np.radians([row[-3:] for row in rows])
+
+    def _count(self, frames: int) -> bytes:
+        return f"{frames:>{_WIDTH}d}".encode()
+
+    def _rewrite_count(self) -> None:
+        # the frame first, so that the number never promises one that is not there
+        self._file.seek(0, os.SEEK_END)
+        self._file.flush()
+        self._file.seek(len(self._header))
+        self._file.write(self._count(self.frames))
+        self._file.seek(0, os.SEEK_END)
+        self._file.flush()
+
+
+def _hierarchy(skeleton: Skeleton, factor: float, moves: np.ndarray) -> tuple[str, np.ndarray]:
+    """The HIERARCHY section, and the joints in its order, End Sites left out."""
+    names, parents = skeleton.names, skeleton.parents
+    centres = np.asarray(skeleton.centres, float)
+    ends = [is_end(names, parents, skeleton.kinds, joint) for joint in range(len(names))]
+    for name in names:
+        if any(letter in name for letter in "{}\r\n") or name != name.strip() or not name:
+            raise InputError(
+                f"The joint name {name!r} cannot stand in a BVH file; it holds a brace or a line's end."
+            )
+    lines, order = ["HIERARCHY"], []
+    # (joint, depth) to open, or (~joint, depth) to close
+    stack = [(joint, 0) for joint in reversed(range(len(names))) if parents[joint] < 0]
+    while stack:
+        joint, depth = stack.pop()
+        indent = "\t" * depth
+        if joint < 0:
+            lines.append(indent + "}")
+            continue
+        step = (centres[joint] - (centres[parents[joint]] if parents[joint] >= 0 else 0.0)) * factor
+        offset = "OFFSET " + " ".join(f"{x:.8f}" for x in step)
+        if ends[joint]:
+            lines += [indent + "End Site", indent + "{", f"{indent}\t{offset}", indent + "}"]
+            continue
+        order.append(joint)
+        channels = f"CHANNELS 6 {_POSITIONS} {_ROTATIONS}" if moves[joint] else f"CHANNELS 3 {_ROTATIONS}"
+        lines += [f"{indent}{'ROOT' if depth == 0 else 'JOINT'} {names[joint]}", indent + "{"]
+        lines += [f"{indent}\t{offset}", f"{indent}\t{channels}"]
+        children = [child for child in range(len(names)) if parents[child] == joint]
+        if not children:
+            lines += [f"{indent}\tEnd Site", f"{indent}\t{{", f"{indent}\t\tOFFSET 0 0 0", f"{indent}\t}}"]
+        stack.append((~joint, depth))
+        stack += [(child, depth + 1) for child in reversed(children)]
+    return "\n".join(lines) + "\n", np.array(order)
+
+
+def _euler(r: np.ndarray, previous: np.ndarray) -> np.ndarray:
+    """Angles `(F, J, 3)` with `R = Rz(a) Rx(b) Ry(c)`: of the two triples, and of all whole
+    turns, the ones nearest to the frame before, of which the first is `previous` `(J, 3)`.
+
+    Where Z and Y turn about one axis (b at a right angle), Z stays and Y takes all.
+    """
+    cosine = np.hypot(r[..., 0, 1], r[..., 1, 1])
+    locked = cosine < 1e-9
+    a = np.arctan2(-r[..., 0, 1], r[..., 1, 1])
+    b = np.arctan2(r[..., 2, 1], cosine)
+    angles = np.empty((*r.shape[:2], 3))
+    for frame, here in enumerate(_triples(r, a, b)):
+        if locked[frame].any():
+            kept = np.where(locked[frame], previous[:, 0], a[frame])
+            here = next(_triples(r[frame, None], kept[None], b[frame, None]))
+        both = here - 2 * np.pi * np.round((here - previous) / (2 * np.pi))
+        far = np.abs(both - previous).sum(-1)
+        previous = angles[frame] = np.where((far[1] < far[0] - 1e-9)[:, None], both[1], both[0])
+    return angles
+
+
+def _triples(r: np.ndarray, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
+    """For each frame both triples of angles, `(2, J, 3)`, from the first two of one."""
+    # from what is left after Z, so that the product holds however badly a is determined
+    c = np.arctan2(
+        np.cos(a) * r[..., 0, 2] + np.sin(a) * r[..., 1, 2],
+        np.cos(a) * r[..., 0, 0] + np.sin(a) * r[..., 1, 0],
+    )
+    one, other = np.stack([a, b, c], -1), np.stack([a + np.pi, np.pi - b, c + np.pi], -1)
+    yield from np.stack([one, other], 1)

@@ -1,0 +1,85 @@
+"""Tables of the joints of two skeletons that match, as JSON that a person can edit.
+
+    {
+     "format": "jaxcap joint names",
+     "version": 1,
+     "names": {
+      "Pelvis": "Hips",
+      "Weapon_R": null,
+      "Bone_12": ""
+     },
+     "unmatched": ["LThumb"]
+    }
+
+`names` leads from each joint of a source to one of a target, to null where it has no match, or to "" where nothing is said of it. `unmatched` are
+joints of the target that nothing leads to; it is for the reader of the file. A file may also be the table alone.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ...errors import InputError
+from ..system.atomic import write_text
+from ..system.door import reads
+from ..text import read_text
+
+KIND, VERSION = "jaxcap joint names", 1
+
+
+def write_joint_names(
+    path: str | Path, names: Mapping[str, str | None], unmatched: Sequence[str] = ()
+) -> None:
+    """Write a table of joints.
+
+    **Raises:** `InputError` where the file cannot be written.
+    """
+    content = {"format": KIND, "version": VERSION, "names": dict(names), "unmatched": list(unmatched)}
+    write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+
+
+@reads("a table of joints")
+def read_joint_names(path: str | Path) -> dict[str, str | None]:
+    """Read a table that `write_joint_names` or a person wrote; joints of which it says nothing are left out.
+
+    **Raises:** `InputError` where the file cannot be read, is no JSON, has another format or version, or an entry is not a name that leads to
+    a name, to null or to "".
+    """
+    text = read_text(path)
+    twice: list[str] = []
+
+    def pairs(items: list[tuple[str, object]]) -> dict[str, object]:
+        seen: set[str] = set()
+        for key, _ in items:
+            if key in seen:
+                twice.append(key)
+            seen.add(key)
+        return dict(items)
+
+    try:
+        content = json.loads(text, object_pairs_hook=pairs)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}); mend it there.") from None
+    except (ValueError, RecursionError):
+        raise InputError(
+            f"{path}: this JSON is nested too deeply, or has numbers of too many digits, for a table of joints."
+        ) from None
+    if twice:
+        raise InputError(f"{path}: '{twice[0]}' stands twice in this table; give each joint once.")
+    names = content
+    if isinstance(content, dict) and "format" in content:
+        if content["format"] != KIND or content.get("version") != VERSION:
+            raise InputError(
+                f"{path}: this is '{content['format']}' of version {content.get('version')}, not '{KIND}' of version {VERSION}."
+            )
+        names = content.get("names")
+    if not isinstance(names, dict) or not names:
+        raise InputError(
+            f"{path}: there is no table of joints in it; give an object that leads from names of the source to those of the target."
+        )
+    for here, there in names.items():
+        if not isinstance(there, str | None):
+            raise InputError(
+                f"{path}: '{here}' leads to {json.dumps(there)[:40]}; give the name of a joint of the target, or null."
+            )
+    return {here: there for here, there in names.items() if there != ""}

@@ -1,0 +1,153 @@
+"""Kineben skeletons (`.skl`), read and written (Kineben, appendix A.4).
+
+    KBSKEL 3
+    hips  TRANSLATE  NULL
+    spine BALL       hips
+    knee  REVOLUTE   spine
+    hips  0 1 0
+    spine 0 1 0
+    knee  1 0 0  0.1 0.5 0
+
+First the number of joints, then each joint's name, type and parent, then each one's
+coordinates. The paper does not say in which order the six numbers of a revolute joint
+stand: here they are the axis, of unit length, and then a point on it. Three types are our
+own: `UNIVERSAL` (first axis, second axis, point), `FIXED` and `FREE` (point). Types may be
+in lower case and begin with `KBJOINT_`.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from ...body.skeleton import Skeleton, make_skeleton
+from ...errors import InputError
+from ..system.atomic import write_text
+from ..system.door import reads
+from ..text import Words, shortened, unit_scale
+from .tree import with_twist_axes
+
+#: letters of a joint's name
+LONGEST_NAME = 200
+#: how many axes stand before the point, for each type
+TYPES: dict[str, int] = {"TRANSLATE": 0, "REVOLUTE": 1, "BALL": 0, "UNIVERSAL": 2, "FIXED": 0, "FREE": 0}
+
+
+@reads("a skeleton")
+def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
+    """Read a skeleton; `unit` is that of the file's positions.
+
+    **Raises:** `InputError` with file and line: an unknown type or parent, a cycle, a name
+    that stands twice, coordinates that are missing or not numbers.
+    """
+    words, metres = Words(path), unit_scale(unit)
+    count = words.header("KBSKEL")
+    if count < 1:
+        raise InputError(f"{words.where}: the header promises {count} joints; a skeleton needs one at least.")
+    names: list[str] = []
+    kinds, above, lines = {}, {}, {}
+    for _ in range(count):
+        name = words.take(f"a joint, of which the header promises {count},")
+        if len(name) > LONGEST_NAME:
+            raise InputError(
+                f"{words.where}: the joint '{shortened(name)}' has a name of {len(name)} letters; give at most {LONGEST_NAME}."
+            )
+        if name in lines:
+            raise InputError(f"{words.where}: the joint '{shortened(name)}' stands twice; names must differ.")
+        lines[name] = words.where
+        kind = words.take(f"the type of '{name}'").upper().removeprefix("KBJOINT_")
+        if kind not in TYPES:
+            raise InputError(
+                f"{words.where}: '{shortened(kind)}' is not a type of joint; use {', '.join(TYPES)}."
+            )
+        names.append(name)
+        kinds[name], above[name] = kind, words.take(f"the parent of '{name}'")
+    _check_tree(above, lines)
+    centres, axes = {}, {}
+    while words.left:
+        name = words.take("a joint")
+        if name not in kinds:
+            raise InputError(
+                f"{words.where}: '{shortened(name)}' stands where the coordinates of a joint belong, and is none."
+            )
+        if name in centres:
+            raise InputError(f"{words.where}: the coordinates of '{name}' stand twice.")
+        number = TYPES[kinds[name]]
+        values = words.floats(3 * number + 3, f"the coordinates of '{name}', a {kinds[name]} joint,")
+        axes[name] = _axes(np.array(values[:-3]).reshape(number, 3), values[-3:], name, words.where)
+        centres[name] = np.array(values[-3:]) * metres
+    for name in names:
+        if name not in centres:
+            raise InputError(f"{lines[name]}: the joint '{name}' has no coordinates; add a line with them.")
+    place = {name: joint for joint, name in enumerate(names)}
+    skeleton = make_skeleton(
+        names,
+        [place.get(above[name], -1) for name in names],
+        [kinds[name].lower() for name in names],
+        [centres[name] for name in names],
+        axes=[axes[name] for name in names],
+    )
+    return with_twist_axes(skeleton)
+
+
+def _check_tree(above: dict[str, str], lines: dict[str, str]) -> None:
+    """Check that every joint descends from a root, whose parent is `NULL`. Raises `InputError` with the line."""
+    rooted: set[str] = set()
+    for name in above:
+        chain: dict[str, None] = {}
+        here = name
+        while here != "NULL" and here not in rooted:
+            if here in chain:
+                joints = list(chain)
+                cycle = [*joints[joints.index(here) :], here]
+                raise InputError(
+                    f"{lines[here]}: the joint '{here}' descends from itself: {shortened(' <- '.join(cycle))}."
+                )
+            chain[here] = None
+            if above[here] != "NULL" and above[here] not in above:
+                raise InputError(
+                    f"{lines[here]}: the parent '{shortened(above[here])}' of '{here}' is not a joint of this file."
+                )
+            here = above[here]
+        rooted.update(chain)
+
+
+def write_skl(path: str | Path, skeleton: Skeleton, unit: str | float = "m") -> None:
+    """Write a skeleton; what it has beside (its orientations) follows from the tree when it
+    is read.
+
+    **Raises:** `InputError` where a name holds blanks or is `NULL`, or the file cannot be
+    written.
+    """
+    metres = unit_scale(unit)
+    for name in skeleton.names:
+        if len(name.split()) != 1 or name == "NULL" or "#" in name:
+            raise InputError(f"{path}: the joint name '{name}' cannot stand in this format; use one word.")
+    graph, coordinates = [], []
+    for joint, name in enumerate(skeleton.names):
+        kind, parent = skeleton.kinds[joint].upper(), skeleton.parents[joint]
+        graph.append(f"{name} {kind} {skeleton.names[parent] if parent >= 0 else 'NULL'}")
+        axes = np.asarray(skeleton.axes[joint], float)[: TYPES[kind]].ravel()
+        place = np.asarray(skeleton.centres[joint], float) / metres
+        coordinates.append(" ".join([name, *(f"{value:.9g}" for value in (*axes, *place))]))
+    write_text(path, "\n".join([f"KBSKEL {skeleton.num_joints}", *graph, *coordinates]) + "\n")
+
+
+def _axes(given: np.ndarray, point: list[float], name: str, where: str) -> np.ndarray:
+    """(2, 3) axes, those that the file does not give filled up."""
+    lengths = np.linalg.norm(given, axis=1)
+    if (np.abs(lengths - 1) > 1e-2).any():
+        swapped = abs(np.linalg.norm(point) - 1) < 1e-3
+        hint = (
+            "the point seems to stand before the axis; the axis comes first"
+            if swapped
+            else "give it the length 1"
+        )
+        raise InputError(
+            f"{where}: an axis of '{name}' is {lengths[np.argmax(abs(lengths - 1))]:.4g} long; {hint}."
+        )
+    axes = np.eye(3)[:2]
+    axes[: len(given)] = given
+    if len(given) == 1:
+        # any direction that is not the axis
+        axes[1] = np.roll(np.eye(3), 1, 0)[np.abs(given[0]).argmax()]
+    return axes

@@ -1,0 +1,46 @@
+"""Which joint each vertex hangs on (`.vj`), read and written (Kineben, section 4.2): one name
+a line, the line's number is the vertex."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ..kinds import check_kind
+from ..system.atomic import write_text
+from ..system.door import reads
+from ..text import read_text, shortened
+
+
+@reads("parts of a mesh")
+def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.ndarray, "V"]:
+    """The bone of each of a mesh's `num_vertices` vertices.
+
+    **Raises:** `InputError` with file and line: an unknown joint, an empty line, more or
+    fewer lines than vertices.
+    """
+    check_kind(path, "vj", (".vj",))
+    lines = [line.strip() for line in read_text(path).splitlines()]
+    while lines and not lines[-1]:
+        lines.pop()
+    places = {name: joint for joint, name in enumerate(skeleton.names)}
+    for number, name in enumerate(lines, 1):
+        if name not in places:
+            what = f"'{shortened(name)}' is not a joint of the skeleton" if name else "this line is empty"
+            raise InputError(
+                f"{path}:{number}: {what}; vertex {number - 1} needs one of {', '.join(skeleton.names)}."
+            )
+    if len(lines) != num_vertices:
+        than = "more than" if len(lines) > num_vertices else "fewer than"
+        raise InputError(
+            f"{path}:{len(lines)}: there are {len(lines)} lines, {than} the mesh's {num_vertices} vertices; "
+            "give the file that was made for this mesh."
+        )
+    return np.array([places[name] for name in lines], np.int64)
+
+
+def write_vj(path: str | Path, skeleton: Skeleton, bones: Int[np.ndarray, "V"]) -> None:
+    """Write the bone of each vertex. Raises `InputError` where the file cannot be written."""
+    write_text(path, "".join(f"{skeleton.names[int(bone)]}\n" for bone in bones))

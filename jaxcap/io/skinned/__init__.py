@@ -1,0 +1,1 @@
+"""What formats of skinned, animated bodies share."""

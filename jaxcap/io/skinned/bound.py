@@ -1,0 +1,154 @@
+"""What the readers of skinned, animated bodies share: joints as they are bound, and bones as poses of them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...body.body import Body
+from ...body.pose import Motion, Pose
+from ...body.skeleton import Skeleton, make_skeleton
+from ...body.skin import LinearSkin
+from ...errors import InputError, sentence_of
+from ...geometry.linear import inverse
+from ..text import LARGEST, check_rate
+from .surface import Surface
+
+#: by how much a scale may be off and be no scale
+_EVEN = 1e-5
+
+
+class Joints(NamedTuple):
+    """Joints as a file has them, in its order; a root's parent is -1."""
+
+    names: Sequence[str]
+    parents: Sequence[int]
+    #: None where a root is free and another joint turns freely
+    kinds: Sequence[str | None]
+    axes: Float[np.ndarray, "J 2 3"]
+    #: from the space of the surface into the frame of each joint
+    inverse: Float[np.ndarray, "J 4 4"]
+
+
+class Bound(NamedTuple):
+    """A skeleton, whose joints may be in another order than the file's."""
+
+    skeleton: Skeleton
+    #: the file's number of each joint of the skeleton
+    order: tuple[int, ...]
+    #: from the surface's space to the world at rest, and from the world at rest into each joint's frame
+    placed: Float[np.ndarray, "4 4"]
+    inverse: Float[np.ndarray, "J 4 4"]
+
+
+def bind(path: Path, joints: Joints, placed: Float[np.ndarray, "4 4"]) -> Bound:
+    """The skeleton at rest, where joints are bound; their frames there are their orientations.
+
+    **Raises:** `InputError` where joints are sheared or mirrored, or are no tree.
+    """
+    inverse = joints.inverse @ inverted(path, placed)
+    rest = inverted(path, inverse)
+    size = np.cbrt(np.linalg.det(rest[:, :3, :3]))
+    # joints in centimetres below a scale of a hundredth are as large as any
+    rest[:, :3, :3] /= np.where(size == 0, 1.0, size)[:, None, None]
+    check_rigid(path, rest[:, :3, :3])
+    _check_places(path, rest[:, :3, 3], "joints")
+    frames = Rotation.from_matrix(rest[:, :3, :3]).as_quat(scalar_first=True)
+    plain = ["free" if parent < 0 else "ball" for parent in joints.parents]
+    kinds = [kind or other for kind, other in zip(joints.kinds, plain, strict=True)]
+    try:
+        skeleton = make_skeleton(joints.names, joints.parents, kinds, rest[:, :3, 3], frames, joints.axes)
+    except ValueError as error:
+        raise InputError(f"{path}: {sentence_of(error)}") from None
+    place = {name: number for number, name in enumerate(joints.names)}
+    order = tuple(place[name] for name in skeleton.names)
+    return Bound(skeleton, order, placed, inverse[list(order)])
+
+
+def placing(
+    path: Path, above: Float[np.ndarray, "3 3"], root: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "4 4"]:
+    """How a surface is turned and scaled in the world, apart from what its root does: programs keep z up and
+    centimetres below something that sets both right. `above` is what stands above the root, and `root` leads from the
+    surface to the world by way of the root."""
+    scale, size = np.cbrt(np.linalg.det(root)), np.cbrt(np.linalg.det(above))
+    if not (scale > 0 and size > 0):
+        raise InputError(f"{path}: what stands above the joints scales them to nothing, or mirrors them.")
+    check_rigid(path, above[None] / size)
+    placed = np.eye(4)
+    placed[:3, :3] = above / size * (1.0 if abs(scale - 1) < _EVEN else scale)
+    return placed
+
+
+def body_of(path: Path, bound: Bound, surface: Surface) -> Body:
+    """The body of a surface whose weights are of the skeleton's joints."""
+    vertices = surface.vertices @ bound.placed[:3, :3].T + bound.placed[:3, 3]
+    _check_places(path, vertices, "vertices")
+    dtype = bound.skeleton.centres.dtype
+    skin = LinearSkin(jnp.asarray(surface.weights, dtype))
+    return Body(bound.skeleton, skin, jnp.asarray(vertices, dtype), jnp.asarray(surface.faces))
+
+
+def motion_of(path: Path, bound: Bound, frames: Float[np.ndarray, "F J 4 4"], rate: float) -> Motion:
+    """The motion of joints whose `frames` lead into the world, in the skeleton's order.
+
+    **Raises:** `InputError` where a joint is scaled or sheared by itself.
+    """
+    # T_j, from rest to pose, is the joint's frame after the inverse of where it was bound
+    bones, skeleton = frames @ bound.inverse, bound.skeleton
+    scale = np.cbrt(np.linalg.det(bones[:, 0, :3, :3]))
+    if not (scale > 0).all():
+        raise InputError(
+            f"{path}: frame {int(np.argmin(scale > 0))} scales the joints to nothing, or mirrors them; export it again."
+        )
+    bones[:, :, :3] /= scale[:, None, None, None]
+    check_rigid(path, bones[:, :, :3, :3])
+    check_rate(rate, str(path))
+    centres, count = np.array(skeleton.centres, float), len(bones)
+    translations, rotations = np.zeros((count, len(centres), 3)), np.zeros((count, len(centres), 4))
+    for joint, parent in enumerate(skeleton.parents):
+        local = bones[:, joint] if parent < 0 else inverted(path, bones[:, parent]) @ bones[:, joint]
+        turn = Rotation.from_matrix(local[:, :3, :3])
+        rotations[:, joint] = turn.as_quat(canonical=True, scalar_first=True)
+        translations[:, joint] = local[:, :3, 3] + turn.apply(centres[joint]) - centres[joint]
+    _check_places(path, translations, "joints")
+    dtype = skeleton.centres.dtype
+    return Motion(
+        Pose(*(jnp.asarray(values, dtype) for values in (translations, rotations, scale))), float(rate)
+    )
+
+
+def inverted(path: Path, matrices: Float[np.ndarray, "*any 4 4"]) -> Float[np.ndarray, "*any 4 4"]:
+    """The inverses of affine transforms. Raises `InputError` where one has none."""
+    flat = matrices[..., :3, :3]
+    sizes = np.linalg.norm(flat, axis=-2)
+    # how far from flat, whatever the size
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.abs(np.linalg.det(flat)) / np.prod(sizes, axis=-1)
+    affine = np.abs(matrices[..., 3, :] - [0.0, 0, 0, 1]).max(initial=0) < 1e-3
+    if not (room > 1e-6).all() or not affine:
+        raise InputError(
+            f"{path}: the transform of a joint cannot be inverted, as it makes everything flat; export the skin again."
+        )
+    return inverse(matrices)
+
+
+def _check_places(path: Path, places: Float[np.ndarray, "*any 3"], what: str) -> None:
+    """That nothing stands where no length leads. Raises `InputError`."""
+    if not (np.abs(places) <= LARGEST).all():
+        raise InputError(
+            f"{path}: {what} stand further away than {LARGEST:g} m; check the scales of the file."
+        )
+
+
+def check_rigid(path: Path, turns: Float[np.ndarray, "*any 3 3"]) -> None:
+    """That these turn and do nothing else. Raises `InputError`."""
+    apart = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max()
+    if not apart < 1e-3 or not (np.linalg.det(turns) > 0).all():
+        raise InputError(
+            f"{path}: a joint is scaled, sheared or mirrored by itself; a skeleton's joints turn and slide only."
+        )

@@ -1,0 +1,55 @@
+"""Clips of files that hold several animations: `character.glb:Walk`."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...errors import InputError
+
+#: formats that can hold several animations by name
+_CLIP = re.compile(r"(.+?\.(?:glb|gltf)):(.*)", re.IGNORECASE | re.DOTALL)
+
+
+def split_clip(path: str | Path) -> tuple[Path, str | None]:
+    """Split `character.glb:Walk` into the file and the name of its clip, None where no clip is named.
+
+    A file whose own name has the colon is that file.
+    """
+    match = _CLIP.fullmatch(str(path))
+    if match is None or Path(path).exists():
+        return Path(path), None
+    return Path(match[1]), match[2]
+
+
+def suffix_of(path: str | Path) -> str:
+    """Return the suffix of a file in lower case, without the name of a clip."""
+    return split_clip(path)[0].suffix.lower()
+
+
+def clip_names(animations: Sequence[str | None]) -> tuple[str, ...]:
+    """Name every animation of a file: as the file does, `clip0` and so on where it does not, and each name once."""
+    names: dict[str, None] = {}
+    # of every name how often it was there already
+    times: dict[str, int] = {}
+    for number, given in enumerate(animations):
+        name = given or f"clip{number}"
+        more = times.get(name, 0)
+        # a name that is there a hundred times is numbered
+        while (new := name + ("_" * more if more < 100 else f"_{more}")) in names:
+            more += 1
+        times[name] = more + 1
+        names[new] = None
+    return tuple(names)
+
+
+def clip_number(names: Sequence[str], clip: str | None, path: str | Path) -> int:
+    """Find a clip by its name; the first where None is given.
+
+    **Raises:** `InputError` that lists the names where there is no such clip.
+    """
+    if clip is None:
+        return 0
+    if clip not in names:
+        there = f"its clips are {', '.join(names)}" if names else "there are no clips in it"
+        raise InputError(f"{path}: there is no clip '{clip}' in this file; {there}.")
+    return names.index(clip)

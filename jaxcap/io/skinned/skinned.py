@@ -1,0 +1,118 @@
+"""What the formats of skinned, animated bodies share: local frames of joints, and influences of vertices.
+
+In all of them a joint is a frame of its own: at rest it stands at the joint's centre, turned by the joint's
+orientation, so its x axis is the twist axis. A frame is told in its parent's, a root's in the world.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from ...body.body import Body
+from ...body.influences import strongest_bones
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...body.skin import LinearSkin, RigidSkin
+from ...errors import InputError
+
+#: joints in one attribute of a vertex
+SET = 4
+
+
+class LocalFrames(NamedTuple):
+    """Joints in their parents' frames; quaternions are `xyzw`."""
+
+    places: Float[np.ndarray, "*frames J 3"]
+    turns: Float[np.ndarray, "*frames J 4"]
+
+
+def check_skin(path: Path, body: Body, what: str) -> None:
+    """That a body blends linearly, as `what` does. Raises `InputError`."""
+    if not isinstance(body.skin, (LinearSkin, RigidSkin)):
+        raise InputError(
+            f"{path}: {what} blends linearly and this body has a {type(body.skin).__name__}; linearise it first."
+        )
+
+
+def check_motion(path: Path, skeleton: Skeleton, motion: Motion | None) -> None:
+    """That a motion, where there is one, is of the skeleton's joints, has frames and finite numbers. Raises `InputError`."""
+    if motion is None:
+        return
+    joints = motion.poses.rotations.shape[1]
+    if joints != skeleton.num_joints:
+        raise InputError(f"{path}: the motion moves {joints} joints and the body has {skeleton.num_joints}.")
+    if motion.num_frames == 0:
+        raise InputError(f"{path}: the motion has no frames; give one at least.")
+    for values in (motion.poses.translations, motion.poses.rotations, motion.poses.scale):
+        wrong = ~np.isfinite(np.asarray(values)).reshape(motion.num_frames, -1).all(1)
+        if wrong.any():
+            raise InputError(
+                f"{path}: frame {int(wrong.argmax())} of the motion has numbers that are not finite."
+            )
+
+
+def rest_frames(skeleton: Skeleton) -> LocalFrames:
+    """Every joint's frame at rest, `(J, ...)`."""
+    steps, frames, above = _frames(skeleton)
+    return LocalFrames(above.inv().apply(steps), (above.inv() * frames).as_quat())
+
+
+def moving_frames(skeleton: Skeleton, motion: Motion) -> LocalFrames:
+    """Every joint's frame in every frame of a motion, `(F, J, ...)`, without the poses' scale.
+
+    Quaternions keep their sign from the rest pose on, as programs blend the numbers of neighbouring keys.
+    """
+    steps, frames, above = _frames(skeleton)
+    moves = np.asarray(motion.poses.translations, float)
+    quaternions = np.asarray(motion.poses.rotations, float)
+    places, turns = np.empty_like(moves), np.empty_like(quaternions)
+    for joint in range(skeleton.num_joints):
+        back = above[joint].inv()
+        places[:, joint] = back.apply(steps[joint] + moves[:, joint])
+        turned = back * Rotation.from_quat(quaternions[:, joint], scalar_first=True) * frames[joint]
+        turns[:, joint] = _continuous(turned.as_quat(), (back * frames[joint]).as_quat())
+    return LocalFrames(places, turns)
+
+
+def bind_frames(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:
+    """From each joint's frame into the world at rest, as matrices of columns."""
+    frames = np.tile(np.eye(4), (skeleton.num_joints, 1, 1))
+    frames[:, :3, :3] = Rotation.from_quat(
+        np.asarray(skeleton.orientations, float), scalar_first=True
+    ).as_matrix()
+    frames[:, :3, 3] = np.asarray(skeleton.centres, float)
+    return frames
+
+
+def influences(
+    weights: Float[np.ndarray, "V J"],
+) -> tuple[Int[np.ndarray, "V K"], Float[np.ndarray, "V K"]]:
+    """The joints of each vertex, the strongest first, and their weights in single precision,
+    which sum to one; K is a multiple of four, and what is over is joint 0 with weight 0."""
+    weights = weights.astype("<f4")
+    most = int((weights > 0).sum(1).max(initial=1))
+    count = -(-most // SET) * SET
+    weights = np.pad(weights, ((0, 0), (0, max(count - weights.shape[1], 0))))
+    joints, chosen = strongest_bones(weights, count)
+    # the strongest takes what rounding has left
+    chosen[:, 0] += (1.0 - chosen.sum(1, dtype=float)).astype("<f4")
+    return np.where(chosen > 0, joints, 0), chosen
+
+
+def _frames(skeleton: Skeleton) -> tuple[Float[np.ndarray, "J 3"], Rotation, Rotation]:
+    """Per joint: the step from its parent's centre to its own, its frame, and its parent's frame, in the world at rest."""
+    parents, centres = np.array(skeleton.parents), np.array(skeleton.centres, float)
+    frames = np.asarray(skeleton.orientations, float)
+    above = np.where(parents[:, None] < 0, [1.0, 0, 0, 0], frames[parents])
+    steps = centres - np.where(parents[:, None] < 0, 0.0, centres[parents])
+    return steps, Rotation.from_quat(frames, scalar_first=True), Rotation.from_quat(above, scalar_first=True)
+
+
+def _continuous(turns: Float[np.ndarray, "F 4"], rest: Float[np.ndarray, "4"]) -> Float[np.ndarray, "F 4"]:
+    """The same rotations with signs that do not jump."""
+    before = np.concatenate([rest[None], turns[:-1]])
+    flips = np.where(np.sum(before * turns, 1) < 0, -1.0, 1.0)
+    return turns * np.cumprod(flips)[:, None]

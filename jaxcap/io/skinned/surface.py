@@ -1,0 +1,56 @@
+"""A surface that joints move, as files of skinned bodies have it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...errors import InputError
+
+
+class Surface(NamedTuple):
+    """Vertices as they were bound, and how much each follows each joint; weights sum to one."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    weights: Float[np.ndarray, "V J"]
+
+
+def as_shares(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray, "V J"]:
+    """Weights that sum to one. Raises `InputError` for a vertex without any; `where` names its mesh."""
+    total = weights.sum(1)
+    if not (total > 0).all():
+        raise InputError(
+            f"{where}: vertex {int(np.argmin(total > 0))} follows no joint; bind the whole mesh to the skeleton."
+        )
+    return weights / total[:, None]
+
+
+def joined(parts: Sequence[Surface]) -> Surface:
+    """Several surfaces as one."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    return Surface(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+        np.concatenate([part.weights for part in parts]),
+    )
+
+
+def sewn(surface: Surface) -> Surface:
+    """Vertices on open edges that were split, as either side of a seam has a texture or a normal of its own, are one
+    again: the same place and the same weights."""
+    faces, count = surface.faces, len(surface.vertices)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    named, times = np.unique(edges, axis=0, return_counts=True)
+    itself = np.arange(1, count + 1)
+    itself[named[times == 1]] = 0
+    rows = np.concatenate([surface.vertices, surface.weights, itself[:, None]], axis=1).astype("<f4")
+    _, first, where = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    # in the order in which they came
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    kept, faces = first[order], rank[where.reshape(-1)][faces]
+    flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    return Surface(surface.vertices[kept], faces[~flat], surface.weights[kept])

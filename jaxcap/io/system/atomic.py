@@ -1,0 +1,70 @@
+"""Files that appear whole or not at all."""
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ...errors import InputError
+from .file_lock import lock_folder
+
+#: no space on the device, no more for this user, no larger files
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+#: how the names of temporary folders end
+_ENDING = ".unfinished"
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path to write to; rename it to `path` when the block ends well, remove it when it does not.
+
+    The temporary file has the name of `path`, in a new folder next to it that only this user can enter (`mkdtemp`: a
+    random name, never a symbolic link). So threads and processes that write the same path never share a file, whatever
+    library writes it, and the file has the permissions of any new file. The last one to end wins.
+
+    **Raises:** `InputError` where the folder cannot be written to, or is full: an earlier file at `path` is not changed.
+    """
+    path = Path(path)
+    folder = lock = None
+    try:
+        while True:
+            # a name may be as long as the file system allows, so only its beginning is repeated
+            folder = tempfile.mkdtemp(_ENDING, f".{path.name[:64]}.", path.parent)
+            # so that `remove_unfinished` knows that it is in use
+            lock = lock_folder(folder)
+            if os.path.isdir(folder):
+                break
+        temporary = Path(folder) / path.name
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        mend = "free some space there" if error.errno in FULL else "give a path in a writable folder"
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); {mend}.") from None
+    finally:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def remove_unfinished(path: str | Path) -> None:
+    """Remove temporary files that killed programs left of `path`, or of all files in it where it is a folder.
+
+    Those that a program is still writing are locked and stay, and where folders cannot be locked all do.
+    """
+    path = Path(path)
+    folder, begin = (path, ".") if path.is_dir() else (path.parent, f".{path.name[:64]}.")
+    for there in folder.glob(f".*{_ENDING}"):
+        lock = lock_folder(there) if there.name.startswith(begin) else None
+        if lock is not None:
+            shutil.rmtree(there, ignore_errors=True)
+            os.close(lock)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file whole. Raises `InputError` where it cannot be written."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

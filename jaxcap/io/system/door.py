@@ -1,0 +1,61 @@
+"""The last answer of a reader: an error that nobody has thought of, as a sentence about the file."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from ...errors import InputError, is_sentence, sentence_of
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def reads(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Make a reader, of the file that its first path names, answer with data or an `InputError` and nothing else.
+
+    Readers name the place in the file and what is expected there. This is for what they have not foreseen; the error
+    that happened is the cause of the `InputError`, so that a fault of the reader can be found. `what` the file is read
+    as, with its article.
+    """
+
+    def wrap(read: Callable[P, T]) -> Callable[P, T]:
+        @functools.wraps(read)
+        def guarded(*args: P.args, **kwargs: P.kwargs) -> T:
+            try:
+                return read(*args, **kwargs)
+            except Exception as error:
+                given = (*args, *kwargs.values())
+                path = next((value for value in given if isinstance(value, str | Path)), "the file")
+                if not isinstance(error, InputError):
+                    raise InputError(f"{path}: {_reason(error, what)}") from error
+                if _names(error, path):
+                    raise
+                # what bodies and motions say of what they are made of, without knowing where it is from
+                raise InputError(f"{path}: {sentence_of(error)}") from None
+
+        return guarded
+
+    return wrap
+
+
+def _names(error: InputError, path: str | Path) -> bool:
+    """Whether an error names the file, or one of those that a pattern or a folder stands for."""
+    try:
+        return not Path(path).is_file() or Path(path).name in sentence_of(error)
+    except (OSError, ValueError):
+        return True
+
+
+def _reason(error: Exception, what: str) -> str:
+    if is_sentence(error):
+        return sentence_of(error)
+    if isinstance(error, FileNotFoundError):
+        return "there is no such file; check the path."
+    if isinstance(error, OSError):
+        return f"cannot be read ({error.strerror or type(error).__name__}); give a readable file."
+    if isinstance(error, MemoryError):
+        return f"reading it as {what} takes more memory than there is; give a smaller file."
+    if isinstance(error, RecursionError):
+        return f"this is nested too deeply for {what}; export it again."
+    return f"this cannot be read as {what}, as it is damaged or holds something unexpected; export it again."

@@ -1,0 +1,107 @@
+"""Files that another file names, such as the buffers of a `.gltf`: read from that file's own folder and from nowhere else."""
+
+import base64
+import binascii
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+from urllib.parse import unquote
+
+from ...errors import InputError
+
+
+def read_inside(path: str | Path, uri: str) -> bytes:
+    """Read what the file at `path` names by a URI: a `data:` URI, or a file in the folder of `path` or below it.
+
+    A name may be percent-encoded. Symbolic links are followed first, so neither they nor `..` lead out of the folder; where
+    `path` is a link itself, the folder of the file that it leads to counts as well.
+
+    **Raises:** `InputError` where the URI is of another scheme, absolute or leads out of the folder, or there is no such
+    file.
+    """
+    path = Path(path)
+    if uri.lower().startswith("data:"):
+        return _data(path, uri)
+    names, leaves = list(dict.fromkeys([uri, unquote(uri)])), False
+    for folder in _folders(path):
+        for name in names:
+            try:
+                found = folder / name
+                inside = not _leaves(name) and is_inside(path, found)
+                if inside and found.is_file():
+                    return found.resolve().read_bytes()
+            except (OSError, ValueError, RuntimeError):
+                # a name that is too long or has a null character, a loop of links, no permission
+                continue
+            leaves |= not inside
+    if leaves:
+        raise outside(path, uri)
+    raise InputError(
+        f"{path}: it names '{_short(uri)}', and there is no such file next to it; copy that file as well."
+    )
+
+
+def is_inside(path: str | Path, other: str | Path) -> bool:
+    """Whether another file, where links lead to it, is in the folder of `path`, or of what `path` is a link to, or below."""
+    found = Path(other).resolve()
+    return any(found.is_relative_to(folder.resolve()) for folder in _folders(Path(path)))
+
+
+def outside(path: str | Path, uri: str) -> InputError:
+    """The error of a file that names another one outside of its folder."""
+    return InputError(
+        f"{path}: it names '{_short(uri)}', which is outside of its folder and is not read; put that file next to it and "
+        "name it without a folder."
+    )
+
+
+def _folders(path: Path) -> list[Path]:
+    return list(dict.fromkeys([path.absolute().parent, path.resolve().parent]))
+
+
+def _short(uri: str) -> str:
+    return uri if len(uri) <= 60 else f"{uri[:57]}..."
+
+
+class InsideResolver:
+    """What trimesh asks for files that a mesh names: see `read_inside`. Each is read once."""
+
+    def __init__(self, path: str | Path):
+        self.path, self._read = Path(path), dict[str, bytes]()
+
+    def get(self, name: Any) -> bytes:
+        name = name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name)
+        if name not in self._read:
+            self._read[name] = read_inside(self.path, name)
+        return self._read[name]
+
+    def __getitem__(self, name: Any) -> bytes:
+        return self.get(name)
+
+    def keys(self) -> Iterator[str]:
+        return iter(())
+
+    def __contains__(self, name: object) -> bool:
+        return False
+
+    def namespaced(self, namespace: str) -> "InsideResolver":
+        return self
+
+    def write(self, name: str, data: Any) -> NoReturn:
+        raise OSError(f"{self.path}: nothing is written next to a file that is read.")
+
+
+def _leaves(name: str) -> bool:
+    """Whether a name is absolute, on any system, has a scheme, or goes up somewhere."""
+    return bool(re.match(r"[/\\~]|[A-Za-z][A-Za-z0-9+.-]*:", name)) or ".." in re.split(r"[/\\]", name)
+
+
+def _data(path: Path, uri: str) -> bytes:
+    head, comma, text = uri.partition(",")
+    try:
+        if not comma or not head.lower().endswith(";base64"):
+            raise binascii.Error("it is not base64")
+        return base64.b64decode(unquote(text), validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise InputError(f"{path}: a 'data:' URI in it cannot be read ({error}); export it again.") from None

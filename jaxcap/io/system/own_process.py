@@ -1,0 +1,87 @@
+"""Programs in processes of their own, for libraries that a damaged file may bring down with their process."""
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from ...errors import InputError
+
+
+def run_program(program: Path, path: Path, modules: tuple[str, ...], wait: float, instead: str) -> bytes:
+    """Run a program on a file by a new process of the same Python, which imports `modules` and nothing else.
+
+    A plain program and not `multiprocessing`, which imports the caller's `__main__` once more or copies its threads.
+    The first of `modules` is the library that sentences name; `instead` is what to do where no process can be started.
+
+    **Raises:** `Ended` where the program ends badly or does not end; `InputError` where there is no Python to start;
+    `ImportError` where a module is not installed.
+    """
+    try:
+        done = subprocess.run(
+            [
+                _python(path, modules[0], instead),
+                "-I",
+                "-S",
+                str(program),
+                str(path.absolute()),
+                *_folders(modules),
+            ],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=wait,
+            # one thread: threads of BLAS, which is not used, take much of the memory that is allowed
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except subprocess.TimeoutExpired:
+        raise Ended(f"{modules[0]} does not end within {wait:.0f} s") from None
+    except OSError as error:
+        raise InputError(
+            f"{path}: no process can be started to read it ({error.strerror or error}); close other programs, or "
+            f"{instead}."
+        ) from None
+    if done.returncode:
+        raise Ended(_ending(modules[0], done.returncode, done.stderr))
+    return done.stdout
+
+
+class Ended(Exception):
+    """A program ended badly; the message says how, in a few words."""
+
+
+def _ending(library: str, code: int, said: bytes) -> str:
+    """Describe how a process failed, in a few words."""
+    if code < 0:
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        if name == "SIGXCPU":
+            return f"{library} does not come to an end with it"
+        return f"{library} crashes with it, {name}"
+    lines = said.decode("utf-8", "replace").strip().splitlines()
+    return f"{library} ends with it, {lines[-1]}" if lines else f"{library} crashes with it, code {code:#x}"
+
+
+def _folders(modules: tuple[str, ...]) -> list[str]:
+    """The folders that modules are imported from here. Raises `ImportError` where one is not installed."""
+    found = []
+    for name in modules:
+        spec = importlib.util.find_spec(name)
+        if spec is None or spec.origin is None:
+            raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+        found.append(str(Path(spec.origin).parents[1]))
+    return list(dict.fromkeys(found))
+
+
+def _python(path: Path, library: str, instead: str) -> str:
+    """The Python that runs this. Raises `InputError` where another program has it inside."""
+    names = [sys.executable, getattr(sys, "_base_executable", "")]
+    names += [os.path.join(sys.exec_prefix, "bin", "python3"), os.path.join(sys.exec_prefix, "python.exe")]
+    if not getattr(sys, "frozen", False):
+        for name in names:
+            if name and "py" in os.path.basename(name).lower() and os.path.isfile(name):
+                return name
+    raise InputError(
+        f"{path}: {library} reads files in a process of its own, and there is no Python to start; {instead}."
+    )

@@ -1,0 +1,167 @@
+"""The files of a sequence, by what a user writes: a pattern, a folder, a glob, one file, or several."""
+
+import glob
+import itertools
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...errors import InputError
+from ..kinds import wrong_kind
+from ..meshes.mesh import SUFFIXES
+
+#: the number in a printf pattern
+_NUMBER = re.compile(r"%0?\d*d")
+
+
+def find_files(
+    source: str | Path,
+    first: int | None = None,
+    last: int | None = None,
+    *,
+    whole: bool = True,
+    also: Sequence[str] = (),
+) -> list[Path]:
+    """Mesh files in the order of the numbers in their names.
+
+    **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, or one file.
+    `first` and `last`, both included, are the numbers in a pattern, and else files counted from 0.
+    With `whole`, numbers must not leave one out. `also` are suffixes that a folder may hold beside
+    those of meshes.
+
+    **Raises:** `InputError` where nothing is found, or a number is missing.
+    """
+    text = str(source)
+    if _NUMBER.search(text):
+        return _pattern(text, first, last)
+    if Path(text).is_dir():
+        found = _folder(Path(text), (*SUFFIXES, *also))
+    elif glob.has_magic(text) and not Path(text).is_file():
+        found = sorted((Path(path) for path in glob.glob(text)), key=_natural)
+        if not found:
+            raise InputError(f"{text}: no file fits this pattern; check the path.")
+    else:
+        if not Path(text).is_file():
+            raise wrong_kind(text, "a mesh or a cloud", (*SUFFIXES, *also))
+        found = [Path(text)]
+    for path in found:
+        if path.suffix.lower() not in (*SUFFIXES, *also):
+            raise wrong_kind(path, "a mesh or a cloud", (*SUFFIXES, *also))
+    return cut(_whole(found) if whole else found, first, last, text)
+
+
+def order_files(
+    sources: Sequence[str | Path], first: int | None = None, last: int | None = None
+) -> list[Path]:
+    """Several mesh files as the one sequence that a quoted glob would find: in the order of the numbers in their names,
+    not in that of the words, in which a shell puts 10 before 2. `first` and `last` as in `find_files`.
+
+    **Raises:** `InputError` where one of them is no mesh file or is named twice, or a number is missing.
+    """
+    for source in sources:
+        _check_one_of_many(Path(source), len(sources))
+    paths = sorted(map(Path, sources), key=_natural)
+    for path, after in itertools.pairwise(paths):
+        if path == after:
+            raise InputError(f"{path}: this file is named twice; every file is one frame.")
+    return cut(_whole(paths), first, last, f"{paths[0]} to {paths[-1].name}")
+
+
+def cut(items: list, first: int | None, last: int | None, where: str) -> list:
+    """Items `first` to `last`, both included. Raises `InputError` where they are not there."""
+    start, end = first or 0, len(items) - 1 if last is None else last
+    if not items:
+        raise InputError(f"{where}: there are no frames in it; give one at least.")
+    if not 0 <= start <= end < len(items):
+        raise InputError(
+            f"{where}: there are frames 0 to {len(items) - 1}, but {start} to {end} were asked for."
+        )
+    return items[start : end + 1]
+
+
+def _check_one_of_many(path: Path, count: int) -> None:
+    """That this is a file of one frame. Raises `InputError`."""
+    text, suffix = str(path), path.suffix.lower()
+    many = {"a folder": path.is_dir(), "a pattern": bool(glob.has_magic(text) or _NUMBER.search(text))}
+    if not path.is_file():
+        found = [what for what, here in many.items() if here]
+        if not found:
+            raise InputError(f"{path}: there is no such file; check the path.")
+        raise InputError(f"{path}: this is {found[0]} among {count} sources; give it alone, or files only.")
+    if suffix == ".npz":
+        raise InputError(
+            f"{path}: an .npz is a sequence by itself; give it alone, without the other sources."
+        )
+    if suffix not in SUFFIXES:
+        raise wrong_kind(path, "a mesh or a cloud", SUFFIXES)
+
+
+def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
+    """The files of a printf pattern, none left out."""
+    match = _NUMBER.search(text)
+    assert match is not None
+    folder, name = Path(text).parent, Path(text).name
+    if "%" not in name:
+        raise InputError(f"{text}: the number must be in the file's name, not in the folder's.")
+    before, after = _NUMBER.split(name, maxsplit=1)
+    fits = re.compile(re.escape(before) + r"(\d+)" + re.escape(after) + "$")
+    there = sorted(
+        int(m[1]) for path in (folder.iterdir() if folder.is_dir() else []) if (m := fits.match(path.name))
+    )
+    start = first if first is not None else (there[0] if there else 0)
+    end = last if last is not None else (there[-1] if there else start)
+    if not there or end < start:
+        raise InputError(
+            f"{text}: there are no files with numbers from {first or 0} on; check the path and the numbers."
+        )
+    paths = []
+    for number in range(start, end + 1):
+        path = folder / (before + match[0] % number + after)
+        if not path.is_file():
+            raise InputError(f"{path}: this file is missing in the sequence {text} from {start} to {end}.")
+        paths.append(path)
+    return paths
+
+
+def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
+    paths = sorted(
+        (p for p in folder.iterdir() if p.suffix.lower() in suffixes_read and p.is_file()), key=_natural
+    )
+    suffixes = sorted({path.suffix.lower() for path in paths})
+    if not paths:
+        raise InputError(
+            f"{folder}: there are no clouds or meshes in this folder; give one with {', '.join(suffixes_read)} files."
+        )
+    if len(suffixes) > 1:
+        raise InputError(
+            f"{folder}: there are {' and '.join(suffixes)} files in this folder; say which, as in '*{suffixes[0]}'."
+        )
+    return paths
+
+
+def _whole(paths: list[Path]) -> list[Path]:
+    """The same paths, where names that differ in one number leave none out.
+
+    Where a gap between numbers is no multiple of the least one they do not count frames, as times of a clock do not.
+    """
+    parts = [re.match(r"(.*?)(\d+)(\D*)$", path.name) for path in paths]
+    if len(paths) < 3 or not all(parts) or len({(m[1], m[3]) for m in parts if m}) > 1:
+        return paths
+    numbers = [int(m[2]) for m in parts if m]
+    gaps = [after - here for here, after in itertools.pairwise(numbers)]
+    step = min(gaps)
+    if step <= 0 or any(gap % step for gap in gaps):
+        return paths
+    for path, here, after in zip(paths, numbers, numbers[1:], strict=False):
+        if after - here != step:
+            raise InputError(
+                f"{path}: number {here + step} is missing after this file; the next one is {after}."
+            )
+    return paths
+
+
+def _natural(path: Path) -> list:
+    """Sorts 2 before 10."""
+    return [
+        (int(word), "") if word.isdigit() else (-1, word) for word in re.split(r"(\d+)", str(path)) if word
+    ]

@@ -1,0 +1,256 @@
+"""Bodies with their motions from USD (`.usd`, `.usda`, `.usdc`, `.usdz`), by OpenUSD's own library, the extra `usd`."""
+
+# pxr fills its modules as it is imported and has no stubs
+# pyright: reportAttributeAccessIssue=false
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from ...body.body import Body
+from ...body.pose import Motion
+from ...errors import InputError
+from ..archives.archive import PACKED, ROOM
+from ..gltf.gltf_document import no_skin
+from ..meshes.mesh import check_faces, check_points
+from ..meshes.meshes import triangulate
+from ..skinned.bound import Joints, bind, body_of, inverted, motion_of, placing
+from ..skinned.left_out import FIGURES, RIGID, SHAPES, warn_left_out
+from ..skinned.surface import Surface, as_shares, joined
+from ..system.door import reads
+from ..system.inside import is_inside, outside
+from ..text import LARGEST, check_rate
+from .usd import SUFFIXES as WRITTEN
+from .usd_child import check_usd
+from .usd_text import check_text, not_whole
+from .usd_turns import check_turns
+
+if TYPE_CHECKING:
+    from pxr import Usd, UsdSkel
+
+#: that are read; `.usd` is as text or packed
+SUFFIXES = (".usd", *WRITTEN)
+
+
+@reads("a USD file")
+def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
+    """The body of a file's first skeleton, which blends linearly, and its animation, a frame of the file's own rate each.
+
+    Rest is where the bind transforms have the joints, in metres, y up; their frames there are the joints' orientations. Roots are
+    free and other joints turn freely, as UsdSkel knows no kinds. Blend shapes, meshes that follow no joint and other figures
+    are left out with a warning.
+
+    **Raises:** `InputError` where usd-core is not installed, the file is not a whole one, has no skinned skeleton, or has what a
+    `Skeleton` and its `Pose` cannot hold: joints that are sheared or scaled by themselves.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: USD is not read from '{path.suffix}' files; use {', '.join(SUFFIXES)}.")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; check the path.")
+    try:
+        from pxr import Tf, Usd
+    except ImportError:
+        raise InputError(
+            f"{path}: USD is read by the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
+        ) from None
+    check_text(path)
+    check_usd(path)
+    try:
+        _check_layers(path)
+        return _Skinned(path, Usd.Stage.Open(str(path))).read()
+    except Tf.ErrorException as error:
+        raise not_whole(path, error) from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: this file holds text that is not UTF-8; export it again.") from None
+
+
+def _check_layers(path: Path) -> None:
+    """That every layer that a file is composed of lies in its folder. Raises `InputError`."""
+    from pxr import Sdf
+
+    layers, seen = [Sdf.Layer.FindOrOpen(str(path))], set()
+    while layers:
+        layer = layers.pop()
+        for name in layer.GetCompositionAssetDependencies() if layer else ():
+            found = layer.ComputeAbsolutePath(name)
+            # a layer within a package is called package.usdz[layer.usdc]
+            if not is_inside(path, found.partition("[")[0]):
+                raise outside(path, name)
+            if found not in seen:
+                seen.add(found)
+                layers.append(Sdf.Layer.FindOrOpen(found))
+
+
+class _Skinned:
+    """The first skeleton of a stage that moves something. Matrices are of columns, though USD has rows."""
+
+    def __init__(self, path: Path, stage: "Usd.Stage"):
+        from pxr import Usd, UsdGeom, UsdSkel
+
+        self.path, self.stage = path, stage
+        predicate, cache = Usd.TraverseInstanceProxies(), UsdSkel.Cache()
+        roots = [prim for prim in Usd.PrimRange.Stage(stage, predicate) if prim.IsA(UsdSkel.Root)]
+        bindings = []
+        for root in map(UsdSkel.Root, roots):
+            cache.Populate(root, predicate)
+            bindings += [
+                found
+                for found in cache.ComputeSkelBindings(root, predicate)
+                if len(found.GetSkinningTargets())
+            ]
+        if not bindings:
+            raise no_skin(path)
+        self.skeleton, self.targets = bindings[0].GetSkeleton(), bindings[0].GetSkinningTargets()
+        warn_left_out(path, self.left_out(predicate, bindings[1:]))
+        self.query = cache.GetSkelQuery(self.skeleton)
+        if not self.query or not len(self.query.GetJointOrder()):
+            raise InputError(f"{path}: the skeleton of this file has no joints.")
+        metres = float(UsdGeom.GetStageMetersPerUnit(stage))
+        if not 1e-6 <= metres <= 1e6:
+            raise InputError(f"{path}: metersPerUnit is {metres:g}; it must be from 1e-06 to 1e+06.")
+        self.room = max(ROOM, PACKED * path.stat().st_size)
+        # what brings the stage into metres, y up
+        self.upright = np.eye(4) * metres
+        self.upright[3, 3] = 1.0
+        if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
+            self.upright = self.upright @ [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
+
+    def read(self) -> tuple[Body, Motion | None]:
+        from pxr import Usd
+
+        order = [str(joint) for joint in self.query.GetJointOrder()]
+        parents = [int(parent) for parent in self.query.GetTopology().GetParentIndices()]
+        names = [str(name) for name in self.skeleton.GetJointNamesAttr().Get() or ()]
+        if len(set(names)) != len(order):
+            names = [joint.rsplit("/", 1)[-1] for joint in order]
+        if len(parents) != len(order) or -1 not in parents:
+            raise InputError(
+                f"{self.path}: the joints of the skeleton are no tree with a root; export it again."
+            )
+        check_turns(self.path, self.skeleton.GetPrim())
+        if animation := self.query.GetAnimQuery():
+            check_turns(self.path, animation.GetPrim())
+        there = self.columns(self.query.GetJointWorldBindTransforms(), "bindTransforms", len(order))
+        inverse = inverted(self.path, there)
+        above, root = self.above(Usd.TimeCode.Default()), parents.index(-1)
+        by_root = above
+        if self.query.HasRestPose():
+            found = self.query.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True)
+            rest = self.columns(found, "restTransforms", len(order))
+            by_root = above @ rest[root] @ inverse[root]
+        axes = np.tile(np.eye(3)[:2], (len(order), 1, 1))
+        placed = placing(self.path, above[:3, :3], by_root[:3, :3])
+        bound = bind(self.path, Joints(names, parents, [None] * len(order), axes, inverse), placed)
+        surface = joined([self.surface(target, order) for target in self.targets])
+        surface = surface._replace(weights=surface.weights[:, list(bound.order)])
+        frames, rate = self.frames(len(order))
+        motion = motion_of(self.path, bound, frames[:, list(bound.order)], rate) if len(frames) else None
+        return body_of(self.path, bound, surface), motion
+
+    def left_out(self, predicate: "Usd.PrimFlagsPredicate", others: list) -> dict[str, list[str]]:
+        """What is not read beside the first figure, by kind."""
+        from pxr import Usd, UsdGeom, UsdSkel
+
+        own = {target.GetPrim().GetPath() for target in self.targets}
+        theirs = {target.GetPrim().GetPath() for other in others for target in other.GetSkinningTargets()}
+        meshes = [prim for prim in Usd.PrimRange.Stage(self.stage, predicate) if prim.IsA(UsdGeom.Mesh)]
+        mine = [prim for prim in meshes if prim.GetPath() in own]
+        return {
+            FIGURES: [other.GetSkeleton().GetPrim().GetName() for other in others],
+            RIGID: [prim.GetName() for prim in meshes if prim.GetPath() not in own | theirs],
+            SHAPES: [prim.GetName() for prim in mine if UsdSkel.BindingAPI(prim).GetBlendShapesAttr().Get()],
+        }
+
+    def above(self, time: "Usd.TimeCode") -> Float[np.ndarray, "4 4"]:
+        """From the skeleton's space into the world."""
+        from pxr import UsdGeom
+
+        there = UsdGeom.XformCache(time).GetLocalToWorldTransform(self.skeleton.GetPrim())
+        return self.upright @ np.array(there).T
+
+    def frames(self, joints: int) -> tuple[Float[np.ndarray, "F J 4 4"], float]:
+        """Of every joint into the world, and how many there are a second."""
+        from pxr import Usd
+
+        animation = self.query.GetAnimQuery()
+        times = list(animation.GetJointTransformTimeSamples()) if animation else []
+        rate = check_rate(float(self.stage.GetFramesPerSecond()), f"{self.path}: framesPerSecond")
+        if not times:
+            return np.zeros((0, 1, 4, 4)), rate
+        codes = float(self.stage.GetTimeCodesPerSecond())
+        step = check_rate(codes, f"{self.path}: timeCodesPerSecond") / rate
+        if not np.isfinite([times[0], times[-1]]).all():
+            raise InputError(f"{self.path}: the times of the animation are not finite; export it again.")
+        self.spend((times[-1] - times[0]) / step * joints * 3 * 16, "an animation of so many frames")
+        frames = []
+        for code in np.arange(times[0], times[-1] + 0.5 * step, step):
+            found = self.query.ComputeJointSkelTransforms(Usd.TimeCode(code))
+            frames.append(
+                self.above(Usd.TimeCode(code)) @ self.columns(found, f"transforms at time {code:g}", joints)
+            )
+        return np.stack(frames), rate
+
+    def spend(self, numbers: float | int, what: str) -> None:
+        """Count numbers that are made of the file. Raises `InputError` where they are more than it can be meant for."""
+        self.room -= 8 * numbers
+        if not self.room >= 0:
+            raise InputError(
+                f"{self.path}: {what} takes more memory than a file of its size can ask for; check its times and sizes."
+            )
+
+    def columns(self, matrices, name: str, count: int) -> Float[np.ndarray, "J 4 4"]:
+        """Matrices of columns of USD's rows, one for each joint. Raises `InputError`."""
+        found = np.array([] if matrices is None else matrices, float)
+        if found.shape != (count, 4, 4) or not (np.abs(found) <= LARGEST).all():
+            raise InputError(
+                f"{self.path}: the {name} of the skeleton are not {count} matrices of finite numbers; export it again."
+            )
+        return found.swapaxes(1, 2)
+
+    def surface(self, target: "UsdSkel.SkinningQuery", order: list[str]) -> Surface:
+        from pxr import Usd, UsdGeom
+
+        mesh, first = UsdGeom.Mesh(target.GetPrim()), Usd.TimeCode.EarliestTime()
+        points = mesh.GetPointsAttr().Get(first)
+        if not mesh or points is None or not len(points):
+            raise InputError(f"{self.path}: '{target.GetPrim().GetPath()}' is no mesh; export it as one.")
+        where = f"{self.path}: '{target.GetPrim().GetPath()}'"
+        into, vertices = np.array(target.GetGeomBindTransform()).T, np.array(points, float)
+        check_points(vertices, where)
+        if not (np.abs(into) <= LARGEST).all():
+            raise InputError(f"{where}: its geomBindTransform is not finite; export it again.")
+        vertices = vertices @ into[:3, :3].T + into[:3, 3]
+        self.spend(4 * len(vertices) * len(order), "its weights")
+        found = target.ComputeVaryingJointInfluences(len(vertices))
+        if not found or not len(found[0]):
+            raise InputError(
+                f"{self.path}: vertices of '{target.GetPrim().GetPath()}' follow no joints; bind the whole mesh."
+            )
+        if len(found[0]) % len(vertices) or len(found[0]) != len(found[1]):
+            raise InputError(
+                f"{where}: {len(vertices)} vertices have {len(found[0])} joints and {len(found[1])} weights; give each as "
+                "many."
+            )
+        chosen, shares = (np.array(values).reshape(len(vertices), -1) for values in found)
+        if not ((shares >= 0) & (shares <= LARGEST)).all():
+            raise InputError(f"{where}: a weight is below zero, or not finite; export the mesh again.")
+        place, own = {joint: number for number, joint in enumerate(order)}, target.GetJointOrder()
+        named = order if own is None else [str(name) for name in own]
+        strange = next((name for name in named if name not in place), None)
+        if strange is not None:
+            raise InputError(f"{where}: it follows '{strange}', which is no joint of the skeleton.")
+        columns = np.array([place[name] for name in named])
+        if chosen.min() < 0 or chosen.max() >= len(columns):
+            raise InputError(f"{where}: a vertex follows joint {chosen.max()} of {len(columns)}.")
+        weights = np.zeros((len(vertices), len(order)))
+        np.add.at(weights, (np.arange(len(vertices))[:, None], columns[chosen]), shares.astype(float))
+        counts = np.array(mesh.GetFaceVertexCountsAttr().Get(first) or (), int)
+        corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(first) or (), int)
+        faces = triangulate(counts, corners, where)
+        check_faces(faces, len(vertices), where)
+        if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+            faces = faces[:, ::-1]
+        return Surface(vertices, faces, as_shares(weights, where))

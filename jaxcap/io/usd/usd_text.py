@@ -1,0 +1,45 @@
+"""Sentences about USD layers that OpenUSD cannot parse."""
+
+import re
+from pathlib import Path
+
+from ...errors import InputError
+from ..text import shortened
+
+#: as the parser of text begins: file, line, column
+_PLACE = re.compile(r"'?(?P<file>[^\n']*?):(?P<line>\d+):\d+: ")
+
+
+def check_text(path: Path) -> None:
+    """Check that a layer of text is UTF-8. Raises `InputError` with the line."""
+    data = path.read_bytes()
+    try:
+        if data.startswith(b"#usda"):
+            data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}:{line}: this line is not UTF-8; export the file again.") from None
+
+
+def not_whole(path: Path, error: Exception) -> InputError:
+    """Say what OpenUSD found wrong with a file, in the line that it names of it, or of a layer that it is composed of."""
+    # behind the place in OpenUSD's own source
+    lines = [line.partition(" in file ")[2].partition(" : ")[2] or line for line in str(error).splitlines()]
+    reason = next((line.strip(" \t'.") for line in reversed(lines) if line.strip(" \t'.")), "")
+    place = _PLACE.match(reason)
+    if place is None:
+        why = f" ({shortened(reason)})" if reason else ": OpenUSD does not say what is wrong with it"
+        return InputError(f"{path}: this is not a whole USD file{why}; export it again.")
+    # the parser names its own rules where it has no words
+    words = reason[place.end() :].removesuffix("'").strip()
+    near = re.search(r" at '(.*?)'(?: in <(.*?)>)?$", words)
+    inside = f", in {shortened(near[2])}" if near and near[2] else ""
+    if near and not near[1]:
+        found = f"the text ends{inside}, before it is complete"
+    elif near:
+        found = f"'{shortened(near[1])}' is not what belongs there{inside}"
+    else:
+        found = f"this is not what belongs there ({shortened(words)})"
+    layer = "" if Path(place["file"]).name == path.name else f"{Path(place['file']).name}:"
+    where = f"{path}: {layer}{place['line']}" if layer else f"{path}:{place['line']}"
+    return InputError(f"{where}: {found}; this is not a whole USD file, export it again.")

@@ -1,0 +1,62 @@
+"""Whether the quaternions of USD prims are rotations: OpenUSD itself takes one of no length for no rotation."""
+
+# pxr fills its modules as it is imported and has no stubs
+# pyright: reportAttributeAccessIssue=false
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...errors import InputError
+from ..archives.npz import LEAST
+from ..text import shortened
+
+if TYPE_CHECKING:
+    from pxr import Usd
+
+_TYPES = ("quath", "quatf", "quatd")
+
+
+def check_turns(path: Path, prim: "Usd.Prim") -> None:
+    """Check that all quaternions of a prim and of those above it have a length, at every time that one is given for.
+
+    **Raises:** `InputError` with the prim, its attribute, the time and the joint.
+    """
+    while prim and not prim.IsPseudoRoot():
+        for attribute in prim.GetAttributes():
+            if str(attribute.GetTypeName()).removesuffix("[]") in _TYPES:
+                _check(path, prim, attribute)
+        prim = prim.GetParent()
+
+
+def _check(path: Path, prim: "Usd.Prim", attribute: Any) -> None:
+    for time in attribute.GetTimeSamples() or (None,):
+        turns = _numbers(attribute.Get() if time is None else attribute.Get(time))
+        # what is not finite is told of the transforms that are made of it
+        short = np.linalg.norm(turns, axis=1) <= LEAST
+        if short.any():
+            row = int(short.argmax())
+            when = "" if time is None else f" at time {time:g}"
+            raise InputError(
+                f"{path}: '{shortened(str(attribute.GetPath()))}' has a quaternion of no length{when}"
+                f"{_which(prim, row, len(turns))}; write a rotation there."
+            )
+
+
+def _numbers(value: Any) -> Float[np.ndarray, "N 4"]:
+    """One quaternion or several as rows of numbers."""
+    if value is None:
+        return np.zeros((0, 4))
+    if hasattr(value, "GetReal"):
+        return np.array([[*value.GetImaginary(), value.GetReal()]], float)
+    return np.array(value, float).reshape(-1, 4)
+
+
+def _which(prim: "Usd.Prim", row: int, count: int) -> str:
+    """Say the joint that a quaternion of a prim is of, else its row where there are several."""
+    joints = prim.GetAttribute("joints").Get() or ()
+    if len(joints) == count:
+        return f", of joint '{shortened(str(joints[row]))}'"
+    return f", in row {row}" if count > 1 else ""

@@ -1,0 +1,1 @@
+"""Linearly blended bodies by all of their unknowns at once."""

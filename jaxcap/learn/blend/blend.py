@@ -1,0 +1,157 @@
+"""All unknowns of a linearly blended body at once, by variable projection.
+
+Without a Laplacian, vertices are independent of each other given the poses and the joints: each has
+a rest place `v` and weights `w` on the simplex of its own, so that
+
+    r(p) = sum_v  min_{w, v}  sum_m | sum_j w_j T_mj(p) v - x_m |^2
+
+is a function of poses and joints `p` alone (Golub and Pereyra 1973). In turns, `p` moves only as far
+as weights and vertices that stay let it, and learning creeps; steps on `r` know that these follow.
+With `J_v` the derivatives of a vertex by `p`, and `K_v` those by its own unknowns, weights at zero
+left out, Gauss-Newton's matrix is (Kaufman 1975)
+
+    H = sum_v J_v^T (I - K_v K_v^+) J_v,    with the gradient  sum_v J_v^T (I - K_v K_v^+) e_v.
+
+A weight leaves its bound in the inner minimum, which is found anew for every trial, so that bounds do not stop the steps.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ...fit.linear.block_arrow import BlockArrow, Unknowns
+from ...fit.linear.block_banded import BlockBanded
+from ...fit.linear.cholesky import factorise
+from ...fit.solvers.descent import ConstrainedInfo, Constraints
+from ...fit.solvers.equalities import Equalities
+from ...fit.solvers.problem import AbstractProblem
+from ..skeleton.limbs import Limbs, Tree, bone_rates, bones_of, move_limbs
+from ..weights.adapt import images, settle, spread_weights
+from .projected import Moves, Own, Projected, flat_bones
+
+#: what a joint's turn by one radian, and a centre's shift by one metre, may cost, as shares of r
+STIFF_TURN, STIFF_SHIFT = 1e-2, 1.0
+#: steps of the inner minimum for a trial
+INNER = 2
+#: what is left of directions of a vertex that depend on each other
+RIDGE = 1e-6
+#: conjugate gradients: the share of the right side at which they end, and steps at most
+TOLERANCE, STEPS = 5e-2, 25
+
+
+class Blend(eqx.Module):
+    """Bones, and vertices that they blend."""
+
+    limbs: Limbs
+    weights: Float[Array, "V J"]
+    rest: Float[Array, "V 3"]
+
+
+class BlendProblem(AbstractProblem[Blend]):
+    """Half the squares left between blended vertices and where they should be, by bones alone: a step takes the vertices with it."""
+
+    tree: Tree
+    near: Int[Array, "V K"]
+    aims: Float[Array, "V N"]
+    #: joints of the left and right, and the parents of each: left, parent, right, parent
+    twins: Int[Array, "P 4"]
+    units: Unknowns
+
+    def value(self, y: Blend) -> Float[Array, ""]:
+        return 0.5 * jnp.sum(self.errors(y) ** 2)
+
+    def errors(self, y: Blend) -> Float[Array, "V N"]:
+        """How far each vertex is from where it should be in all frames."""
+        return errors_of(y, self.tree, self.aims)
+
+    def retract(self, y: Blend, d: Unknowns) -> Blend:
+        limbs = move_limbs(self.tree, y.limbs, d)
+        return settle_blend(Blend(limbs, y.weights, y.rest), self.tree, self.near, self.aims, INNER)
+
+    def scales(self) -> Unknowns:
+        return self.units
+
+    def information(self, y: Blend) -> ConstrainedInfo:
+        moves = Moves(self.tree, y.limbs, spread_places(y), self.units)
+        own = own_directions(self.tree, self.near, self.aims, y)
+        errors = self.errors(y)
+        left = own.without(errors)
+        arrow = arrow_of(self.tree, y).rescaled(*self.units)
+        value = 0.5 * jnp.sum(errors**2)
+        none = jax.tree.map(jnp.zeros_like, self.units)
+        hessian = Projected(arrow, none, moves, own, jnp.asarray(TOLERANCE, errors.dtype), jnp.asarray(STEPS))
+        # what hardly counts is kept from going far
+        stiff = jax.tree.map(lambda u, s: 2.0 * value * s * u**2, self.units, (STIFF_TURN, STIFF_SHIFT))
+        hessian = hessian.add_diagonal(stiff)
+        constraints = Constraints(equalities=self._equalities(y.limbs))
+        return ConstrainedInfo(value, moves.pull(left), hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
+
+    def _equalities(self, limbs: Limbs) -> Equalities:
+        count = len(self.twins)
+        differences = jnp.zeros(count, limbs.centres.dtype)
+        rows = jnp.zeros((count, *limbs.centres.shape), differences.dtype)
+        for (end, start), sign in ((self.twins.T[:2], 1.0), (self.twins.T[2:], -1.0)):
+            bones = limbs.centres[end] - limbs.centres[start]
+            lengths = jnp.linalg.norm(bones, axis=1)
+            slopes = sign * bones / jnp.maximum(lengths, jnp.finfo(lengths.dtype).tiny)[:, None]
+            differences = differences + sign * lengths
+            rows = rows.at[jnp.arange(count), end].add(slopes).at[jnp.arange(count), start].add(-slopes)
+        return Equalities(rows.reshape(count, -1) * self.units[1], -differences)
+
+
+def spread_places(y: Blend) -> Float[Array, "V B"]:
+    """Weigh the rest place of each vertex, and one, for every bone."""
+    places = jnp.concatenate([y.rest, jnp.ones_like(y.rest[:, :1])], 1)
+    return (y.weights[:, :, None] * places[:, None]).reshape(len(places), -1)
+
+
+def errors_of(y: Blend, tree: Tree, aims: Float[Array, "V N"]) -> Float[Array, "V N"]:
+    """Compute how far each vertex is from where it should be in all frames."""
+    return jnp.matmul(spread_places(y), flat_bones(bones_of(tree, y.limbs)), precision="highest") - aims
+
+
+def settle_blend(y: Blend, tree: Tree, near, aims, steps: int) -> Blend:
+    """Give each vertex the weights and the rest place that are best for it."""
+    weights = jnp.take_along_axis(y.weights, near, 1)
+    found = settle(weights, y.rest, near, bones_of(tree, y.limbs), aims, steps)
+    return Blend(y.limbs, spread_weights(found.weights, near, y.weights.shape[1]), found.rest)
+
+
+def arrow_of(tree: Tree, y: Blend) -> BlockArrow:
+    """Sum `J^T J` by frames: the vertices enter by the moments of what each bone counts in them."""
+    spread = spread_places(y)
+    moments = jnp.matmul(spread.T, spread, precision="highest")
+    joints = len(tree.parents)
+    width, shared = 3 * (joints + len(tree.roots)), 3 * joints
+    eye = jnp.eye(width + shared, dtype=spread.dtype)
+
+    def of_frame(limbs):
+        frame = Limbs(limbs[0][None], limbs[1][None], y.limbs.centres)
+        moves = jax.vmap(lambda d: bone_rates(tree, frame, (d[None, :width], d[width:]))[0])(eye)
+        # (B, N) for each axis
+        columns = moves.transpose(2, 1, 3, 0).reshape(3, -1, width + shared)
+        with jax.default_matmul_precision("highest"):
+            return jnp.einsum("abi,abj->ij", columns, moments @ columns)
+
+    grams = jax.lax.map(of_frame, (y.limbs.turns, y.limbs.places))
+    frames = BlockBanded(grams[:, None, :width, :width])
+    return BlockArrow(frames, grams[:, :width, width:], jnp.sum(grams[:, width:, width:], 0))
+
+
+def own_directions(tree: Tree, near, aims, y: Blend) -> Own:
+    """Find the directions of each vertex by its place and by shares that bones exchange."""
+    bones = bones_of(tree, y.limbs)
+    weights = jnp.take_along_axis(y.weights, near, 1)
+    apart = images(bones, y.rest, near) - aims[:, None]
+    first = jnp.argmax(weights, 1)
+    base = jnp.take_along_axis(apart, first[:, None, None], 1)
+    apart = jnp.where((weights > 0)[:, :, None], apart - base, 0.0)
+    turns = jnp.swapaxes(bones[..., :3], 0, 1).transpose(0, 3, 1, 2).reshape(y.weights.shape[1], -1)
+    by_place = jnp.matmul(y.weights, turns, precision="highest").reshape(len(weights), 3, -1)
+    rows = jnp.concatenate([by_place, apart], 1)
+    rows = rows / (jnp.linalg.norm(rows, axis=2, keepdims=True) + jnp.finfo(rows.dtype).eps)
+    gram = jnp.einsum("vin,vjn->vij", rows, rows, precision="highest")
+    eye = jnp.eye(gram.shape[1], dtype=gram.dtype)
+    inverse = jax.lax.map(lambda g: factorise(g, RIDGE).solve(eye), gram)
+    return Own(rows, inverse)

@@ -1,0 +1,85 @@
+"""Rounds on a linearly blended body whose vertices hardly hang together: bones, with all that vertices can make of them."""
+
+from collections.abc import Callable
+
+from jaxtyping import Array, Float
+
+from ...body.pose import Motion
+from ..state import LearnState
+from ..structure.exchange import exchange
+from ..structure.graft import Graft
+from .projection import improve_all
+
+#: vertices from which bones are learned
+VERTICES = 2000
+#: times that the bones near a vertex are chosen anew in a round and for a trial, and steps of each
+PASSES, TRIAL_PASSES, STEPS = 2, 1, 5
+#: the share of Q by which a round falls that needs no exchange yet; a round that lowers Q by less than the last share is the last
+FALLS, ENOUGH = 0.5, 0.05
+#: root mean square error, as a share of the body's height, below which nothing is left to learn
+EXACT = 5e-6
+#: trials of an exchange
+TRIALS = 3
+
+
+def improve_linear(
+    state: LearnState,
+    targets: Float[Array, "F V 3"],
+    rounds: int,
+    on_round: Callable[[LearnState], None] | None,
+    exchanging: bool,
+    free: bool,
+    prefix: str,
+) -> LearnState:
+    """Improve a body until a round lowers Q, here the squares alone, by little. From the second round on, joints are exchanged
+    where steps alone no longer lower it by much.
+
+    **Arguments:** `exchanging` whether joints are, and `free` whether their number is; `prefix` of what steps are called in the history.
+    """
+    while state.round < rounds and not _done(state, targets, exchanging, prefix):
+        if exchanging and _slow(state, prefix):
+            state = exchange(state, targets, _trial(targets, prefix), prefix + "exchange", TRIALS, free)
+        made = Graft(state.body, state.motion.poses, state.pairs)
+        state = _improve(state, made, targets, prefix + "projection", PASSES)
+        state = state._replace(round=state.round + 1)
+        if on_round is not None:
+            on_round(state)
+    return state
+
+
+def _trial(targets, prefix: str) -> Callable[[LearnState, Graft], LearnState]:
+    return lambda state, made: _improve(state, made, targets, prefix + "trial", TRIAL_PASSES)
+
+
+def _improve(state: LearnState, made: Graft, targets, step: str, passes: int) -> LearnState:
+    found = improve_all(made.body, made.poses, targets, made.pairs, rounds=passes, steps=STEPS)
+    return state._replace(
+        body=found.body,
+        motion=Motion(found.poses, state.motion.rate),
+        pairs=made.pairs,
+        history=(*state.history, (step, found.value)),
+    )
+
+
+def _rounds(state: LearnState, prefix: str) -> list[tuple[float, float]]:
+    """Q before and after the steps of each round."""
+    values = [value for _, value in state.history]
+    return [
+        (values[i - 1], values[i])
+        for i, (name, _) in enumerate(state.history)
+        if name == prefix + "projection" and i > 0
+    ]
+
+
+def _slow(state: LearnState, prefix: str) -> bool:
+    rounds = _rounds(state, prefix)
+    return bool(rounds) and rounds[-1][1] > FALLS * rounds[-1][0]
+
+
+def _done(state: LearnState, targets, exchanging: bool, prefix: str) -> bool:
+    ends = [after for _, after in _rounds(state, prefix)]
+    height = float((targets[0].max(0) - targets[0].min(0)).max())
+    exact = (EXACT * height) ** 2 * targets.shape[0] * targets.shape[1]
+    settled = len(ends) > 1 and ends[-1] > (1 - ENOUGH) * ends[-2]
+    exchanged = len(ends) > 0 and state.history[-2][0] == prefix + "exchange"
+    return len(ends) > 0 and (ends[-1] < exact or (settled and (exchanged or not exchanging)))

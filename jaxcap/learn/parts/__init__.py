@@ -1,0 +1,1 @@
+"""Rigid parts of a surface that moves."""

@@ -1,0 +1,91 @@
+"""Whether the motion in the meshes tells the parts of a body apart."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...body.body import Body
+from ...body.kinematics import Transforms, forward_kinematics
+from ...body.pose import Motion, Pose
+from ...body.skeleton import Skeleton
+
+#: parts that stay this near to one another or to their place are not told apart, share of the body's length
+ALIKE = 0.003
+#: vertices of a part that are looked at
+FEW = 40
+
+
+def check_parts(
+    rest: Float[np.ndarray, "V 3"],
+    labels: Int[np.ndarray, "V"],
+    rotations: Float[np.ndarray, "F K 3 3"],
+    translations: Float[np.ndarray, "F K 3"],
+    names: Sequence[str] | None = None,
+) -> list[str]:
+    """What a user should know of K rigid parts, a sentence each: parts without vertices, parts that never
+    move, and pairs that move alike, so that a joint between them is a guess.
+
+    **Arguments:** vertex `v` of part `labels[v]` goes from `rest[v]` to `rotations[f, k] v + translations[f, k]`
+    in mesh `f`, metres; `names` are what to call the parts.
+    """
+    count = rotations.shape[1]
+    called = [f"part {part}" for part in range(count)] if names is None else list(names)
+    near = ALIKE * float(np.ptp(rest, axis=0).max())
+    members = [np.flatnonzero(labels == part) for part in range(count)]
+    bare = [called[part] for part in range(count) if not members[part].size]
+    told = [f"No vertex belongs to {_listed(bare)}, so that little shows how it moves."] if bare else []
+    chosen = [
+        (part, rest[rows[np.linspace(0, len(rows) - 1, min(FEW, len(rows))).astype(int)]])
+        for part, rows in enumerate(members)
+        if rows.size
+    ]
+    # where the vertices of one part go with each of the parts
+    carried = {
+        part: np.einsum("fkab,nb->fkna", rotations, few) + translations[:, :, None] for part, few in chosen
+    }
+    still = [part for part, _ in chosen if _spread(carried[part][:, part]) < near]
+    if 0 < len(still) < len(chosen):
+        guess = "" if len(still) == 1 else "; where joints between them are is a guess"
+        told.append(f"Nothing moves {_listed([called[part] for part in still])} in any mesh{guess}.")
+    for number, (a, _) in enumerate(chosen):
+        for b, _ in chosen[number + 1 :]:
+            apart = max(_rms(carried[i][:, a] - carried[i][:, b]) for i in (a, b))
+            if apart < near and not (a in still and b in still):
+                told.append(
+                    f"{called[a].capitalize() if names is None else called[a]} and {called[b]} move alike, within "
+                    f"{1000 * apart:.1f} mm in all meshes; give meshes that tell them apart, or fewer joints."
+                )
+    return told
+
+
+def check_learned(body: Body, motion: Motion) -> list[str]:
+    """`check_parts` of a learned body in the poses of its meshes: parts are called by their joints, and a vertex
+    belongs to the one that moves it most."""
+    transforms = _transforms(body.skeleton, motion.poses)
+    return check_parts(
+        np.asarray(body.vertices, float),
+        np.asarray(body.skin.influence(body.skeleton.num_joints)).argmax(1),
+        np.asarray(transforms.rotations, float),
+        np.asarray(transforms.translations, float),
+        body.skeleton.names,
+    )
+
+
+@eqx.filter_jit
+def _transforms(skeleton: Skeleton, poses: Pose) -> Transforms:
+    return jax.lax.map(lambda pose: forward_kinematics(skeleton, pose), poses)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _rms(gaps: Float[np.ndarray, "F N 3"]) -> float:
+    return float(np.sqrt(np.mean(np.sum(gaps**2, -1))))
+
+
+def _spread(places: Float[np.ndarray, "F N 3"]) -> float:
+    return _rms(places - places.mean(0))

@@ -1,0 +1,141 @@
+"""Rigid parts of a surface that moves: which vertices move together, and how."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...geometry.procrustes import rigid_errors, rigid_motions
+from ..skeleton.rest import choose_rest
+from .agglomerate import Merging, agglomerate, merged_labels
+from .moves import improve_parts, sharpen_patches
+from .scene import Scene, carried_back, part_moments
+from .surface import cut_patches, label_edges, make_surface
+from .unmix import unmix
+
+#: patches that are merged into parts
+PATCHES = 300
+#: one more part has to lower the root mean square error by this share
+LEAST_GAIN = 0.024
+#: share of the body's diagonal below which an error is that of numbers, not of parts
+NEGLIGIBLE = 2e-4
+#: the most parts that are found unasked
+MOST_PARTS = 60
+
+
+class Parts(NamedTuple):
+    """K rigid parts of V vertices in F frames; part `k` takes vertex `p` to
+    `rotations[f, k] p + translations[f, k]`, metres.
+
+    The motions are those of bones under a skin: around a joint, vertices move as mixtures of two.
+    """
+
+    labels: Int[np.ndarray, "V"]
+    rotations: Float[np.ndarray, "F K 3 3"]
+    translations: Float[np.ndarray, "F K 3"]
+    #: where the vertices are best at rest, by all frames, posed as the mesh given as rest
+    rest: Float[np.ndarray, "V 3"]
+    #: (N,) root mean square error in metres with 1, 2, ... N parts, before they are refined
+    curve: Float[np.ndarray, "N"]
+    #: root mean square distance in metres of the vertices, weighted by area, to their rigid parts
+    error: float
+    #: the part, one that touches its own, with which a vertex's motion is mixed, and its own part's
+    #: share, 0 to 1, in that mixture of two
+    partners: Int[np.ndarray, "V"]
+    shares: Float[np.ndarray, "V"]
+
+    @property
+    def num_parts(self) -> int:
+        """K, the number of parts."""
+        return self.rotations.shape[1]
+
+
+def find_parts(
+    meshes: Float[np.ndarray, "F V 3"],
+    faces: Int[np.ndarray, "T 3"],
+    count: int | None = None,
+    rest: Float[np.ndarray, "V 3"] | None = None,
+) -> Parts:
+    """Connected parts of the surface that move rigidly, as nearly as so many parts can.
+
+    Some hundred small patches are merged in the order that costs least rigidity, which gives the
+    error over the number of parts; the parts are then refined by k-means with rigid motions
+    (Le and Deng 2012), and where splitting one and dropping another lowers what mixtures of
+    touching parts leave, that is done. Last, the motions are freed of the mixtures (`unmix`). Each
+    vertex counts by its area.
+
+    **Arguments:** `meshes` in one topology, metres; `faces` triangles; `count` how many parts,
+    by default as many as each lower the error by `LEAST_GAIN`; `rest` the mesh in whose pose the
+    parts rest, by default the one nearest to all others (`choose_rest`).
+
+    **Raises:** `ValueError` for fewer than two meshes, numbers that are not finite, faces beyond
+    the vertices, and a count that is not between one and the number of patches.
+    """
+    meshes, faces = np.asarray(meshes), np.asarray(faces)
+    _check(meshes, faces, count)
+    if rest is None:
+        rest = meshes[choose_rest(meshes, faces)]
+    rest = np.asarray(rest, float)
+    surface = make_surface(rest, meshes, faces)
+    paths = np.ascontiguousarray(meshes.transpose(1, 0, 2), float)
+    middle, middles = surface.areas @ rest, np.einsum("v,vfa->fa", surface.areas, paths)
+    scene = Scene(surface, rest - middle, paths - middles)
+    patches, merging, scene = _merge_patches(scene, PATCHES)
+    curve = np.sqrt(merging.errors / len(meshes))
+    if count is None:
+        count = choose_count(curve, float(np.linalg.norm(np.ptp(rest, axis=0))))
+    elif count > len(curve):
+        raise ValueError(f"The surface was asked for {count} parts but has only {len(curve)} patches.")
+    state = improve_parts(scene, merged_labels(merging, count)[patches], count)
+    labels, moved = state.labels, state.moments
+    error = float(np.sqrt(rigid_errors(moved).sum() / len(meshes)))
+    motions, mixed, back = unmix(scene, labels, state.motions)
+    rotations, translations = motions.rotations, motions.translations
+    # about the world's origin again
+    translations = translations + middles - np.einsum("kfab,b->kfa", rotations, middle)
+    return Parts(
+        labels,
+        rotations.swapaxes(0, 1),
+        translations.swapaxes(0, 1),
+        back + middle,
+        curve,
+        error,
+        mixed.partners,
+        mixed.shares,
+    )
+
+
+def choose_count(curve: Float[np.ndarray, "N"], size: float) -> int:
+    """The number of parts at which one more no longer lowers the error by `LEAST_GAIN`, by the mean of
+    the next three, or at which the error is negligible against the `size` of the body, metres."""
+    for count in range(1, min(len(curve), MOST_PARTS)):
+        ahead = min(count + 3, len(curve))
+        share = 1 - (curve[ahead - 1] / max(curve[count - 1], 1e-300)) ** (1 / (ahead - count))
+        if curve[count - 1] < NEGLIGIBLE * size or share < LEAST_GAIN:
+            return count
+    return min(len(curve), MOST_PARTS)
+
+
+def _merge_patches(scene: Scene, count: int) -> tuple[np.ndarray, Merging, Scene]:
+    """Small patches, how they merge, and the scene with its rest mesh the mean over frames of
+    the patches carried back, free of what is peculiar to the one mesh it started as."""
+    patches = sharpen_patches(scene, cut_patches(scene.surface, scene.rest, count))
+    number = int(patches.max()) + 1
+    rotations, translations = rigid_motions(part_moments(scene, patches, number))
+    scene = scene._replace(rest=carried_back(scene, patches, rotations, translations))
+    moments = part_moments(scene, patches, number)
+    return patches, agglomerate(moments, label_edges(scene.surface, patches)[0]), scene
+
+
+def _check(meshes: np.ndarray, faces: np.ndarray, count: int | None) -> None:
+    if len(meshes) < 2:
+        raise ValueError("Rigid parts show only in motion: at least two meshes are needed, one was given.")
+    if not np.isfinite(meshes).all():
+        frame = int(np.flatnonzero(~np.isfinite(meshes).all((1, 2)))[0])
+        raise ValueError(f"Mesh {frame} holds a number that is not finite.")
+    if faces.size == 0 or faces.min() < 0 or faces.max() >= meshes.shape[1]:
+        raise ValueError(
+            f"The faces have to name vertices 0 to {meshes.shape[1] - 1}, and there has to be one."
+        )
+    if count is not None and count < 1:
+        raise ValueError(f"A body has at least one part; {count} were asked for.")

@@ -1,0 +1,59 @@
+"""Surfaces that move, and what rigid motions of sets of their vertices leave unexplained."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...geometry.procrustes import Moments, group_moments
+from .surface import Surface, membership
+
+
+class Scene(NamedTuple):
+    """What parts are found in: frames about their middles, so that little is lost to cancellation."""
+
+    surface: Surface
+    rest: Float[np.ndarray, "V 3"]
+    #: vertex by vertex, where it is in every frame
+    paths: Float[np.ndarray, "V F 3"]
+
+
+def part_moments(scene: Scene, labels: Int[np.ndarray, "V"], count: int) -> Moments:
+    """The moments of `count` parts, vertices weighted by area; a negative label is no part."""
+    held = np.flatnonzero(labels >= 0)
+    groups = membership(labels[held], scene.surface.areas[held], count)
+    return group_moments(groups, scene.rest[held], scene.paths[held])
+
+
+def part_costs(
+    scene: Scene, rotations: Float[np.ndarray, "K F 3 3"], translations: Float[np.ndarray, "K F 3"]
+) -> Float[np.ndarray, "V K"]:
+    """Squared distances, summed over frames, of every vertex to where each part would take it from
+    the rest position that suits it best there."""
+    frames = scene.paths.shape[1]
+    flat = scene.paths.reshape(len(scene.paths), -1)
+    sums = _sums_back(flat, rotations, translations)
+    squares = np.einsum("vi,vi->v", flat, flat)[:, None] + np.sum(translations**2, (1, 2))
+    squares = squares - 2 * flat @ translations.reshape(len(translations), -1).T
+    return np.maximum(squares - np.sum(sums * sums, -1) / frames, 0.0)
+
+
+def carried_back(
+    scene: Scene, labels: np.ndarray, rotations: np.ndarray, translations: np.ndarray
+) -> Float[np.ndarray, "V 3"]:
+    """The mean over frames of every vertex carried back by its part."""
+    frames = scene.paths.shape[1]
+    back = np.zeros_like(scene.rest)
+    for part in range(len(rotations)):
+        own = labels == part
+        flat = scene.paths[own].reshape(-1, 3 * frames)
+        back[own] = _sums_back(flat, rotations[part : part + 1], translations[part : part + 1])[:, 0] / frames
+    return back
+
+
+def _sums_back(flat: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:
+    """(V, K, 3) sums over frames of `R^T (x - t)`."""
+    count = len(rotations)
+    columns = rotations.reshape(count, -1, 3).transpose(1, 0, 2).reshape(-1, 3 * count)
+    shift = np.einsum("kfab,kfa->kb", rotations, translations)
+    return (flat @ columns).reshape(-1, count, 3) - shift

@@ -1,0 +1,185 @@
+"""The graph of a mesh's vertices, always connected, and sets of vertices on it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from ...geometry.mesh import mesh_edges
+
+#: frames by which pieces of a mesh are judged to lie close
+BRIDGE_FRAMES = 16
+#: vertices by which a large piece is joined to others
+BRIDGE_SAMPLES = 64
+#: rounds in which the seeds of patches move to their middles
+LLOYD_ROUNDS = 4
+
+
+class Surface(NamedTuple):
+    """A connected graph over the vertices of a mesh, with their areas.
+
+    Edges are those of the triangles; edges between vertices that coincide in every frame; and, as
+    far as that leaves pieces unconnected, an edge between the closest vertices of two pieces.
+    """
+
+    #: (E, 2), first less than second
+    edges: Int[np.ndarray, "E 2"]
+    #: metres in the rest mesh
+    lengths: Float[np.ndarray, "E"]
+    #: share of every vertex in the area of the surface, more than zero, with sum one
+    areas: Float[np.ndarray, "V"]
+    #: (E,) false for edges that only join pieces
+    real: np.ndarray
+
+
+def make_surface(
+    rest: Float[np.ndarray, "V 3"], meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"]
+) -> Surface:
+    """The graph of a mesh whose vertices stand at `rest` and move as in `meshes`."""
+    count = len(rest)
+    edges = mesh_edges(faces)
+    chosen = np.unique(np.linspace(0, len(meshes) - 1, BRIDGE_FRAMES).round().astype(int))
+    places = meshes[chosen].transpose(1, 0, 2).reshape(count, -1).astype(float) / np.sqrt(len(chosen))
+    edges = np.concatenate([edges, _coincident(places)])
+    bridges = _bridges(places, edges)
+    real = np.arange(len(edges) + len(bridges)) < len(edges)
+    edges = np.concatenate([edges, bridges])
+    lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
+    return Surface(edges, lengths, _areas(rest, faces), real)
+
+
+def adjacency(surface: Surface, values: np.ndarray | None = None) -> sparse.csr_matrix:
+    """The symmetric matrix of the graph, ones where no values of the edges are given."""
+    values = np.ones(len(surface.edges)) if values is None else values
+    count = len(surface.areas)
+    first, second = surface.edges.T
+    half = sparse.csr_matrix((values, (first, second)), shape=(count, count))
+    return half + half.T
+
+
+def membership(
+    labels: Int[np.ndarray, "V"], weights: Float[np.ndarray, "V"], count: int
+) -> sparse.csr_matrix:
+    """(S, V) weights of the vertices in the set that each belongs to; a negative label is none."""
+    held = np.flatnonzero(labels >= 0)
+    return sparse.csr_matrix((weights[held], (labels[held], held)), shape=(count, len(labels)))
+
+
+def cut_patches(
+    surface: Surface, rest: Float[np.ndarray, "V 3"], count: int, among: np.ndarray | None = None
+) -> Int[np.ndarray, "V"]:
+    """At most `count` connected patches of about equal width: cells of geodesic distance around seeds
+    that start far from each other and move to the middles of their cells.
+
+    With `among`, a connected set of vertices, only that set is cut; others have the label -1.
+    """
+    vertices = np.arange(len(rest)) if among is None else np.asarray(among)
+    points, areas = rest[vertices], surface.areas[vertices]
+    # zero would be "no edge" to the sparse matrix
+    graph = adjacency(surface, np.maximum(surface.lengths, 1e-9 * np.ptp(rest, axis=0).max()))
+    graph = graph[vertices][:, vertices]
+    seeds = _far_apart(points, min(count, len(points)))
+    cells = np.zeros(len(points), int)
+    for _ in range(LLOYD_ROUNDS):
+        _, _, nearest = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
+        cells = np.searchsorted(seeds, nearest)
+        groups = membership(cells, areas, len(seeds))
+        middles = (groups @ points) / np.asarray(groups.sum(1))
+        gaps = np.linalg.norm(points - middles[cells], axis=1)
+        order = np.lexsort([gaps, cells])
+        seeds = np.unique(order[np.searchsorted(cells[order], np.unique(cells))])
+    _, _, nearest = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
+    labels = np.full(len(rest), -1)
+    labels[vertices] = np.searchsorted(seeds, nearest)
+    return labels
+
+
+def label_edges(
+    surface: Surface, labels: Int[np.ndarray, "V"]
+) -> tuple[Int[np.ndarray, "B 2"], Int[np.ndarray, "B"]]:
+    """The edges of the graph between two sets: the pair of labels, the lesser first, and which edge."""
+    pairs = labels[surface.edges]
+    crossing = np.flatnonzero((pairs[:, 0] != pairs[:, 1]) & (pairs >= 0).all(1))
+    return np.sort(pairs[crossing], axis=1), crossing
+
+
+def connect(
+    surface: Surface, labels: Int[np.ndarray, "V"], costs: Float[np.ndarray, "V K"]
+) -> Int[np.ndarray, "V"]:
+    """Labels of connected sets: each keeps its largest piece, and what is left goes to the
+    neighbours that cost it least."""
+    same = labels[surface.edges[:, 0]] == labels[surface.edges[:, 1]]
+    inside = adjacency(surface, same.astype(float))
+    inside.eliminate_zeros()
+    number, pieces = connected_components(inside, directed=False)
+    areas = np.bincount(pieces, surface.areas, number)
+    owner = np.zeros(number, int)
+    owner[pieces] = labels
+    order = np.lexsort([-areas, owner])
+    first = np.ones(number, bool)
+    first[1:] = owner[order][1:] != owner[order][:-1]
+    labels = np.where(np.isin(pieces, order[first]), labels, -1)
+    both = np.concatenate([surface.edges, surface.edges[:, ::-1]])
+    while (labels < 0).any():
+        open_, held = both[(labels[both[:, 0]] < 0) & (labels[both[:, 1]] >= 0)].T
+        offered = labels[held]
+        order = np.lexsort([costs[open_, offered], open_])
+        vertex, place = np.unique(open_[order], return_index=True)
+        labels[vertex] = offered[order][place]
+    return labels
+
+
+def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = (rest[faces[:, i]] for i in range(3))
+    triangles = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
+    areas = np.bincount(faces.ravel(), np.repeat(triangles, 3), len(rest))
+    total = areas.sum()
+    # a vertex without a triangle still belongs to some part
+    areas = areas / total if total > 0 else areas
+    areas = np.maximum(areas, 1e-3 / len(rest))
+    return areas / areas.sum()
+
+
+def _far_apart(points: np.ndarray, count: int) -> np.ndarray:
+    """Indices of points, sorted, each the farthest from those before it."""
+    seeds = [int(np.argmax(np.sum((points - points.mean(0)) ** 2, 1)))]
+    gaps = np.sum((points - points[seeds[0]]) ** 2, 1)
+    while len(seeds) < count and gaps.max() > 0:
+        seeds.append(int(np.argmax(gaps)))
+        gaps = np.minimum(gaps, np.sum((points - points[seeds[-1]]) ** 2, 1))
+    return np.sort(seeds)
+
+
+def _coincident(places: np.ndarray) -> np.ndarray:
+    """Edges between vertices that are at one place in every frame."""
+    _, inverse = np.unique(places, axis=0, return_inverse=True)
+    order = np.argsort(inverse, kind="stable")
+    alike = inverse[order][1:] == inverse[order][:-1]
+    return np.stack([order[:-1][alike], order[1:][alike]], 1)
+
+
+def _bridges(places: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Edges that join all pieces, each as short as its piece allows over the frames (Borůvka)."""
+    count = len(places)
+    found = [np.zeros((0, 2), int)]
+    squares = np.sum(places * places, 1)
+    while True:
+        joined = np.concatenate([edges, *found])
+        graph = sparse.coo_matrix((np.ones(len(joined)), tuple(joined.T)), shape=(count, count))
+        number, pieces = connected_components(graph, directed=False)
+        if number == 1:
+            return np.concatenate(found)
+        largest = int(np.argmax(np.bincount(pieces)))
+        links = []
+        for piece in range(number):
+            if piece == largest:
+                continue
+            own = np.flatnonzero(pieces == piece)
+            own = own[np.linspace(0, len(own) - 1, min(len(own), BRIDGE_SAMPLES)).astype(int)]
+            gaps = squares[own, None] + squares - 2 * places[own] @ places.T
+            gaps[:, pieces == piece] = np.inf
+            best = np.unravel_index(np.argmin(gaps), gaps.shape)
+            links.append(sorted((int(own[best[0]]), int(best[1]))))
+        found.append(np.unique(np.array(links), axis=0))

@@ -1,0 +1,1 @@
+"""The joints between rigid parts, where they are, and poses that follow."""

@@ -1,0 +1,139 @@
+"""Where two rigid parts are joined: the point that both of them move alike."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.distance import cdist
+
+from ..parts.surface import Surface, label_edges
+
+#: rounds in which the spread of the residual and the pull of the boundary are settled
+ROUNDS = 5
+#: how many frames count as independent: what skin does to a part's motion, it does in like poses alike
+INDEPENDENT = 3
+#: share of a boundary's radius that is trusted at the very least, so that rigid data are solved, too
+FLOOR = 1e-3
+
+
+class Seams(NamedTuple):
+    """Where parts touch, one row for each pair of parts that do."""
+
+    #: (P, 2), the lesser part first
+    pairs: Int[np.ndarray, "P 2"]
+    #: the middle of the common boundary in the rest mesh
+    middles: Float[np.ndarray, "P 3"]
+    #: root mean square distance of the boundary from its middle, metres
+    radii: Float[np.ndarray, "P"]
+    #: how long the boundary is, metres; zero for parts that do not touch
+    lengths: Float[np.ndarray, "P"]
+    #: the gap between parts that do not touch, metres
+    gaps: Float[np.ndarray, "P"]
+
+
+class Centres(NamedTuple):
+    """The best common point of each pair of parts."""
+
+    #: in the rest mesh
+    points: Float[np.ndarray, "P 3"]
+    #: root mean square distance of where the two parts take the point, metres
+    residuals: Float[np.ndarray, "P"]
+
+
+def find_seams(
+    surface: Surface, labels: Int[np.ndarray, "V"], rest: Float[np.ndarray, "V 3"], count: int
+) -> Seams:
+    """The boundaries between parts; where the parts of a mesh in several pieces do not all hang
+    together, also the gaps between every two parts of different pieces."""
+    pairs, crossing = label_edges(surface, labels)
+    keys, place = np.unique(pairs, axis=0, return_inverse=True)
+    place = place.ravel()
+    ends = rest[surface.edges[crossing]]
+    middles = ends.mean(1)
+    # on a mesh of even triangles every crossing edge stands for half an edge of boundary; an edge
+    # that only joins pieces stands for next to none
+    weights = np.where(surface.real[crossing], 0.5 * surface.lengths[crossing], 0.0)
+    lengths = np.bincount(place, weights, len(keys))
+    shares = np.maximum(weights, 1e-9)
+    shares = shares / np.bincount(place, shares, len(keys))[place]
+    centres = np.stack([np.bincount(place, shares * middles[:, i], len(keys)) for i in range(3)], 1)
+    spread = np.bincount(place, shares * np.sum((middles - centres[place]) ** 2, 1), len(keys))
+    jumps = np.bincount(place, shares * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), len(keys))
+    gaps = np.where(lengths > 0, 0.0, jumps)
+    seams = Seams(keys, centres, np.sqrt(spread), lengths, gaps)
+    return _with_gaps(seams, labels, rest, count)
+
+
+def find_centres(
+    seams: Seams,
+    rotations: Float[np.ndarray, "F K 3 3"],
+    translations: Float[np.ndarray, "F K 3"],
+    size: float,
+    error: float = 0.0,
+) -> Centres:
+    """The points `c` with the least sum over frames of `|T_a c - T_b c|^2`.
+
+    A hinge leaves its axis open and parts that do not turn leave everything: the middle of the
+    boundary pulls, as a normal prior as wide as the boundary against residuals as large as they
+    turn out. Parts that bend, and do not turn about a point, have their best point far away: a
+    joint is held within the sphere through its boundary. `size` of the body, metres, bounds the
+    radius of a boundary from below; `error` of the parts, metres, that of the residuals.
+    """
+    frames = len(rotations)
+    a, b = seams.pairs.T
+    turn = rotations[:, a] - rotations[:, b]
+    shift = translations[:, b] - translations[:, a] - np.einsum("fpab,pb->fpa", turn, seams.middles)
+    values, axes = np.linalg.eigh(np.einsum("fpai,fpaj->pij", turn, turn))
+    values = np.maximum(values, 0.0)
+    along = np.einsum("pij,fpai,fpa->pj", axes, turn, shift)
+    radii = np.maximum(seams.radii, 0.01 * size)
+    variances = (0.1 * radii) ** 2
+    points, residuals = seams.middles, np.zeros(len(radii))
+    for _ in range(ROUNDS):
+        pull = max(1.0, frames / INDEPENDENT) * variances / radii**2
+        steps = _held_steps(values, along, pull, radii)
+        away = np.einsum("pij,pj->pi", axes, steps)
+        points = seams.middles + away
+        gap = np.einsum("fpab,pb->fpa", turn, away) - shift
+        residuals = np.sqrt(np.mean(np.sum(gap * gap, -1), 0))
+        variances = np.maximum(np.maximum(residuals, error) ** 2 / 3, (FLOOR * radii) ** 2)
+    return Centres(points, residuals)
+
+
+def _held_steps(values: np.ndarray, along: np.ndarray, pull: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """(P, 3) of `along / (values + pull)`, with the least pull from the given one on that keeps
+    each step within its radius."""
+    solve = lambda weight: along / (values + weight[:, None])  # noqa: E731
+    low, high = pull, np.maximum(pull, np.linalg.norm(along, axis=1) / radii)
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        far = np.linalg.norm(solve(middle), axis=1) > radii
+        low, high = np.where(far, middle, low), np.where(far, high, middle)
+    inside = np.linalg.norm(solve(pull), axis=1) <= radii
+    return solve(np.where(inside, pull, high))
+
+
+def _with_gaps(seams: Seams, labels: np.ndarray, rest: np.ndarray, count: int) -> Seams:
+    owner = np.arange(count)
+    for a, b in seams.pairs[seams.lengths > 0]:
+        owner[owner == owner[b]] = owner[a]
+    if len(np.unique(owner)) == 1:
+        return seams
+    touching = seams.lengths > 0
+    seams = Seams(*(field[touching] for field in seams))
+    rows = []
+    for a in range(count):
+        for b in range(a + 1, count):
+            if owner[a] != owner[b]:
+                p, q = _thinned(rest[labels == a]), _thinned(rest[labels == b])
+                gaps = cdist(p, q)
+                i, j = np.unravel_index(np.argmin(gaps), gaps.shape)
+                rows.append(((a, b), (p[i] + q[j]) / 2, gaps[i, j]))
+    pairs, middles, gaps = (np.array(column) for column in zip(*rows, strict=True))
+    none = np.zeros(len(rows))
+    more = Seams(pairs, middles, none, none, gaps)
+    return Seams(*(np.concatenate(both) for both in zip(seams, more, strict=True)))
+
+
+def _thinned(points: np.ndarray, count: int = 500) -> np.ndarray:
+    return points[:: max(1, len(points) // count)]

@@ -1,0 +1,107 @@
+"""Which joints of the left answer to which of the right, from the tree and its sizes alone."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...body.skeleton import Skeleton
+
+#: how unlike, by the logarithm of the ratio, two bones' lengths and two parts' areas are that count as one
+#: unit of doubt
+LENGTH, AREA = 0.25, 0.5
+#: the mean doubt of a pair of limbs up to which they are a pair, and how much less it has to be
+#: than that of any other match of either
+DOUBT, LEAD = 1.0, 1.5
+#: share of the area of two branches, above which a branch that only one of them has speaks fully against them
+LONELY = 0.1
+#: doubts below are not told apart
+CERTAIN = 0.1
+
+
+class _Match(NamedTuple):
+    """How well two branches answer to each other."""
+
+    #: sum over their joints of squared doubts, and how many were summed
+    doubt: float
+    terms: float
+    pairs: tuple[tuple[int, int], ...]
+
+    @property
+    def mean(self) -> float:
+        return float(np.sqrt(self.doubt / self.terms))
+
+
+def find_pairs(skeleton: Skeleton, areas: Float[np.ndarray, "J"]) -> Int[np.ndarray, "P 2"]:
+    """Pairs of joints that mirror each other, the lesser index first.
+
+    Two branches that hang on one joint are a pair where they match joint by joint in what no pose
+    changes: the lengths of their bones, the distance from the joint that they hang on, the areas
+    of their parts. Only what is sure is told: a pair has to fit, and to fit better than either of
+    its branches fits any other.
+
+    **Arguments:** `areas (J,)` of the surface parts in any unit.
+    """
+    centres = np.asarray(skeleton.centres, float)
+    areas = np.asarray(areas, float)
+    children = [
+        [k for k, parent in enumerate(skeleton.parents) if parent == j] for j in range(skeleton.num_joints)
+    ]
+    lengths = np.array(
+        [np.linalg.norm(centres[j] - centres[p]) if p >= 0 else 0.0 for j, p in enumerate(skeleton.parents)]
+    )
+    floor = 0.02 * float(np.linalg.norm(np.ptp(centres, axis=0)))
+    found: list[tuple[int, int]] = []
+    for siblings in children:
+        found += _siblings(siblings, children, np.maximum(lengths, floor), np.maximum(areas, 1e-12))
+    return np.array(sorted(found), int).reshape(-1, 2)
+
+
+def _siblings(branches: list[int], children, lengths, areas) -> list[tuple[int, int]]:
+    """The sure pairs among the branches of one joint, best first."""
+    matches = {
+        (a, b): _match(a, b, children, lengths, areas)
+        for i, a in enumerate(branches)
+        for b in branches[i + 1 :]
+    }
+    found = []
+    taken: set[int] = set()
+    for (a, b), match in sorted(matches.items(), key=lambda item: item[1].mean):
+        if match.mean > DOUBT or taken & {a, b}:
+            continue
+        rivals = [
+            other.mean
+            for pair, other in matches.items()
+            if pair != (a, b) and {a, b} & set(pair) and not taken & set(pair)
+        ]
+        if min(rivals, default=np.inf) < LEAD * max(match.mean, CERTAIN):
+            continue
+        taken |= {a, b}
+        found += [(min(pair), max(pair)) for pair in match.pairs]
+    return found
+
+
+def _match(a: int, b: int, children, lengths, areas) -> _Match:
+    """The doubt of two branches, theirs and that of the best match of their own branches; one that
+    has no partner counts by its share of the area."""
+    doubt = (np.log(lengths[a] / lengths[b]) / LENGTH) ** 2 + (np.log(areas[a] / areas[b]) / AREA) ** 2
+    terms, pairs = 2.0, [(a, b)]
+    ours, theirs = list(children[a]), list(children[b])
+    while ours and theirs:
+        options = [(_match(p, q, children, lengths, areas), p, q) for p in ours for q in theirs]
+        best, p, q = min(options, key=lambda option: option[0].mean)
+        doubt, terms = doubt + best.doubt, terms + best.terms
+        pairs += best.pairs
+        ours.remove(p)
+        theirs.remove(q)
+    # a branch that the other side lacks is as doubtful as one twice as large as its partner, unless
+    # it is a small share of the whole
+    alone = sum(_whole(j, children, areas) for j in ours + theirs)
+    share = min(1.0, alone / (LONELY * (_whole(a, children, areas) + _whole(b, children, areas))))
+    lonely = share * (len(ours) + len(theirs))
+    return _Match(doubt + lonely * 2 * (np.log(2) / LENGTH) ** 2, terms + 2 * lonely, tuple(pairs))
+
+
+def _whole(joint: int, children, areas) -> float:
+    """The area of a branch."""
+    return float(areas[joint]) + sum(_whole(child, children, areas) for child in children[joint])

@@ -1,0 +1,37 @@
+"""Which of many meshes is the one to start from."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...geometry.procrustes import group_moments, nearest_rotation, rigid_motions
+from ..parts.surface import cut_patches, make_surface, membership
+
+#: patches by whose turns meshes are compared
+PATCHES = 100
+#: the most meshes that are compared with each other
+FRAMES = 200
+
+
+def choose_rest(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"]) -> int:
+    """The index of the mesh nearest to all others: the medoid of the poses.
+
+    Two meshes are as far apart as their small patches are turned against each other, the root mean
+    square over the area, the whole body's turn not counted.
+    """
+    meshes = np.asarray(meshes)
+    chosen = np.unique(np.linspace(0, len(meshes) - 1, min(len(meshes), FRAMES)).round().astype(int))
+    first = np.asarray(meshes[0], float)
+    surface = make_surface(first, meshes, np.asarray(faces))
+    patches = cut_patches(surface, first, PATCHES)
+    groups = membership(patches, surface.areas, int(patches.max()) + 1)
+    paths = np.ascontiguousarray(meshes[chosen].transpose(1, 0, 2), float)
+    turns, _ = rigid_motions(group_moments(groups, first, paths - paths.mean(0)))
+    weights = np.asarray(groups.sum(1)).ravel()
+    # the best common turn of all patches from one mesh to another, and what it leaves
+    apart = np.zeros((len(chosen), len(chosen)))
+    weighted = weights[:, None, None, None] * turns
+    for frame in range(len(chosen)):
+        change = np.einsum("pab,pfcb->fac", weighted[:, frame], turns)
+        agreement = np.einsum("fab,fab->f", nearest_rotation(change), change)
+        apart[frame] = np.sqrt(np.maximum(3 * weights.sum() - agreement, 0.0))
+    return int(chosen[np.argmin(apart.sum(1))])

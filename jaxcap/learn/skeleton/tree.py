@@ -1,0 +1,160 @@
+"""The tree of joints between rigid parts."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...body.pose import Pose
+from ...body.skeleton import Skeleton, make_skeleton
+from ...geometry import rotation
+from ..parts.parts import Parts
+from ..parts.surface import make_surface
+from .centres import Centres, Seams, find_centres, find_seams
+from .posing import motion_moments, pose_moments
+
+#: how much of the parts' own error a joint has to win to stand at a short boundary
+DOUBT = 0.5
+#: frames by which pieces of a mesh are brought together
+FRAMES = 16
+
+_shortest_arc = jax.jit(rotation.shortest_arc)
+
+
+class Tree(NamedTuple):
+    """Parts joined to a skeleton: bone `j` is part `j` of `parts`."""
+
+    skeleton: Skeleton
+    parts: Parts
+    #: (J,) root mean square distance, metres, between where a joint's two parts take its centre;
+    #: zero at the root
+    residuals: Float[np.ndarray, "J"]
+    #: (J,) area of every part, a share of the whole
+    areas: Float[np.ndarray, "J"]
+
+
+def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]) -> Tree:
+    """Joints where parts turn about a common point, and of those the tree with the least gaps.
+
+    Parts that touch are joined at the point that both move alike (`find_centres`); the spanning
+    tree with the least sum of the gaps there is the skeleton, where short boundaries count as a
+    doubt; the root is the part in whose middle the area hangs in balance. Every joint's x axis points to the
+    next joint, to the mean of the next ones where it forks, at the ends to the mean of the part's
+    vertices (Adaptation, section 3.2.1).
+
+    **Returns:** a skeleton whose root is "free" and whose other joints are "ball", named `root`,
+    `joint1`, ... parents first, and the parts in the order of its bones.
+    """
+    rest, faces = np.asarray(rest, float), np.asarray(faces)
+    count = parts.num_parts
+    chosen = np.unique(np.linspace(0, len(parts.rotations) - 1, FRAMES).round().astype(int))
+    moved = np.einsum("fvab,vb->fva", parts.rotations[chosen][:, parts.labels], rest)
+    surface = make_surface(rest, moved + parts.translations[chosen][:, parts.labels], faces)
+    areas = np.bincount(parts.labels, surface.areas, count)
+    size = float(np.linalg.norm(np.ptp(rest, axis=0)))
+    means = np.stack([np.bincount(parts.labels, surface.areas * rest[:, i], count) for i in range(3)], 1)
+    means = means / areas[:, None]
+    if count == 1:
+        return _hang(parts, [0], [-1], means, means, np.zeros(1), areas)
+    seams = find_seams(surface, parts.labels, rest, count)
+    centres = find_centres(seams, parts.rotations, parts.translations, size, parts.error)
+    joints = least_tree(_doubts(seams, centres, parts.error), seams.pairs, count)
+    order, above, joint = _from_root(seams.pairs[joints], joints, areas)
+    place = [means[order[0]] if j < 0 else centres.points[j] for j in joint]
+    gaps = np.array([0.0 if j < 0 else centres.residuals[j] for j in joint])
+    return _hang(parts, order, above, np.array(place), means[order], gaps, areas[order])
+
+
+def pose_parts(skeleton: Skeleton, parts: Parts, rest: Float[np.ndarray, "V 3"]) -> Pose:
+    """The poses, stacked over the frames, in which the bones follow the parts of the same number
+    best, over the vertices of the parts."""
+    rest = np.asarray(rest, float)
+    moments = motion_moments(rest, parts.labels, np.ones(len(rest)), parts.rotations, parts.translations)
+    return pose_moments(skeleton, moments)
+
+
+def orient(
+    parents: list[int], centres: Float[np.ndarray, "J 3"], ends: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "J 4"]:
+    """Quaternions that turn x towards the mean of the next joints, at leaves towards `ends`; none
+    where there is no direction."""
+    towards = np.array(ends, float)
+    for j in range(len(parents)):
+        children = [k for k, parent in enumerate(parents) if parent == j]
+        if children:
+            towards[j] = np.mean(centres[children], axis=0)
+    away = towards - centres
+    lengths = np.linalg.norm(away, axis=1, keepdims=True)
+    known = lengths[:, 0] > 1e-6 * max(float(lengths.max()), 1e-300)
+    away = np.where(known[:, None], away / np.where(lengths > 0, lengths, 1.0), [1.0, 0.0, 0.0])
+    return np.asarray(_shortest_arc(jnp.broadcast_to(jnp.eye(3)[0], away.shape), jnp.asarray(away)))
+
+
+def _doubts(seams: Seams, centres: Centres, error: float) -> np.ndarray:
+    """What each possible joint costs, metres: its gap, and a doubt where the boundary is short against
+    the longest one of either part."""
+    longest = np.zeros(seams.pairs.max() + 1)
+    np.maximum.at(longest, seams.pairs.ravel(), np.repeat(seams.lengths, 2))
+    either = longest[seams.pairs].min(1)
+    share = seams.lengths / np.where(either > 0, either, 1.0)
+    return centres.residuals + DOUBT * error * (1 - share) + seams.gaps
+
+
+def least_tree(costs: np.ndarray, pairs: np.ndarray, count: int) -> list[int]:
+    """Kruskal's least spanning tree: which of the pairs are in it."""
+    owner = np.arange(count)
+    chosen = []
+    for row in np.argsort(costs, kind="stable"):
+        a, b = owner[pairs[row]]
+        if a != b:
+            owner[owner == b] = a
+            chosen.append(int(row))
+    return chosen
+
+
+def _from_root(
+    pairs: np.ndarray, joints: list[int], areas: np.ndarray
+) -> tuple[list[int], list[int], list[int]]:
+    """The parts from the root on, depth first with the larger branches first; the place of each
+    one's parent in that order; and the joint that leads there, -1 at the root."""
+    around: list[list[tuple[int, int]]] = [[] for _ in areas]
+    for (a, b), joint in zip(pairs.tolist(), joints, strict=True):
+        around[a].append((b, joint))
+        around[b].append((a, joint))
+
+    def weigh(part: int, parent: int) -> float:
+        return float(areas[part]) + sum(weigh(other, part) for other, _ in around[part] if other != parent)
+
+    heaviest = [max(weigh(other, part) for other, _ in around[part]) for part in range(len(areas))]
+    order, above, joint = [], [], []
+
+    def visit(part: int, parent: int, place: int, by: int) -> None:
+        order.append(part)
+        above.append(place)
+        joint.append(by)
+        here = len(order) - 1
+        for other, via in sorted(around[part], key=lambda to: -weigh(to[0], part)):
+            if other != parent:
+                visit(other, part, here, via)
+
+    visit(int(np.argmin(heaviest)), -1, -1, -1)
+    return order, above, joint
+
+
+def _hang(parts: Parts, order, above, centres, ends, residuals, areas) -> Tree:
+    """The skeleton, and the parts in its order."""
+    count = len(order)
+    place = np.empty(count, int)
+    place[np.array(order)] = np.arange(count)
+    names = ["root"] + [f"joint{j}" for j in range(1, count)]
+    kinds = ["free"] + ["ball"] * (count - 1)
+    skeleton = make_skeleton(names, above, kinds, centres, orient(above, centres, ends))
+    sorted_parts = parts._replace(
+        labels=place[parts.labels],
+        rotations=parts.rotations[:, order],
+        translations=parts.translations[:, order],
+        partners=place[parts.partners],
+    )
+    return Tree(skeleton, sorted_parts, np.asarray(residuals), np.asarray(areas))

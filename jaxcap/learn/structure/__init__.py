@@ -1,0 +1,1 @@
+"""Joints that come and go."""

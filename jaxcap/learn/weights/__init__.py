@@ -1,0 +1,1 @@
+"""Skinning weights and rest vertices."""

@@ -1,0 +1,92 @@
+"""Linear and rigid weights of single vertices: exact, as posed vertices are linear in them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ...body.kinematics import forward_kinematics
+from ...body.pose import Pose
+from ...body.skeleton import Skeleton
+from .simplex import largest_weights, simplex_least_squares
+
+
+class Blends(eqx.Module):
+    """Where bones take vertices, frames last; chooses linear weights by least squares."""
+
+    rotations: Float[Array, "J 9 F"]
+    translations: Float[Array, "J 3 F"]
+    #: bones that may move one vertex, at most
+    influences: int | None = eqx.field(static=True, default=None)
+    num_candidates: int = eqx.field(static=True, default=1)
+
+    def choose(
+        self,
+        rows: Float[Array, "C J"],
+        lent: list[Float[Array, "C J"]],
+        rest: Float[Array, "C 3"],
+        aims: Float[Array, "C 3 F"],
+        slide: Float[Array, ""],
+        reach: Float[Array, ""],
+        count: Int[Array, ""],
+    ) -> tuple[Float[Array, "C J"], Float[Array, "C 3 F"], Float[Array, "C"]]:
+        """The best weights for each vertex; as `Slides.choose`, without slides."""
+        del lent, slide, count
+        images = self._images(rest)
+        # in differences from where the vertex is, near bones keep their digits beside far ones
+        apart = images - jnp.einsum("cj,cjaf->caf", rows, images)[:, None]
+        flat = apart.reshape(*rows.shape, -1)
+        gram = jnp.einsum("cjf,ckf->cjk", flat, flat)
+        linear = jnp.einsum("cjf,cf->cj", flat, reach * aims.reshape(len(rows), -1))
+        weights = simplex_least_squares(gram, linear, rows)
+        if self.influences is not None:
+            allowed = largest_weights(weights, self.influences)
+            kept = jnp.where(allowed, weights, 0.0)
+            kept = kept / jnp.sum(kept, 1, keepdims=True)
+            weights = simplex_least_squares(gram, linear, kept, allowed)
+        shift = jnp.einsum("cj,cjaf->caf", weights, apart)
+        return weights, shift, jnp.sum(aims**2, (1, 2)) - jnp.sum((aims - shift) ** 2, (1, 2))
+
+    def _images(self, rest: Float[Array, "C 3"]) -> Float[Array, "C J 3 F"]:
+        axes = [
+            sum(self.rotations[:, 3 * a + b] * rest[:, b, None, None] for b in range(3))
+            + self.translations[:, a]
+            for a in range(3)
+        ]
+        return jnp.stack(axes, 2)
+
+
+class Parts(eqx.Module):
+    """Where bones take vertices, frames last; chooses the one bone of a rigid skin."""
+
+    blends: Blends
+    num_candidates: int = eqx.field(static=True, default=1)
+
+    def choose(
+        self,
+        rows: Int[Array, "C"],
+        lent: list[Int[Array, "C"]],
+        rest: Float[Array, "C 3"],
+        aims: Float[Array, "C 3 F"],
+        slide: Float[Array, ""],
+        reach: Float[Array, ""],
+        count: Int[Array, ""],
+    ) -> tuple[Int[Array, "C"], Float[Array, "C 3 F"], Float[Array, "C"]]:
+        """The best bone for each vertex; as `Slides.choose`, without slides."""
+        del lent, slide, reach, count
+        images = self.blends._images(rest)
+        apart = images - jnp.take_along_axis(images, rows[:, None, None, None], 1)
+        left = jnp.sum((aims[:, None] - apart) ** 2, (2, 3))
+        best = jnp.argmin(left, 1)
+        shift = jnp.take_along_axis(apart, best[:, None, None, None], 1)[:, 0]
+        gain = jnp.sum(aims**2, (1, 2)) - jnp.take_along_axis(left, best[:, None], 1)[:, 0]
+        return best.astype(rows.dtype), shift, gain
+
+
+@eqx.filter_jit
+def make_blends(skeleton: Skeleton, poses: Pose, influences: int | None = None) -> Blends:
+    """The bones' transforms in a stack of poses."""
+    bones = jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)
+    frames, joints = bones.translations.shape[:2]
+    last = lambda array: jnp.moveaxis(array.reshape(frames, joints, -1), 0, -1)  # noqa: E731
+    return Blends(last(bones.rotations), last(bones.translations), influences)

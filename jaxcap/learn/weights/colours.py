@@ -1,0 +1,45 @@
+"""Vertices in colours: those of one colour do not meet in the metric, and may move at once."""
+
+import functools
+
+import numpy as np
+from jaxtyping import Int
+
+from ...geometry.laplacian import Conformance
+
+
+def colour_vertices(metric: Conformance) -> Int[np.ndarray, "V"]:
+    """A colour for each vertex, from zero, so that `A_uv = 0` between any two of one colour:
+    they are neither neighbours nor have a neighbour in common.
+
+    Greedy, each vertex in the smallest of the colours that are open to it, so that colours are of
+    about the same size: some twenty for the usual mesh. Kept for the next call with the mesh.
+    """
+    neighbours = np.ascontiguousarray(metric.neighbours, np.int32)
+    return _colours(neighbours.tobytes(), neighbours.shape[1])
+
+
+@functools.lru_cache(maxsize=4)
+def _colours(data: bytes, width: int) -> Int[np.ndarray, "V"]:
+    neighbours = np.frombuffer(data, np.int32).reshape(-1, width)
+    colours = np.full(len(neighbours), -1)
+    sizes = np.zeros(0, int)
+    for vertex, ring in enumerate(neighbours):
+        taken = colours[np.append(neighbours[ring], ring)]
+        open_to = np.ones(len(sizes) + 1, bool)
+        open_to[taken[taken >= 0]] = False
+        # the last entry stands for a colour of its own
+        choices = np.flatnonzero(open_to[:-1])
+        if choices.size == 0:
+            choices, sizes = np.array([len(sizes)]), np.append(sizes, 0)
+        colours[vertex] = choices[np.argmin(sizes[choices])]
+        sizes[colours[vertex]] += 1
+    colours.setflags(write=False)
+    return colours
+
+
+def within_two_rings(metric: Conformance, marked: np.ndarray) -> np.ndarray:
+    """`(V,)` of bool: the vertices that meet a marked one in the metric, those themselves too."""
+    neighbours = np.asarray(metric.neighbours)
+    once = marked | marked[neighbours].any(1)
+    return once | once[neighbours].any(1)

@@ -1,0 +1,98 @@
+"""The rest vertices that fit best, everything else given: sparse linear least squares."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...body.body import Body, deform_all
+from ...body.kinematics import forward_kinematics
+from ...body.pose import Pose
+from ...fit.linear.chebyshev import chebyshev
+from ...fit.linear.conjugate_gradients import conjugate_gradients
+from ...geometry.laplacian import Conformance, apply
+from .simplex import eliminate
+
+#: steps of conjugate gradients at most, and products of the metric in each; what bounds of its eigenvalues are apart at least
+STEPS, DEGREE, LITTLE = 30, 16, 1e-3
+
+
+@eqx.filter_jit
+def solve_vertices(
+    body: Body,
+    poses: Pose,
+    targets: Float[Array, "F V 3"],
+    metric: Conformance,
+    tolerance: float | Float[Array, ""] = 1e-3,
+) -> Float[Array, "V 3"]:
+    """Find the rest vertices, metres, from those of a body; every step of the conjugate gradients lowers Q, so that stopping
+    at `tolerance` of the gradient is safe.
+
+    A posed vertex is affine in its rest place, `x_m = B_m p + t_m` (Adaptation, eq. 3.21), and
+    the normal equations are `sum_m B_m^T A B_m p = sum_m B_m^T A (x_m - t_m)`. The `B_m` are
+    nearly rotations that neighbours share, so `F A` is nearly the matrix: with a polynomial of `A` as
+    preconditioner, few products of all frames are needed.
+    """
+    slopes = _slopes(body, poses)
+    side = _pull(metric, slopes, targets - deform_all(body, poses))
+
+    def precondition(rest):
+        # a uniform Laplacian is at most two
+        return chebyshev(lambda x: apply(metric, x), rest, 1.0, 1.0 + 4.0 * metric.alpha + LITTLE, DEGREE)
+
+    step = conjugate_gradients(
+        lambda rest: _curvature(metric, slopes, rest),
+        side,
+        precondition,
+        tolerance=jnp.asarray(tolerance, side.dtype),
+        max_steps=STEPS,
+    )
+    return body.vertices + step
+
+
+@eqx.filter_jit
+def carry_back(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Float[Array, "V 3"]:
+    """Each vertex by itself where it has to rest to come nearest to its targets, metres."""
+    slopes = _slopes(body, poses)
+    errors = targets - deform_all(body, poses)
+    normal = jnp.einsum("fvab,fvac->bcv", slopes, slopes)
+    side = jnp.einsum("fvab,fva->bv", slopes, errors)
+    return body.vertices + eliminate(normal, side[:, None])[:, 0].T
+
+
+def _slopes(body: Body, poses: Pose) -> Float[Array, "F V 3 3"]:
+    """How each posed vertex moves with its rest place; constant, as skins are affine in it."""
+
+    def of_frame(pose):
+        transforms = forward_kinematics(body.skeleton, pose)
+
+        def posed(vertices):
+            return body.skin.deform(vertices, body.skeleton, pose, transforms)
+
+        columns = [
+            jax.jvp(posed, (body.vertices,), (jnp.broadcast_to(unit, body.vertices.shape),))[1]
+            for unit in jnp.eye(3, dtype=body.vertices.dtype)
+        ]
+        return jnp.stack(columns, -1)
+
+    return jax.lax.map(of_frame, poses)
+
+
+def _pull(metric, slopes, errors) -> Float[Array, "V 3"]:
+    """`sum_m B_m^T A e_m`."""
+
+    def add(total, frame):
+        slope, error = frame
+        return total + jnp.einsum("vab,va->vb", slope, apply(metric, error)), None
+
+    return jax.lax.scan(add, jnp.zeros_like(errors[0]), (slopes, errors))[0]
+
+
+def _curvature(metric, slopes, step) -> Float[Array, "V 3"]:
+    """`sum_m B_m^T A B_m p`."""
+
+    def add(total, slope):
+        moved = jnp.einsum("vab,vb->va", slope, step)
+        return total + jnp.einsum("vab,va->vb", slope, apply(metric, moved)), None
+
+    return jax.lax.scan(add, jnp.zeros_like(step), slopes)[0]

@@ -1,0 +1,1 @@
+"""A body in its markers."""

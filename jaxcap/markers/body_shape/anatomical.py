@@ -1,0 +1,83 @@
+"""Markers over landmarks of the anatomy, on the embedded human, by the names that laboratories use.
+
+The table holds places on the left side of the man of 25 at rest, beside the joint next to them; the
+nearest skin is taken. A landmark is met to a centimetre or two, which is what palpation does, too.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...body.people.human import human
+from ...body.skin.interpolate import inside
+from .surface import HEIGHT, SurfaceMarkers, attach_markers
+
+#: names without their side: the joint, and metres to the left, up and to the front of it. The first name
+#: is that of the ISB's recommendations' bones (Wu et al. 2002, 2005), others are Plug-in Gait's
+SIDED = {
+    ("TEMP",): ("Head", (0.10, 0.05, 0.04)),
+    ("FHD",): ("Head", (0.06, 0.08, 0.10)),
+    ("BHD",): ("Head", (0.06, 0.08, -0.12)),
+    ("A", "SHO"): ("LeftArm", (0.01, 0.07, 0.0)),
+    ("LHE", "ELB"): ("LeftForeArm", (0.04, 0.035, -0.005)),
+    ("MHE",): ("LeftForeArm", (-0.04, -0.035, 0.005)),
+    ("RS", "WRA"): ("LeftHand", (-0.025, 0.023, 0.023)),
+    ("US", "WRB"): ("LeftHand", (0.025, -0.023, -0.023)),
+    ("ASIS", "ASI"): ("Hips", (0.13, 0.08, 0.10)),
+    ("PSIS", "PSI"): ("Hips", (0.045, 0.08, -0.15)),
+    ("GT",): ("LeftUpLeg", (0.12, 0.0, 0.0)),
+    ("LFE", "KNE"): ("LeftLeg", (0.08, 0.0, -0.005)),
+    ("MFE",): ("LeftLeg", (-0.08, 0.0, -0.005)),
+    ("LM", "ANK"): ("LeftFoot", (0.06, 0.0, -0.01)),
+    ("SPH", "MED"): ("LeftFoot", (-0.06, 0.01, 0.0)),
+    ("CAL", "HEE"): ("LeftFoot", (0.0, -0.03, -0.12)),
+    ("MFH5", "MT5"): ("LeftToeBase", (0.06, 0.0, 0.0)),
+    ("MFH1", "MT1"): ("LeftToeBase", (-0.06, 0.01, 0.02)),
+    ("TOE",): ("LeftToeBase", (0.0, 0.06, 0.0)),
+}
+MIDDLE = {
+    ("HV",): ("Head", (0.0, 0.25, 0.0)),
+    ("SEL",): ("Head", (0.0, 0.05, 0.15)),
+    ("OCC",): ("Head", (0.0, 0.03, -0.15)),
+    ("C7",): ("Neck", (0.0, -0.03, -0.12)),
+    ("T10",): ("Spine", (0.0, 0.03, -0.15)),
+    ("SUP", "CLAV"): ("LeftShoulder", (-0.023, -0.01, 0.08)),
+    ("STR", "STRN"): ("Spine1", (0.0, -0.05, 0.20)),
+}
+
+
+def anatomical_markers(
+    labels: Sequence[str], resolution: str = "full", height: float = HEIGHT
+) -> SurfaceMarkers:
+    """Those of the labels that the table knows, on the human of a named resolution, whatever its shape.
+
+    A label is a landmark with `L` or `R` before it (`LLFE`, `RKNE`) or one of the middle (`C7`); `height`
+    metres of the marker's middle over the skin.
+
+    **Raises:** `ValueError` where no label is known.
+    """
+    body = human(resolution=resolution)  # pyright: ignore[reportArgumentType]
+    table = _table()
+    known = [label for label in labels if label in table]
+    if not known:
+        raise ValueError(
+            f"None of the labels {', '.join(list(labels)[:8])} is a landmark that is known, such as LASIS, RKNE, C7; "
+            "say on which vertices of the human the markers are."
+        )
+    centres = dict(zip(body.skeleton.names, np.asarray(body.skeleton.centres, float), strict=True))
+    near = np.array([centres[table[label][0]] + table[label][1] for label in known])
+    on_skin = attach_markers(body, near, labels=known)
+    shares = jnp.asarray(inside(on_skin.shares), on_skin.shares.dtype)
+    return SurfaceMarkers(on_skin.corners, shares, jnp.full_like(on_skin.heights, height), on_skin.labels)
+
+
+def _table() -> dict[str, tuple[str, np.ndarray]]:
+    table = {}
+    for names, (joint, away) in MIDDLE.items():
+        table |= {name: (joint, np.array(away)) for name in names}
+    for names, (joint, away) in SIDED.items():
+        for name in names:
+            table[f"L{name}"] = joint, np.array(away)
+            table[f"R{name}"] = joint.replace("Left", "Right"), np.array(away) * [-1.0, 1.0, 1.0]
+    return table

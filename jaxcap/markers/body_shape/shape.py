@@ -1,0 +1,196 @@
+"""Who stands there: shape options of the embedded human, and its pose, from a static trial.
+
+The search itself is in `shape_search`: traits and pose together.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...body.body import Body, pose_body
+from ...body.people.anatomy import rest_deviations
+from ...body.people.human import body_of
+from ...body.people.morphs import Traits
+from ...body.pose import Pose, rest_pose
+from ...body.skeleton import Skeleton
+from ...energy.priors.prior import RestPrior
+from ...fit.solve import solve
+from ...geometry import rotation
+from ...geometry.procrustes import rigid_fit
+from ...observe import MarkerFrames
+from .anatomical import anatomical_markers
+from .shape_search import HIGHEST, LOWEST, SPREAD, USUAL, Measured, search_shape
+from .surface import SurfaceMarkers, surface_landmarks, vertex_markers
+
+#: a trait of which so much of the usual deviation is left has not been told
+UNTOLD = 0.7
+
+
+class ShapeFit(NamedTuple):
+    """A person, as the embedded human can be one."""
+
+    body: Body
+    pose: Pose
+    traits: Traits
+    #: standard deviations, with what people usually are; 0 where given
+    deviations: Traits
+    #: the markers that were used, as they are held
+    markers: SurfaceMarkers | None
+    #: metres, NaN where never seen
+    residuals: Float[np.ndarray, "M"]
+    #: what the user should know, in sentences
+    told: tuple[str, ...]
+
+
+def fit_shape(
+    frames: MarkerFrames | None = None,
+    markers: SurfaceMarkers | Mapping[str, int] | None = None,
+    *,
+    lengths: Mapping[tuple[str, str], float] | None = None,
+    height: float | None = None,
+    given: Mapping[str, float] | None = None,
+    resolution: str = "low",
+    joints: str = "tracking",
+    deviation: float = 0.015,
+    steps: int = 60,
+) -> ShapeFit:
+    """The embedded human that best explains a static trial, bone lengths, or both.
+
+    **Arguments:** `frames`, in which the person stands still: of each marker the median place counts.
+    `markers`: where they are on the human of this `resolution` ("full", "medium" or "low"), as
+    `SurfaceMarkers` or as vertices by label; landmarks of the anatomy, known by their usual names, where
+    not given. `lengths`, metres, between pairs of joints by name, as `bone_lengths` of a calibrated
+    skeleton gives them. `height` in metres. `given`, traits that are known, such as
+    `{"sex": 1.0, "age": 41}`. `deviation`, metres, of a marker from its place, along each axis.
+
+    **Raises:** `ValueError` with one sentence: neither frames nor lengths, fewer than 6 markers that
+    are known and seen, an unknown trait or joint, a trait out of its range, no person of such size.
+    """
+    if frames is None and not lengths:
+        raise ValueError("There is nothing to fit a shape to; give frames of markers, bone lengths, or both.")
+    start, free = _known(given or {})
+    body = body_of(start, resolution, joints)
+    pose, energy, held, places = rest_pose(body.skeleton), None, None, np.zeros((0, 3))
+    if frames is not None:
+        if isinstance(markers, Mapping):
+            held = vertex_markers(body, markers)
+        elif markers is not None:
+            held = markers
+        else:
+            held = anatomical_markers(frames.labels, resolution)
+        places = _static_places(frames, held.labels)
+        seen = np.asarray(np.isfinite(places).all(axis=1))
+        if seen.sum() < 6:
+            raise ValueError(
+                f"Only {int(seen.sum())} markers are both known on the body and seen; a person takes 6 at the least."
+            )
+        dtype = body.vertices.dtype
+        deviations = jnp.asarray(rest_deviations(body.skeleton), dtype)
+        energy = surface_landmarks(held, places, seen, deviation) + RestPrior(deviations)
+        pose = _stood(body, held, places, seen)
+    measured = _measured(body.skeleton, lengths or {}, height)
+    numbers = np.array(start)
+    if energy is not None:
+        # the pose first: a wrong one would be made up for by a strange person
+        pose = solve(energy, body, pose, max_steps=steps).pose
+    numbers, pose, covariance = search_shape(energy, measured, numbers, pose, free, body, resolution, steps)
+    traits = Traits(*(float(x) for x in numbers))
+    body = body_of(traits, resolution, joints)
+    spread = np.zeros(len(numbers))
+    spread[list(free)] = np.sqrt(np.diag(covariance))
+    residuals = np.zeros(0)
+    if held is not None:
+        residuals = np.linalg.norm(np.asarray(_places(held, body, pose), float) - places, axis=1)
+    told = _told(traits, spread, free, residuals, () if held is None else held.labels)
+    return ShapeFit(body, pose, traits, Traits(*map(float, spread)), held, residuals, told)
+
+
+def bone_lengths(skeleton: Skeleton, shortest: float = 0.02) -> dict[tuple[str, str], float]:
+    """Metres from each joint's parent to it, by both names; bones shorter than `shortest` are left out."""
+    centres = np.asarray(skeleton.centres, float)
+    pairs = [(p, j) for j, p in enumerate(skeleton.parents) if p >= 0]
+    lengths = {
+        (skeleton.names[p], skeleton.names[j]): float(np.linalg.norm(centres[j] - centres[p]))
+        for p, j in pairs
+    }
+    return {pair: length for pair, length in lengths.items() if length >= shortest}
+
+
+def _measured(skeleton: Skeleton, lengths: Mapping[tuple[str, str], float], height: float | None) -> Measured:
+    for name in (name for pair in lengths for name in pair):
+        if name not in skeleton.names:
+            raise ValueError(f"There is no joint '{name}' on the human; it has {', '.join(skeleton.names)}.")
+    for what, value in [*lengths.items(), *([("the person", height)] if height is not None else [])]:
+        if not 0 < value < 3:
+            raise ValueError(f"The length of {what} is {value} m; give metres, above 0 and below 3.")
+    pairs = np.array([[skeleton.index(a), skeleton.index(b)] for a, b in lengths], int).reshape(-1, 2)
+    return Measured(pairs, np.array(list(lengths.values()), float), height)
+
+
+def _known(given: Mapping[str, float]) -> tuple[Traits, tuple[int, ...]]:
+    """Where to start, and the numbers of the traits that are free."""
+    for name, value in given.items():
+        if name not in Traits._fields:
+            raise ValueError(f"There is no trait '{name}'; people have {', '.join(Traits._fields)}.")
+        low, high = getattr(LOWEST, name), getattr(HIGHEST, name)
+        if not low <= value <= high:
+            raise ValueError(f"The {name} of a human is {value}; give a number from {low:g} to {high:g}.")
+    start = USUAL._replace(**{name: float(value) for name, value in given.items()})
+    return start, tuple(i for i, name in enumerate(Traits._fields) if name not in given)
+
+
+def _static_places(frames: MarkerFrames, labels: Sequence[str]) -> np.ndarray:
+    """(M, 3) median places over the frames that show each marker, NaN where none does."""
+    places = np.full((len(labels), 3), np.nan)
+    for number, label in enumerate(labels):
+        if label in frames.labels:
+            column = frames.labels.index(label)
+            seen = np.asarray(frames.seen)[:, column]
+            if seen.any():
+                places[number] = np.median(np.asarray(frames.places, float)[seen, column], axis=0)
+    return places
+
+
+def _stood(body: Body, held: SurfaceMarkers, places: np.ndarray, seen: np.ndarray) -> Pose:
+    """The rest pose turned and moved as a whole to where the markers are (Kabsch 1976)."""
+    pose = rest_pose(body.skeleton)
+    source, target = np.asarray(_places(held, body, pose), float)[seen], places[seen]
+    turn, shift = rigid_fit(source, target)
+    root = np.asarray(body.skeleton.centres[0], float)
+    shift = turn @ root + shift - root
+    dtype = pose.rotations.dtype
+    return Pose(
+        pose.translations.at[0].set(jnp.asarray(shift, dtype)),
+        pose.rotations.at[0].set(rotation.from_matrix(jnp.asarray(turn, dtype))),
+        pose.scale,
+    )
+
+
+def _told(traits: Traits, spread: np.ndarray, free, residuals: np.ndarray, labels) -> tuple[str, ...]:
+    said = []
+    for number in free:
+        name, value = Traits._fields[number], traits[number]
+        if spread[number] > UNTOLD * SPREAD[number]:
+            said.append(
+                f"The {name} is hardly told ({value:.2f}, standard deviation {spread[number]:.2f}); it is what is usual."
+            )
+        if value in (LOWEST[number], HIGHEST[number]):
+            said.append(f"The {name} is at the end of its range, {value:g}; the human has no more of it.")
+    missing = [label for label, r in zip(labels, residuals, strict=True) if not np.isfinite(r)]
+    if missing:
+        said.append(f"{len(missing)} markers on the body are never seen: {', '.join(missing[:10])}.")
+    worst = [f"{label} ({1e3 * r:.0f} mm)" for label, r in zip(labels, residuals, strict=True) if r > 0.05]
+    if worst:
+        said.append(
+            f"{len(worst)} markers are further than 50 mm from where the person has them: {', '.join(worst[:10])}."
+        )
+    return tuple(said)
+
+
+@eqx.filter_jit
+def _places(markers: SurfaceMarkers, body: Body, pose: Pose) -> Float[Array, "M 3"]:
+    return markers.places(pose_body(body, pose))

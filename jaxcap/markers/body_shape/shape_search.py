@@ -1,0 +1,148 @@
+"""The traits of the embedded human and its pose together, as outer rounds of one problem.
+
+Traits bend at their middle states (MakeHuman's targets are linear between these), so their slopes are
+taken over a short way, and anew where each step led.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...body.body import Body
+from ...body.people.human import shape_of
+from ...body.people.morphs import AGES, Traits
+from ...body.pose import Pose
+from ...body.shape_modes import Modes
+from ...energy.priors.prior import RestPrior
+from ...energy.stacked import NormalPrior
+from ...energy.term import AbstractEnergy
+from ...fit.alternate import alternate
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.unknowns import ShapeCoefficients
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+
+#: ranges of the traits, and how far people are from `USUAL` where nothing tells
+LOWEST = Traits(0.0, AGES["child"], 0.0, 0.0, -1.0)
+HIGHEST = Traits(1.0, AGES["old"], 1.0, 1.0, 1.0)
+USUAL = Traits(0.5, 35.0, 0.5, 0.5, 0.0)
+SPREAD = Traits(0.5, 20.0, 0.25, 0.25, 0.5)
+#: share of a trait's range over which its slope is taken
+REACH = 0.02
+#: a round that lowers the squared deviations by no such share is idle, and so many of these end the search
+ENOUGH, IDLE = 1e-4, 2
+#: standard deviations of measured heights and lengths, metres
+TAPE, LENGTH = 0.002, 0.003
+
+
+class Measured(NamedTuple):
+    """What was measured on the person: metres between pairs of joints (B, 2), and tall."""
+
+    pairs: np.ndarray
+    lengths: np.ndarray
+    height: float | None
+
+
+class MeasuredLengths(AbstractEnergy):
+    """How far what was measured on a person is from what the body has, in standard deviations: lengths between joints, and the
+    height, which counts where `known`."""
+
+    pairs: Int[Array, "B 2"]
+    lengths: Float[Array, "B"]
+    height: Float[Array, ""]
+    known: Float[Array, ""]
+
+    def residual(self, posed):
+        body = posed.body
+        ends = body.skeleton.centres[self.pairs]
+        apart = jnp.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        tall = jnp.ptp(body.vertices[:, 1]) - self.height
+        return jnp.append((apart - self.lengths) / LENGTH, self.known * tall / TAPE)
+
+
+def search_shape(
+    energy: AbstractEnergy | None,
+    measured: Measured,
+    numbers: np.ndarray,
+    pose: Pose,
+    free: tuple[int, ...],
+    template: Body,
+    resolution: str,
+    rounds: int,
+) -> tuple[np.ndarray, Pose, np.ndarray]:
+    """Find the traits, the pose, and the covariance of the free traits."""
+    skeleton, dtype, chosen = template.skeleton, template.vertices.dtype, list(free)
+    none = RestPrior(jnp.ones((skeleton.num_joints, 3), dtype))
+    low, high, usual, spread = (
+        jnp.asarray(np.array(x)[chosen], dtype) for x in (LOWEST, HIGHEST, USUAL, SPREAD)
+    )
+    measure = MeasuredLengths(
+        jnp.asarray(measured.pairs, jnp.int32),
+        jnp.asarray(measured.lengths, dtype),
+        jnp.asarray(measured.height or 0.0, dtype),
+        jnp.asarray(0.0 if measured.height is None else 1.0, dtype),
+    )
+
+    def traits(values) -> np.ndarray:
+        there = numbers.copy()
+        there[chosen] = np.clip(
+            np.asarray(values, float), np.array(LOWEST)[chosen], np.array(HIGHEST)[chosen]
+        )
+        return there
+
+    def remake(y: SequenceEstimate) -> SequenceProblem:
+        body, modes = _linear_shape(template, traits(y.values["traits"]), chosen, resolution)
+        return SequenceProblem(
+            body,
+            none if energy is None else energy,
+            jnp.zeros(1, dtype),
+            {"traits": ShapeCoefficients(modes, low, high)},
+            shared=(measure, NormalPrior("traits", usual, spread)),
+        )
+
+    start = SequenceEstimate(
+        jax.tree.map(lambda leaf: leaf[None], pose), {"traits": jnp.asarray(numbers[chosen], dtype)}
+    )
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True)
+    found = alternate(remake, start, solver, rounds=rounds, enough=ENOUGH, uphill=IDLE)
+    pose = jax.tree.map(lambda leaf: leaf[0], found.y.poses)
+    covariance = np.linalg.pinv(np.asarray(_equations(found.problem, found.y), float), hermitian=True)
+    return traits(found.y.values["traits"]), pose, covariance[skeleton.num_dofs :, skeleton.num_dofs :]
+
+
+@eqx.filter_jit
+def _equations(problem: SequenceProblem, y: SequenceEstimate) -> Float[Array, "N N"]:
+    return problem.normal_equations(y)[2].as_matrix()
+
+
+def _linear_shape(
+    template: Body, numbers: np.ndarray, chosen: list[int], resolution: str
+) -> tuple[Body, Modes]:
+    """A body and modes that with the chosen traits as amounts make the person of these traits, and those nearby; the frames in
+    which its joints' own angles are measured stay."""
+    low, high = np.array(LOWEST), np.array(HIGHEST)
+    vertices, centres = _shape(numbers, resolution)
+    slopes = []
+    for number in chosen:
+        step = REACH * (high - low)[number] * np.eye(len(numbers))[number]
+        ends = [np.clip(numbers + sign * step, low, high) for sign in (-1, 1)]
+        apart = (ends[1] - ends[0])[number]
+        slopes.append(
+            [(b - a) / apart for a, b in zip(*(_shape(end, resolution) for end in ends), strict=True)]
+        )
+    by_vertex, by_centre = (np.stack([slope[i] for slope in slopes]) for i in range(2))
+    dtype = template.vertices.dtype
+    amounts = numbers[chosen]
+    vertices = vertices - np.tensordot(amounts, by_vertex, 1)
+    centres = centres - np.tensordot(amounts, by_centre, 1)
+    arrays = jnp.asarray(vertices, dtype), jnp.asarray(centres, dtype)
+    body = eqx.tree_at(lambda b: (b.vertices, b.skeleton.centres), template, arrays)
+    return body, Modes(jnp.asarray(by_centre, dtype), jnp.asarray(by_vertex, dtype))
+
+
+def _shape(numbers: np.ndarray, resolution: str) -> tuple[np.ndarray, np.ndarray]:
+    vertices, ends = shape_of(Traits(*numbers), resolution)
+    return vertices, ends[:, 0]

@@ -1,0 +1,135 @@
+"""Markers on the surface of a body: each held by a triangle, and posed with the skin."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ...body.body import Body, Posed, pose_body
+from ...body.pose import Pose, rest_pose
+from ...body.reduce import attach
+from ...energy.data.surface import SurfaceLandmarks, surface_points
+
+#: a marker further off is not on this body, or the body is not in this pose, metres
+REACH = 0.3
+#: middle of a usual marker over the skin, metres
+HEIGHT = 0.0095
+
+
+class SurfaceMarkers(eqx.Module):
+    """M markers on a body's surface, or on that of any body with the same triangles.
+
+    A marker stands `heights` metres over its triangle's plane, along the normal, over the point with
+    barycentric `shares` of the `corners`; shares leave [0, 1] where the nearest triangle ends below it.
+    """
+
+    corners: Int[Array, "M 3"]
+    shares: Float[Array, "M 3"]
+    heights: Float[Array, "M"]
+    labels: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def num_markers(self) -> int:
+        """M, the number of markers."""
+        return len(self.labels)
+
+    def places(self, posed: Posed) -> Float[Array, "M 3"]:
+        """Where the markers are on a posed body, metres."""
+        return surface_points(posed, self.corners, self.shares, self.heights)
+
+
+def attach_markers(
+    body: Body, places, pose: Pose | None = None, labels: Sequence[str] | None = None
+) -> SurfaceMarkers:
+    """Markers seen at `places (M, 3)`, metres, on a body in a pose (at rest where not given), each held
+    by the triangle that is nearest; in this pose they are exactly where they were seen.
+
+    **Raises:** `ValueError` with one sentence where a place is not finite, or further than `REACH`
+    from the surface, which a wrong pose or unit makes.
+    """
+    places = np.asarray(places, float)
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise ValueError(
+            f"The places of markers have the shape {places.shape}; give (M, 3), one row a marker."
+        )
+    names = _labels(labels, len(places))
+    for name, place in zip(names, places, strict=True):
+        if not np.isfinite(place).all():
+            raise ValueError(f"The place of marker '{name}' is not finite; attach markers that were seen.")
+    pose = rest_pose(body.skeleton) if pose is None else pose
+    vertices = np.asarray(_vertices(body, pose), float)
+    hold = attach(places, vertices, np.asarray(body.faces))
+    far = np.abs(hold.heights) > REACH
+    if far.any():
+        worst = int(np.argmax(np.abs(hold.heights)))
+        raise ValueError(
+            f"Marker '{names[worst]}' is {abs(hold.heights[worst]):.2f} m from the surface, and {int(far.sum())} of "
+            f"{len(places)} markers are further than {REACH} m; pose the body as the markers were, and check the unit."
+        )
+    dtype = body.vertices.dtype
+    return SurfaceMarkers(
+        jnp.asarray(hold.corners, jnp.int32),
+        jnp.asarray(hold.shares, dtype),
+        jnp.asarray(hold.heights, dtype),
+        names,
+    )
+
+
+def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = HEIGHT) -> SurfaceMarkers:
+    """Markers over chosen vertices of a body, by their labels, `height` metres over the skin.
+
+    **Raises:** `ValueError` for a vertex that the body does not have, or that no triangle holds.
+    """
+    faces, count = np.asarray(body.faces), len(body.vertices)
+    corners, shares = [], []
+    for label, vertex in vertices.items():
+        holding = np.argwhere(faces == vertex)
+        if not len(holding):
+            raise ValueError(
+                f"Marker '{label}' is on vertex {vertex}, which no triangle holds; the body has {count} vertices."
+            )
+        triangle, corner = holding[0]
+        corners.append(faces[triangle])
+        shares.append(np.eye(3)[corner])
+    dtype = body.vertices.dtype
+    return SurfaceMarkers(
+        jnp.asarray(np.reshape(corners, (-1, 3)), jnp.int32),
+        jnp.asarray(np.reshape(shares, (-1, 3)), dtype),
+        jnp.full(len(corners), height, dtype),
+        _labels(list(vertices), len(corners)),
+    )
+
+
+def surface_landmarks(
+    markers: SurfaceMarkers,
+    places: Float[Array, "M 3"] | Float[np.ndarray, "M 3"],
+    seen: Bool[Array, "M"] | Bool[np.ndarray, "M"] | None = None,
+    deviation: float = 1.0,
+) -> SurfaceLandmarks:
+    """The energy that draws a body's markers to where one frame saw them, for `solve` beside others.
+
+    `seen (M,)`, all where not given; residuals are in units of `deviation` metres.
+    """
+    dtype = markers.shares.dtype
+    there = jnp.ones(len(markers.labels), bool) if seen is None else jnp.asarray(seen)
+    # what was not seen may be anything, NaN too
+    targets = jnp.where(there[:, None], jnp.asarray(places, dtype), 0.0)
+    weights = there.astype(dtype) / deviation**2
+    return SurfaceLandmarks(markers.corners, markers.shares, markers.heights, targets, weights)
+
+
+def _labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
+    names = tuple(f"marker{number}" for number in range(count)) if labels is None else tuple(labels)
+    if len(names) != count:
+        raise ValueError(f"There are {len(names)} labels for {count} markers; give one each.")
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"The marker '{name}' stands twice; give every marker its own name.")
+    return names
+
+
+@eqx.filter_jit
+def _vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
+    return pose_body(body, pose).vertices

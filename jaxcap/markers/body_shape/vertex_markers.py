@@ -1,0 +1,29 @@
+"""Markers that sit on vertices of a body, as a motion carries them."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...arguments import checked
+from ...body.body import Body, deform_all, take_vertices
+from ...body.pose import Motion
+from ...observe import MarkerFrames, make_markers
+
+
+@checked
+def vertex_frames(body: Body, motion: Motion, vertices: Sequence[int], labels: Sequence[str]) -> MarkerFrames:
+    """The places of some vertices in every frame, as the skin carries them, under labels of their own.
+
+    **Raises:** `InputError` where labels are too many, too few, empty or twice the same; `ValueError` where the body has
+    no such vertex, or the motion other joints.
+    """
+    count, joints = len(body.vertices), motion.poses.rotations.shape[1]
+    wrong = [vertex for vertex in vertices if not 0 <= vertex < count]
+    if wrong:
+        raise ValueError(f"There is no vertex {wrong[0]}; the body has 0 to {count - 1}.")
+    if joints != body.skeleton.num_joints:
+        raise ValueError(f"The motion moves {joints} joints and the body has {body.skeleton.num_joints}.")
+    chosen = jnp.asarray(vertices, int)
+    places = deform_all(take_vertices(body, chosen), motion.poses)
+    return make_markers(np.asarray(places), labels, motion.rate)

@@ -1,0 +1,1 @@
+"""All poses, joint centres and places of markers together."""

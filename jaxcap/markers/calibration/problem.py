@@ -1,0 +1,305 @@
+"""All poses, joint centres and places of markers as one problem: a bundle adjustment with block-arrow equations."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ...arguments import checked
+from ...body.body import pose_body
+from ...body.pose import Pose, retract
+from ...energy.check import OwnTerms, own_terms
+from ...energy.term import AbstractEnergy
+from ...fit.frame_equations import frame_equations
+from ...fit.linear.block_arrow import BlockArrow, Unknowns
+from ...fit.linear.block_banded import BlockBanded
+from ...fit.linearise import BodyTangent, body_tangent
+from ...fit.solvers.descent import ConstrainedInfo, Constraints
+from ...fit.solvers.equalities import Equalities
+from ...fit.solvers.problem import AbstractNestedProblem
+from ..subject import Subject, marker_body, shifted
+from .residuals import linearise, marker_residuals
+from .robust import BOUND, UNBOUNDED, kernel
+from .shared import Trust, constraint_rows, prior_precision, shift_subject
+from .turning import Turning, free_turning, turning_equations, turning_square
+
+#: information on every number of a pose, 1/radian^2 and 1/metre^2: what no marker shows stays
+RIDGE = 1.0
+#: frames that are linearised at once
+BATCH = 5
+
+
+class CalibrationEstimate(eqx.Module):
+    """All that is unknown: poses in F frames; `s` of `jaxcap.markers.calibration.shared`, from the template, metres; and how far skin slides
+    with each feature of a frame, metres a radian."""
+
+    poses: Pose
+    shared: Float[Array, "S"]
+    slides: Float[Array, "K M 3"]
+
+
+class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
+    """Find the subject and the poses that make robust squared residuals of markers least, in standard deviations.
+
+    What all frames share is `s` of `jaxcap.markers.calibration.shared`, then the slides. A marker's rest place enters its own residuals
+    only, so that its columns are 3 x 3 blocks.
+
+    - `deviations (M,)` of markers, metres; beyond `bound` squared deviations a residual counts less.
+    - `turning` draws poses to means about axes which joints hardly turn about.
+    - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` that of all slides, metres a radian.
+    - `features (F, M, K)`, radians, by which skin slides.
+    - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers for vertices.
+    - `joints` are those whose centres are unknown; `pairs` those whose bones are equally long.
+    """
+
+    template: Subject
+    places: Float[Array, "F M 3"]
+    seen: Bool[Array, "F M"]
+    deviations: Float[Array, "M"]
+    turning: Turning
+    prior: Float[Array, "S S"]
+    features: Float[Array, "F M K"]
+    slide_deviation: Float[Array, ""]
+    bound: Float[Array, ""]
+    terms: AbstractEnergy | None
+    joints: tuple[int, ...] = eqx.field(static=True)
+    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+
+    def subject(self, y: CalibrationEstimate) -> Subject:
+        """Make the subject of an estimate."""
+        return shift_subject(self.template, self.joints, y.shared)
+
+    def value(self, y):
+        return self._shared_value(y) + jnp.sum(
+            jax.lax.map(self._of_frame(y), self._frames(y), batch_size=BATCH)
+        )
+
+    def retract(self, y, d: Unknowns):
+        by_frame, shared = d
+        count = len(self.prior)
+        poses = jax.vmap(retract, (None, 0, 0))(self.template.skeleton, y.poses, by_frame)
+        slides = y.slides + shared[count:].reshape(y.slides.shape)
+        return CalibrationEstimate(poses, y.shared + shared[:count], slides)
+
+    def scales(self) -> Unknowns:
+        dtype, size = self.places.dtype, len(self.prior) + 3 * self.features.shape[1] * self.features.shape[2]
+        return jnp.ones((len(self.places), self.template.skeleton.num_dofs), dtype), jnp.ones(size, dtype)
+
+    def constraint(self):
+        return "bones of equal length" if self.pairs else None
+
+    def information(self, y):
+        value, gradient, hessian = self.normal_equations(y)
+        equalities = None
+        if self.pairs:
+            rows, violation = constraint_rows(self.subject(y), self.joints, self.pairs)
+            equalities = Equalities(jnp.pad(rows, ((0, 0), (0, y.slides.size))), violation)
+        constraints = Constraints(equalities=equalities)
+        return ConstrainedInfo(value, gradient, hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
+
+    def nested(self, y):
+        """Take a step of each frame's pose by itself, where that lowers its energy: valleys are curved, and steps along them
+        so become longer (Jeong and others, Pushing the Envelope of Modern Methods for Bundle Adjustment, 2012)."""
+        of_frame = self._of_frame(y)
+        matrices, sides = self.pose_equations(y)
+        steps = BlockBanded(matrices[:, None]).factorise().solve(-sides)
+
+        def improve(frame, step):
+            pose = frame[0]
+            moved = retract(self.template.skeleton, pose, step)
+            better = of_frame((moved, *frame[1:])) < of_frame(frame)
+            return jax.tree.map(lambda new, old: jnp.where(better, new, old), moved, pose)
+
+        frames = self._frames(y)
+        poses = jax.lax.map(lambda x: improve(*x), (frames, steps), batch_size=BATCH)
+        return CalibrationEstimate(poses, y.shared, y.slides)
+
+    def pose_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, "F D D"], Float[Array, "F D"]]:
+        """Compute `J^T J` and `J^T r` of each frame by its own pose, everything else given."""
+
+        subject = self.subject(y)
+
+        def of_frame(frame):
+            pose, place, there, phi = frame
+            rows = linearise(slid(subject, y.slides, phi), pose, place)
+            root, _ = self.weigh(rows.residual, there)
+            flat = (rows.by_pose * root[:, None, None]).reshape(-1, rows.by_pose.shape[2])
+            matrix, side = turning_equations(subject.skeleton, self.turning, pose)
+            matrix = matrix + RIDGE * jnp.eye(len(side), dtype=side.dtype) + flat.T @ flat
+            side = side + flat.T @ (rows.residual * root[:, None]).reshape(-1)
+            if self.terms is not None:
+                _, own_side, own_matrix = frame_equations(self.terms, marker_body(subject), pose)
+                matrix, side = matrix + own_matrix, side + own_side
+            return matrix, side
+
+        return jax.lax.map(of_frame, self._frames(y), batch_size=BATCH)
+
+    def normal_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, ""], Unknowns, BlockArrow]:
+        """Sum `|r|^2 / 2`, `J^T r` and `J^T J` a few frames at a time."""
+        subject, markers, kinds = self.subject(y), self.template.num_markers, 1 + self.features.shape[2]
+        skeleton = subject.skeleton
+        dofs, centres = skeleton.num_dofs, 3 * len(self.joints)
+        tangent = self._term_tangent(y)
+
+        def of_frame(frame):
+            pose, place, there, phi = frame
+            rows = linearise(slid(subject, y.slides, phi), pose, place, self.joints)
+            root, cost = self.weigh(rows.residual, there)
+            r, ends = rows.residual * root[:, None], rows.by_offset * root[:, None, None]
+            wide = jnp.concatenate([rows.by_pose, rows.by_centres], 2) * root[:, None, None]
+            shares = jnp.concatenate([jnp.ones((markers, 1), phi.dtype), phi], 1)
+            flat = wide.reshape(3 * markers, -1)
+            gram = flat.T @ flat
+            # every row times the 3 x 3 block of its marker
+            across = jnp.einsum("mrn,mra->nma", wide, ends)
+            across = jnp.einsum("nma,mt->ntma", across, shares).reshape(gram.shape[0], -1)
+            squares = jnp.einsum("mra,mrb,mt,mu->tumab", ends, ends, shares, shares)
+            by_own = jnp.einsum("mra,mr,mt->tma", ends, r, shares).reshape(-1)
+            pull = flat.T @ r.reshape(-1)
+            matrix, side = turning_equations(skeleton, self.turning, pose)
+            frame_matrix = gram[:dofs, :dofs] + matrix + RIDGE * jnp.eye(dofs, dtype=r.dtype)
+            frame_side, coupling = pull[:dofs] + side, jnp.concatenate([gram[:dofs, dofs:], across[:dofs]], 1)
+            value = cost + 0.5 * turning_square(self.turning, pose)
+            summed = value, gram[dofs:, dofs:], across[dofs:], squares, jnp.append(pull[dofs:], by_own)
+            return (frame_matrix, coupling, frame_side), summed
+
+        def add(total, frames):
+            own, summed = jax.vmap(of_frame)(frames)
+            return jax.tree.map(lambda a, b: a + jnp.sum(b, 0), total, summed), own
+
+        dtype, size = self.places.dtype, centres + 3 * markers * kinds
+        none = (
+            jnp.zeros((), dtype),
+            jnp.zeros((centres, centres), dtype),
+            jnp.zeros((centres, 3 * markers * kinds), dtype),
+            jnp.zeros((kinds, kinds, markers, 3, 3), dtype),
+            jnp.zeros(size, dtype),
+        )
+        with jax.default_matmul_precision("highest"):
+            total, own = _scan_batches(add, none, self._frames(y))
+            value, corner, across, squares, side = total
+            blocks, coupling, sides = own
+            marker = jnp.arange(markers)
+            ends = jnp.zeros((kinds, markers, 3, kinds, markers, 3), dtype)
+            # the one index of both picked axes comes first
+            ends = ends.at[:, marker, :, :, marker, :].set(jnp.transpose(squares, (2, 0, 3, 1, 4)))
+            shared = jnp.block([[corner, across], [across.T, ends.reshape(size - centres, size - centres)]])
+            arrow, gradient = BlockArrow(BlockBanded(blocks[:, None]), coupling, shared), (sides, side)
+            if self.terms is not None:
+                more, others, theirs = self._term_equations(y, tangent)
+                value, gradient = value + more, jax.tree.map(jnp.add, gradient, others)
+                arrow = jax.tree.map(jnp.add, arrow, theirs)
+            return self._with_priors(y, value, gradient, arrow)
+
+    def _with_priors(self, y, value, gradient: Unknowns, arrow: BlockArrow):
+        away, stiff = y.shared, 1.0 / self.slide_deviation**2
+        count = len(self.prior)
+        pull = jnp.concatenate([self.prior @ away, stiff * y.slides.reshape(-1)])
+        firm = jnp.zeros_like(arrow.shared).at[:count, :count].set(self.prior)
+        firm = firm + jnp.diag(jnp.where(jnp.arange(len(firm)) < count, 0.0, stiff))
+        shared = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared + firm)
+        return value + self._shared_value(y), (gradient[0], gradient[1] + pull), shared
+
+    def _shared_value(self, y: CalibrationEstimate) -> Float[Array, ""]:
+        away = y.shared
+        return 0.5 * (away @ self.prior @ away + jnp.sum((y.slides / self.slide_deviation) ** 2))
+
+    def _frames(self, y: CalibrationEstimate):
+        return y.poses, self.places, self.seen, self.features
+
+    def weigh(self, residual: Float[Array, "M 3"], there: Bool[Array, "M"]):
+        """Compute the root of what each marker counts, and half of the robust cost of all."""
+        information = jnp.where(there, self.template.weights / self.deviations**2, 0.0)
+        costs, slopes = kernel(jnp.sum(residual**2, 1) * information, self.bound)
+        positive = information > 0
+        root = jnp.where(positive, jnp.sqrt(jnp.where(positive, slopes * information, 1.0)), 0.0)
+        return root, 0.5 * jnp.sum(jnp.where(there, costs, 0.0))
+
+    def _of_frame(self, y: CalibrationEstimate):
+        subject = self.subject(y)
+        body = marker_body(subject)
+
+        def cost(frame):
+            pose, place, there, phi = frame
+            value = self.weigh(marker_residuals(slid(subject, y.slides, phi), pose, place), there)[1]
+            value = value + 0.5 * turning_square(self.turning, pose)
+            if self.terms is None:
+                return value
+            r = self.terms.residual(pose_body(body, pose))
+            return value + 0.5 * (r @ r)
+
+        return cost
+
+    def _term_tangent(self, y: CalibrationEstimate) -> BodyTangent | None:
+        if self.terms is None:
+            return None
+        return body_tangent(self._body_at(y), marker_body(self.subject(y)), len(self.prior) + y.slides.size)
+
+    def _body_at(self, y: CalibrationEstimate):
+        return lambda s: marker_body(
+            shift_subject(self.template, self.joints, y.shared + s[: len(self.prior)])
+        )
+
+    def _term_equations(self, y: CalibrationEstimate, tangent: BodyTangent | None):
+        terms: Any = self.terms
+        dofs, body = self.template.skeleton.num_dofs, marker_body(self.subject(y))
+
+        def of_frame(total, pose):
+            value, side, matrix = frame_equations(terms, body, pose, self._body_at(y), tangent)
+            total = jax.tree.map(jnp.add, total, (value, side[dofs:], matrix[dofs:, dofs:]))
+            return total, (matrix[:dofs, :dofs], matrix[:dofs, dofs:], side[:dofs])
+
+        shared = self.scales()[1]
+        none = (
+            jnp.zeros((), shared.dtype),
+            jnp.zeros_like(shared),
+            jnp.zeros((len(shared), len(shared)), shared.dtype),
+        )
+        (value, side, matrix), (blocks, coupling, sides) = jax.lax.scan(of_frame, none, y.poses)
+        return value, (sides, side), BlockArrow(BlockBanded(blocks[:, None]), coupling, matrix)
+
+
+@checked
+def make_calibration_problem(
+    template: Subject,
+    places: Float[Array, "F M 3"],
+    seen: Bool[Array, "F M"],
+    joints: tuple[int, ...],
+    pairs: tuple[tuple[int, int], ...] = (),
+    trust: Trust = Trust(),
+    *,
+    robust: bool = True,
+    terms: OwnTerms = (),
+) -> CalibrationProblem:
+    """Make a problem about a template, with its deviations, free turns and skin that does not slide."""
+    dtype = places.dtype
+    return CalibrationProblem(
+        template,
+        places,
+        seen,
+        template.deviations,
+        free_turning(template.skeleton),
+        jnp.asarray(prior_precision(template, joints, trust), dtype),
+        jnp.zeros((*seen.shape, 0), dtype),
+        jnp.ones((), dtype),
+        jnp.asarray(BOUND if robust else UNBOUNDED, dtype),
+        own_terms("make_calibration_problem", terms, marker_body(template)),
+        joints,
+        pairs,
+    )
+
+
+def slid(subject: Subject, slides: Float[Array, "K M 3"], phi: Float[Array, "M K"]) -> Subject:
+    """Shift the markers of a subject as the skin of one frame does."""
+    return shifted(subject, jnp.einsum("mk,kma->ma", phi, slides))
+
+
+def _scan_batches(add, none, frames):
+    """Scan over batches of frames as long as divides their number."""
+    count = jax.tree.leaves(frames)[0].shape[0]
+    size = max(number for number in range(1, BATCH + 1) if count % number == 0)
+    batches = jax.tree.map(lambda leaf: leaf.reshape(count // size, size, *leaf.shape[1:]), frames)
+    total, own = jax.lax.scan(add, none, batches)
+    return total, jax.tree.map(lambda leaf: leaf.reshape(count, *leaf.shape[2:]), own)

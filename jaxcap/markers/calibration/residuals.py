@@ -1,0 +1,163 @@
+"""How far markers are from where their bones have them, and how that changes with every unknown.
+
+A place `y` that was seen is carried back into its bone's rest frame, `l = T_b^-1 y`, and compared
+with the marker's rest place `o` there. Of the difference counts what the marker's model keeps: all
+of it; the distance from the bone and the place along it; the distance from the joint (the marker
+models of the global technique: markers on circles about their segment and on spheres about their
+joint, with radii that are found with all else).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...body.kinematics import Transforms, forward_kinematics
+from ...body.pose import Pose
+from ...body.rates import Rates, bones_below, field_rows, joint_rates, pose_rates, take_rates
+from ...geometry import rotation
+from ..subject import Subject
+
+
+class Linearised(NamedTuple):
+    """Residuals of M markers in one frame, metres, with derivatives; numbers that a model does not
+    have are zero."""
+
+    residual: Float[Array, "M 3"]
+    by_pose: Float[Array, "M 3 D"]
+    #: by the K chosen joints' centres, joint by joint
+    by_centres: Float[Array, "M 3 C"]
+    #: by the marker's own rest place
+    by_offset: Float[Array, "M 3 3"]
+
+
+class _Slopes(NamedTuple):
+    """Derivatives of a marker's residual by `l`, `o`, its bone's centre and its bone's end."""
+
+    local: Float[Array, "M 3 3"]
+    offset: Float[Array, "M 3 3"]
+    centre: Float[Array, "M 3 3"]
+    end: Float[Array, "M 3 3"]
+
+
+def marker_residuals(subject: Subject, pose: Pose, places: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
+    """The residuals of the places of all markers in one frame, metres at rest."""
+    local = rest_places(subject, pose, forward_kinematics(subject.skeleton, pose), places)
+    return _model(subject, local)[0]
+
+
+def rest_places(
+    subject: Subject, pose: Pose, transforms: Transforms, places: Float[Array, "M 3"]
+) -> Float[Array, "M 3"]:
+    """Places of markers carried back into the rest frames of their bones."""
+    r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
+    return jnp.einsum("mba,mb->ma", r, places - t) / pose.scale**2
+
+
+def linearise(
+    subject: Subject, pose: Pose, places: Float[Array, "M 3"], joints: tuple[int, ...] = ()
+) -> Linearised:
+    """Residuals with their derivatives by the tangent of the pose, by the rest centres of `joints`
+    and by the markers' own rest places."""
+    skeleton = subject.skeleton
+    transforms = forward_kinematics(skeleton, pose)
+    residual, slopes = _model(subject, rest_places(subject, pose, transforms, places))
+    back = jnp.swapaxes(transforms.rotations[subject.bones], 1, 2) / pose.scale**2
+    # the bone moves and the seen place does not, so the place moves the other way in the bone's frame
+    directions = -back if _rigid(subject) else -slopes.local @ back
+    by_pose = _rows(subject, places, directions, pose_rates(skeleton, pose, transforms))
+    slots = np.array([6 * joint + axis for joint in joints for axis in range(3)], int)
+    rates = take_rates(joint_rates(skeleton, pose, transforms), slots)
+    by_centres = _rows(subject, places, directions, rates)
+    if joints and not _rigid(subject):
+        own = subject.bones[:, None] == np.array(joints)
+        ends = _ends(skeleton)[subject.bones][:, None] == np.array(joints)
+        for slope, at in ((slopes.centre, own), (slopes.end, ends)):
+            wide = slope[:, :, None, :] * at[:, None, :, None]
+            by_centres = by_centres + wide.reshape(by_centres.shape)
+    return Linearised(residual, by_pose, by_centres, slopes.offset)
+
+
+def _rows(subject: Subject, places, directions, rates: Rates) -> Float[Array, "M 3 N"]:
+    below = bones_below(subject.skeleton, rates)[subject.bones]
+    return field_rows(places, directions, rates) * below[:, None]
+
+
+def _rigid(subject: Subject) -> bool:
+    return all(model == "rigid" for model in subject.models)
+
+
+def _ends(skeleton) -> Array:
+    """(J,) the first child of every joint, the joint itself where it has none."""
+    ends = np.arange(skeleton.num_joints)
+    for joint in reversed(range(skeleton.num_joints)):
+        if skeleton.parents[joint] >= 0:
+            ends[skeleton.parents[joint]] = joint
+    return jnp.asarray(ends)
+
+
+def _model(subject: Subject, local: Float[Array, "M 3"]) -> tuple[Float[Array, "M 3"], _Slopes]:
+    """The residual by each marker's model, and its slopes."""
+    offsets, dtype = subject.offsets, local.dtype
+    one = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (len(offsets), 3, 3))
+    none = jnp.zeros_like(one)
+    residual, slopes = local - offsets, _Slopes(one, -one, none, none)
+    for name, model in (("circle", _circle), ("sphere", _sphere)):
+        held = np.array([kind == name for kind in subject.models])
+        if held.any():
+            other, others = model(subject, local)
+            residual = jnp.where(held[:, None], other, residual)
+            pairs = zip(others, slopes, strict=True)
+            slopes = _Slopes(*(jnp.where(held[:, None, None], a, b) for a, b in pairs))
+    return residual, slopes
+
+
+def _sphere(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
+    """`|l - c| - |o - c|`."""
+    centres = subject.skeleton.centres[subject.bones]
+    radius, out = _polar(local - centres)
+    own_radius, own_out = _polar(subject.offsets - centres)
+    none = jnp.zeros((len(local), 3, 3), local.dtype)
+    row = lambda x: none.at[:, 0].set(x)  # noqa: E731
+    return (
+        jnp.zeros_like(local).at[:, 0].set(radius - own_radius),
+        _Slopes(row(out), row(-own_out), row(own_out - out), none),
+    )
+
+
+def _circle(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
+    """Along the bone's line `c + s u`, and the distance from it."""
+    skeleton, bones = subject.skeleton, subject.bones
+    centres, ends = skeleton.centres[bones], _ends(skeleton)[bones]
+    ahead = jnp.broadcast_to(jnp.array([1.0, 0.0, 0.0], local.dtype), local.shape)
+    twist = rotation.rotate(skeleton.orientations[bones], ahead)
+    length, line = _polar(skeleton.centres[ends] - centres)
+    # a bone without an end, or with its end at its start, lies along its joint's twist axis
+    known = length > 1e-6
+    line = jnp.where(known[:, None], line, twist)
+    along, radius, out = _cylindrical(local - centres, line)
+    own_along, own_radius, own_out = _cylindrical(subject.offsets - centres, line)
+    # both numbers by the line: (l - o) . du, and -along out . du + own_along own_out . du
+    turned = jnp.stack([local - subject.offsets, own_along[:, None] * own_out - along[:, None] * out], 1)
+    across = jnp.eye(3, dtype=local.dtype) - line[:, :, None] * line[:, None, :]
+    by_end = turned @ across * jnp.where(known, 1.0 / jnp.where(known, length, 1.0), 0.0)[:, None, None]
+    pad = lambda rows: jnp.pad(rows, ((0, 0), (0, 1), (0, 0)))  # noqa: E731
+    by_centre = jnp.stack([jnp.zeros_like(out), own_out - out], 1) - by_end
+    residual = jnp.stack([along - own_along, radius - own_radius, jnp.zeros_like(radius)], 1)
+    slopes = jnp.stack([line, out], 1), -jnp.stack([line, own_out], 1), by_centre, by_end
+    return residual, _Slopes(*map(pad, slopes))
+
+
+def _cylindrical(x: Float[Array, "M 3"], line: Float[Array, "M 3"]):
+    along = jnp.sum(x * line, 1)
+    radius, out = _polar(x - along[:, None] * line)
+    return along, radius, out
+
+
+def _polar(x: Float[Array, "M 3"]) -> tuple[Float[Array, "M"], Float[Array, "M 3"]]:
+    """Length and direction; a vector of no length has no direction."""
+    squared = jnp.sum(x * x, 1)
+    there = squared > 1e-16
+    length = jnp.sqrt(jnp.where(there, squared, 1.0))
+    return jnp.where(there, length, 0.0), jnp.where(there[:, None], x / length[:, None], 0.0)

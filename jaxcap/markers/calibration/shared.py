@@ -1,0 +1,97 @@
+"""What all frames share: the joints' centres and the markers' places at rest, `s`, metres.
+
+`s` holds three numbers for each solved joint's centre, then three for each marker's rest place, as
+differences from a template. A joint is solved if it turns and markers sit on both sides of it; the
+centres of others go with their parents.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...body.skeleton import Skeleton
+from ...body.symmetry import length_differences
+from ..subject import Subject
+
+
+class Trust(eqx.Module):
+    """How far a template may be off, as standard deviations of a normal prior."""
+
+    #: of each coordinate of a bone, as a share of its length
+    lengths: float = eqx.field(static=True, default=0.1)
+    #: of each coordinate of a bone, metres besides
+    joints: float = eqx.field(static=True, default=0.01)
+    #: of each coordinate of a marker's place on its bone, metres
+    placements: float = eqx.field(static=True, default=0.02)
+
+
+def solved_joints(subject: Subject, used: Bool[np.ndarray, "M"]) -> tuple[int, ...]:
+    """The joints whose centres markers may tell: those that turn, with used markers both below and
+    elsewhere."""
+    skeleton = subject.skeleton
+    below = (skeleton.descent[:, np.asarray(subject.bones)] & np.asarray(used)).sum(1)
+    return tuple(
+        joint
+        for joint, (parent, kind) in enumerate(zip(skeleton.parents, skeleton.kinds, strict=True))
+        if parent >= 0 and kind not in ("fixed", "translate") and 0 < below[joint] < np.sum(used)
+    )
+
+
+def followers(skeleton: Skeleton, joints: tuple[int, ...]) -> Float[np.ndarray, "J K"]:
+    """Which solved joint each centre moves with: itself, or the nearest above; a root stays."""
+    rows = np.zeros((skeleton.num_joints, len(joints)))
+    for joint, parent in enumerate(skeleton.parents):
+        if joint in joints:
+            rows[joint, joints.index(joint)] = 1.0
+        elif parent >= 0:
+            rows[joint] = rows[parent]
+    return rows
+
+
+def shift_subject(subject: Subject, joints: tuple[int, ...], shared: Float[Array, "S"]) -> Subject:
+    """The subject with its centres and rest places moved by `shared`."""
+    skeleton, count = subject.skeleton, 3 * len(joints)
+    rows = jnp.asarray(followers(skeleton, joints), shared.dtype)
+    centres = skeleton.centres + rows @ shared[:count].reshape(-1, 3)
+    offsets = subject.offsets + shared[count:].reshape(-1, 3)
+    return eqx.tree_at(lambda s: (s.skeleton.centres, s.offsets), subject, (centres, offsets))
+
+
+def shared_between(template: Subject, subject: Subject, joints: tuple[int, ...]) -> Float[Array, "S"]:
+    """The `s` that leads from the template to the subject."""
+    shifts = (subject.skeleton.centres - template.skeleton.centres)[np.array(joints, int)]
+    return jnp.concatenate([shifts.ravel(), (subject.offsets - template.offsets).ravel()])
+
+
+def prior_precision(
+    template: Subject,
+    joints: tuple[int, ...],
+    trust: Trust = Trust(),
+) -> Float[np.ndarray, "S S"]:
+    """The inverse covariance of `s`: every bone and every marker's place *on its bone* is about what
+    the template has, so that a longer bone takes all below it along. It decides what no motion tells,
+    and weighs nothing beside what one does."""
+    skeleton = template.skeleton
+    centres = np.asarray(skeleton.centres, float)
+    rows = followers(skeleton, joints)
+    parents = np.array([skeleton.parents[joint] for joint in joints], int)
+    lengths = np.linalg.norm(centres[list(joints)] - centres[parents], axis=1)
+    bones = rows[list(joints)] - rows[parents]
+    by_joint = np.hstack([bones, np.zeros((len(joints), template.num_markers))])
+    by_marker = np.hstack([-rows[np.asarray(template.bones)], np.eye(template.num_markers)])
+    deviations = np.append(
+        trust.lengths * lengths + trust.joints, np.full(template.num_markers, trust.placements)
+    )
+    scaled = np.vstack([by_joint, by_marker]) / deviations[:, None]
+    return np.kron(scaled.T @ scaled, np.eye(3))
+
+
+def constraint_rows(
+    subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
+) -> tuple[Float[Array, "B S"], Float[Array, "B"]]:
+    """Compute rows over `s` and what they have to make up for: paired bones stay equally long."""
+    differences, slopes = length_differences(subject.skeleton, np.array(pairs, int).reshape(-1, 2))
+    by_centre = jnp.einsum("bja,jk->bka", slopes, followers(subject.skeleton, joints))
+    rows = jnp.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
+    return rows, -differences

@@ -1,0 +1,58 @@
+"""Calibration at given variances, with derivatives: one minimum of the problem that `calibrate` renews."""
+
+import equinox as eqx
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from ...arguments import checked
+from ...body.pose import Pose
+from ...fit.solvers.implicit import implicit_minimum, is_trustworthy
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...fit.solvers.minimise import AnySolver
+from ..subject import Subject
+from .problem import CalibrationEstimate, CalibrationProblem
+
+
+class CalibrationSolution(eqx.Module):
+    """The outcome of `solve_calibration`."""
+
+    subject: Subject
+    poses: Pose
+    estimate: CalibrationEstimate
+    #: `|r|^2` at the solution
+    energy: Float[Array, ""]
+    #: `|r|^2` after each step, NaN beyond the last
+    history: Float[Array, "H"]
+    num_steps: Int[Array, ""]
+    #: `RESULTS.successful`, or why the solver stopped before it converged
+    result: optx.RESULTS
+    #: whether the solver converged and hardly anything is left to gain, so that derivatives hold
+    trustworthy: Bool[Array, ""]
+
+
+@checked
+def solve_calibration(
+    problem: CalibrationProblem,
+    start: CalibrationEstimate,
+    solver: AnySolver | None = None,
+    max_steps: int = 100,
+) -> CalibrationSolution:
+    """Find the subject and the poses that make a calibration's energy least, everything that `calibrate` renews being given.
+
+    `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to every array of the problem: places,
+    deviations, the prior, the template. What frames tell of a subject is a difference of large numbers, so that float64 is
+    needed for derivatives.
+    """
+    solver = LevenbergMarquardt(0.0, 1e-10, damping=1e-6, relative=True) if solver is None else solver
+    found = implicit_minimum(problem, start, solver, max_steps)
+    trustworthy = is_trustworthy(problem, found)
+    return CalibrationSolution(
+        problem.subject(found.y),
+        found.y.poses,
+        found.y,
+        2.0 * problem.value(found.y),
+        found.history,
+        found.num_steps,
+        found.result,
+        trustworthy,
+    )

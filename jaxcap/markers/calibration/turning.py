@@ -1,0 +1,113 @@
+"""How far joints turn: a normal distribution of each joint's rotation about its mean.
+
+Where a joint hardly turns about an axis, or not at all, noise alone makes its bone seem to turn, and
+every seeming turn would tell a little of where the centre is: wrongly, and the more frames the more
+firmly (Neyman and Scott 1948). Poses are therefore held at each joint's own mean about axes about
+which it turns by no more than noise makes of it, and not at all about those that it uses.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Array, Float
+
+from ...body.pose import Pose
+from ...body.skeleton import Skeleton, dof_layout
+from ...geometry import rotation
+
+#: radians: no joint is held more firmly
+STIFFEST = 1e-3
+#: times the variance that noise gives a turn, from where on it stays free
+MUCH = 2.0
+#: the variance left to turns about all other axes, in that of noise
+STIFF = 1e-3
+#: how many times what is usual a frame's own variance may be, to count
+CLEAR = 3.0
+
+
+class Turning(eqx.Module):
+    """Mean rotations and inverse covariances of turns about them, of T ball joints."""
+
+    means: Float[Array, "T 4"]
+    precision: Float[Array, "T 3 3"]
+    joints: tuple[int, ...] = eqx.field(static=True)
+
+
+def free_turning(skeleton: Skeleton) -> Turning:
+    """Take any turn to be as good as any other."""
+    kinds = zip(skeleton.parents, skeleton.kinds, strict=True)
+    joints = tuple(j for j, (parent, kind) in enumerate(kinds) if parent >= 0 and kind == "ball")
+    dtype = skeleton.centres.dtype
+    means = jnp.tile(jnp.array([1.0, 0, 0, 0], dtype), (len(joints), 1))
+    return Turning(means, jnp.zeros((len(joints), 3, 3), dtype), joints)
+
+
+def mean_turns(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
+    """Compute rotation vectors from each joint's mean rotation, in the bones' own frames, radians."""
+    return np.asarray(_turns(jnp.asarray(mean_rotations(q)), jnp.asarray(q)), float)
+
+
+def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"]) -> Turning:
+    """Estimate the distribution by poses that were found without one, with their covariances: what they vary less
+    what noise makes them vary. Axes about which a joint turns `MUCH` more than that stay free, as turns
+    are not normal and those of several joints go together."""
+    free = free_turning(skeleton)
+    slots = dof_layout(skeleton).rotations[np.array(free.joints, int)]
+    q = np.asarray(poses.rotations, float)[:, list(free.joints)]
+    means = mean_rotations(q)
+    turns = np.asarray(_turns(jnp.asarray(means), jnp.asarray(q)), float)
+    each = np.asarray(covariances, float)[:, slots[:, :, None], slots[:, None, :]]
+    # frames that show a bone badly tell nothing of how far it turns
+    doubt = np.trace(each, axis1=2, axis2=3)
+    shown = (doubt <= CLEAR * np.median(doubt, 0)).astype(float)
+    shown /= shown.sum(0)
+    second = np.einsum("fj,fja,fjb->jab", shown, turns, turns)
+    noise = np.einsum("fj,fjab->jab", shown, each) + STIFFEST**2 * np.eye(3)
+    precision = np.zeros_like(second)
+    for joint, (moved, known) in enumerate(zip(second, noise, strict=True)):
+        # measured in noise, so that directions are told apart by what they show
+        values, vectors = scipy.linalg.eigh(moved, known)
+        precision[joint] = (vectors * np.where(values > MUCH, 0.0, 1.0 / STIFF)) @ vectors.T
+    dtype = skeleton.centres.dtype
+    return Turning(jnp.asarray(means, dtype), jnp.asarray(precision, dtype), free.joints)
+
+
+def turning_square(turning: Turning, pose: Pose) -> Float[Array, ""]:
+    """Compute the square of a pose's turns about the means in standard deviations."""
+    turns = _turns(turning.means, pose.rotations[np.array(turning.joints, int)])
+    return jnp.einsum("ja,jab,jb->", turns, turning.precision, turns)
+
+
+def turning_equations(
+    skeleton: Skeleton, turning: Turning, pose: Pose
+) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
+    """Compute `J^T P J` and `J^T P t` of a pose's turns `t` about the means, by its tangent."""
+    joints = np.array(turning.joints, int)
+    slots = dof_layout(skeleton).rotations[joints]
+    q = pose.rotations[joints]
+
+    def turned(w):
+        t = _turns(turning.means, rotation.multiply(q, rotation.exp(w)))
+        return jnp.sum(t, 0), t
+
+    # each joint's turns are by its own numbers only
+    slope, turns = jax.jacfwd(turned, has_aux=True)(jnp.zeros((len(joints), 3), q.dtype))
+    slope = jnp.swapaxes(slope, 0, 1)
+    pull = jnp.einsum("jab,jb->ja", turning.precision, turns)
+    blocks = jnp.einsum("jba,jbc,jcd->jad", slope, turning.precision, slope)
+    dofs = skeleton.num_dofs
+    matrix = jnp.zeros((dofs, dofs), q.dtype).at[slots[:, :, None], slots[:, None, :]].add(blocks)
+    return matrix, jnp.zeros(dofs, q.dtype).at[slots].add(jnp.einsum("jba,jb->ja", slope, pull))
+
+
+def mean_rotations(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:
+    """Find the quaternions nearest to all of each joint's, whatever their signs."""
+    return np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))[1][..., -1]
+
+
+def _turns(means: Float[Array, "T 4"], q: Float[Array, "*F T 4"]) -> Float[Array, "*F T 3"]:
+    """Rotation vectors from the means, in the bones' own frames."""
+    back = jnp.broadcast_to(rotation.conjugate(means), q.shape)
+    return rotation.log(rotation.multiply(back, q))

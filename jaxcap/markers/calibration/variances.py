@@ -1,0 +1,50 @@
+"""The markers' standard deviations by what a fit leaves of them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...fit.linear.cholesky import factorise
+from .problem import BATCH, RIDGE, CalibrationEstimate, CalibrationProblem, slid
+from .residuals import linearise
+from .robust import kernel
+from .turning import turning_equations
+
+#: below this no residual is believed, metres
+EXACT = 2e-5
+#: numbers of a marker on which all others count
+LEAN = 10.0
+
+
+@eqx.filter_jit
+def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Float[Array, "M"]:
+    """Estimate the standard deviation of every marker by its own residuals, metres, not below `EXACT`.
+
+    Residuals are shorter than the noise, as poses give way to it: a marker's three numbers a frame
+    count less by its leverage on the frame's pose, and by three for its own place. Few numbers lean
+    on what all markers show; none is taken for better than a third or worse than ten times that, so
+    that no bone hangs on one marker alone.
+    """
+    subject, dofs = problem.subject(y), problem.template.skeleton.num_dofs
+    information = subject.weights / problem.deviations**2
+    used = problem.seen & (subject.weights > 0)
+
+    def of_frame(frame):
+        pose, place, there, phi = frame
+        rows = linearise(slid(subject, y.slides, phi), pose, place)
+        squared = jnp.sum(rows.residual**2, 1)
+        slopes = jnp.where(there, kernel(squared * information, problem.bound)[1], 0.0)
+        flat = (rows.by_pose * jnp.sqrt(slopes * information)[:, None, None]).reshape(-1, dofs)
+        gram = flat.T @ flat + turning_equations(subject.skeleton, problem.turning, pose)[0]
+        gram = gram + RIDGE * jnp.eye(dofs, dtype=gram.dtype)
+        leverage = jnp.sum((flat * factorise(gram).solve(flat.T).T).reshape(len(slopes), -1), 1)
+        left = jnp.maximum(3.0 * slopes - leverage, 0.0)
+        return slopes * squared, left
+
+    frames = y.poses, problem.places, used, problem.features
+    squares, left = (jnp.sum(each, 0) for each in jax.lax.map(of_frame, frames, batch_size=BATCH))
+    left = jnp.maximum(left - 3.0, 0.0)
+    common = jnp.sum(squares) / jnp.maximum(jnp.sum(left), 1.0)
+    variance = jnp.clip((squares + LEAN * common) / (left + LEAN), common / 9.0, common * 100.0)
+    return jnp.maximum(jnp.sqrt(variance), EXACT)

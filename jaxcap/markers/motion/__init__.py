@@ -1,0 +1,1 @@
+"""The motion of a known subject through frames of markers."""

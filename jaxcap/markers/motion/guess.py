@@ -1,0 +1,91 @@
+"""Poses from nothing: each bone is turned onto its markers, from the root outwards."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...body.pose import Pose, project
+from ...body.skeleton import Skeleton
+from ...geometry import rotation
+from ...geometry.procrustes import nearest_rotation
+from ..subject import Subject
+
+#: how much markers further down the tree say of a bone, by the number of joints between
+SHARES = (1.0, 0.3, 0.05)
+#: metres squared: how firmly a bone keeps the direction of the bone above
+HOLD = 1e-3
+
+
+def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Array, "F M"]) -> Pose:
+    """A pose for every frame of its own, without any start: the root's bone goes onto its own and the
+    next bones' markers; then joint by joint outwards, with its centre where its parent has it, each
+    bone takes the rotation with the least distances to its markers (Wahba's problem), and where they
+    leave it open that of its parent.
+
+    In a frame with fewer than three markers about the root, the root is where it was before.
+    """
+    skeleton, count = subject.skeleton, len(places)
+    centres, offsets = np.asarray(skeleton.centres, float), np.asarray(subject.offsets, float)
+    targets, bones = np.asarray(places, float), np.asarray(subject.bones)
+    weights = np.asarray(seen, float) * np.asarray(subject.weights, float)
+    depths, descent = skeleton.depths, skeleton.descent
+    rotations = np.zeros((count, skeleton.num_joints, 3, 3))
+    origins = np.zeros((count, skeleton.num_joints, 3))
+    for joint, parent in enumerate(skeleton.parents):
+        steps = np.where(descent[joint][bones], depths[bones] - depths[joint], len(SHARES))
+        share = weights * np.array([*SHARES, 0.0])[np.minimum(steps, len(SHARES))]
+        if parent < 0:
+            share, source, target, origin = _root(share, weights, offsets, targets, centres[joint])
+            above = np.broadcast_to(np.eye(3), (count, 3, 3))
+        else:
+            above = rotations[:, parent]
+            origin = origins[:, parent] + above @ (centres[joint] - centres[parent])
+            target = targets - origin[:, None]
+            source = np.broadcast_to(offsets - centres[joint], target.shape)
+        if skeleton.kinds[joint] in ("fixed", "translate") and parent >= 0:
+            rotations[:, joint], origins[:, joint] = above, origin
+            continue
+        cross = np.einsum("fm,fma,fmb->fab", share, target, source)
+        rotations[:, joint] = nearest_rotation(cross + HOLD * above)
+        origins[:, joint] = origin
+        if parent < 0:
+            # so far the origin is the place of the source's middle
+            middle = (share @ offsets) / np.maximum(share.sum(1), 1e-12)[:, None]
+            shifts = np.einsum("fab,fb->fa", rotations[:, joint], centres[joint] - middle)
+            origins[:, joint] += shifts
+            known = (share > 0).sum(1) >= 3
+            _hold(known, rotations[:, joint], origins[:, joint])
+    dtype = skeleton.centres.dtype
+    return _poses(skeleton, jnp.asarray(rotations, dtype), jnp.asarray(origins, dtype))
+
+
+def _root(share, weights, offsets, targets, centre):
+    """Weights, sources and targets about their own middles; where the root's own and the next
+    bones' markers are too few, all markers."""
+    few = (share > 0).sum(1) < 3
+    share = np.where(few[:, None], weights, share)
+    total = np.maximum(share.sum(1), 1e-12)[:, None]
+    middle, origin = (share @ offsets) / total, np.einsum("fm,fma->fa", share, targets) / total
+    return share, offsets[None] - middle[:, None], targets - origin[:, None], origin
+
+
+def _hold(known, rotations, origins) -> None:
+    """Frames that show too little take the nearest frame's before, or the first one's that does."""
+    if not known.any():
+        rotations[:], origins[:] = np.eye(3), 0.0
+        return
+    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+    last = np.where(last < 0, np.argmax(known), last)
+    rotations[:], origins[:] = rotations[last], origins[last]
+
+
+@eqx.filter_jit
+def _poses(skeleton: Skeleton, rotations: Float[Array, "F J 3 3"], origins: Float[Array, "F J 3"]) -> Pose:
+    parents = np.array(skeleton.parents)
+    top = (parents < 0)[:, None, None]
+    above = jnp.where(top, jnp.eye(3, dtype=rotations.dtype), rotations[:, np.maximum(parents, 0)])
+    local = rotation.from_matrix(jnp.swapaxes(above, 2, 3) @ rotations)
+    shifts = jnp.where(top[..., 0], origins - skeleton.centres, 0.0)
+    return jax.vmap(project, (None, 0))(skeleton, Pose(shifts, local, jnp.ones(len(origins), shifts.dtype)))

@@ -1,0 +1,38 @@
+"""The markers of frames in the order of a subject's."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...observe import MarkerFrames
+from ..subject import Subject
+
+
+class Matched(NamedTuple):
+    """Frames with the M markers of a subject; where one is not seen its place is zero."""
+
+    places: Float[Array, "F M 3"]
+    seen: Bool[Array, "F M"]
+
+
+def match_markers(subject: Subject, frames: MarkerFrames) -> Matched:
+    """What frames show of the markers of a subject, by label; others are left out, and those that
+    the frames do not have are never seen. A place that is not finite is not seen.
+
+    **Raises:** `ValueError` where no label is shared, or where there are no frames.
+    """
+    place = {label: index for index, label in enumerate(frames.labels)}
+    chosen = np.array([place.get(label, -1) for label in subject.labels])
+    if (chosen < 0).all():
+        raise ValueError(
+            f"None of the frames' markers ({', '.join(frames.labels[:6])}, ...) is one of the subject's "
+            f"({', '.join(subject.labels[:6])}, ...); fit a subject to these markers, or rename them."
+        )
+    if len(frames) == 0:
+        raise ValueError("There are no frames to solve; give at least one.")
+    places = np.asarray(frames.places)[:, chosen]
+    seen = np.asarray(frames.seen)[:, chosen] & (chosen >= 0) & np.isfinite(places).all(2)
+    dtype = subject.offsets.dtype
+    return Matched(jnp.asarray(np.where(seen[..., None], places, 0.0), dtype), jnp.asarray(seen))

@@ -1,0 +1,106 @@
+"""One frame of markers at a time, for live use."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ...arguments import checked
+from ...body.pose import Pose, rest_pose
+from ...energy.check import OwnTerms, own_terms
+from ...energy.term import AbstractEnergy
+from ...errors import InputError
+from ..subject import Subject, marker_body
+from .frame import Search, solve_frame
+from .guess import guess_poses
+from .solve import DOUBT, FAR, LEAST
+
+#: iterations of a frame in time
+LIVE = Search(iterations=6)
+
+
+class Streamer(eqx.Module):
+    """A subject, and when the search in each frame ends."""
+
+    subject: Subject
+    search: Search = LIVE
+    #: of a user's own, which see the markers for vertices
+    terms: AbstractEnergy | None = None
+
+
+class StreamState(NamedTuple):
+    """What one frame leaves for the next."""
+
+    pose: Pose
+    #: standard deviations that residuals are long at their median; infinite before any frame
+    spread: Float[Array, ""]
+    #: frames that were lost one after the other; a search from nothing follows
+    lost: Int[Array, ""]
+
+
+@checked
+def make_streamer(
+    subject: Subject, search: Search = LIVE, terms: OwnTerms = ()
+) -> tuple[Streamer, StreamState]:
+    """Make a streamer, already compiled, and the state before the first frame; `terms` as those of `solve_markers`."""
+    energy = own_terms("make_streamer", terms, marker_body(subject))
+    streamer = Streamer(subject, search, energy)
+    pose = rest_pose(subject.skeleton)
+    count, dtype = subject.num_markers, subject.offsets.dtype
+    nothing = jnp.zeros((count, 3), dtype), jnp.zeros(count, bool)
+    jax.block_until_ready(_follow(streamer, pose, *nothing))
+    jax.block_until_ready(_find(streamer, pose, *nothing))
+    jax.block_until_ready(guess_poses(subject, nothing[0][None], nothing[1][None]))
+    return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), jnp.asarray(0))
+
+
+@checked
+def stream_frame(
+    streamer: Streamer,
+    state: StreamState,
+    places: Float[np.ndarray, "M 3"] | Float[Array, "M 3"],
+    seen: Bool[np.ndarray, "M"] | Bool[Array, "M"] | None = None,
+) -> tuple[StreamState, Pose]:
+    """The pose of the next frame; the state is for the frame after it.
+
+    **Arguments:** `places (M, 3)` metres in the order of the subject's markers, NaN where not seen, or
+    where `seen` says so.
+
+    A frame with fewer than `LEAST` markers leaves the pose as it was. The first frame, and one that the
+    last pose does not lead to, is searched for from a guess, which takes several times as long.
+    """
+    subject = streamer.subject
+    places = np.asarray(places)
+    if len(places) != subject.num_markers:
+        raise InputError(
+            f"stream_frame: `places` are of {len(places)} markers, and the subject has {subject.num_markers}; give one row for each, in the "
+            "subject's order, NaN where it is not seen."
+        )
+    there = np.isfinite(places).all(1) & (np.asarray(subject.weights) > 0)
+    there = there if seen is None else there & np.asarray(seen)
+    if there.sum() < LEAST:
+        return state._replace(lost=state.lost + 1), state.pose
+    dtype = subject.offsets.dtype
+    clean, shown = jnp.asarray(np.where(there[:, None], places, 0.0), dtype), jnp.asarray(there)
+    solved, new = None, bool(np.isinf(state.spread))
+    if not new:
+        solved = _follow(streamer, state.pose, clean, shown)
+    if solved is None or not float(solved.spread) < DOUBT:
+        guess = jax.tree.map(lambda leaf: leaf[0], guess_poses(subject, clean[None], shown[None]))
+        other = _find(streamer, guess, clean, shown)
+        if solved is None or not float(solved.spread) <= float(other.spread):
+            solved = other
+    return StreamState(solved.pose, solved.spread, jnp.asarray(0)), solved.pose
+
+
+@eqx.filter_jit
+def _follow(streamer: Streamer, pose: Pose, places, seen):
+    return solve_frame(streamer.subject, pose, places, seen, streamer.search, streamer.terms)
+
+
+@eqx.filter_jit
+def _find(streamer: Streamer, pose: Pose, places, seen):
+    return solve_frame(streamer.subject, pose, places, seen, FAR, streamer.terms)

@@ -1,0 +1,1 @@
+"""Centres and axes of rotation between two segments."""

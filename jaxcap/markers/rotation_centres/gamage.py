@@ -1,0 +1,94 @@
+"""The closed-form centre of concentric spheres (Gamage and Lasenby 2002), without its bias (Halvorsen 2003)."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...geometry.linear import inverse_symmetric, solve_symmetric
+from ..segments.relative import Relative
+from .common import LEAST, ROUNDS, Centre, prior_weight, robust_weights, settle
+from .precision import independent_share
+
+
+class _Fit(NamedTuple):
+    """A centre and its covariance, and what the next round weighs places and the prior by, and takes off as noise."""
+
+    found: np.ndarray
+    covariance: np.ndarray
+    weights: np.ndarray
+    noise: float
+    held: float
+
+
+def gamage_centre(relative: Relative, robust: bool = True, unbiased: bool = True) -> Centre:
+    """The common centre of the spheres on which the child's markers move in the parent's frame.
+
+    The least sum over markers of the variance of `|v - c|^2` (Gamage and Lasenby 2002, eq. 5) is
+    linear in `c`, but biased towards the markers: noise of variance `s^2` adds `2 s^2` to the
+    matrix of each marker and `2 s^2` times its mean to the right side. Both are taken off again, with
+    `s` from the residual, until it settles (Halvorsen 2003). Needs the parent's frame only.
+    """
+    c, covariance = concentric(
+        relative.tracks,
+        relative.tracked,
+        relative.weights,
+        relative.middle,
+        relative.spread,
+        robust,
+        unbiased,
+    )
+    in_child = None
+    if relative.rotations is not None and relative.translations is not None:
+        there = np.einsum("fba,fb->fa", relative.rotations, c - relative.translations)
+        in_child = np.median(there, axis=0)
+    return Centre(c, in_child, covariance)
+
+
+def concentric(
+    tracks: Float[np.ndarray, "F N 3"],
+    tracked: Bool[np.ndarray, "F N"],
+    marker_weights: Float[np.ndarray, "N"],
+    middle: Float[np.ndarray, "3"],
+    spread: float,
+    robust: bool = True,
+    unbiased: bool = True,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """The common centre and its covariance, from trajectories of N markers."""
+    v = np.where(tracked[..., None], tracks - middle, 0.0)
+    squares = np.sum(v * v, -1)
+
+    def step(fit: _Fit) -> _Fit:
+        weights, noise = fit.weights, fit.noise
+        mass = np.maximum(weights.sum(0), 1e-300)
+        mean = np.einsum("fn,fna->na", weights, v) / mass[:, None]
+        centred = np.where(tracked[..., None], v - mean, 0.0)
+        matrix = np.einsum("fn,fna,fnb->ab", weights, centred, centred)
+        side = 0.5 * np.einsum("fn,fna,fn->a", weights, centred, squares)
+        if unbiased:
+            # half of Halvorsen's terms, as the whole equation is halved
+            matrix = matrix - noise * weights.sum() * np.eye(3)
+            side = side - noise * np.einsum("fn,na->a", weights, mean)
+        # with hardly any turn all the spread may be noise: the prior then decides
+        lift = max(0.0, -np.linalg.eigvalsh(matrix)[0]) + LEAST * np.trace(matrix)
+        c = solve_symmetric(matrix + (fit.held + lift) * np.eye(3), side)
+        distances = np.linalg.norm(v - c, axis=-1)
+        radius = np.einsum("fn,fn->n", weights, distances) / mass
+        off = np.where(tracked, distances - radius, 0.0)
+        if robust:
+            away = np.abs(off)
+            some = np.where(tracked, away, np.median(away[tracked]))
+            weights = tracked * marker_weights * robust_weights(some.ravel()).reshape(off.shape)
+        noise, share = float((weights * off**2).sum() / weights.sum()), independent_share(off)
+        # per unit of the radius, as the rows are radii times distances
+        held = prior_weight(
+            abs(float(np.trace(matrix)) / 3), noise * float((radius**2).mean()), share, spread
+        )
+        # a row of the equation is radius times the deviation of the distance
+        mean_square = float((weights.sum(0) @ radius**2) / weights.sum())
+        covariance = noise * mean_square / share * inverse_symmetric(matrix + (held + lift) * np.eye(3))
+        return _Fit(c, covariance, weights, noise, held)
+
+    start = _Fit(np.zeros(3), np.eye(3), tracked * marker_weights, 0.0, 0.0)
+    fit = settle(step, start, 3 * ROUNDS, 1e-10, least=4)
+    return middle + fit.found, fit.covariance

@@ -1,0 +1,254 @@
+"""Where markers are not seen, and trajectories that go on under another name after each gap.
+
+A capture program that loses a marker and finds it again may take it for a new one. Such pieces never
+overlap, and the next begins where the last would have come to. Where that is, the markers around it
+tell: those whose distance to it hardly varied carry it rigidly through the gap (Kabsch 1976).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import linear_sum_assignment
+
+from ...arguments import checked
+from ...geometry.procrustes import rigid_fit
+from ...observe import MarkerFrames
+
+#: markers that carry another through a gap, and frames that are compared to choose them
+CARRIERS, COMPARED = 6, 50
+#: what a marker can move away from where it was, metres a second, to be looked at as its own piece
+FASTEST = 10.0
+#: metres that the place of a marker is uncertain by
+NOISE = 0.002
+#: metres that all markers move at most, where nothing moves
+STILL = 1e-6
+
+
+class Gaps(NamedTuple):
+    """Statistics of each marker; a gap is a run of frames in which it is not seen, at the ends as well."""
+
+    #: fraction of the frames
+    seen: Float[np.ndarray, "M"]
+    count: Int[np.ndarray, "M"]
+    #: frames of the longest
+    longest: Int[np.ndarray, "M"]
+
+
+def gap_statistics(frames: MarkerFrames) -> Gaps:
+    """Fraction seen, number of gaps and the longest gap of each marker."""
+    seen = np.asarray(frames.seen)
+    lengths = [[end - begin for begin, end in runs(~column)] for column in seen.T]
+    return Gaps(
+        seen.mean(0),
+        np.array([len(some) for some in lengths], int),
+        np.array([max(some, default=0) for some in lengths], int),
+    )
+
+
+def runs(mask: Bool[np.ndarray, "F"]) -> list[tuple[int, int]]:
+    """Begin and end, one behind the last, of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def never_seen(frames: MarkerFrames) -> tuple[str, ...]:
+    """Labels of the markers that no frame shows."""
+    seen = np.any(np.asarray(frames.seen), axis=0)
+    return tuple(label for i, label in enumerate(frames.labels) if not seen[i])
+
+
+def is_still(frames: MarkerFrames) -> bool:
+    """Whether all frames are equal: no marker moves by more than a micrometre."""
+    seen = np.asarray(frames.seen)[..., None]
+    places = np.asarray(frames.places, float)
+    spread = np.where(seen, places, -np.inf).max(0) - np.where(seen, places, np.inf).min(0)
+    return bool(np.all(spread <= STILL))
+
+
+def describe_gaps(frames: MarkerFrames) -> tuple[str, ...]:
+    """What is wrong with markers as a whole, a sentence each: none seen, some never seen, all frames equal,
+    frames that show nothing, trajectories in pieces."""
+    seen, told = np.asarray(frames.seen), []
+    if not seen.any():
+        return ("No marker is seen in any frame.",)
+    if lost := never_seen(frames):
+        told.append(f"{_listed(lost)} never seen; leave out what was not worn.")
+    if len(frames) > 1 and is_still(frames):
+        told.append(f"All {len(frames)} frames are equal: nothing moves, so no joint can be found in them.")
+    if empty := int((~seen.any(1)).sum()):
+        told.append(f"{empty} of {len(frames)} frames show no marker at all.")
+    for chain in find_pieces(frames):
+        names = [frames.labels[i] for i in chain]
+        told.append(
+            f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join_pieces, or "
+            "--pieces join of fit and solve, makes them one."
+        )
+    return tuple(told)
+
+
+def find_pieces(
+    frames: MarkerFrames, within: float = 2.0, reach: float = 0.04
+) -> tuple[tuple[int, ...], ...]:
+    """Chains of markers that look like one trajectory in pieces, each by rising frame.
+
+    One marker follows another where it begins after the other's end, by at most `within` seconds and less
+    than `reach` metres from where the other would have come to. Each has at most one successor: those that
+    are nearest altogether (linear assignment).
+    """
+    seen, places = np.array(frames.seen), np.array(frames.places, float)
+    chains: dict[int, tuple[int, ...]] = {i: (int(i),) for i in np.flatnonzero(seen.any(0)).tolist()}
+    # what is joined carries others through gaps that its pieces could not
+    while follows := _successors(
+        places, seen, list(chains), within * frames.rate, FASTEST / frames.rate, reach
+    ):
+        for head in [i for i in chains if i in follows and i not in follows.values()]:
+            piece = head
+            while (piece := follows.get(piece, -1)) >= 0:
+                chains[head] += chains.pop(piece)
+                places[:, head] += places[:, piece]
+                seen[:, head] |= seen[:, piece]
+    return tuple(sorted(chain for chain in chains.values() if len(chain) > 1))
+
+
+@checked
+def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None = None) -> MarkerFrames:
+    """Markers with each chain of pieces as one, in the place of its first; without `chains` those of
+    `find_pieces`. It is called as the first of its pieces that has a name not beginning with a star.
+
+    **Raises:** `ValueError` where a marker is in two chains, or pieces of a chain are seen at once.
+    """
+    chains = find_pieces(frames) if chains is None else chains
+    seen, places = np.array(frames.seen), np.array(frames.places)
+    labels, used, gone = list(frames.labels), set(), set()
+    for chain in chains:
+        if used & set(chain) or len(set(chain)) < len(chain):
+            raise ValueError(
+                f"Marker '{labels[chain[0]]}' is in two chains of pieces; give each marker to one."
+            )
+        index = list(chain)
+        if (seen[:, index].sum(1) > 1).any():
+            names = ", ".join(frames.labels[i] for i in chain)
+            raise ValueError(f"{names} are seen in the same frame, so they are not pieces of one trajectory.")
+        head = min(chain)
+        places[:, head] = places[:, index].sum(1)
+        seen[:, head] = seen[:, index].any(1)
+        labels[head] = next(
+            (frames.labels[i] for i in chain if frames.labels[i][0] != "*"), frames.labels[chain[0]]
+        )
+        used |= set(chain)
+        gone |= set(chain) - {head}
+    kept = [i for i in range(len(labels)) if i not in gone]
+    return MarkerFrames(places[:, kept], seen[:, kept], tuple(labels[i] for i in kept), frames.rate)
+
+
+def split_unlabelled(frames: MarkerFrames) -> MarkerFrames:
+    """Markers with each run of what is called `*32` as a piece of its own, `*32.1`, `*32.2`, ...
+
+    Under a name with a star a capture program keeps what it has no label for, often several trajectories
+    one behind the other, so that such a name says nothing across a gap. `join_pieces` puts together what
+    belongs together.
+    """
+    seen, places = np.asarray(frames.seen), np.asarray(frames.places)
+    columns: list[tuple[str, int, np.ndarray]] = []
+    for i, label in enumerate(frames.labels):
+        pieces = runs(seen[:, i])
+        if not label.startswith("*") or len(pieces) < 2:
+            columns.append((label, i, seen[:, i]))
+            continue
+        at = np.arange(len(seen))
+        columns += [
+            (f"{label}.{n}", i, (at >= begin) & (at < end)) for n, (begin, end) in enumerate(pieces, 1)
+        ]
+    kept = np.stack([column for _, _, column in columns], 1)
+    moved = np.where(kept[..., None], places[:, [i for _, i, _ in columns]], 0)
+    return MarkerFrames(moved, kept, tuple(label for label, _, _ in columns), frames.rate)
+
+
+def _successors(
+    places: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    markers: list[int],
+    within: float,
+    speed: float,
+    reach: float,
+) -> dict[int, int]:
+    """Marker to the one that follows it; `within` in frames, `speed` in metres a frame."""
+    there = np.asarray(markers)
+    first, last = seen.argmax(0), len(seen) - 1 - seen[::-1].argmax(0)
+    # rows end, columns begin
+    between = first[None, there] - last[there, None]
+    cost = np.full(between.shape, np.inf)
+    for row, column in np.argwhere((between > 0) & (between <= within)):
+        end, begin, gap = int(there[row]), int(there[column]), between[row, column]
+        if np.linalg.norm(places[last[end], end] - places[first[begin], begin]) > reach + speed * gap:
+            continue
+        miss = _miss(places, seen, end, begin, int(last[end]), int(first[begin]))
+        if miss < reach:
+            # of two that fit as well, the one that comes sooner
+            cost[row, column] = miss / reach + 0.5 * gap / within
+    return {int(there[row]): int(there[column]) for row, column in _assign(cost).items()}
+
+
+def _miss(
+    places: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    end: int,
+    begin: int,
+    last: int,
+    first: int,
+) -> float:
+    """How far `begin` appears from where `end` would be, and back, metres: the mean of both ways."""
+    there = _carried(places, seen, end, last, first)
+    back = _carried(places, seen, begin, first, last)
+    ahead = _coasted(places, seen, end, last, first) if there is None else there
+    behind = _coasted(places, seen, begin, first, last) if back is None else back
+    misses = np.linalg.norm(ahead - places[first, begin]), np.linalg.norm(behind - places[last, end])
+    # without markers around both, the nearer of the two guesses has to do
+    return float(np.mean(misses) if there is not None and back is not None else np.min(misses))
+
+
+def _carried(
+    places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], marker: int, old: int, new: int
+) -> Float[np.ndarray, "3"] | None:
+    """Where the markers around one at frame `old` carry it to at frame `new`; None where there are not three."""
+    both = seen[old] & seen[new]
+    both[marker] = False
+    others = np.flatnonzero(both)
+    if len(others) < 3:
+        return None
+    shown = np.flatnonzero(seen[:, marker])
+    shown = shown[np.linspace(0, len(shown) - 1, min(COMPARED, len(shown))).astype(int)]
+    away = np.linalg.norm(places[shown][:, others] - places[shown, marker][:, None], axis=2)
+    away[~seen[shown][:, others]] = np.nan
+    spread = np.sqrt(np.nanmean((away - away[shown == old]) ** 2, axis=0))
+    near = np.linalg.norm(places[old, others] - places[old, marker], axis=1)
+    # short pieces show little variation anywhere, and then the nearest are the likeliest of its own bone
+    doubt = spread**2 + (0.02 * near) ** 2 + NOISE**2
+    chosen = np.argsort(doubt)[:CARRIERS]
+    weights = 1 / doubt[chosen] ** 2
+    weights /= weights.sum()
+    turn, shift = rigid_fit(places[old, others[chosen]], places[new, others[chosen]], weights)
+    return turn @ places[old, marker] + shift
+
+
+def _coasted(
+    places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], marker: int, old: int, new: int
+) -> Float[np.ndarray, "3"]:
+    """Where a marker comes to at the speed that it has at frame `old`, on the side that it is seen from."""
+    earlier = old - 1 if new > old else old + 1
+    if not (0 <= earlier < len(seen) and seen[earlier, marker]):
+        return places[old, marker]
+    return places[old, marker] + (places[old, marker] - places[earlier, marker]) * abs(new - old)
+
+
+def _assign(cost: Float[np.ndarray, "R R"]) -> dict[int, int]:
+    """Row to column with the most links, and of those the cheapest, among finite costs."""
+    none = 1.0 + 2.0 * len(cost)
+    rows, columns = linear_sum_assignment(np.where(np.isfinite(cost), cost, none))
+    return {int(r): int(c) for r, c in zip(rows, columns, strict=True) if np.isfinite(cost[r, c])}
+
+
+def _listed(labels: tuple[str, ...]) -> str:
+    some = ", ".join(labels[:8]) + (f" and {len(labels) - 8} more" if len(labels) > 8 else "")
+    return f"Marker {some} is" if len(labels) == 1 else f"Markers {some} are"

@@ -1,0 +1,197 @@
+"""Which markers move as one: the partition into rigid segments, with nobody marking where they sit."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...arguments import checked
+from .cover import maximal_sets
+from .deviation import TAIL, median_distances, pair_deviations
+from .segment import Segments, make_segments
+
+#: what a segment of 1, 2, 3 or more markers costs in the description, against the squared deviation of
+#: a marker in units of the usual one: a lone marker explains nothing, so it costs as much as a pair
+COSTS = np.array([0.0, 2.5, 2.5, 3.0])
+#: thresholds that are tried
+TRIED = 24
+#: skin moves by at least this share of the body's size where its limbs move at all; limbs that are at
+#: rest, which most are when one joint is exercised, would have the moving one's markers all loose
+SKIN = 0.006
+#: and no body's markers deviate by this share of its size where they sit on the same limb
+ADRIFT = 0.1
+
+
+class Partition(NamedTuple):
+    """Segments, and how they came about."""
+
+    segments: Segments
+    #: metres, of the relation "these two keep their distance"
+    threshold: float
+    #: (M, M) range of every pair's distance, metres; NaN for pairs never seen together
+    deviations: Float[np.ndarray, "M M"]
+    #: the cover: all maximal rigid sets, which overlap, the biggest first
+    cover: tuple[tuple[int, ...], ...]
+
+
+@checked
+def find_partition(
+    places: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    threshold: float | None = None,
+    *,
+    robust: bool = True,
+) -> Partition:
+    """Rigid segments from pairwise distances over the frames (Silaghi et al. 1998, partitioning).
+
+    Two markers are related where their distance varies by less than the threshold; the maximal sets
+    of related markers cover the markers, and taken from the biggest on, each without what was taken
+    before, they partition them. Then single markers move, while every two of a segment stay related,
+    to where the segments describe the distances best: a marker by a joint is rigid to both sides, and
+    the biggest set would rob the other side of it.
+
+    **Arguments:** `threshold` metres; where not given, the one among those the data suggest whose
+    partition has the shortest description. `robust` ignores the outer 4 % of each pair's distances.
+
+    **Raises:** `ValueError` where no two markers keep their distance, or none ever moves.
+    """
+    deviations = pair_deviations(places, seen, TAIL if robust else 0)
+    known = np.where(np.isnan(deviations), np.inf, deviations)
+    if not np.isfinite(known[np.triu_indices(len(known), 1)]).any():
+        raise ValueError("No two markers are ever seen together, so none can be told to move as one.")
+    if threshold is not None:
+        if not threshold > 0:
+            raise ValueError(f"The threshold is {threshold}; give a distance above zero, in metres.")
+        options, unit = [float(threshold)], 0.6 * float(threshold)
+    else:
+        size = float(np.nanmax(median_distances(places, seen)))
+        unit = usual_deviation(known, size)
+        if unit > ADRIFT * size:
+            raise ValueError(
+                f"No markers move together: most change their distance from every other by more than {1e3 * unit:.0f} mm. "
+                "Is it one body, and the unit right? Give a threshold if so."
+            )
+        options = np.geomspace(0.5 * unit, 3.0 * unit, TRIED).tolist()
+    best: tuple[float, float, list[tuple[int, ...]], list[tuple[int, ...]]] | None = None
+    for option in options:
+        cover = maximal_sets(known < option, known)
+        parts = _settled(_biggest_first(cover), known, option, unit)
+        length = _length(parts, known, unit)
+        if best is None or length < best[0] - 1e-9:
+            best = length, option, parts, cover
+    assert best is not None
+    _, chosen, parts, cover = best
+    members = sorted((part for part in parts if len(part) > 1), key=lambda part: part[0])
+    if not members:
+        raise ValueError(
+            f"No markers move together: every two change their distance by more than {1e3 * chosen:.0f} mm. "
+            "Is it one body, and the unit right? Give a larger threshold if so."
+        )
+    weights = attachment_weights(members, known, unit)
+    return Partition(make_segments(members, len(known), weights), chosen, deviations, tuple(cover))
+
+
+def usual_deviation(known: Float[np.ndarray, "M M"], size: float) -> float:
+    """What markers of a segment usually deviate, metres: half as much again as the deviation from the
+    second most rigid partner is in four of five markers, and at the least a share of the body's size."""
+    near = np.sort(known, axis=1)[:, 1:3]
+    second = np.where(np.isfinite(near[:, -1]), near[:, -1], near[:, 0])
+    second = second[np.isfinite(second)]
+    return max(1.5 * float(np.quantile(second, 0.8)), SKIN * size)
+
+
+def attachment_weights(members, known: Float[np.ndarray, "M M"], unit: float) -> Float[np.ndarray, "M"]:
+    """How rigidly each marker sits, 0 to 1: one for the best, falling with the square of a marker's
+    mean deviation from the others of its segment against the usual one."""
+    weights = np.zeros(len(known))
+    for some in members:
+        inside = known[np.ix_(some, some)]
+        weights[list(some)] = 1 / (1 + _mean_squares(inside) / unit**2)
+    top = weights.max()
+    return weights / top if top > 0 else weights
+
+
+def correct(
+    segments: Segments, labels: tuple[str, ...], corrections: Mapping[str, tuple[str, float]]
+) -> Segments:
+    """Segments after a user's corrections, marker -> (segment, weight); weight 0, or the segment `-`,
+    makes a marker loose, and a segment that does not exist yet is made.
+
+    **Raises:** `ValueError` for a marker that is not there or a weight outside 0 to 1.
+    """
+    sets = {name: list(some) for name, some in zip(segments.names, segments.members, strict=True)}
+    weights = segments.weights.copy()
+    for label, (name, weight) in corrections.items():
+        if label not in labels:
+            raise ValueError(f"There is no marker '{label}' to correct; there are {', '.join(labels)}.")
+        if not 0 <= weight <= 1:
+            raise ValueError(f"The marker '{label}' is given the weight {weight}; give 0 to 1.")
+        marker = labels.index(label)
+        for some in sets.values():
+            if marker in some:
+                some.remove(marker)
+        if name != "-" and weight > 0:
+            sets.setdefault(name, []).append(marker)
+        weights[marker] = weight
+    kept = {name: some for name, some in sets.items() if some}
+    return make_segments(kept.values(), len(labels), weights, tuple(kept))
+
+
+def _biggest_first(cover: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    left = [set(some) for some in cover]
+    parts = []
+    while left:
+        # the cover's order breaks ties
+        place = max(range(len(left)), key=lambda k: (len(left[k]), -k))
+        taken = left[place]
+        parts.append(tuple(sorted(taken)))
+        left = [rest for some in left if (rest := some - taken)]
+    return parts
+
+
+def _settled(
+    parts: list[tuple[int, ...]], known: np.ndarray, threshold: float, unit: float
+) -> list[tuple[int, ...]]:
+    """Markers moved one by one to where the whole description is shortest, until none is."""
+    count = len(known)
+    sets = [list(part) for part in parts]
+    for _ in range(4 * count):
+        costs = [_cost(some, known, unit) for some in sets]
+        best, move = -1e-9, None
+        for a, some in enumerate(sets):
+            for marker in some:
+                left = [m for m in some if m != marker]
+                gain = _cost(left, known, unit) - costs[a]
+                for b in range(len(sets) + 1):
+                    other = sets[b] if b < len(sets) else []
+                    if b == a or (other and known[marker, other].max() >= threshold):
+                        continue
+                    change = gain + _cost([*other, marker], known, unit) - (costs[b] if other else 0.0)
+                    if change < best:
+                        best, move = change, (a, b, marker)
+        if move is None:
+            break
+        a, b, marker = move
+        sets[a].remove(marker)
+        if b == len(sets):
+            sets.append([])
+        sets[b].append(marker)
+        sets = [some for some in sets if some]
+    return [tuple(sorted(some)) for some in sets]
+
+
+def _cost(some: list[int], known: np.ndarray, unit: float) -> float:
+    cost = float(COSTS[min(len(some), 3)])
+    if len(some) > 1:
+        cost += float(_mean_squares(known[np.ix_(some, some)]).sum()) / unit**2
+    return cost
+
+
+def _length(parts: list[tuple[int, ...]], known: np.ndarray, unit: float) -> float:
+    return sum(_cost(list(part), known, unit) for part in parts)
+
+
+def _mean_squares(inside: np.ndarray) -> np.ndarray:
+    """The mean square deviation of each marker from the others."""
+    return (inside**2).sum(1) / max(len(inside) - 1, 1)

@@ -1,0 +1,70 @@
+"""Segments: the sets of markers that move as one."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...arguments import checked
+
+
+class Segments(NamedTuple):
+    """A partition of M markers into K segments; a marker of no segment is loose."""
+
+    #: marker indices of each segment
+    members: tuple[tuple[int, ...], ...]
+    #: how well each marker is attached, above 0 to 1; zero where it is loose
+    weights: Float[np.ndarray, "M"]
+    names: tuple[str, ...]
+
+    @property
+    def num_segments(self) -> int:
+        """K, the number of segments."""
+        return len(self.members)
+
+    @property
+    def of_marker(self) -> Int[np.ndarray, "M"]:
+        """The segment of each marker, -1 where it is loose."""
+        owner = np.full(len(self.weights), -1)
+        for segment, members in enumerate(self.members):
+            owner[list(members)] = segment
+        return owner
+
+    @property
+    def loose(self) -> Bool[np.ndarray, "M"]:
+        """Where a marker belongs to no segment."""
+        return self.of_marker < 0
+
+
+@checked
+def make_segments(members, num_markers: int, weights=None, names=None) -> Segments:
+    """Checked `Segments`; `weights (M,)` one and `names` `segment0`, `segment1`, ... where not given.
+
+    **Raises:** `ValueError` with one sentence for an empty segment, a marker that does not exist or
+    stands in two segments, names that repeat, or a weight that is not in (0, 1].
+    """
+    members = tuple(tuple(int(m) for m in some) for some in members)
+    names = tuple(f"segment{k}" for k in range(len(members))) if names is None else tuple(names)
+    if len(names) != len(members) or len(set(names)) != len(names):
+        raise ValueError(f"{len(members)} segments were given the names {names}; give each its own name.")
+    owner: dict[int, str] = {}
+    for name, some in zip(names, members, strict=True):
+        if not some:
+            raise ValueError(f"The segment '{name}' has no markers; give it some or leave it out.")
+        for marker in some:
+            if not 0 <= marker < num_markers:
+                raise ValueError(
+                    f"The segment '{name}' has marker {marker}, but there are markers 0 to {num_markers - 1}."
+                )
+            if marker in owner:
+                raise ValueError(
+                    f"Marker {marker} stands in '{owner[marker]}' and in '{name}'; a marker has one segment."
+                )
+            owner[marker] = name
+    weights = np.ones(num_markers) if weights is None else np.array(weights, float)
+    if weights.shape != (num_markers,):
+        raise ValueError(f"{num_markers} markers were given {weights.size} weights; give one for each.")
+    inside = np.isin(np.arange(num_markers), list(owner))
+    if not ((weights[inside] > 0) & (weights[inside] <= 1)).all():
+        raise ValueError("Weights of attachment are above 0 and at most 1; leave a loose marker out.")
+    return Segments(members, np.where(inside, weights, 0.0), names)

@@ -1,0 +1,42 @@
+"""Several takes of one performer as one."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...arguments import checked
+from ...observe import MarkerFrames
+
+
+@checked
+def unite_takes(takes: Sequence[MarkerFrames]) -> MarkerFrames:
+    """The frames of several takes one after the other. Equal labels are the same marker, and one that a
+    take does not have is not seen in it; labels stand in the order in which they first appear. The rate is
+    the first take's.
+
+    **Raises:** `ValueError` where there are no takes, or one shares no label with those before it.
+    """
+    if not takes:
+        raise ValueError("There are no takes to unite; give at least one.")
+    labels: dict[str, int] = {}
+    for number, take in enumerate(takes):
+        if number and not set(take.labels) & set(labels):
+            raise ValueError(
+                f"Take {number + 1} has no marker ({_some(take.labels)}) in common with those before it "
+                f"({_some(tuple(labels))}); unite takes of the same markers only."
+            )
+        for label in take.labels:
+            labels.setdefault(label, len(labels))
+    count = sum(len(take) for take in takes)
+    dtype = np.result_type(*(np.asarray(take.places).dtype for take in takes))
+    places, seen = np.zeros((count, len(labels), 3), dtype), np.zeros((count, len(labels)), bool)
+    begin = 0
+    for take in takes:
+        rows, columns = slice(begin, begin + len(take)), [labels[label] for label in take.labels]
+        places[rows, columns], seen[rows, columns] = np.asarray(take.places), np.asarray(take.seen)
+        begin += len(take)
+    return MarkerFrames(places, seen, tuple(labels), takes[0].rate)
+
+
+def _some(labels: tuple[str, ...]) -> str:
+    return ", ".join(labels[:4]) + (", ..." if len(labels) > 4 else "")

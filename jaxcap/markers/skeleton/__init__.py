@@ -1,0 +1,1 @@
+"""The skeleton between segments."""

@@ -1,0 +1,178 @@
+"""A skeleton from segments and joints: its rest pose, its bones, and where the markers sit on them."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...body.pose import Pose, project
+from ...body.skeleton import Skeleton, make_skeleton
+from ...geometry import rotation
+from ...geometry.procrustes import nearest_rotation
+from .tree import Tree
+
+
+class Assembled(NamedTuple):
+    """A skeleton whose bone `j` is the segment `order[j]`."""
+
+    skeleton: Skeleton
+    order: tuple[int, ...]
+    #: (M,) bone of each marker, -1 of those on no bone
+    bones: Int[np.ndarray, "M"]
+    #: (M, 3) place of each marker in the world at rest, metres
+    offsets: Float[np.ndarray, "M 3"]
+    #: (J, 3, 3) and (J, 3): the segments' frames at rest
+    turns: Float[np.ndarray, "J 3 3"]
+    origins: Float[np.ndarray, "J 3"]
+
+
+def assemble(tree: Tree, root: int, num_markers: int, lengths: dict[tuple[int, int], float]) -> Assembled:
+    """The skeleton below one root, at rest as in the frame that is most like all others.
+
+    Joints are where their parents carry them, but for the bones in `lengths`, which are that long.
+    The root is "free", joints with an axis "revolute", others "ball".
+    """
+    order = _below(tree, root)
+    frames = tree.markers.frames
+    turns, origin = _rest(tree, order)
+    origins = {root: origin}
+    inner: dict[int, np.ndarray] = {}
+    centres, axes, kinds = [], [], []
+    for segment in order:
+        joint = tree.joints[segment]
+        axis = np.eye(3)[:2]
+        if joint is None:
+            children = [tree.joints[k] for k in order if tree.parents[k] == segment]
+            places = [child.in_parent for child in children if child is not None]
+            own = np.mean(places, axis=0) if len(places) > 1 else np.zeros(3)
+            centre, kind = turns[segment] @ own + origin, "free"
+        else:
+            place = joint.in_parent
+            length = lengths.get((joint.parent, segment), np.nan)
+            if np.isfinite(length):
+                start = inner[joint.parent]
+                away = place - start
+                reach = float(np.linalg.norm(away))
+                place = start + away * (length / reach if reach > 1e-9 else 1.0)
+            centre = turns[joint.parent] @ place + origins[joint.parent]
+            origins[segment] = centre - turns[segment] @ joint.in_child
+            inner[segment] = joint.in_child
+            kind = "ball"
+            if joint.axis_in_parent is not None:
+                kind, axis = "revolute", np.stack([turns[joint.parent] @ joint.axis_in_parent] * 2)
+        centres.append(centre)
+        axes.append(axis)
+        kinds.append(kind)
+    bones, offsets = np.full(num_markers, -1), np.zeros((num_markers, 3))
+    for bone, segment in enumerate(order):
+        for marker in tree.markers.segments.members[segment]:
+            if marker < num_markers:
+                bones[marker] = bone
+                offsets[marker] = turns[segment] @ frames.template[marker] + origins[segment]
+    parents = [order.index(tree.parents[k]) if k != root else -1 for k in order]
+    names = [tree.markers.segments.names[k] for k in order]
+    ends = np.array([_end(bone, parents, centres, bones, offsets) for bone in range(len(order))])
+    skeleton = make_skeleton(
+        names, parents, kinds, np.array(centres), _towards(np.array(centres), ends), np.array(axes)
+    )
+    rest = np.stack([turns[k] for k in order]), np.stack([origins[k] for k in order])
+    return Assembled(skeleton, tuple(order), bones, offsets, *rest)
+
+
+def pose_segments(made: Assembled, tree: Tree) -> Pose:
+    """Poses, stacked over the frames, in which each bone is turned as its segment is and the root is where
+    its segment is. A segment that is not known in a frame keeps its turn in its parent from the nearest
+    frame in which it is."""
+    frames, skeleton = tree.markers.frames, made.skeleton
+    count = len(frames.known)
+    local = np.zeros((count, len(made.order), 3, 3))
+    shifts = np.zeros((count, len(made.order), 3))
+    for bone, segment in enumerate(made.order):
+        turned = frames.rotations[:, segment] @ made.turns[bone].T
+        known = frames.known[:, segment]
+        parent = skeleton.parents[bone]
+        if parent >= 0:
+            above = made.order[parent]
+            known = known & frames.known[:, above]
+            turned = (frames.rotations[:, above] @ made.turns[parent].T).swapaxes(-1, -2) @ turned
+        nearest = _nearest(known)
+        local[:, bone] = turned[nearest] if known.any() else np.eye(3)
+        if parent < 0:
+            centre = np.asarray(skeleton.centres[bone], float)
+            moved = np.einsum("fab,b->fa", local[:, bone], made.origins[bone] - centre)
+            shifts[:, bone] = (frames.origins[:, segment] - centre)[nearest] - moved
+    dtype = skeleton.centres.dtype
+    poses = Pose(
+        jnp.asarray(shifts, dtype), rotation.from_matrix(jnp.asarray(local, dtype)), jnp.ones(count, dtype)
+    )
+    return _project(skeleton, poses)
+
+
+@eqx.filter_jit
+def _project(skeleton: Skeleton, poses: Pose) -> Pose:
+    return jax.vmap(project, (None, 0))(skeleton, poses)
+
+
+def _nearest(known: np.ndarray) -> np.ndarray:
+    """Of each frame the nearest one that is known."""
+    there = np.flatnonzero(known)
+    if len(there) == 0:
+        return np.arange(len(known))
+    after = np.minimum(np.searchsorted(there, np.arange(len(known))), len(there) - 1)
+    before = np.maximum(after - 1, 0)
+    now = np.arange(len(known))
+    return np.where(np.abs(there[before] - now) < np.abs(there[after] - now), there[before], there[after])
+
+
+def _below(tree: Tree, root: int) -> list[int]:
+    """Segments with frames, parents first; what hangs on one without is left out with it."""
+    usable = tree.markers.frames.known.any(0)
+    order, open_ = [], [root]
+    while open_:
+        segment = open_.pop(0)
+        order.append(segment)
+        open_ += [
+            k
+            for k, parent in enumerate(tree.parents)
+            if parent == segment and usable[k] and np.isfinite(tree.joints[k].in_child).all()  # type: ignore[union-attr]
+        ]
+    return order
+
+
+def _rest(tree: Tree, order: list[int]) -> tuple[dict[int, np.ndarray], np.ndarray]:
+    """World rotations of the segments in the frame of the root in which the joints are most as they
+    usually are, and the root's origin there; a segment not known then is turned as it usually is."""
+    frames, root = tree.markers.frames, order[0]
+    off = np.where(frames.known[:, root], 0.0, np.inf)
+    usual: dict[int, np.ndarray] = {}
+    for k in order[1:]:
+        parent = tree.parents[k]
+        relative = frames.rotations[:, parent].swapaxes(-1, -2) @ frames.rotations[:, k]
+        both = frames.known[:, parent] & frames.known[:, k]
+        usual[k] = nearest_rotation(relative[both].sum(0)) if both.any() else np.eye(3)
+        off += np.where(both, 3 - np.einsum("fab,ab->f", relative, usual[k]), 4.0)
+    frame = int(np.argmin(off))
+    turns = {root: frames.rotations[frame, root]}
+    for k in order[1:]:
+        parent = tree.parents[k]
+        both = frames.known[frame, parent] & frames.known[frame, k]
+        turns[k] = frames.rotations[frame, k] if both else turns[parent] @ usual[k]
+    return turns, frames.origins[frame, root]
+
+
+def _end(bone: int, parents, centres, bones: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Where a bone points: the next joints' mean, or that of its markers."""
+    children = [centres[k] for k, parent in enumerate(parents) if parent == bone]
+    own = offsets[bones == bone]
+    return np.mean(children, axis=0) if children else (own.mean(0) if len(own) else centres[bone])
+
+
+def _towards(centres: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Quaternions that turn x into the bones' directions."""
+    away = ends - centres
+    lengths = np.linalg.norm(away, axis=1, keepdims=True)
+    away = np.where(lengths > 1e-6, away / np.maximum(lengths, 1e-12), [1.0, 0.0, 0.0])
+    return np.asarray(rotation.shortest_arc(jnp.broadcast_to(jnp.eye(3)[0], away.shape), jnp.asarray(away)))

@@ -1,0 +1,128 @@
+"""Lengths of bones from places of joints: the mean, least squares, and global least squares."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...geometry.linear import inverse_symmetric, solve_symmetric
+from ..rotation_centres.common import settle
+from .tree import Tree
+
+LengthMethod = Literal["mean", "least_squares", "global"]
+#: rounds in which directions and lengths settle
+ROUNDS = 40
+#: variance of a joint that is not known in a frame, against the others', times
+UNKNOWN = 1e6
+
+
+class _Fit(NamedTuple):
+    """Lengths by group, and joints of a skeleton with fixed lengths."""
+
+    lengths: np.ndarray
+    joints: np.ndarray
+
+
+def joint_places(tree: Tree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarray, "F K"]]:
+    """Where each segment's joint with its parent is in every frame, metres, and where that is known:
+    the mean of where the two segments carry it, or where the one that is known does."""
+    frames = tree.markers.frames
+    count, number = frames.known.shape
+    places, known = np.zeros((count, number, 3)), np.zeros((count, number), bool)
+    for k, joint in enumerate(tree.joints):
+        if joint is None:
+            continue
+        total = np.zeros((count, 1))
+        for segment, place in ((joint.parent, joint.in_parent), (joint.child, joint.in_child)):
+            if not np.isfinite(place).all():
+                continue
+            ok = frames.known[:, segment, None]
+            at = frames.rotations[:, segment] @ place + frames.origins[:, segment]
+            places[:, k] += np.where(ok, at, 0.0)
+            total += ok
+        known[:, k] = total[:, 0] > 0
+        places[:, k] /= np.maximum(total, 1)
+    return places, known
+
+
+def bones(tree: Tree) -> list[tuple[int, int]]:
+    """Bones between two joints, as `(segment, child segment)`: from a segment's joint with its parent to
+    its child's joint with it. A root has no joint of its own."""
+    return [(p, k) for k, p in enumerate(tree.parents) if p >= 0 and tree.parents[p] >= 0]
+
+
+def bone_lengths(
+    places: Float[np.ndarray, "F K 3"],
+    known: Bool[np.ndarray, "F K"],
+    between: list[tuple[int, int]],
+    method: LengthMethod = "global",
+    *,
+    same: list[tuple[int, int]] | None = None,
+    deviations: Float[np.ndarray, "K"] | None = None,
+) -> Float[np.ndarray, "B"]:
+    """The length of each bone, metres; NaN for one whose ends are never seen together.
+
+    - `"mean"`: of the distances of its ends over the frames (Silaghi et al. 1998).
+    - `"least_squares"`: the least sum of `(|a - b|^2 - l^2)^2`, which is the root of the mean square.
+    - `"global"`: all frames' poses and all lengths together, the least sum of the distances from the
+      joints of the data to those of a skeleton with fixed lengths. Along a frame's directions the
+      distances are linear in the joints, with the covariance `J J^T` that neighbouring bones share by
+      their common joint; for given directions the lengths are the generalised least squares of the
+      distances, and so on in turn until they settle.
+
+    **Arguments:** `between` the joints at the ends of each of B bones, a forest; `same` pairs of bones
+    that are equally long, left and right; `deviations` of the joints, metres, all alike where not given.
+
+    **Raises:** `ValueError` for a method that does not exist.
+    """
+    if method not in ("mean", "least_squares", "global"):
+        raise ValueError(f"There is no method '{method}' for lengths; give mean, least_squares or global.")
+    if not between:
+        return np.zeros(0)
+    a, b = (np.array(side) for side in zip(*between, strict=True))
+    both = known[:, a] & known[:, b]
+    away = places[:, b] - places[:, a]
+    group = _groups(len(between), same or [])
+    spread = np.eye(int(group.max()) + 1)[group]
+    distances = np.where(both, np.linalg.norm(away, axis=-1), 0.0)
+    counts = spread.T @ both.sum(0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (spread.T @ distances.sum(0)) / counts
+        square = np.sqrt((spread.T @ (distances**2).sum(0)) / counts)
+    if method != "global":
+        return (mean if method == "mean" else square)[group]
+    seen = both.any(1)
+    usable = np.flatnonzero(counts > 0)
+    places, known, both = places[seen], known[seen], both[seen]
+    variances = np.ones(places.shape[1]) if deviations is None else np.asarray(deviations, float) ** 2
+    spans = np.where(known, variances, UNKNOWN * variances.max())
+    number = np.arange(len(between))
+
+    def step(fit: _Fit) -> _Fit:
+        along = fit.joints[:, b] - fit.joints[:, a]
+        units = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
+        rows = np.zeros((len(places), len(between), places.shape[1], 3))
+        rows[:, number, b] += units
+        rows[:, number, a] -= units
+        # distances of the data along the directions, and how they vary together
+        measured = np.einsum("fbkd,fkd->fb", rows, places)
+        weighted = rows * spans[:, None, :, None]
+        shared = np.einsum("fbkd,fckd->fbc", weighted, rows)
+        inverse = inverse_symmetric(shared + 1e-12 * spans.max() * np.eye(len(b)))
+        total = spread.T @ inverse.sum(0) @ spread
+        side = spread.T @ np.einsum("fbc,fc->b", inverse, measured)
+        new = fit.lengths.copy()
+        new[usable] = solve_symmetric(total[np.ix_(usable, usable)], side[usable])
+        multipliers = np.einsum("fbc,fc->fb", inverse, measured - new[group])
+        return _Fit(new, places - np.einsum("fb,fbkd->fkd", multipliers, weighted))
+
+    start = _Fit(np.where(np.isnan(mean), 0.1, mean), places)
+    lengths = settle(step, start, ROUNDS, 1e-9, least=0).lengths
+    return np.where(counts[group] > 0, lengths[group], np.nan)
+
+
+def _groups(count: int, same: list[tuple[int, int]]) -> np.ndarray:
+    group = np.arange(count)
+    for one, other in same:
+        group[group == group[other]] = group[one]
+    return np.unique(group, return_inverse=True)[1].ravel()

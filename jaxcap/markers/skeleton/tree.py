@@ -1,0 +1,250 @@
+"""Which segments are joined: the spanning tree whose joints hold best, or a template's."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...body.skeleton import Skeleton
+from ..rotation_centres.centres import Method, find_joint
+from ..rotation_centres.joint import Joint
+from ..rotation_centres.settle import settle_hinges
+from ..segments.frames import fit_frames
+from ..segments.relative import Relative, relative
+from ..segments.segment import Segments
+from ..segments.virtual import Augmented, augment, hinge_assumed
+
+#: what a metre between a centre and the nearest marker of either segment costs against a metre of
+#: residual: segments that hardly turn share any centre, those that are joined have it by their markers
+FAR = 0.03
+#: no joint is believed that costs more than this share of the markers' usual distance, and more than
+#: this many times the tree's usual joint: there is another body behind it
+BREAK, TIMES = 0.08, 3.0
+#: segments with few markers come by their frames in rounds, each by the joints that cost at most this
+#: many times the round's cheapest
+SURE = 2.0
+
+
+#: a joint of each pair of segments that was looked at, the lesser first, and its cost, metres
+Found = dict[tuple[int, int], tuple[Joint, float]]
+
+
+class Tree(NamedTuple):
+    """Segments joined to a tree, or to several where some do not hang together."""
+
+    #: the segment each one hangs on, -1 at roots
+    parents: tuple[int, ...]
+    #: joint of each segment with its parent; None at roots
+    joints: tuple[Joint | None, ...]
+    #: what each joint costs, metres; zero at roots
+    costs: Float[np.ndarray, "K"]
+    #: markers, and the joints that stand in for markers, with the frames of all segments
+    markers: Augmented
+
+    @property
+    def roots(self) -> tuple[int, ...]:
+        """The roots, the one with the most segments below it first."""
+        return tuple(k for k, parent in enumerate(self.parents) if parent < 0)
+
+
+def find_tree(
+    places: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    segments: Segments,
+    method: Method = "score",
+    pairs: list[tuple[int, int]] | None = None,
+) -> Tree:
+    """The least spanning tree of all pairs of segments by what a joint between them would cost
+    (Kirk, O'Brien, Forsyth 2005): its residual, and how far it would be from either's markers.
+
+    Segments of fewer than three markers first are joined where spheres of their markers about another
+    segment say; the joint then is a marker of theirs, so that they have a frame and carry others.
+    Where that leaves a line, they are taken to hang by a hinge, as in the paper. The root is the
+    segment in whose middle the markers are in balance.
+
+    **Arguments:** `pairs` of segments that are joined, where known (`template_pairs`).
+    """
+    frames = fit_frames(places, seen, segments)
+    now = Augmented(places, seen, segments, frames)
+    found: Found = {}
+    used: Found = {}
+    for _ in range(2 * segments.num_segments):
+        _look(now, found, used, pairs, "score")
+        bare = _bare(now)
+        links: dict[int, Joint] = {}
+        open_ = [
+            p for p in _least(found, segments.num_segments) if found[p][0].child in bare and p not in used
+        ]
+        # a far neighbour may be the nearest one that has a frame yet: the surest first
+        most = SURE * min((found[pair][1] for pair in open_), default=0.0)
+        for pair in open_:
+            joint = found[pair][0]
+            if found[pair][1] <= most and joint.child not in links:
+                links[joint.child] = joint
+                used[pair] = found[pair]
+        if not links:
+            break
+        now = augment(now.places, now.seen, now.segments, now.frames, list(links.items()))
+        settled = bare - _bare(now)
+        found = {pair: some for pair, some in found.items() if not settled & set(pair)}
+    for segment in sorted(_bare(now)):
+        base = [pair for pair in _least(found, segments.num_segments) if segment in pair]
+        if base and len(segments.members[segment]) >= 2:
+            now = hinge_assumed(now, segment, found[base[0]][0].parent)
+            found = {pair: some for pair, some in found.items() if segment not in pair}
+            _look(now, found, used, pairs, "score")
+    if method != "score":
+        kept, found = _least(found, segments.num_segments), {}
+        _look(now, found, used, kept, method)
+    chosen = _least(found, segments.num_segments)
+    limit = BREAK * _usual_distance(places, seen)
+    usual = float(np.median([found[pair][1] for pair in chosen])) if chosen else 0.0
+    held = [pair for pair in chosen if found[pair][1] <= max(limit, TIMES * usual)]
+    return _rooted(now, held, found)
+
+
+def template_pairs(template: Skeleton, segments: Segments, bones: Mapping[str, str]) -> list[tuple[int, int]]:
+    """Which segments are joined by a template: each with the next one above it that has markers.
+
+    **Arguments:** `bones` maps names of segments to names of the template's joints.
+
+    **Raises:** `ValueError` for a segment or joint that does not exist, or two segments on one bone.
+    """
+    owner: dict[int, int] = {}
+    for name, bone in bones.items():
+        if name not in segments.names:
+            raise ValueError(f"There is no segment '{name}'; there are {', '.join(segments.names)}.")
+        if bone not in template.names:
+            raise ValueError(f"The template has no joint '{bone}'; it has {', '.join(template.names)}.")
+        if template.index(bone) in owner:
+            other = segments.names[owner[template.index(bone)]]
+            raise ValueError(f"The bone '{bone}' is given '{other}' and '{name}'; give each its own.")
+        owner[template.index(bone)] = segments.names.index(name)
+    pairs = []
+    for bone, segment in owner.items():
+        above = template.parents[bone]
+        while above >= 0 and above not in owner:
+            above = template.parents[above]
+        if above >= 0:
+            pairs.append((owner[above], segment))
+    return pairs
+
+
+def joint_cost(joint: Joint, between: Relative) -> float:
+    """What a joint costs, metres: its residual, and a share of its distances from the markers."""
+    to_base = np.linalg.norm(between.base - joint.in_parent, axis=1).min()
+    tracks = [between.tracks[s, n] for n, s in enumerate(between.tracked.T)]
+    to_child = min(float(np.median(np.linalg.norm(track - joint.in_parent, axis=1))) for track in tracks)
+    return joint.residual + FAR * (float(to_base) + to_child)
+
+
+def _look(now: Augmented, found: Found, used: Found, pairs, method: Method) -> None:
+    """Fill in the joints that are not found yet. A joint that gave a segment its frame (`used`) cannot
+    vouch for itself: it stays where it was, as well known as it was, at the cost it had."""
+    noise = now.frames.noise(now.places, now.seen, now.segments)
+    known = np.asarray(now.frames.known.any(0))
+    count = now.segments.num_segments
+    size = [float(np.sum(now.frames.template[list(some)] ** 2)) for some in now.segments.members]
+    asked = pairs if pairs is not None else [(a, b) for a in range(count) for b in range(a + 1, count)]
+    for a, b in asked:
+        key = (min(a, b), max(a, b))
+        # the parent is the one with a frame; of two the larger one, so that their order does not matter
+        first = known[a] and (not known[b] or size[a] >= size[b])
+        parent, child = (a, b) if first else (b, a)
+        if key in used:
+            parent, child = used[key][0].parent, used[key][0].child
+        if key in found or not known[parent]:
+            continue
+        between = relative(now.places, now.seen, now.segments, now.frames, parent, child, noise)
+        if between is None:
+            continue
+        joint, old = find_joint(between, parent, child, method), used.get(key)
+        found[key] = (
+            (joint, joint_cost(joint, between)) if old is None else (_kept(old[0], joint, between), old[1])
+        )
+
+
+def _kept(old: Joint, new: Joint, between: Relative) -> Joint:
+    """A joint as it was when the child had no frame, with its place in the child."""
+    if between.rotations is None or between.translations is None:
+        return old
+    back = np.einsum("fba,fb->fa", between.rotations, old.in_parent - between.translations)
+    return old._replace(
+        in_child=np.median(back, axis=0),
+        axis_in_parent=new.axis_in_parent,
+        axis_in_child=new.axis_in_child,
+    )
+
+
+def _bare(now: Augmented) -> set[int]:
+    return set(np.flatnonzero(~now.frames.known.any(0)).tolist())
+
+
+def _least(found, count: int) -> list[tuple[int, int]]:
+    """Kruskal's least spanning tree, or forest."""
+    owner = np.arange(count)
+    chosen = []
+    for pair in sorted(found, key=lambda pair: found[pair][1]):
+        a, b = owner[list(pair)]
+        if a != b:
+            owner[owner == b] = a
+            chosen.append(pair)
+    return chosen
+
+
+def _usual_distance(places: np.ndarray, seen: np.ndarray) -> float:
+    frame = int(np.argmax(seen.sum(1)))
+    some = places[frame, seen[frame]]
+    return float(np.median(np.linalg.norm(some[:, None] - some[None], axis=-1)))
+
+
+def _rooted(now: Augmented, pairs: list[tuple[int, int]], found) -> Tree:
+    """The tree hung on the segment in whose middle the markers balance, each of its pieces."""
+    count = now.segments.num_segments
+    size = np.array([len(some) for some in now.segments.members], float)
+    around: list[list[int]] = [[] for _ in range(count)]
+    for a, b in pairs:
+        around[a].append(b)
+        around[b].append(a)
+
+    def weigh(segment: int, above: int) -> float:
+        return float(size[segment]) + sum(
+            weigh(other, segment) for other in around[segment] if other != above
+        )
+
+    heaviest = [max([0.0, *(weigh(o, k) for o in around[k])]) for k in range(count)]
+    joints: list[Joint | None] = [None] * count
+    parents, costs = [-2] * count, np.zeros(count)
+    for root in sorted(range(count), key=lambda k: (heaviest[k], -len(around[k]))):
+        if parents[root] != -2 or not _is_middle(root, around, heaviest):
+            continue
+        parents[root] = -1
+        stack = [root]
+        while stack:
+            above = stack.pop()
+            for segment in around[above]:
+                if parents[segment] != -2:
+                    continue
+                joint, cost = found[min(above, segment), max(above, segment)]
+                parents[segment], costs[segment] = above, cost
+                joints[segment] = joint if joint.parent == above else _turned(now, joint)
+                stack.append(segment)
+    return Tree(tuple(parents), settle_hinges(tuple(parents), tuple(joints)), costs, now)
+
+
+def _is_middle(root: int, around: list[list[int]], heaviest: list[float]) -> bool:
+    piece, stack = {root}, [root]
+    while stack:
+        for other in around[stack.pop()]:
+            if other not in piece:
+                piece.add(other)
+                stack.append(other)
+    return heaviest[root] == min(heaviest[k] for k in piece)
+
+
+def _turned(now: Augmented, joint: Joint) -> Joint:
+    both = now.frames.known[:, joint.parent] & now.frames.known[:, joint.child]
+    frame = int(np.argmax(both))
+    r = now.frames.rotations[frame]
+    return joint.flipped(r[joint.child].T @ r[joint.parent])

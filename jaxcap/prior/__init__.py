@@ -1,0 +1,1 @@
+"""Learn how likely poses are: Gaussian mixtures of successive joints."""

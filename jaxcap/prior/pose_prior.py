@@ -1,0 +1,125 @@
+"""Which poses are likely, and which can be at all, from poses that somebody took."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..arguments import checked
+from ..body.limits.pose_boxes import PoseBoxes, make_pose_boxes, turning_joints
+from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
+from ..body.pose import Motion, Pose, own_vectors
+from ..body.skeleton import Skeleton
+from ..geometry.linear import factor_symmetric
+from .choose import Chosen, choose_mixture
+from .mixtures import FLOOR
+
+#: poses to learn from: a motion, several of one skeleton, or poses stacked over frames
+Poses = Motion | Pose | Sequence[Motion]
+
+_own_vectors = eqx.filter_jit(jax.vmap(own_vectors, (None, 0)))
+
+
+class LearnedPair(NamedTuple):
+    """A pair of successive joints, the nearer to the root first, and what was chosen for it."""
+
+    pair: tuple[str, str]
+    chosen: Chosen
+
+
+@checked
+def learn_pair_prior(
+    skeleton: Skeleton, poses: Poses, *, most: int = 10, floor: float = FLOOR, seed: int = 0
+) -> PairPrior:
+    """A Gaussian mixture over the turns of each pair of successive joints (Adaptation, section 4.1.1
+    and eq. 4.1), each with the number of components, 1 to `most`, that foretells left-out poses best.
+
+    **Arguments:** `floor`, radians, the least deviation of a component in any direction, which is all
+    that holds a joint that never moved.
+
+    **Raises:** `ValueError` where no two joints turn one after the other, there are fewer than 4 poses,
+    they are of another number of joints, or one is not finite.
+    """
+    return pair_prior_of(skeleton, learn_pairs(skeleton, poses, most=most, floor=floor, seed=seed))
+
+
+def learn_pairs(
+    skeleton: Skeleton,
+    poses: Poses,
+    *,
+    most: int = 10,
+    floor: float = FLOOR,
+    seed: int = 0,
+    progress: Callable[[Iterable, int], Iterable] = lambda pairs, total: pairs,
+) -> tuple[LearnedPair, ...]:
+    """What `learn_pair_prior` learns, with how it was chosen; `progress` passes pairs through."""
+    vectors = turn_vectors(skeleton, poses)
+    pairs = successive_pairs(skeleton)
+    if not pairs:
+        raise ValueError("No two joints of the skeleton turn one after the other; there is no pair to learn.")
+    learned = []
+    for above, below in progress(pairs, len(pairs)):
+        both = np.concatenate([vectors[:, skeleton.index(name)] for name in (above, below)], 1)
+        learned.append(LearnedPair((above, below), choose_mixture(both, most=most, floor=floor, seed=seed)))
+    return tuple(learned)
+
+
+def pair_prior_of(skeleton: Skeleton, learned: Sequence[LearnedPair]) -> PairPrior:
+    """The prior of learned pairs, all padded to the most components of one."""
+    width = max(len(one.chosen.mixture.weights) for one in learned)
+    weights, means = np.zeros((len(learned), width)), np.zeros((len(learned), width, 6))
+    factors = np.tile(np.eye(6), (len(learned), width, 1, 1))
+    frames = np.zeros((len(learned), 2, 4))
+    for row, (pair, chosen) in enumerate(learned):
+        count = len(chosen.mixture.weights)
+        weights[row, :count], means[row, :count] = chosen.mixture.weights, chosen.mixture.means
+        factors[row, :count] = factor_symmetric(chosen.mixture.precisions)
+        frames[row] = [skeleton.orientations[skeleton.index(name)] for name in pair]
+    return make_pair_prior(tuple(one.pair for one in learned), frames, weights, means, factors)
+
+
+@checked
+def learn_ranges(skeleton: Skeleton, poses: Poses, margin: float = 0.0) -> PoseBoxes:
+    """The least and the largest of every number of every joint's turn (Adaptation, section 4.1.1), as
+    hard limits; `margin` radians are added at both ends. Roots are free.
+
+    **Raises:** `ValueError` where there is no pose, poses are of another number of joints, or one is not finite.
+    """
+    joints = list(turning_joints(skeleton))
+    vectors = turn_vectors(skeleton, poses)[:, joints]
+    names = tuple(skeleton.names[joint] for joint in joints)
+    return make_pose_boxes(names, vectors.min(0) - margin, vectors.max(0) + margin)
+
+
+def turn_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J 3"]:
+    """Every joint's turn from rest in every pose: rotation vectors in the joints' own frames, radians.
+
+    **Raises:** `ValueError` where there is no pose, poses are of another number of joints, or one is not finite.
+    """
+    stacked = stack_of(poses)
+    if stacked.rotations.ndim != 3 or not len(stacked.rotations):
+        raise ValueError("There are no poses to learn from; give poses stacked over frames.")
+    joints = stacked.rotations.shape[1]
+    if joints != skeleton.num_joints:
+        raise ValueError(f"The poses are of {joints} joints, the skeleton has {skeleton.num_joints}.")
+    vectors = np.asarray(_own_vectors(skeleton, stacked), float)
+    broken = ~np.isfinite(vectors).all((1, 2))
+    if broken.any():
+        raise ValueError(f"Pose {int(np.argmax(broken))} is not finite; leave it out.")
+    return vectors
+
+
+def stack_of(poses: Poses) -> Pose:
+    """Poses of motions one after the other."""
+    if isinstance(poses, Pose):
+        return poses
+    motions = [poses] if isinstance(poses, Motion) else list(poses)
+    if not motions:
+        raise ValueError("There are no motions to learn from; give one at least.")
+    if len({motion.poses.rotations.shape[1] for motion in motions}) > 1:
+        raise ValueError("The motions have different numbers of joints; learn from those of one skeleton.")
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(motion.poses for motion in motions))

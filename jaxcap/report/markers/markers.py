@@ -1,0 +1,145 @@
+"""How well a subject explains its markers: figures for tables and `report.json`, and pictures."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...io.table import write_json
+from ...markers.subject import Subject
+from ...observe import MarkerFrames
+from .marker_pictures import draw_residuals, draw_skeleton
+
+
+class MarkerScore(NamedTuple):
+    """One marker over all frames that show it, metres; NaN where none does."""
+
+    label: str
+    #: name of its bone; empty where it is loose
+    bone: str
+    weight: float
+    #: share of the frames that show it
+    seen: float
+    rms: float
+    median: float
+    worst: float
+
+
+class Bone(NamedTuple):
+    """The straight line from one joint's centre to the next."""
+
+    #: joints that it leads from and to
+    start: str
+    end: str
+    length: float
+
+
+def score_markers(
+    subject: Subject, residuals: Float[np.ndarray, "F M"], lost: Bool[np.ndarray, "F"] | None = None
+) -> tuple[MarkerScore, ...]:
+    """The score of each marker of a subject; frames that are `lost` do not count."""
+    kept = residuals if lost is None else residuals[~np.asarray(lost)]
+    weights, bones = np.asarray(subject.weights), np.asarray(subject.bones)
+    scores = []
+    for marker, label in enumerate(subject.labels):
+        own, held = kept[:, marker], weights[marker] > 0
+        some = own[np.isfinite(own)] if held else own[:0]
+        figures = [float(f(some)) for f in (_rms, np.median, np.max)] if len(some) else [float("nan")] * 3
+        seen = float(np.isfinite(own).mean()) if len(own) else 0.0
+        bone = subject.skeleton.names[bones[marker]] if held else ""
+        scores.append(MarkerScore(label, bone, float(weights[marker]), seen, *figures))
+    return tuple(scores)
+
+
+def held_residuals(
+    subject: Subject, residuals: Float[np.ndarray, "F M"], lost: Bool[np.ndarray, "F"] | None = None
+) -> Float[np.ndarray, "F M"]:
+    """Residuals that mean something: NaN as well for markers on no bone, and in `lost` frames."""
+    kept = np.where(np.asarray(subject.weights) > 0, np.asarray(residuals, float), np.nan)
+    return kept if lost is None else np.where(np.asarray(lost)[:, None], np.nan, kept)
+
+
+def total_residuals(residuals: Float[np.ndarray, "F M"]) -> dict[str, float]:
+    """Over all frames and markers, metres; NaN where nothing is left."""
+    some = residuals[np.isfinite(residuals)]
+    if not len(some):
+        return dict.fromkeys(("rms", "median", "p95", "worst"), float("nan"))
+    return {
+        "rms": _rms(some),
+        "median": float(np.median(some)),
+        "p95": float(np.percentile(some, 95)),
+        "worst": float(some.max()),
+    }
+
+
+def bones_between(skeleton: Skeleton) -> tuple[Bone, ...]:
+    """The bones whose two ends are joints that turn within the body; a root's own centre may be anywhere."""
+    centres = np.asarray(skeleton.centres, float)
+    return tuple(
+        Bone(
+            skeleton.names[parent],
+            skeleton.names[joint],
+            float(np.linalg.norm(centres[joint] - centres[parent])),
+        )
+        for joint, parent in enumerate(skeleton.parents)
+        if parent >= 0 and skeleton.parents[parent] >= 0
+    )
+
+
+def report_markers(
+    folder: str | Path,
+    subject: Subject,
+    motion: Motion,
+    frames: MarkerFrames,
+    residuals: Float[np.ndarray, "F M"],
+    *,
+    title: str,
+    told: Sequence[str] = (),
+    lost: Bool[np.ndarray, "F"] | None = None,
+    more: Mapping[str, object] | None = None,
+) -> list[Path]:
+    """Write `report.json`, `skeleton.png` and `residuals.png` into a folder that is there; returns the
+    pictures.
+
+    **Arguments:** `motion` of the subject through `frames`; `residuals` in the subject's order of markers;
+    `told`, sentences for the user; `more`, what else the report says.
+
+    **Raises:** `InputError` where a file cannot be written.
+    """
+    folder, skeleton = Path(folder), subject.skeleton
+    kept = held_residuals(subject, residuals, lost)
+    pictures = [folder / "skeleton.png", folder / "residuals.png"]
+    draw_skeleton(pictures[0], subject, motion, frames, kept, title)
+    draw_residuals(pictures[1], subject, kept, frames.rate, title)
+    names = ("marker", "bone", "weight", "seen", "rms", "median", "worst")
+    scores = score_markers(subject, residuals, lost)
+    write_json(
+        folder / "report.json",
+        {
+            "title": title,
+            "unit": "m",
+            "frames": len(frames),
+            "rate": frames.rate,
+            "lost_frames": [] if lost is None else np.flatnonzero(lost).tolist(),
+            "residuals": total_residuals(kept),
+            "markers": [dict(zip(names, score, strict=True)) for score in scores],
+            "joints": {
+                "names": list(skeleton.names),
+                "parents": list(skeleton.parents),
+                "kinds": list(skeleton.kinds),
+                "centres": np.asarray(skeleton.centres, float).tolist(),
+            },
+            "bones": [bone._asdict() for bone in bones_between(skeleton)],
+            "told": list(told),
+            **(more or {}),
+        },
+    )
+    return pictures
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

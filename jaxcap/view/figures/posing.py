@@ -1,0 +1,114 @@
+"""The frames of a motion, posed ahead of the eye: chunks of one size in one compiled call, a few of them kept."""
+
+import threading
+from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...body.body import Body
+from ...body.kinematics import forward_kinematics, joint_positions
+from ...body.pose import Pose
+from ...body.skeleton import Skeleton
+
+#: frames that are posed in one call
+CHUNK = 32
+#: bytes of posed vertices that are kept for each motion
+KEPT = 256 * 2**20
+
+
+class PosedFrame(NamedTuple):
+    """What a window shows of a frame, metres."""
+
+    #: of the body, or none where there is a skeleton alone
+    vertices: Float[np.ndarray, "V 3"]
+    joints: Float[np.ndarray, "J 3"]
+    #: of the bones from rest, with the pose's scale
+    rotations: Float[np.ndarray, "J 3 3"]
+
+
+class PosedMotion:
+    """A motion that may grow while it is looked at, by several windows at once.
+
+    **Arguments:** `skeleton`; its `body`, where there is one; `poses`, stacked.
+    """
+
+    def __init__(self, skeleton: Skeleton, body: Body | None, poses: Pose):
+        self.skeleton, self.body = skeleton, body
+        self._poses = [np.asarray(leaf) for leaf in (poses.translations, poses.rotations, poses.scale)]
+        size = 4 * 3 * CHUNK * max(1, 0 if body is None else len(body.vertices))
+        self._most = max(3, KEPT // size)
+        #: changes with every change of the frames
+        self.version = 0
+        self._chunks: OrderedDict[int, tuple[int, Future]] = OrderedDict()
+        self._lock = threading.Lock()
+        # one thread, so that what is ahead never takes more than a core from what is shown
+        self._worker = ThreadPoolExecutor(1)
+
+    def __len__(self) -> int:
+        return len(self._poses[2])
+
+    def extend(self, poses: Pose) -> None:
+        """Add frames at the end."""
+        added = (poses.translations, poses.rotations, poses.scale)
+        with self._lock:
+            self._poses = [
+                np.concatenate([there, np.asarray(new, there.dtype)])
+                for there, new in zip(self._poses, added, strict=True)
+            ]
+            self.version += 1
+
+    def replace(self, poses: Pose) -> None:
+        """Put other frames in place of all there are."""
+        with self._lock:
+            self._poses = [np.asarray(leaf) for leaf in (poses.translations, poses.rotations, poses.scale)]
+            self._chunks.clear()
+            self.version += 1
+
+    def frame(self, number: int) -> PosedFrame:
+        """One frame, once it is posed; the chunk behind its own is then on its way."""
+        with self._lock:
+            # it may have become shorter since it was asked for its length
+            chunk, row = divmod(min(number, len(self) - 1), CHUNK)
+            posed = self._chunk(chunk, row)
+            if (chunk + 1) * CHUNK < len(self):
+                self._chunk(chunk + 1, 0)
+        return PosedFrame(*(values[row] for values in posed.result()))
+
+    def _chunk(self, chunk: int, row: int) -> Future:
+        """A chunk that has its row, posed or on its way."""
+        there = self._chunks.get(chunk)
+        if there is None or there[0] <= row:
+            start, end = chunk * CHUNK, min((chunk + 1) * CHUNK, len(self))
+            rows = np.minimum(np.arange(start, start + CHUNK), end - 1)
+            poses = Pose(*(jnp.asarray(values[rows]) for values in self._poses))
+            there = (end - start, self._worker.submit(_host, self.skeleton, self.body, poses))
+            self._chunks[chunk] = there
+        self._chunks.move_to_end(chunk)
+        while len(self._chunks) > self._most:
+            self._chunks.popitem(last=False)
+        return there[1]
+
+
+def _host(skeleton: Skeleton, body: Body | None, poses: Pose) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(values) for values in _posed(skeleton, body, poses))
+
+
+@eqx.filter_jit
+def _posed(skeleton: Skeleton, body: Body | None, poses: Pose):
+    def one(pose: Pose):
+        transforms = forward_kinematics(skeleton, pose)
+        vertices = (
+            jnp.zeros((0, 3))
+            if body is None
+            else body.skin.deform(body.vertices, body.skeleton, pose, transforms)
+        )
+        joints = joint_positions(skeleton, transforms)
+        return [value.astype(jnp.float32) for value in (vertices, joints, transforms.rotations)]
+
+    return jax.lax.map(one, poses)

@@ -1,0 +1,190 @@
+"""The knobs of one window: the timeline, and what is to be seen."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from ..contents import Contents
+from ..figures.eye import FRONT, SIDE, TOP
+from ..figures.heat import heat_legend
+from .column import DISTANCE, PLAIN, POSTERIOR, Choice
+from .text import as_markdown
+from .timeline import SPEEDS, Timeline
+
+if TYPE_CHECKING:
+    from viser import GuiApi
+    from viser._messages import HotkeyKey
+else:
+    GuiApi = HotkeyKey = Any
+
+#: times a second that the slider follows a motion; drawing it costs the browser more than a frame does
+FOLLOWING = 8.0
+PLAY, PAUSE = "Play", "Pause"
+BACK, NEXT = "Back", "Next"
+HELP = "Click a body or a bone: what it is stands here."
+
+
+class Controls:
+    """The controls of one browser. `changed` is called after each choice, which `timeline` and `choice` have; `see`
+    takes the name of a direction to look from."""
+
+    def __init__(
+        self,
+        gui: GuiApi,
+        contents: Contents,
+        spacing: float | None,
+        changed: Callable[[], None],
+        see: Callable[[str], None],
+    ):
+        self.timeline = Timeline(contents.frames, contents.rate)
+        self.choice = Choice()
+        #: metres between takes: None as their widths ask, 0 over each other
+        self.spacing = self._beside = spacing
+        #: whether a run that grows is seen at its newest frame
+        self.newest = any(take.running is not None for take in contents.takes)
+        self._changed, self._drawn = changed, 0.0
+        with gui.add_folder("Time"):
+            self._frame = gui.add_slider(
+                "Frame", min=0, max=max(self.timeline.frames - 1, 1), step=1, initial_value=0,
+                disabled=self.timeline.frames < 2 and not self.newest,
+            )  # fmt: skip
+            self._play = gui.add_button(PLAY, disabled=self._frame.disabled, hint="key P")
+            steps = gui.add_button_group(
+                "Step", (BACK, NEXT), visible=not self._frame.disabled, hint="one frame: keys B and N"
+            )
+            self._speed = gui.add_dropdown(
+                "Speed", tuple(f"{speed:g} x" for speed in SPEEDS), initial_value="1 x"
+            )
+            self._time = gui.add_text("Time", "", disabled=True)
+            follow = gui.add_checkbox("Newest frame", self.newest, visible=self.newest)
+        views = gui.add_button_group("Look from", (FRONT, SIDE, TOP), hint="keys 1, 2 and 3")
+        with gui.add_folder("Show"):
+            self._switches(gui, contents)
+        self._clicked = gui.add_markdown(HELP)
+        self._told = "\n\n".join(map(as_markdown, contents.told))
+        self._note = gui.add_markdown(self._told, visible=bool(contents.told))
+        # values that are set here call these, too; a browser's has a client
+        self._frame.on_update(lambda event: self._seek(int(event.target.value), event.client is not None))
+        self._play.on_click(lambda event: self._turn())
+        self._speed.on_update(lambda event: self._run_at(float(event.target.value.split()[0])))
+        follow.on_update(lambda event: self._follow(event.target.value))
+        self._steps = steps
+        steps.on_click(lambda event: self._step(1 if event.target.value == NEXT else -1))
+        views.on_click(lambda event: see(event.target.value))
+        # the arrow keys are the slider's and the camera's
+        keys: tuple[tuple[str, HotkeyKey, Callable[[], None]], ...] = (
+            ("Play or pause", "P", self._turn),
+            ("One frame back", "B", lambda: self._step(-1)),
+            ("One frame on", "N", lambda: self._step(1)),
+            ("Look from the front", "1", lambda: see(FRONT)),
+            ("Look from the side", "2", lambda: see(SIDE)),
+            ("Look from the top", "3", lambda: see(TOP)),
+        )
+        for label, key, act in keys:
+            gui.add_command(label, hotkey=key).on_trigger(lambda event, act=act: act())
+
+    def say(self, text: str) -> None:
+        """Tell what was clicked."""
+        self._clicked.content = as_markdown(text)
+
+    def draw(self, frame: int, note: str) -> None:
+        """Tell the frame that is shown, and what is wrong with it."""
+        now, timeline = time.monotonic(), self.timeline
+        text = "\n\n".join(filter(None, (as_markdown(note), self._told)))
+        if text != self._note.content:
+            self._note.content, self._note.visible = text, bool(text)
+        if timeline.playing and now - self._drawn < 1.0 / FOLLOWING:
+            return
+        self._drawn = now
+        self._frame.value = frame
+        self._time.value = f"{frame / timeline.rate:.2f} of {(timeline.frames - 1) / timeline.rate:.2f} s"
+
+    def grow(self, frames: int) -> None:
+        """There are so many frames now; the newest is shown where that is asked for."""
+        now = time.monotonic()
+        self.timeline.grow(frames, now)
+        self._frame.max, self._frame.disabled = max(frames - 1, 1), frames < 2
+        self._play.disabled = frames < 2
+        # groups of buttons cannot be disabled
+        self._steps.visible = frames >= 2
+        if self.newest:
+            self.timeline.seek(frames - 1, now)
+
+    def _switches(self, gui: GuiApi, contents: Contents) -> None:
+        bodies = any(take.motion.body is not None for take in contents.takes)
+        markers = bool(contents.markers) or any(take.subject is not None for take in contents.takes)
+        wanted = {
+            "surface": ("Surface", bodies or bool(contents.meshes)),
+            "skeleton": ("Skeleton", bodies),
+            "frames": ("Joint frames", bool(contents.takes)),
+            "names": ("Names", bool(contents.takes) or markers),
+            "scan": ("Scan", bool(contents.clouds)),
+            "markers": ("Markers", markers),
+        }
+        for field, (label, there) in wanted.items():
+            if there:
+                self._switch(gui, field, label)
+        if len(contents.takes) > 1:
+            beside = gui.add_checkbox("Side by side", self.spacing != 0)
+            beside.on_update(lambda event: self._place(event.target.value))
+        if bodies and contents.clouds:
+            colours = gui.add_dropdown("Colours", (PLAIN, DISTANCE, POSTERIOR), initial_value=PLAIN)
+            limit = gui.add_number(
+                "Scale, mm", 1000 * self.choice.limit, min=0.1, max=1000.0, step=0.1, visible=False
+            )
+            legend = gui.add_html(heat_legend(self.choice.limit), visible=False)
+
+            @colours.on_update
+            def _(event) -> None:
+                limit.visible = legend.visible = event.target.value == DISTANCE
+                self._choose(colours=event.target.value)
+
+            @limit.on_update
+            def _(event) -> None:
+                legend.content = heat_legend(0.001 * event.target.value)
+                self._choose(limit=0.001 * event.target.value)
+
+    def _switch(self, gui: GuiApi, field: str, label: str) -> None:
+        box = gui.add_checkbox(label, getattr(self.choice, field))
+        box.on_update(lambda event: self._choose(**{field: bool(event.target.value)}))
+
+    def _choose(self, **changes) -> None:
+        self.choice = dataclasses.replace(self.choice, **changes)
+        self._changed()
+
+    def _place(self, beside: bool) -> None:
+        self.spacing = (self._beside or None) if beside else 0.0
+        self._changed()
+
+    def _seek(self, frame: int, by_hand: bool) -> None:
+        if not by_hand:
+            return
+        self.newest = False
+        self.timeline.seek(frame, time.monotonic())
+        self._changed()
+
+    def _turn(self) -> None:
+        now = time.monotonic()
+        if self.timeline.playing:
+            self.timeline.pause(now)
+        else:
+            self.timeline.play(now)
+        self._play.label = PAUSE if self.timeline.playing else PLAY
+        self._changed()
+
+    def _step(self, frames: int) -> None:
+        self.newest = False
+        self.timeline.step(frames, time.monotonic())
+        self._play.label = PLAY
+        self._changed()
+
+    def _run_at(self, speed: float) -> None:
+        self.timeline.run_at(speed, time.monotonic())
+        self._changed()
+
+    def _follow(self, newest: bool) -> None:
+        self.newest = newest
+        if newest:
+            self.timeline.seek(self.timeline.frames - 1, time.monotonic())
+        self._changed()

@@ -1,0 +1,168 @@
+"""All that one browser sees: columns of takes, and around them meshes, markers, cameras and the ground."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...geometry.camera import Camera
+from ...io.meshes.mesh import Mesh
+from ..contents import Contents
+from ..figures.figure import BodyFigure
+from ..figures.points import LabelledPoints
+from ..figures.scenery import add_floor
+from .column import Choice, Column, Look
+
+if TYPE_CHECKING:
+    from viser import SceneApi
+else:
+    SceneApi = Any
+
+#: metres of air between two takes
+AIR = 0.3
+#: of a mesh beside a body, and of what is not the matter
+MESH, FAINT = (205, 190, 160), (110, 112, 124)
+#: of what was clicked
+PIN = (214, 40, 57)
+
+
+class Stage:
+    """The figures of `contents` in a scene of a server or of one client."""
+
+    def __init__(self, scene: SceneApi, contents: Contents):
+        self.contents, self._shown = contents, 0
+        clouds = contents.clouds
+        takes = contents.takes or [None] * max(1, len(clouds))
+        # one source of scans is for every take; several go with the takes in turn
+        solid = [take is not None and take.motion.body is not None for take in takes]
+        self.columns = [
+            # bodies and bare bones have colours of their own, each in its order
+            Column(scene, f"/{number}", solid[:number].count(solid[number]), take, _of(clouds, number))
+            for number, take in enumerate(takes)
+        ]
+        self._labels = [
+            scene.add_label(f"/{number}/title", take.name, anchor="bottom-center", visible=False)
+            for number, take in enumerate(contents.takes)
+        ]
+        self._meshes = [
+            BodyFigure(scene, f"/mesh{number}", Mesh(meshes.vertices[0], meshes.faces), MESH)
+            for number, meshes in enumerate(contents.meshes)
+        ]
+        self._markers = [
+            LabelledPoints(scene, f"/markers{number}", markers.frames.labels)
+            for number, markers in enumerate(contents.markers)
+        ]
+        for number, camera in enumerate(contents.cameras):
+            _add_camera(scene, f"/cameras/{number}", camera)
+        self._places = [np.zeros(3) for _ in self.columns]
+        size = float(np.linalg.norm(np.ptp(self.box(), axis=0)))
+        # half a metre for people
+        self._floor = add_floor(scene, 6 * max(size, 1.0), 0.5 * 10.0 ** np.floor(np.log10(max(size, 0.01))))
+        self._pin = scene.add_icosphere(
+            "/picked", 0.006 * size, PIN, subdivisions=1, cast_shadow=False, visible=False
+        )
+        self.place(spacing=None)
+
+    def place(self, spacing: float | None) -> None:
+        """Put takes beside each other, `spacing` metres from one to the next, as far as their widths ask where None;
+        or over each other, where each one was recorded, at zero.
+
+        The first stays where it was recorded, as markers, meshes and cameras are in its world. The others stand in
+        line with it on its floor."""
+        boxes = [column.extent() for column in self.columns]
+        widths = [float(np.ptp(box[:, 0])) for box in boxes]
+        wide = max(widths) + AIR if spacing is None else spacing
+        foot = [np.array([box[:, 0].mean(), box[0, 1], box[:, 2].mean()]) for box in boxes]
+        self._places = [
+            np.zeros(3) if wide == 0 else foot[0] - own + np.array([number * wide, 0.0, 0.0])
+            for number, own in enumerate(foot)
+        ]
+        box = self.box()
+        self._floor.position = (float(box[:, 0].mean()), float(box[0, 1]), float(box[:, 2].mean()))
+        for column, place in zip(self.columns, self._places, strict=True):
+            column.group.position = place
+        for label, own, place in zip(self._labels, boxes, self._places, strict=False):
+            # all at one height, each over its own
+            label.position = (own[:, 0].mean(), box[1, 1] - place[1] + 0.06, own[:, 2].mean())
+            label.visible = wide > 0 and len(self._labels) > 1
+
+    def box(self, now: bool = False) -> Float[np.ndarray, "2 3"]:
+        """The box around all but cameras as they are placed, in the first frame or as they are shown `now`, metres."""
+        there = [
+            column.extent(now) + place
+            for column, place in zip(self.columns, self._places, strict=True)
+            if column.take is not None or column.clouds is not None
+        ]
+        there += _boxes(self.contents)
+        return np.stack([np.min([box[0] for box in there], 0), np.max([box[1] for box in there], 0)])
+
+    def pick(
+        self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"], choice: Choice
+    ) -> str | None:
+        """Mark what a ray meets first and say what it is, or None where it meets nothing that is shown."""
+        found = []
+        for column, place in zip(self.columns, self._places, strict=True):
+            picked = column.pick(origin - place, direction, choice)
+            if picked is not None:
+                found.append((np.linalg.norm(picked[1] + place - origin), picked[0], picked[1] + place))
+        self._pin.visible = bool(found)
+        if not found:
+            return None
+        _, name, there = min(found, key=lambda one: one[0])
+        self._pin.position = there
+        return name
+
+    def look(self, frame: int, choice: Choice) -> list[Look]:
+        """What takes time to compute for one frame of the timeline; nothing is sent."""
+        return [column.look(frame / self.contents.rate, frame, choice) for column in self.columns]
+
+    def draw(self, frame: int, looks: list[Look], choice: Choice) -> None:
+        """Show one frame of the timeline."""
+        if frame != self._shown:
+            self._pin.visible, self._shown = False, frame
+        time = frame / self.contents.rate
+        for column, look in zip(self.columns, looks, strict=True):
+            column.draw(look, choice)
+        for figure, meshes in zip(self._meshes, self.contents.meshes, strict=True):
+            figure.visible = choice.surface
+            if choice.surface:
+                row = min(round(time * (meshes.rate or self.contents.rate)), len(meshes.vertices) - 1)
+                figure.show(meshes.vertices[row])
+        for figure, markers in zip(self._markers, self.contents.markers, strict=True):
+            frames = markers.frames
+            row = min(round(time * frames.rate), len(frames) - 1)
+            if choice.markers:
+                figure.show(np.asarray(frames.places[row]), np.asarray(frames.seen[row]), choice.names)
+            else:
+                figure.hide()
+
+
+def _of(clouds: list, number: int):
+    if not clouds:
+        return None
+    return clouds[0] if len(clouds) == 1 else clouds[number] if number < len(clouds) else None
+
+
+def _boxes(contents: Contents) -> list[Float[np.ndarray, "2 3"]]:
+    """The boxes around the first frame of meshes and markers, or around cameras that are alone, metres."""
+    points = [meshes.vertices[0] for meshes in contents.meshes]
+    for markers in contents.markers:
+        points.append(np.asarray(markers.frames.places)[np.asarray(markers.frames.seen)][:200])
+    if not points and not contents.takes and not contents.clouds:
+        points = [np.array([np.asarray(camera.eye) for camera in contents.cameras])]
+    return [np.stack([some.min(0), some.max(0)]).astype(float) for some in points if len(some)]
+
+
+def _add_camera(scene: SceneApi, name: str, camera: Camera) -> None:
+    rotation = np.asarray(camera.rotation, float)
+    scene.add_camera_frustum(
+        name,
+        fov=float(2 * np.arctan(0.5 * camera.height / np.asarray(camera.focal)[1])),
+        aspect=camera.width / camera.height,
+        scale=0.15,
+        color=FAINT,
+        # from the camera to the world
+        wxyz=Rotation.from_matrix(rotation.T).as_quat(scalar_first=True),
+        position=np.asarray(camera.eye, float),
+    )
