@@ -16,8 +16,8 @@ from benchmarks.report import progress
 from jaxcap.body.limits.limit_surface import SurfaceLimits
 from jaxcap.body.limits.limits import allowed
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.energy.term import Sum, terms_of
-from jaxcap.fit.priority import priority_step
+from jaxcap.energy.energy import Sum, terms_of
+from jaxcap.fit.task_priority import priority_step
 from jaxcap.fit.tracking.em import Estimate, box_volume, data_energy, expectation, uniform_priors
 from jaxcap.geometry.normals import estimate_normals
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcap.fit.correspondence.parts import Parts, make_parts
+from jaxcap.fit.correspondence.part_blocks import Parts, make_parts
 from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.observe import Cloud
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from benchmarks._fuzz_seeds import ASF, HEADER, fuzz_body
 from jaxcap.body.body import Body
-from jaxcap.cli.adapt.adapt_state import state_of
+from jaxcap.cli.adapt.state import state_of
 from jaxcap.cli.edit.pairs import point_pair, table_of
 from jaxcap.cli.learn import state_of as learn_state_of
-from jaxcap.cli.scan.scan_folder import check_same_scans
+from jaxcap.cli.scan.folder import check_same_scans
 from jaxcap.errors import InputError
 from jaxcap.io.archives.checkpoint import load_checkpoint, load_progress
 from jaxcap.io.archives.journal import read_header, read_records, resume_journal

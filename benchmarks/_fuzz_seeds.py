@@ -14,12 +14,12 @@ from jaxcap.body.body import Body
 from jaxcap.body.limits.chart import Chart
 from jaxcap.body.limits.limit_surface import LimitSurface, SurfaceLimits
 from jaxcap.body.limits.limits import Cone, make_joint_ranges
-from jaxcap.body.limits.pose_boxes import make_pose_boxes
+from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import make_pair_prior, successive_pairs
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import Skeleton, make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
-from jaxcap.cli.adapt.adapt_state import checkpoint_of
+from jaxcap.cli.adapt.state import checkpoint_of
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
 from jaxcap.io.archives.journal import begin_journal

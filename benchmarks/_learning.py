@@ -17,8 +17,8 @@ from benchmarks._crane import load_crane
 from benchmarks._scenes import CAPTURED, RATE, cmu_motion, takes_of
 from benchmarks.report import progress
 from jaxcap.body.skin import swing_twist_from
-from jaxcap.fit.registered import fit_meshes
-from jaxcap.learn.loop import learn_body
+from jaxcap.fit.fit_meshes import fit_meshes
+from jaxcap.learn.learn_body import learn_body
 from jaxcap.metrics import scan_to_surface
 from jaxcap.observe import MeshSequence
 

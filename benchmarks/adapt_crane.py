@@ -18,7 +18,7 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.loop import AdaptState, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan
 from jaxcap.adapt.prepare import make_task
 from jaxcap.demo.picture import View, draw
 from jaxcap.metrics import scan_to_surface

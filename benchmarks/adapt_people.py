@@ -27,11 +27,11 @@ import jaxcap as jc
 from benchmarks._learning import learn, meshes_of, varied_poses
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.loop import AdaptState, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan
 from jaxcap.adapt.prepare import make_task
-from jaxcap.body.reduce import reduce_body
-from jaxcap.fit.tracking.sequence import track_frames
-from jaxcap.fit.tracking.track import make_tracker
+from jaxcap.body.decimate import reduce_body
+from jaxcap.fit.tracking.track import track_frames
+from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.metrics import scan_to_surface

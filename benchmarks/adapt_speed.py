@@ -21,7 +21,7 @@ import jaxcap as jc
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.adapt_people import ACTORS, TAKES, first_pose, make_actor, scans_of
 from benchmarks.report import finish, progress
-from jaxcap.adapt.loop import adapt_body, plan
+from jaxcap.adapt.adapt_body import adapt_body, plan
 from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.prepare import make_task
 from jaxcap.body.people.anatomy import rest_deviations

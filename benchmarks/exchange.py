@@ -38,7 +38,7 @@ from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.body import deform_all
 from jaxcap.body.pose import take_poses
-from jaxcap.io.skeletons.tree import is_end
+from jaxcap.io.skeletons.twist_axes import is_end
 
 #: what another program may be off, and what may be changed between two pictures outside of where the body is
 MILLIMETRES, DEGREES = 0.1, 0.01

@@ -15,7 +15,13 @@ import numpy as np
 
 from benchmarks.report import Timer, finish, progress
 from jaxcap.body.body import Body, Posed, pose_body
-from jaxcap.body.jacobian import (
+from jaxcap.body.kinematics import world_axes
+from jaxcap.body.limits.limits import Cone, make_joint_ranges
+from jaxcap.body.people.human import human
+from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.body.skin import RigidSkin
+from jaxcap.body.vertex_jacobian import (
     ball_operator,
     cone_gradient,
     point_jacobian,
@@ -23,12 +29,6 @@ from jaxcap.body.jacobian import (
     revolute_operator,
     translate_operator,
 )
-from jaxcap.body.kinematics import world_axes
-from jaxcap.body.limits.limits import Cone, make_joint_ranges
-from jaxcap.body.people.human import human
-from jaxcap.body.pose import Pose, rest_pose, retract
-from jaxcap.body.skeleton import dof_layout
-from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.priors.limits import JointLimits
 from jaxcap.geometry import rotation
 from tests.helpers import chain_body, half_turned_pose, random_pose

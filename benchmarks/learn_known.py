@@ -4,7 +4,7 @@
 
 The truth is the embedded human under swing-twist skinning, posed by CMU's takes of subject 02, its
 vertices in a random order. Learning gets the meshes alone, with default options. The error of a vertex is its distance from its true place, means over vertices and meshes; held-out
-meshes are fitted with the learned body (`jaxcap.fit.registered.fit_meshes`). A second run learns
+meshes are fitted with the learned body (`jaxcap.fit.fit_meshes.fit_meshes`). A second run learns
 from meshes with Gaussian noise along each axis, and is measured against the meshes without.
 """
 

@@ -14,7 +14,7 @@ from benchmarks.report import finish, progress
 from jaxcap.body.limits.primitives import STIFFNESS, signed_distance
 from jaxcap.body.pose import retract
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.energy.term import AbstractEnergy
+from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.fit.problem import linearise
 
 #: step of the differences, and how near a kink they may straddle it

@@ -33,7 +33,7 @@ from jaxcap.demo.picture import View, draw
 from jaxcap.fit.judgement.surface import judged_surface
 from jaxcap.fit.judgement.usual import nothing_usual
 from jaxcap.fit.tracking.recover import Patience, TrackedFrame, judge, next_frame, settled
-from jaxcap.fit.tracking.track import start_state
+from jaxcap.fit.tracking.track_frame import start_state
 from jaxcap.metrics import scan_to_surface
 
 #: largest error of the main joints up to which a frame is right, and beyond which a made one is wrong, millimetres

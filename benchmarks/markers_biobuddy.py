@@ -14,10 +14,10 @@ from benchmarks.report import Timer, finish, progress
 from jaxcap.io.registry import read_markers
 from jaxcap.markers.rotation_centres.centres import Method, find_joint
 from jaxcap.markers.rotation_centres.joint import Joint
-from jaxcap.markers.segments.frames import SegmentFrames, fit_frames
 from jaxcap.markers.segments.partition import find_partition
-from jaxcap.markers.segments.relative import relative
+from jaxcap.markers.segments.relative_motion import relative
 from jaxcap.markers.segments.segment import Segments, make_segments
+from jaxcap.markers.segments.segment_frames import SegmentFrames, fit_frames
 
 TRIALS = ("static", "right_hip", "right_knee")
 PELVIS = ("LASIS", "RASIS", "LPSIS", "RPSIS")

@@ -25,7 +25,7 @@ from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.edit.retargeting.retarget import retarget
 from jaxcap.markers.calibration.calibrate import Calibration, calibrate
-from jaxcap.markers.motion.solve import solve_markers
+from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.subject import Subject
 
 TURNS = np.radians(20.0)

@@ -18,7 +18,7 @@ from benchmarks._markers import Trouble, make_scene
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.markers.calibration.calibrate import calibrate
-from jaxcap.markers.motion.solve import solve_markers
+from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
 
 

@@ -20,7 +20,7 @@ from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.markers.calibration.calibrate import Calibration, calibrate
-from jaxcap.markers.calibration.null_space import length_deviations
+from jaxcap.markers.calibration.observability import length_deviations
 
 TAKES = ("02_05", "02_01", "01_01")
 CASES = {"noise": Trouble(), "gaps": Trouble(gaps=0.1, swaps=0.01), "skin": Trouble(skin=0.015)}

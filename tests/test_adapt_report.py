@@ -13,6 +13,7 @@ from cli import fails, runs
 from helpers import chain_body
 
 import jaxcap as jc
+from jaxcap.adapt.adapt_body import AdaptState, Settings, Task, plan
 from jaxcap.adapt.evaluate import (
     BIN,
     Stages,
@@ -25,14 +26,13 @@ from jaxcap.adapt.evaluate import (
     variant_names,
     with_distances,
 )
-from jaxcap.adapt.loop import AdaptState, Settings, Task, plan
-from jaxcap.adapt.shape.size import resized
-from jaxcap.adapt.terms import Terms
+from jaxcap.adapt.objective import Terms
+from jaxcap.adapt.shape.scale import resized
 from jaxcap.body.pose import rest_pose, retract, stack_poses
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.adapt_input import look_through
-from jaxcap.cli.adapt.adapt_state import checkpoint_of, fingerprint_of
+from jaxcap.cli.adapt.input import look_through
+from jaxcap.cli.adapt.state import checkpoint_of, fingerprint_of
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.io.archives.checkpoint import save_checkpoint

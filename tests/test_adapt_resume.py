@@ -11,16 +11,16 @@ from adapt_scene import make_scene, write_folder, write_scan
 from cli import fails, runs, tree
 
 import jaxcap as jc
-from jaxcap.adapt.loop import AdaptState, Settings, plan
-from jaxcap.adapt.terms import Terms
+from jaxcap.adapt.adapt_body import AdaptState, Settings, plan
+from jaxcap.adapt.objective import Terms
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.sample import sample_poses
 from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt import adapt as adapt_module
+from jaxcap.cli.adapt.actor import finished_run, save_actor
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.adapt_actor import finished_run, save_actor
-from jaxcap.cli.adapt.adapt_input import look_through
-from jaxcap.cli.adapt.adapt_state import fingerprint_of, hash_of, keep_state, state_to_go_on_from
+from jaxcap.cli.adapt.input import look_through
+from jaxcap.cli.adapt.state import fingerprint_of, hash_of, keep_state, state_to_go_on_from
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.registry import write_motion
 

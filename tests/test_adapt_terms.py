@@ -7,14 +7,9 @@ import pytest
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.objective import stack
+from jaxcap.adapt.objective import balanced, motion_energy, pose_energy, symmetry_energy
+from jaxcap.adapt.problems import stack
 from jaxcap.adapt.shape.shape_prior import own_shape_prior, shape_energy
-from jaxcap.adapt.terms import (
-    balanced,
-    motion_energy,
-    pose_energy,
-    symmetry_energy,
-)
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import mirrored_joints

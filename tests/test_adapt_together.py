@@ -11,8 +11,8 @@ from adapt_scene import make_scene, task_of
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.objective import ALIKE, Belief, shared_problem, stack, stack_pairs, unstack
-from jaxcap.adapt.poses.meet import Meetings
+from jaxcap.adapt.poses.task_pairs import Meetings
+from jaxcap.adapt.problems import ALIKE, Belief, shared_problem, stack, stack_pairs, unstack
 from jaxcap.adapt.rounds import adapt_round, step_of
 from jaxcap.adapt.shape.shape_prior import own_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape, adapt_together

@@ -9,21 +9,21 @@ from cli import fails
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
+from jaxcap.adapt.adapt_body import AdaptState, Settings, plan
 from jaxcap.adapt.flagged import NO_SCAN, distance_limit, flag_frames
-from jaxcap.adapt.loop import AdaptState, Settings, plan
 from jaxcap.adapt.poses import unordered
-from jaxcap.adapt.poses.meet import told
 from jaxcap.adapt.poses.similarity import DIRECTIONS, is_unordered, shape_of, step_between, turned_distances
+from jaxcap.adapt.poses.task_pairs import told
 from jaxcap.adapt.poses.unordered import are_worse, find_poses, visiting_order
 from jaxcap.adapt.prepare import make_task
 from jaxcap.body.pose import retract, stack_poses
-from jaxcap.cli.adapt.adapt_input import explained_words, warn_of_lost
-from jaxcap.cli.adapt.adapt_state import checkpoint_of, state_of
+from jaxcap.cli.adapt.input import explained_words, warn_of_lost
+from jaxcap.cli.adapt.state import checkpoint_of, state_of
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.fit.tracking import sequence
+from jaxcap.fit.tracking import track as sequence
 from jaxcap.fit.tracking.likeliest import log_likelihood
-from jaxcap.fit.tracking.sequence import track_frames
-from jaxcap.fit.tracking.track import make_tracker
+from jaxcap.fit.tracking.track import track_frames
+from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.io.meshes.clouds import read_clouds
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from helpers import chain_body, random_pairs, random_pose
 
-from jaxcap.adapt.objective import stack, window_problem
-from jaxcap.adapt.poses.window import smooth_poses, temporal_energy
-from jaxcap.body.limits.pose_boxes import PoseBoxes, box_chart, make_pose_boxes, no_boxes
+from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
+from jaxcap.adapt.problems import stack, window_problem
+from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, box_chart, make_pose_boxes, no_boxes
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.data.pairs import PairDistances
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.problem import linearise, pose_scales
-from jaxcap.fit.solvers.boxes import solve_boxed
+from jaxcap.fit.solvers.bounded_least_squares import solve_boxed
 from jaxcap.fit.solvers.descent import NormalDescent
 from jaxcap.geometry import rotation
 

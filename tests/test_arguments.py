@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 import jaxcap as jc
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking import sequence
+from jaxcap.fit.tracking import track as sequence
 from jaxcap.io.meshes.clouds import Scans
 
 

@@ -9,16 +9,16 @@ from helpers import chain_skeleton, random_pose
 from scipy.optimize import lsq_linear
 
 import jaxcap as jc
-from jaxcap.adapt.objective import stack
 from jaxcap.adapt.poses.pose import fit_pose, mean_square, pairs_of
-from jaxcap.adapt.poses.window import smooth_poses, temporal_energy
-from jaxcap.body.limits.pose_boxes import box_chart, move_within, no_boxes, turning_joints
+from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
+from jaxcap.adapt.problems import stack
+from jaxcap.body.limits.rotation_vector_boxes import box_chart, move_within, no_boxes, turning_joints
 from jaxcap.body.pose import own_vectors, project, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import Matching, make_scan
-from jaxcap.fit.solvers.boxes import solve_boxed
+from jaxcap.fit.solvers.bounded_least_squares import solve_boxed
 from jaxcap.geometry import rotation
 
 SKELETON = chain_skeleton()

@@ -17,7 +17,7 @@ from jaxcap.cli import learn as verb
 from jaxcap.cli.learn import read_pairs, split
 from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import load_body, load_motion, save_body
-from jaxcap.learn.loop import Learned, LearnState
+from jaxcap.learn.learn_body import Learned, LearnState
 
 SIDES, RINGS, FRAMES = 8, 9, 6
 

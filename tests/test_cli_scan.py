@@ -12,7 +12,7 @@ from jaxcap.body.pose import Motion
 from jaxcap.cli import main
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.scan import scan as scan_module
-from jaxcap.cli.scan.scan_rate import rate_of
+from jaxcap.cli.scan.rate import rate_of
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, ring_of_cameras

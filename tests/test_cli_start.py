@@ -65,7 +65,7 @@ def test_public_names_come_when_they_are_used():
     assert len(jaxcap.__all__) > 200 and set(jaxcap.__all__) <= set(dir(jaxcap))
     assert all(getattr(jaxcap, name) is not None for name in jaxcap.__all__)
     from jaxcap.adapt.task import Settings
-    from jaxcap.fit.tracking.sequence import track
+    from jaxcap.fit.tracking.track import track
 
     assert jaxcap.AdaptSettings is Settings and jaxcap.track is track
     assert jaxcap.io.registry.read_skinned is jaxcap.read_skinned
@@ -140,7 +140,7 @@ def test_silence_is_broken_by_what_is_done(quick, capsys):
     with heartbeat.break_silence():
         heartbeat.doing("adding up")
         time.sleep(0.4)
-        logging.getLogger("jaxcap.fit.tracking.sequence").info("searching for frame %d", 7)
+        logging.getLogger("jaxcap.fit.tracking.track").info("searching for frame %d", 7)
         time.sleep(0.4)
         with heartbeat.resting():
             time.sleep(0.4)

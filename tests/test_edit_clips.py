@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.edit.between import resample
 from jaxcap.edit.clips import cut, join, make_loop
-from jaxcap.edit.planar import Planar, align, move, power
-from jaxcap.edit.reflection import mirror
+from jaxcap.edit.interpolation import resample
+from jaxcap.edit.mirror import mirror
+from jaxcap.edit.planar_transform import Planar, align, move, power
 from jaxcap.edit.transitions import find_loops, find_transitions, transition_distances
 from jaxcap.geometry import rotation
 

@@ -10,7 +10,7 @@ from helpers import chain_body, random_pose
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.priors.prior import PosePrior
-from jaxcap.fit.correspondence.parts import make_parts
+from jaxcap.fit.correspondence.part_blocks import make_parts
 from jaxcap.fit.tracking.em import (
     Estimate,
     box_volume,

@@ -13,7 +13,7 @@ from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.priors.prior import tangent_deviations
 from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, subtree_starts, turned_starts
-from jaxcap.fit.tracking.track import make_tracker
+from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.observe import make_cloud
 

@@ -8,13 +8,13 @@ import pytest
 from helpers import SKINS, awkward_poses, chain_body, check_energy, random_pose
 from jaxtyping import Array, Int
 
-from jaxcap.body import jacobian as jacobians
+from jaxcap.body import vertex_jacobian as jacobians
 from jaxcap.body.body import Posed, pose_body
+from jaxcap.body.geometric_jacobian import joint_rates, pose_rates, stack_rates, take_rates
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.body.pose import retract
-from jaxcap.body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.energy.term import AbstractEnergy
+from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.geometry import rotation
 
 BODIES = {skin: chain_body(skin) for skin in SKINS}

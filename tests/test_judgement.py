@@ -14,7 +14,7 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.fit.correspondence.visible import visible_vertices
+from jaxcap.fit.correspondence.visibility import visible_vertices
 from jaxcap.fit.judgement.evidence import _seen_by, gather_evidence
 from jaxcap.fit.judgement.inside import within_others
 from jaxcap.fit.judgement.surface import _even_samples, judged_surface, region_name

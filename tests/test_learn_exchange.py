@@ -12,12 +12,12 @@ from jaxcap.body.skin import LinearSkin, SwingTwistSkin
 from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.objective import objective
-from jaxcap.learn.skeleton.hang import bone_motions
+from jaxcap.learn.skeleton.reparent import bone_motions
 from jaxcap.learn.state import LearnState
-from jaxcap.learn.structure.dissolve import find_removals
-from jaxcap.learn.structure.exchange import exchange, exchangeable
-from jaxcap.learn.structure.graft import Split, with_joint, without_joint
-from jaxcap.learn.structure.splits import find_splits
+from jaxcap.learn.structure.joint_insertion import find_splits
+from jaxcap.learn.structure.joint_removal import find_removals
+from jaxcap.learn.structure.skeleton_edit import Split, with_joint, without_joint
+from jaxcap.learn.structure.structure_search import exchange, exchangeable
 from tests.helpers import chain_body
 from tests.test_learn_parts import same_partition, tube
 

@@ -11,12 +11,12 @@ from jaxcap.body.body import deform_all
 from jaxcap.fit.solvers.equalities import Equalities
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.blend.blend import Blend, BlendProblem, settle_blend
-from jaxcap.learn.blend.projection import adapt_all, improve_all, spread_vertices
-from jaxcap.learn.loop import learn_body
-from jaxcap.learn.skeleton.hang import bone_motions
+from jaxcap.learn.blend.variable_projection import adapt_all, improve_all, spread_vertices
+from jaxcap.learn.learn_body import learn_body
 from jaxcap.learn.skeleton.joints import improve_joints, make_curvature
 from jaxcap.learn.skeleton.limbs import bone_rates, bones_of, make_limbs, move_limbs, read_limbs
-from jaxcap.learn.weights.vertices import solve_vertices
+from jaxcap.learn.skeleton.reparent import bone_motions
+from jaxcap.learn.weights.rest_vertices import solve_vertices
 from jaxcap.learn.weights.weights import improve_weights
 from jaxcap.observe import MeshSequence
 from tests.helpers import random_pose

@@ -14,7 +14,7 @@ from jaxcap.body.symmetry import bones_of, length_differences, symmetrise
 from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.objective import objective
-from jaxcap.learn.skeleton.anchors import Given, cut_anchors
+from jaxcap.learn.skeleton.joint_centre_prior import Given, cut_anchors
 from jaxcap.learn.skeleton.joints import (
     improve_joints,
     make_curvature,
@@ -22,7 +22,7 @@ from jaxcap.learn.skeleton.joints import (
     normal_equations,
     shared_slots,
 )
-from jaxcap.learn.weights.vertices import solve_vertices
+from jaxcap.learn.weights.rest_vertices import solve_vertices
 from tests.helpers import chain_body, random_pose
 
 NONE = np.zeros((0, 2), int)

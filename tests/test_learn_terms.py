@@ -10,10 +10,10 @@ from jaxtyping import Array, Float
 
 import jaxcap as jc
 from jaxcap.body.body import deform_all
-from jaxcap.energy.term import sum_of
+from jaxcap.energy.energy import sum_of
 from jaxcap.errors import InputError
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.loop import learn_body
+from jaxcap.learn.learn_body import learn_body
 from jaxcap.learn.objective import objective
 from jaxcap.learn.skeleton.joints import JointProblem, improve_joints, make_curvature
 from jaxcap.observe import MeshSequence

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.limits.chart import Chart
-from jaxcap.body.limits.nearest_inside import nearest_inside
 from jaxcap.body.limits.primitives import LEVEL, STIFFNESS, Primitives, field, radii, signed_distance
+from jaxcap.body.limits.surface_projection import nearest_inside
 
 BALL = Chart(jnp.array([1.0, 0, 0, 0]), jnp.eye(3)[:2], "ball")
 

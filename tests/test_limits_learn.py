@@ -24,7 +24,7 @@ from jaxcap.limits.check import allowed_frames, comfort_frames, nearest_frames, 
 from jaxcap.limits.compare import compare_samples
 from jaxcap.limits.learn import learn_limits
 from jaxcap.limits.marker_frames import arm_samples
-from jaxcap.limits.match import match_primitives
+from jaxcap.limits.primitive_matching import match_primitives
 from jaxcap.limits.project import project_motion
 from jaxcap.limits.samples import JointSamples, gather_samples, parse_joints
 from jaxcap.limits.voxels import voxelise

@@ -7,10 +7,10 @@ import pytest
 
 from jaxcap.geometry import rotation
 from jaxcap.markers.calibration.calibrate import calibrate
-from jaxcap.markers.calibration.gauge import gauge_directions, gauge_rows
-from jaxcap.markers.calibration.null_space import centre_covariances, length_deviations
+from jaxcap.markers.calibration.calibration_parameters import prior_precision, shift_subject, solved_joints
+from jaxcap.markers.calibration.gauge_freedom import gauge_directions, gauge_rows
+from jaxcap.markers.calibration.observability import centre_covariances, length_deviations
 from jaxcap.markers.calibration.residuals import marker_residuals
-from jaxcap.markers.calibration.shared import prior_precision, shift_subject, solved_joints
 from jaxcap.observe import MarkerFrames
 from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
 

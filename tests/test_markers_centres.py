@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from jaxcap.markers.rotation_centres.axis_sara import find_hinge
 from jaxcap.markers.rotation_centres.centres import METHODS, find_joint
 from jaxcap.markers.rotation_centres.gamage import concentric
-from jaxcap.markers.rotation_centres.hinge import find_hinge
 from jaxcap.markers.rotation_centres.precision import arc_bound, swept_arc
 from jaxcap.markers.rotation_centres.sphere import density_weights, fit_circle, fit_sphere
-from jaxcap.markers.segments.frames import fit_frames
-from jaxcap.markers.segments.relative import relative
+from jaxcap.markers.segments.relative_motion import relative
 from jaxcap.markers.segments.segment import make_segments
+from jaxcap.markers.segments.segment_frames import fit_frames
 from tests.markers_scene import puppet
 
 PAIR = ((-1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.25)), (0, (0.0, 0.0, 0.0), (0.05, 0.0, -0.25)))

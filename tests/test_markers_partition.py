@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.errors import InputError
 from jaxcap.io.markers.marker_corrections import read_corrections, write_corrections
-from jaxcap.markers.segments.cover import maximal_sets
-from jaxcap.markers.segments.deviation import pair_deviations
+from jaxcap.markers.segments.maximal_cliques import maximal_sets
+from jaxcap.markers.segments.pair_distances import pair_deviations
 from jaxcap.markers.segments.partition import correct, find_partition
 from jaxcap.markers.segments.segment import make_segments
 from jaxcap.markers.segments.swaps import mend_swaps

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from jaxcap.energy.term import AbstractEnergy
+from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.markers.calibration.problem import RIDGE, CalibrationEstimate, make_calibration_problem, slid
 from jaxcap.markers.calibration.robust import UNBOUNDED
+from jaxcap.markers.calibration.rotation_prior import turning_of
 from jaxcap.markers.calibration.solve_calibration import solve_calibration
-from jaxcap.markers.calibration.turning import turning_of
 from jaxcap.markers.subject import marker_places
 from tests.markers_limb import moving, seen_by, truth, wrong
 

@@ -5,7 +5,7 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.markers.calibration.calibrate import calibrate
-from jaxcap.markers.calibration.skin import find_skin, skin_shifts, slide_deviation, sliding
+from jaxcap.markers.calibration.soft_tissue import find_skin, skin_shifts, slide_deviation, sliding
 from jaxcap.observe import MarkerFrames
 from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
 

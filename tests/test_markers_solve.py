@@ -8,8 +8,8 @@ import pytest
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.errors import InputError
 from jaxcap.io.markers.subject import load_subject, save_subject
-from jaxcap.markers.motion.frame import Search
-from jaxcap.markers.motion.solve import solve_markers
+from jaxcap.markers.motion.inverse_kinematics import solve_markers
+from jaxcap.markers.motion.solve_frame import Search
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
 from jaxcap.observe import MarkerFrames
 from tests.markers_limb import moving, seen_by, truth

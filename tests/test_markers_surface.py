@@ -9,7 +9,7 @@ from helpers import chain_body, check_energy, random_pose
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import body_of
-from jaxcap.body.people.morphs import Traits
+from jaxcap.body.people.morph_targets import Traits
 from jaxcap.body.pose import rest_pose
 from jaxcap.fit.solve import solve
 from jaxcap.io.registry import read_markers

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from jaxcap.prior.choose import THRESHOLDS, choose_mixture, held_out_folds
-from jaxcap.prior.mixtures import FLOOR, Mixture, fit_mixture, log_density, spread_labels
-from jaxcap.prior.zeroing import num_zeroed, partial_correlations, zero_weak
+from jaxcap.prior.covariance_selection import num_zeroed, partial_correlations, zero_weak
+from jaxcap.prior.gaussian_mixture import FLOOR, Mixture, fit_mixture, log_density, spread_labels
+from jaxcap.prior.model_selection import THRESHOLDS, choose_mixture, held_out_folds
 
 
 def some_covariance(rng, size: float = 0.3) -> np.ndarray:

@@ -30,7 +30,11 @@ LOOPS = {"while_loop", "fori_loop", "scan"}
 
 
 def outside() -> list[Path]:
-    found = [file for file in sorted(PACKAGE.rglob("*.py")) if not set(ROOMS) & set(file.parents) and file != CLOSED]
+    found = [
+        file
+        for file in sorted(PACKAGE.rglob("*.py"))
+        if not set(ROOMS) & set(file.parents) and file != CLOSED
+    ]
     assert len(found) > 200
     return found
 

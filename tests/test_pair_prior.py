@@ -11,10 +11,10 @@ from scipy.stats import multivariate_normal
 import jaxcap as jc
 from jaxcap.body.body import pose_body
 from jaxcap.body.limits.limits import allowed
-from jaxcap.body.limits.pose_boxes import own_vectors
+from jaxcap.body.limits.rotation_vector_boxes import own_vectors
 from jaxcap.body.pair_prior import log_density, misfit, mixture_peak, pair_vectors, successive_pairs
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.energy.term import energies
+from jaxcap.energy.energy import energies
 from jaxcap.geometry import rotation
 from jaxcap.io.archives.npz import load_limits
 from jaxcap.io.archives.prior import load_boxes

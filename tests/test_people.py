@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.adapt.loop import Settings, Task, adapt_body
-from jaxcap.adapt.shape.people import learn_people, people_like, person, traits_like
-from jaxcap.body.people.variety import human_resolution, people_of_many_shapes
-from jaxcap.body.reduce import attach, follow, reduce_body
+from jaxcap.adapt.adapt_body import Settings, Task, adapt_body
+from jaxcap.adapt.shape.shape_space import learn_people, people_like, person, traits_like
+from jaxcap.body.decimate import attach, follow, reduce_body
+from jaxcap.body.people.random_humans import human_resolution, people_of_many_shapes
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.priors.prior import RestPrior

@@ -9,11 +9,11 @@ from scipy.spatial import cKDTree
 
 from jaxcap.fit.correspondence import nearest as nearest_module
 from jaxcap.fit.correspondence.nearest import nearest_vertices
-from jaxcap.fit.correspondence.parts import make_parts
+from jaxcap.fit.correspondence.part_blocks import make_parts
 from jaxcap.fit.correspondence.posterior import log_likelihood, posterior, update_priors, update_sigma
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import vertex_normals
-from jaxcap.geometry.order import spatial_order
+from jaxcap.geometry.morton_order import spatial_order
 from jaxcap.observe import Cloud
 
 SETTINGS = {"normal_threshold": 0.4, "outlier": 0.1, "box_volume": 8.0}

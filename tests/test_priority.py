@@ -17,14 +17,14 @@ from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.data.landmarks import BoneLandmarks, JointLandmarks
+from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.energy.priors.limits import JointLimits
 from jaxcap.energy.priors.prior import PosePrior
-from jaxcap.energy.term import AbstractEnergy
-from jaxcap.fit.priority import priority_step, solve_in_order
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solve import solve
-from jaxcap.fit.solvers.hierarchy import Damping, Rows, constrained, descend
+from jaxcap.fit.solvers.hierarchical_least_squares import Damping, Rows, constrained, descend
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from jaxcap.fit.task_priority import priority_step, solve_in_order
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton

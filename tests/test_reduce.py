@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from jaxcap.body.body import Body
-from jaxcap.body.reduce import attach, decimate, follow, reduce_body
+from jaxcap.body.decimate import attach, decimate, follow, reduce_body
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import AbstractSkin, LinearSkin, RigidSkin
 

@@ -14,13 +14,13 @@ from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.data.landmarks import VertexLandmarks
+from jaxcap.energy.energy import Weighted
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.energy.stacked import NormalPrior, SmoothTurns, stack_energies
-from jaxcap.energy.term import Weighted
 from jaxcap.errors import InputError
-from jaxcap.fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
-from jaxcap.fit.sequences.sequence_uncertainty import describe_sequence, sequence_uncertainty
-from jaxcap.fit.sequences.solve_sequence import solve_sequence
+from jaxcap.fit.sequences.problem import SequenceEstimate, SequenceProblem
+from jaxcap.fit.sequences.solve import solve_sequence
+from jaxcap.fit.sequences.uncertainty import describe_sequence, sequence_uncertainty
 from jaxcap.fit.sequences.unknowns import JointCentres, JointOrientations, RestVertices, Size, SkinningWeights
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.solvers.implicit import is_trustworthy

@@ -7,6 +7,7 @@ import pytest
 from helpers import chain_body, random_pose
 
 import jaxcap as jc
+from jaxcap.adapt.shape.scale import resized
 from jaxcap.adapt.shape.shape_prior import (
     neighbours_in,
     own_shape_prior,
@@ -14,7 +15,6 @@ from jaxcap.adapt.shape.shape_prior import (
     shape_energy,
     uniform_laplacian,
 )
-from jaxcap.adapt.shape.size import resized
 from jaxcap.body.body import deform_all
 from jaxcap.body.people.sample import unlike_poses
 from jaxcap.geometry.mesh import mesh_edges

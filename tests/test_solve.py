@@ -14,11 +14,11 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.limits.limits import Cone, make_joint_ranges
 from jaxcap.body.pose import Pose, difference, project, rest_pose, retract
 from jaxcap.energy.data.landmarks import BoneLandmarks, VertexLandmarks
-from jaxcap.energy.data.moments import rigid_moments
 from jaxcap.energy.data.points import PointToPlane, PointToPoint
+from jaxcap.energy.data.sufficient_statistics import rigid_moments
+from jaxcap.energy.energy import Sum
 from jaxcap.energy.priors.limits import JointLimits
 from jaxcap.energy.priors.prior import PosePrior, RestPrior
-from jaxcap.energy.term import Sum
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.descent import dense_information

@@ -10,18 +10,18 @@ from helpers import chain_body, check_energy, random_pose
 from jaxtyping import Array, Float, Int
 
 import jaxcap as jc
-from jaxcap.adapt.objective import stack
-from jaxcap.adapt.poses.meet import Meetings
 from jaxcap.adapt.poses.pose import fit_pose
+from jaxcap.adapt.poses.task_pairs import Meetings
+from jaxcap.adapt.problems import stack
 from jaxcap.adapt.rounds import adapt_round
 from jaxcap.adapt.task import AdaptState, Settings, Stage
 from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError
 from jaxcap.fit.correspondence.correspond import make_scan
-from jaxcap.fit.registered import fit_meshes
-from jaxcap.fit.tracking.sequence import track
+from jaxcap.fit.fit_meshes import fit_meshes
+from jaxcap.fit.tracking.track import track
 from jaxcap.markers.calibration.calibrate import calibrate
-from jaxcap.markers.motion.solve import solve_markers
+from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
 from jaxcap.markers.subject import marker_places
 from jaxcap.observe import MeshSequence

@@ -11,12 +11,13 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.demo.scanner import sample_surface
-from jaxcap.energy.term import AbstractEnergy
+from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking import recover, sequence
+from jaxcap.fit.tracking import recover
+from jaxcap.fit.tracking import track as sequence
 from jaxcap.fit.tracking.batch import fit_batch, scan_track
-from jaxcap.fit.tracking.sequence import track, track_frames
-from jaxcap.fit.tracking.track import make_tracker, start_state
+from jaxcap.fit.tracking.track import track, track_frames
+from jaxcap.fit.tracking.track_frame import make_tracker, start_state
 from jaxcap.geometry import rotation
 from jaxcap.observe import Cloud, make_cloud, stack_clouds
 

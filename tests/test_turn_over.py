@@ -7,8 +7,8 @@ from helpers import chain_body
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.fit.tracking.track import make_tracker
-from jaxcap.fit.tracking.turn_over import limb_ends, turn_over
+from jaxcap.fit.tracking.limb_flips import limb_ends, turn_over
+from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.scanner.scan import scan_frame

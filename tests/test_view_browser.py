@@ -11,8 +11,8 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import deform_all
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.cli.track.frame_rows import pack, row_template, row_width, whose_poses
-from jaxcap.fit.tracking.track import make_tracker
+from jaxcap.cli.track.frame_records import pack, row_template, row_width, whose_poses
+from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.io.archives.journal import begin_journal
 from jaxcap.io.meshes.clouds import NO_FACES, Scans
 from jaxcap.view import show

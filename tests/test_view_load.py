@@ -10,9 +10,9 @@ from helpers import chain_body, chain_skeleton, random_pose
 from jaxcap.body.body import Body, deform_all
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
-from jaxcap.cli.track.frame_rows import pack, row_template, row_width, whose_poses
+from jaxcap.cli.track.frame_records import pack, row_template, row_width, whose_poses
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking.track import make_tracker
+from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
 from jaxcap.io.archives.journal import begin_journal, read_records, resume_journal
@@ -35,7 +35,8 @@ from jaxcap.observe import MeshSequence, make_markers
 from jaxcap.view import live
 from jaxcap.view.contents import Contents, make_take
 from jaxcap.view.figures.clouds import SeenCloud, SeenClouds
-from jaxcap.view.figures.heat import (
+from jaxcap.view.figures.posing import CHUNK, PosedMotion
+from jaxcap.view.figures.scan_colours import (
     BANDS,
     heat_classes,
     heat_palette,
@@ -43,7 +44,6 @@ from jaxcap.view.figures.heat import (
     posterior_colours,
     scan_heat,
 )
-from jaxcap.view.figures.posing import CHUNK, PosedMotion
 from jaxcap.view.live import RunFollower, follow_run, record_poses
 from jaxcap.view.load import load
 from jaxcap.view.windows.column import _by_name

@@ -11,7 +11,7 @@ from jaxcap.adapt.poses.pose import PIXELS
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.fit.correspondence.visible import visible_vertices
+from jaxcap.fit.correspondence.visibility import visible_vertices
 from jaxcap.geometry.camera import in_picture, look_at, ring_of_cameras
 
 TOLERANCE = 0.005

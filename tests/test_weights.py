@@ -12,8 +12,8 @@ from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from jaxcap.geometry.laplacian import make_conformance, matrix
-from jaxcap.learn.weights import sweep as sweeping
-from jaxcap.learn.weights.colours import colour_vertices
+from jaxcap.learn.weights import coordinate_descent as sweeping
+from jaxcap.learn.weights.graph_colouring import colour_vertices
 from jaxcap.learn.weights.weights import improve_weights
 
 SIDES, RINGS, FRAMES = 8, 25, 12

@@ -16,7 +16,7 @@ from ..fit.correspondence.correspond import Scan, make_scan, within_aperture
 from ..geometry.camera import Camera, check_sees
 from ..geometry.closest import nearest_on_surface
 from ..observe import Cloud, make_cloud
-from .loop import adapt_body
+from .adapt_body import adapt_body
 from .task import AdaptState, Task
 
 #: a point is explained by a body within this share of its height, where both face the same way to this cosine

@@ -17,8 +17,8 @@ from ..body.pose import Motion, Pose, stack_poses
 from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
-from .loop import AdaptState, Settings, Task, adapt_body, plan
-from .shape.size import resized
+from .adapt_body import AdaptState, Settings, Task, adapt_body, plan
+from .shape.scale import resized
 
 #: width of a bin of distances, which percentiles are as fine as, and the distance of the last one, metres
 BIN, FURTHEST = 1e-5, 1.0

@@ -1,149 +1,70 @@
-"""Problems that an adaptation minimises (Adaptation, eq. 4.3)."""
+"""The terms of the objective, each by itself and without its weight (Adaptation, section 4.1.3)."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
-from ..body.limits.pose_boxes import PoseBoxes
-from ..body.pose import Pose
-from ..body.shape_modes import Modes
-from ..energy.data.pairs import PairDistances, Pairs, num_pairs
-from ..energy.stacked import NormalPrior, SmoothTurns, Stacked, weigh_frames
-from ..energy.term import AbstractEnergy, sum_of, weighted
-from ..fit.problem import PoseProblem
-from ..fit.sequences.sequence_problem import SequenceProblem
-from ..fit.sequences.unknowns import ShapeCoefficients
-from ..geometry.stacking import stack as stack_arrays
-
-#: pairs that are neighbours say the same: so many count as one
-ALIKE = 50.0
-#: what a unit of a log-likelihood counts among summed squared distances of pairs, metres squared: pairs are 3 mm off
-UNIT = 0.003**2 * ALIKE
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton
+from ..body.symmetry import length_differences
+from ..energy.energy import AbstractEnergy
+from .poses.sliding_window import temporal_energy
 
 
-class Belief(eqx.Module):
-    """A normal prior of the amounts of modes."""
+class Terms(NamedTuple):
+    """What each term is worth."""
 
-    #: from where they stand
-    expected: Float[Array, "K"]
-    #: standard deviation of each
-    deviation: Float[Array, "K"]
-
-
-def pose_problem(
-    body: Body,
-    pairs: Pairs,
-    prior: AbstractEnergy,
-    weight: float | Float[Array, ""],
-    boxes: PoseBoxes | None = None,
-    terms: AbstractEnergy | None = None,
-) -> PoseProblem:
-    """`Q_data + weight Q_pose` of a frame, with `Q_data` the mean over its pairs, and further terms in units of a log-likelihood."""
-    count = num_pairs(pairs)
-    own = None if terms is None else weighted(UNIT / count, terms)
-    data = weighted(1.0 / count, PairDistances(pairs))
-    return PoseProblem(_sum(data, weighted(weight, prior), own), body, boxes)
+    #: mean squared weighed distance of a pair (eq. 4.4), metres squared
+    data: float
+    #: mean of the pose prior over frames (eq. 4.7)
+    pose: float
+    #: mean squared second difference of rotation vectors (eq. 4.9), radians squared
+    temporal: float
+    #: mean squared change of the Laplacian vectors (eq. 4.11), metres squared
+    shape: float
+    #: summed squared differences of paired bones' lengths (eq. 4.13), metres squared
+    symmetry: float
+    #: mean over frames of the energies of a user's own, in units of a log-likelihood
+    own: float = 0.0
 
 
-def window_problem(
-    body: Body,
-    pairs: Pairs,
-    prior: AbstractEnergy,
-    weight: float | Float[Array, ""],
-    temporal: float | Float[Array, ""],
-    times: Shaped[Array | np.ndarray, "F"],
-    boxes: PoseBoxes | None = None,
-    held: int = 0,
-    terms: AbstractEnergy | None = None,
-) -> SequenceProblem:
-    """The mean over frames of `Q_data + weight Q_pose`, and `temporal Q_temp` (eqs. 4.3, 4.9 and 4.10); the first `held`
-    frames keep their poses."""
-    frames, dtype = len(times), body.vertices.dtype
-    shares = (1.0 / (frames * jax.vmap(num_pairs)(pairs))).astype(dtype)
-    own = None if terms is None else weigh_frames(UNIT * shares, terms)
-    return SequenceProblem(
-        body,
-        _sum(weigh_frames(shares, Stacked(PairDistances(pairs))), weighted(weight / frames, prior), own),
-        jnp.asarray(times, dtype),
-        between=(SmoothTurns(jnp.asarray(temporal / max(frames - 2, 1), dtype)),),
-        boxes=boxes,
-        held=jnp.arange(frames) < held,
-    )
+def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:
+    """The mean of a prior over stacked poses."""
+    return float(_pose_energy(prior, body, poses))
 
 
-def shared_problem(
-    body: Body,
-    pairs: Pairs,
-    prior: AbstractEnergy,
-    modes: Modes,
-    belief: Belief,
-    mirrored: tuple[tuple[int, int], ...],
-    weight: float | Float[Array, ""],
-    deviation: float | Float[Array, ""],
-    terms: AbstractEnergy | None = None,
-) -> SequenceProblem:
-    """Poses of several frames and the amounts of modes that they share. Paired bones are equally long (eq. 4.13 as a constraint).
-
-    **Arguments:** `pairs` stacked over frames; `weight` of the pose prior against the mean squared distance
-    of a pair, metres squared; `mirrored` pairs of joints of the left and the right; `deviation` of a pair's
-    distance, metres, against which beliefs count; `terms` of every frame, in units of a log-likelihood.
-    """
-    dtype = body.vertices.dtype
-    counts = jax.vmap(num_pairs)(pairs).astype(dtype)
-    own = None if terms is None else weighted(UNIT, terms)
-    frames = _sum(Stacked(PairDistances(pairs)), weigh_frames(weight * counts, prior), own)
-    spread = belief.deviation / (deviation * ALIKE**0.5)
-    return SequenceProblem(
-        body,
-        frames,
-        jnp.arange(len(counts), dtype=dtype),
-        {"modes": ShapeCoefficients(modes)},
-        shared=(NormalPrior("modes", belief.expected, spread),),
-        mirrored=mirrored,
-    )
+def symmetry_energy(skeleton: Skeleton, mirrored: Sequence[tuple[int, int]]) -> float:
+    """The summed squared differences of paired bones' lengths (eq. 4.13)."""
+    differences, _ = length_differences(skeleton, mirrored)
+    return float(jnp.sum(differences**2))
 
 
-def _sum(*energies: AbstractEnergy | None) -> AbstractEnergy:
-    total = sum_of(energies)
-    assert total is not None
-    return total
+def motion_energy(skeleton: Skeleton, motion: Motion, without: Collection[int] = ()) -> float:
+    """Of frames that follow each other, where there are three at least `without` some, and else of all (eq. 4.9); none of
+    fewer than three."""
+    every = np.arange(len(motion))
+    frames = np.setdiff1d(every, list(without))
+    frames = frames if len(frames) > 2 else every
+    poses = jax.tree.map(lambda leaf: leaf[frames], motion.poses)
+    since = jnp.asarray(np.diff(frames), float)
+    return float(temporal_energy(skeleton, poses, since)) if len(frames) > 2 else 0.0
 
 
-def stack(parts: Sequence):
-    """Poses or pairs of single frames as those of all, leaf by leaf."""
-    return jax.tree.map(lambda *leaves: stack_arrays(leaves), *parts)
-
-
-def stack_pairs(parts: Sequence[Pairs]) -> Pairs:
-    """Pairs of single frames as those of all; scans of fewer points get pairs of weight zero."""
-    count = max(len(part.weights) for part in parts)
-
-    def padded(part: Pairs) -> Pairs:
-        extra = (0, count - len(part.weights))
-        wide = jax.tree.map(
-            lambda leaf: jnp.pad(leaf, (extra, *[(0, 0)] * (leaf.ndim - 1)), mode="edge"), part
-        )
-        return eqx.tree_at(lambda p: p.weights, wide, jnp.pad(part.weights, extra))
-
-    return stack([padded(part) for part in parts])
-
-
-def unstack(whole, count: int) -> list:
-    """Split stacked poses or pairs into those of single frames."""
-    return [jax.tree.map(lambda leaf, i=i: leaf[i], whole) for i in range(count)]
-
-
-def mean_square(body: Body, pose: Pose, pairs: Pairs) -> float:
-    """The mean weighed squared distance of a pair, metres squared."""
-    return float(_mean_square(body, pose, pairs))
+def balanced(data: float, term: float) -> float:
+    """The weight that makes a term worth as much as the data (eqs. 4.15 and 4.16); none for a term that is none."""
+    return data / term if term > 1e-12 else 0.0
 
 
 @eqx.filter_jit
-def _mean_square(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, ""]:
-    r = PairDistances(pairs).residual(pose_body(body, pose))
-    return (r @ r) / num_pairs(pairs)
+def _pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> Float[Array, ""]:
+    def of_frame(pose):
+        residual = prior.residual(pose_body(body, pose))
+        return residual @ residual
+
+    return jnp.mean(jax.lax.map(of_frame, poses))

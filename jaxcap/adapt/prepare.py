@@ -6,20 +6,20 @@ import jax.numpy as jnp
 
 from ..arguments import checked
 from ..body.body import Body, body_height
-from ..body.limits.pose_boxes import PoseBoxes
+from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.people.anatomy import rest_deviations
 from ..body.pose import Pose
 from ..body.symmetry import mirrored_joints
 from ..energy.check import OwnTerms, own_terms
+from ..energy.energy import AbstractEnergy
 from ..energy.priors.prior import RestPrior
-from ..energy.term import AbstractEnergy
 from ..errors import InputError
 from ..fit.correspondence.correspond import Scan
 from ..geometry.camera import Camera
 from ..observe import Cloud, CloudFrames
 from .poses.similarity import is_unordered
-from .shape.people import people_like
 from .shape.shape_prior import ShapePrior
+from .shape.shape_space import people_like
 from .task import Settings, Task, check_settings
 
 

@@ -13,15 +13,15 @@ from ..body.people.sample import unlike_poses
 from ..body.pose import Motion, Pose, stack_poses
 from ..body.shape_modes import Modes, joint_modes
 from ..fit.correspondence.correspond import Pairs
-from ..fit.sequences.sequence_problem import SequenceProblem
+from ..fit.sequences.problem import SequenceProblem
 from ..fit.solvers.descent import NormalDescent
 from ..fit.solvers.minimise import take_step
-from .objective import Belief, shared_problem, stack, stack_pairs, unstack
-from .poses.meet import Meetings, poses_at, told
 from .poses.pose import brought_in
-from .shape.beside import centres_beside, make_beside
-from .shape.people import People, person, traits_like
+from .poses.task_pairs import Meetings, poses_at, told
+from .problems import Belief, shared_problem, stack, stack_pairs, unstack
+from .shape.joint_regressor import centres_beside, make_beside
 from .shape.reference import reference, shape_prior_of
+from .shape.shape_space import People, person, traits_like
 from .shape.surface import adapt_shape, adapt_together
 from .task import AdaptState, Settings, Stage, Task
 

@@ -4,19 +4,19 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from ..body.body import Body
-from ..body.limits.pose_boxes import PoseBoxes
+from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
-from ..energy.term import AbstractEnergy, terms_of
+from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, sentence_of
 from ..fit.correspondence.correspond import Matching, Scan, make_scan
 from ..fit.tracking.recover import TrackedFrame
-from ..fit.tracking.track import Tracker, make_tracker
+from ..fit.tracking.track_frame import Tracker, make_tracker
 from ..geometry.camera import Camera
 from ..observe import Cloud
 from ..values import check_at_least, check_positive
-from .shape.people import People
+from .objective import Terms
 from .shape.shape_prior import ShapePrior
-from .terms import Terms
+from .shape.shape_space import People
 
 #: how often a body is adapted while it is tracked
 TIMES = 10

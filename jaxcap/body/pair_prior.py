@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from ..arguments import check_fields, checked
 from ..geometry import rotation
-from .limits.pose_boxes import turning_joints
+from .limits.rotation_vector_boxes import turning_joints
 from .pose import Pose, own_vectors
 from .skeleton import Skeleton
 

@@ -15,16 +15,16 @@ from ..demo.performance import walk_and_wave
 from ..demo.picture import View, draw
 from ..demo.scanner import Scanner, scan
 from ..errors import InputError
-from ..fit.tracking.sequence import track_frames, verdict_sentences
-from ..fit.tracking.track import make_tracker
+from ..fit.tracking.track import track_frames, verdict_sentences
+from ..fit.tracking.track_frame import make_tracker
 from ..io.system.atomic import replacing, write_text
 from ..io.system.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe import make_cloud
+from .console.console import progress, say, table, warn
 from .console.options import Flag, OptionalCount, arg
-from .console.say import progress, say, table, warn
 from .console.timed import timed
-from .track.frame_rows import pack, results_of, row_template
+from .track.frame_records import pack, results_of, row_template
 from .track.results import FILES, check_folder, make_writable, write_results
 
 _pose_body = eqx.filter_jit(pose_body)

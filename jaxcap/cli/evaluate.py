@@ -17,6 +17,7 @@ from ..io.archives.npz import get_array
 from ..io.meshes.clouds import read_clouds
 from ..io.table import write_json
 from ..metrics import Summary, distance_summary, joint_errors, scan_to_surface
+from .console.console import progress, say, table
 from .console.options import (
     BodySpec,
     CloudsSpec,
@@ -29,7 +30,6 @@ from .console.options import (
     Vj,
     arg,
 )
-from .console.say import progress, say, table
 from .motions import load_motion, load_motion_of
 from .sources import load_body, up_rotation
 

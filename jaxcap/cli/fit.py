@@ -10,14 +10,14 @@ from jaxtyping import Int
 
 from ..body.body import Body
 from ..errors import InputError, sentence_of
-from ..fit.registered import fit_meshes
+from ..fit.fit_meshes import fit_meshes
 from ..io.archives.npz import save_motion
 from ..io.meshes.meshes import read_named_meshes
 from ..io.table import write_json
 from ..observe import MeshSequence
 from ..report.pictures import error_pictures
+from .console.console import counted, say, warn
 from .console.options import BodySpec, Flag, Unit, arg
-from .console.say import counted, say, warn
 from .outputs import check_npz, make_folder
 from .scoring import score_motion, tell_scores
 from .sources import load_body

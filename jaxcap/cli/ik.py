@@ -19,8 +19,8 @@ from ..io.archives.prior import load_prior
 from ..io.constraints import read_constraints
 from ..io.registry import MOTION_WRITERS, write_motion
 from ..view.windows.serve import HOST
+from .console.console import say, table, warn
 from .console.options import BodySpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
-from .console.say import say, table, warn
 from .console.window import Port, keep_window
 from .motions import load_motion_of
 from .outputs import check_new

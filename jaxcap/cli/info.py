@@ -14,8 +14,8 @@ from ..io.registry import (
     SKELETON_READERS,
 )
 from ..io.skinned.clip import split_clip
+from .console.console import say
 from .console.options import OptionalUnit, arg
-from .console.say import say
 from .contents.arrays import tell_arrays
 from .contents.bodies import tell_body, tell_bvh, tell_mesh, tell_moving, tell_skinned
 from .contents.folders import tell_clouds, tell_folder

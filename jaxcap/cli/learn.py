@@ -11,24 +11,24 @@ import numpy as np
 from ..body.body import Body
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import RigidSkin
-from ..energy.term import AbstractEnergy
+from ..energy.energy import AbstractEnergy
 from ..errors import InputError
-from ..fit.registered import fit_meshes
+from ..fit.fit_meshes import fit_meshes
 from ..io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..io.archives.npz import get_array, save_body, save_motion
 from ..io.meshes.meshes import read_named_meshes
 from ..io.skinned.clip import split_clip
 from ..io.system.lock import run_lock
 from ..learn.check import check_meshes
-from ..learn.loop import COARSE, Learned, LearnState, learn_body
+from ..learn.learn_body import COARSE, Learned, LearnState, learn_body
 from ..learn.parts.check_parts import check_learned
 from ..observe import MeshSequence
 from ..report.learned import report_learning
 from ..report.scores import Scores
+from .console.console import say, warn
 from .console.heartbeat import doing
 from .console.options import SKELETON_WORDS, Flag, OptionalCount, OptionalFile, Unit, arg
 from .console.rounds import Rounds
-from .console.say import say, warn
 from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
 from .motions import load_skeleton
 from .outputs import check_npz, check_parent, make_folder, nothing_left

@@ -9,7 +9,7 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..io.registry import clip_sentence, read_motion, read_skeleton
 from ..io.skeletons.body_motion import read_motion_of
-from .console.say import warn
+from .console.console import warn
 from .sources import load_body, names_human
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..io.registry import MOTION_WRITERS
-from .console.say import say
+from .console.console import say
 
 
 def check_absent(paths: Iterable[Path], overwrite: bool) -> None:

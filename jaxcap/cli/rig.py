@@ -11,8 +11,8 @@ from ..errors import InputError, sentence_of
 from ..io.archives.npz import save_body
 from ..io.meshes.mesh import check_mesh, check_size, read_mesh
 from ..rig.rig import rig_mesh
+from .console.console import say
 from .console.options import SKELETON_WORDS, Flag, OptionalFile, Unit, Up, arg
-from .console.say import say
 from .motions import load_skeleton
 from .outputs import check_npz
 from .sources import up_rotation, upright_skeleton

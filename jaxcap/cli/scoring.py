@@ -9,7 +9,7 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..observe import MeshSequence
 from ..report.scores import MeshScore, Scores, score_meshes
-from .console.say import progress, table, warn
+from .console.console import progress, table, warn
 
 #: the most meshes that are told of line by line
 TOLD = 12

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..body.body import Body
+from ..body.decimate import reduce_body
 from ..body.limits.limits import JointRanges
 from ..body.people.human import RESOLUTIONS, human
-from ..body.reduce import reduce_body
 from ..body.skeleton import Skeleton
 from ..errors import InputError, sentence_of
 from ..fit.correspondence.correspond import Scan, make_mesh_scan, make_scan

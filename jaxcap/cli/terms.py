@@ -9,9 +9,9 @@ import numpy as np
 from ..body.body import Body
 from ..body.limits.limits import AbstractLimits
 from ..energy.data.floor import make_floor
+from ..energy.energy import AbstractEnergy
 from ..energy.priors.limits import JointLimits
 from ..energy.priors.pair_prior import MahalanobisPrior
-from ..energy.term import AbstractEnergy
 from ..errors import InputError
 from ..io.archives.limits import read_limits
 from ..io.archives.prior import load_prior

@@ -12,8 +12,8 @@ from ..io.registry import is_rigged
 from ..view.app import serve_contents
 from ..view.load import load
 from ..view.windows.serve import HOST
+from .console.console import warn
 from .console.options import BODY_WORDS, Flag, OptionalUnit, Up, arg
-from .console.say import warn
 from .console.window import Port, keep_window
 from .sources import load_body, names_human, up_rotation
 

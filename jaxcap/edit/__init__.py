@@ -7,7 +7,6 @@ body, and then its motion.
 """
 
 from ..body.people.sample import sample_poses as sample_poses
-from .between import resample as resample
 from .clips import Loop as Loop
 from .clips import cut as cut
 from .clips import join as join
@@ -29,6 +28,7 @@ from .ik.constraints import make_constraints as make_constraints
 from .ik.solve import IkOptions as IkOptions
 from .ik.solve import IkSolution as IkSolution
 from .ik.solve import solve_ik as solve_ik
+from .interpolation import resample as resample
 from .keys import Keys as Keys
 from .keys import find_keys as find_keys
 from .keys import interpolate_keys as interpolate_keys
@@ -40,7 +40,7 @@ from .linear.linearise import linearise as linearise
 from .matching.match import match_joints as match_joints
 from .matching.matches import JointMatches as JointMatches
 from .matching.matches import UnmatchedJoints as UnmatchedJoints
-from .reflection import mirror as mirror
+from .mirror import mirror as mirror
 from .retargeting.plan import RetargetPlan as RetargetPlan
 from .retargeting.plan import plan_retarget as plan_retarget
 from .retargeting.point_pairs import Met as Met

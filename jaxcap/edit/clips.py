@@ -8,8 +8,8 @@ import numpy as np
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose, concatenate_poses, take_poses
 from ..body.skeleton import Skeleton
-from .between import between, ease
-from .planar import Planar, align, move, power
+from .interpolation import between, ease
+from .planar_transform import Planar, align, move, power
 
 
 class Loop(NamedTuple):

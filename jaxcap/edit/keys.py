@@ -16,7 +16,7 @@ from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
-from .between import between
+from .interpolation import between
 
 
 class Keys(NamedTuple):

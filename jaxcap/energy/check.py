@@ -15,7 +15,7 @@ from ..body.body import Body, pose_body
 from ..body.pose import Pose, rest_pose
 from ..errors import InputError
 from ..values import check_values, known
-from .term import AbstractEnergy, Weighted, bare, name_of, sum_of, terms_of
+from .energy import AbstractEnergy, Weighted, bare, name_of, sum_of, terms_of
 
 #: energies of a user's own: one or several
 OwnTerms = AbstractEnergy | Sequence[AbstractEnergy]

@@ -13,8 +13,8 @@ from ..arguments import check_fields, checked
 from ..body.body import Posed
 from ..errors import InputError
 from ..geometry.stacking import stack
+from .energy import AbstractEnergy, Sum, Weighted, name_of, root, terms_of, weighted
 from .priors.temporal import second_difference
-from .term import AbstractEnergy, Sum, Weighted, name_of, root, terms_of, weighted
 
 
 class Stacked(AbstractEnergy):

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..body.body import Body, Posed, pose_body
 from ..body.pose import Pose
 from ..energy.data.vertices import AbstractVertexEnergy
-from ..energy.term import AbstractEnergy, Sum, bare, terms_of
+from ..energy.energy import AbstractEnergy, Sum, bare, terms_of
 from .linearise import BodyTangent, frame_rows, vertex_rows, weighted_slopes
 
 #: `|r|^2 / 2`, its gradient `J^T r` and its Gauss-Newton Hessian `J^T J`

@@ -10,11 +10,11 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int
 
 from ..body.body import Body, Posed, pose_body
+from ..body.geometric_jacobian import joint_rates, pose_rates, stack_rates, take_rates
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose, retract
-from ..body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from ..energy.data.vertices import AbstractVertexEnergy
-from ..energy.term import AbstractEnergy, Weighted, bare, root, terms_of
+from ..energy.energy import AbstractEnergy, Weighted, bare, root, terms_of
 from ..geometry import rotation
 
 #: places whose rows are summed at once: as many as stay in a core's cache

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
-from ..body.limits.pose_boxes import BoxChart, PoseBoxes, box_chart, chart_equations, move_within
+from ..body.limits.rotation_vector_boxes import BoxChart, PoseBoxes, box_chart, chart_equations, move_within
 from ..body.pose import Pose, retract
 from ..body.skeleton import Skeleton, dof_layout
-from ..energy.term import AbstractEnergy
+from ..energy.energy import AbstractEnergy
 from .frame_equations import frame_equations
 from .linear.dense import Dense
 from .linearise import linearise as linearise

@@ -8,7 +8,7 @@ from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, project
 from ..energy.check import check_numbers, explained
-from ..energy.term import AbstractEnergy, energies
+from ..energy.energy import AbstractEnergy, energies
 from .problem import PoseProblem
 from .solvers.implicit import implicit_minimum, is_trustworthy
 from .solvers.levenberg_marquardt import LevenbergMarquardt

@@ -10,7 +10,7 @@ from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, dof_layout
 from ..energy.check import check_numbers, explained
-from ..energy.term import AbstractEnergy
+from ..energy.energy import AbstractEnergy
 from .problem import PoseProblem
 
 

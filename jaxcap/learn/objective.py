@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
-from ..energy.term import AbstractEnergy
+from ..energy.energy import AbstractEnergy
 from ..geometry.laplacian import Conformance, energy
 
 

@@ -15,10 +15,10 @@ from ..body.limits.limit_surface import LimitSurface, SurfaceLimits, density
 from ..body.limits.primitives import LEVEL, STIFFNESS
 from ..errors import InputError
 from .charts import chart_places, find_chart
-from .match import match_primitives
+from .primitive_matching import match_primitives
 from .samples import JointSamples
+from .voxel_size import choose_keyframes, choose_width
 from .voxels import Voxels, voxelise
-from .widths import choose_keyframes, choose_width
 
 #: share of a motion that was not learned from which is to be allowed
 COVERAGE = 0.98

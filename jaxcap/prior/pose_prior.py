@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
-from ..body.limits.pose_boxes import PoseBoxes, make_pose_boxes, turning_joints
+from ..body.limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes, turning_joints
 from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
 from ..body.pose import Motion, Pose, own_vectors
 from ..body.skeleton import Skeleton
 from ..geometry.linear import factor_symmetric
-from .choose import Chosen, choose_mixture
-from .mixtures import FLOOR
+from .gaussian_mixture import FLOOR
+from .model_selection import Chosen, choose_mixture
 
 #: poses to learn from: a motion, several of one skeleton, or poses stacked over frames
 Poses = Motion | Pose | Sequence[Motion]

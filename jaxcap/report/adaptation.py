@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..adapt.adapt_body import AdaptState, Task
 from ..adapt.evaluate import Stages, Variant, quantile, summary_of
-from ..adapt.loop import AdaptState, Task
-from ..adapt.terms import Terms
+from ..adapt.objective import Terms
 from ..body.body import Body
 from ..io.system.atomic import write_text
 from .adaptation_charts import (

@@ -7,7 +7,7 @@ import numpy as np
 from ..adapt.evaluate import Angles, Stages, Variant, quantile, share_below, summary_of
 from ..body.skeleton import Skeleton
 from .chart import Line, legend, line_chart
-from .heat import colour_scale, heat_limit, heat_pictures
+from .heat_map import colour_scale, heat_limit, heat_pictures
 from .page import Markup, element, joined, table
 from .pictures import nice
 

@@ -11,7 +11,7 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..io.system.atomic import replacing
 from ..io.table import write_json
-from ..learn.loop import COARSE
+from ..learn.learn_body import COARSE
 from ..observe import MeshSequence
 from .pictures import error_pictures, new_figure
 from .render import INK

@@ -9,20 +9,20 @@ import numpy as np
 
 from ...arguments import checked
 from ...body.body import Body, pose_body
-from ...body.limits.pose_boxes import PoseBoxes
+from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...energy.data.pairs import Pairs
-from ...energy.term import AbstractEnergy
+from ...energy.energy import AbstractEnergy
 from ...fit.alternate import alternate
 from ...fit.correspondence.correspond import Matching, Scan, as_scan, find_pairs
-from ...fit.correspondence.visible import visible_vertices
+from ...fit.correspondence.visibility import visible_vertices
 from ...fit.problem import PoseProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
 from ...observe import Cloud
 from ...observe import Scan as FileScan
-from ..objective import mean_square, pose_problem
+from ..problems import mean_square, pose_problem
 
 #: lengths of a step that are tried: further than it says, as nearest neighbours hold a surface back, and shorter
 LENGTHS = (1.5, 1.0, 0.5, 0.25, 0.1)

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...body.body import Body, body_height
+from ...body.decimate import attach, follow, reduce_body
 from ...body.pose import Pose
-from ...body.reduce import attach, follow, reduce_body
-from ...fit.correspondence.parts import make_parts
+from ...fit.correspondence.part_blocks import make_parts
 from ...fit.tracking.initialise import (
     COARSE,
     COARSE_POINTS,
@@ -23,7 +23,7 @@ from ...fit.tracking.initialise import (
     turned_starts,
 )
 from ...fit.tracking.likeliest import improve, log_likelihood
-from ...fit.tracking.track import Tracker
+from ...fit.tracking.track_frame import Tracker
 from ...observe import Cloud, thin_cloud
 from ..task import Task, tracker_of
 from .similarity import DIRECTIONS, Shape, shape_of, turned_distances

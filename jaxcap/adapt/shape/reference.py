@@ -4,9 +4,9 @@ import jax.numpy as jnp
 
 from ...body.body import Body
 from ..task import AdaptState, Task
-from .people import person
+from .scale import resized
 from .shape_prior import ShapePrior, own_shape_prior, scaled
-from .size import resized
+from .shape_space import person
 
 
 def reference(task: Task, state: AdaptState) -> Body:

@@ -21,7 +21,7 @@ from ...body.pose import Pose
 from ...energy.data.pairs import PairDistances, Pairs, corner_directions
 from ...fit.linear.sparse_blocks import Bordered, SparseBlocks
 from ...fit.linearise import frame_rows, vertex_maps
-from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.descent import ConstrainedInfo, NormalDescent
 from ...fit.solvers.minimise import take_step
 from ...fit.solvers.problem import AbstractProblem

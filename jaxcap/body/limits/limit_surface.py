@@ -10,8 +10,8 @@ from ..pose import Pose
 from ..skeleton import Skeleton
 from .chart import Chart
 from .limits import AbstractLimits
-from .nearest_inside import nearest_inside
 from .primitives import Primitives, signed_distance
+from .surface_projection import nearest_inside
 
 
 class LimitSurface(eqx.Module):

@@ -11,11 +11,11 @@ from ...arguments import checked
 from ...assets import asset_path
 from ...geometry import rotation
 from ..body import Body
-from ..reduce import Attachment, follow, reduce_body
+from ..decimate import Attachment, follow, reduce_body
 from ..skeleton import Skeleton, make_skeleton
 from ..skin import LinearSkin
 from ..skin.interpolate import interpolate_weights
-from .morphs import AGES, Morphs, Traits, apply_morphs, reach_height
+from .morph_targets import AGES, Morphs, Traits, apply_morphs, reach_height
 
 #: joints that only lead on to the next one and never move in CMU's motions
 CARRIERS = ("LHipJoint", "RHipJoint")

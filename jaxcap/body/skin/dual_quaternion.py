@@ -4,9 +4,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...geometry import dualquat, rotation
+from ..geometric_jacobian import bones_below
 from ..kinematics import Transforms
 from ..pose import Pose
-from ..rates import bones_below
 from .interpolate import interpolate_weights
 from .skin import AbstractSkin
 

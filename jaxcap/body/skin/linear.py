@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..rates import bones_below
+from ..geometric_jacobian import bones_below
 from .interpolate import interpolate_weights
 from .skin import AbstractSkin
 

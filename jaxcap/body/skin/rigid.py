@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from ..rates import bones_below, field_rows
+from ..geometric_jacobian import bones_below, field_rows
 from .skin import AbstractSkin
 
 

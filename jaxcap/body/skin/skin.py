@@ -6,9 +6,9 @@ import equinox as eqx
 from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields
+from ..geometric_jacobian import Rates
 from ..kinematics import Transforms
 from ..pose import Pose
-from ..rates import Rates
 from ..skeleton import Skeleton
 from .interpolate import AnyArray
 

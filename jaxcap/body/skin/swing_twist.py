@@ -6,9 +6,9 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...geometry import dualquat
-from ..rates import bones_below, field_rows
+from ..geometric_jacobian import bones_below, field_rows
+from ..joint_swing_twist import split_joints
 from ..skeleton import Skeleton
-from ..split import split_joints
 from .interpolate import interpolate
 from .skin import AbstractSkin
 

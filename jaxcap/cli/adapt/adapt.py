@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from ...adapt.adapt_body import AdaptState, Settings, Task, adapt_body, plan
 from ...adapt.check import check_actor
 from ...adapt.evaluate import Stages, compare_stages, quantile, variant_names
-from ...adapt.loop import AdaptState, Settings, Task, adapt_body, plan
 from ...adapt.prepare import make_task
 from ...adapt.task import Stage
 from ...body.body import Body
@@ -21,6 +21,7 @@ from ...io.meshes.clouds import Scans, read_clouds
 from ...io.registry import write_motion
 from ...io.system.lock import run_lock
 from ...report.adaptation import report_adaptation
+from ..console.console import say, warn
 from ..console.options import (
     BODY_WORDS,
     BodySpec,
@@ -34,22 +35,14 @@ from ..console.options import (
     clouds_words,
 )
 from ..console.rounds import Rounds
-from ..console.say import say, warn
 from ..outputs import nothing_left
-from ..scan.scan_rate import ScanRate, rate_of, tell_rate
+from ..scan.rate import ScanRate, rate_of, tell_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
-from .adapt_actor import finished_run, save_actor
-from .adapt_input import (
-    explained_words,
-    first_pose,
-    load_cameras,
-    look_through,
-    warn_of_lost,
-    warn_of_unusable,
-)
-from .adapt_prior import carried, prior_file, read_priors
-from .adapt_state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
+from .actor import finished_run, save_actor
+from .input import explained_words, first_pose, load_cameras, look_through, warn_of_lost, warn_of_unusable
+from .prior import carried, prior_file, read_priors
+from .state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
 
 PriorForm = Literal["nearest", "mean"]
 #: what is paired with points of a scan, by the word for it

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
+from .console import bar, warn
 from .heartbeat import doing
-from .say import bar, warn
 
 
 class Rounds:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ...view.windows.serve import address, address_elsewhere, close_server, open_server
+from .console import say
 from .heartbeat import resting
 from .options import arg
-from .say import say
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -18,7 +18,7 @@ from ...io.meshes.meshes import read_meshes
 from ...io.skeletons.amass import read_amass
 from ...io.system.door import reads
 from ...io.text import shortened
-from ..console.say import say
+from ..console.console import say
 from .bodies import metres, tell_body, tell_motion, tell_moving, tell_skeleton
 from .folders import tell_clouds
 from .listing import say_list

@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...io.meshes.mesh import check_mesh, read_mesh
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import BODY, UNITS, likely_units, shortened
-from ..console.say import counted, say
+from ..console.console import counted, say
 from ..motions import extent, load_motion, tell_clip
 from .listing import indented, say_list
 

@@ -12,7 +12,7 @@ from ...io.kinds import MANY, WORDS, identify
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.meshes.mesh import SUFFIXES
 from ...io.skeletons.beside import bones_beside
-from ..console.say import counted, say
+from ..console.console import counted, say
 from .bodies import metres, tell_motion
 from .texts import tell_journal, tell_statistics
 

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterable
 
-from ..console.say import say
+from ..console.console import say
 
 #: lines of a list, and steps of an indentation
 MOST, DEEPEST = 200, 20

@@ -14,7 +14,7 @@ from ...io.skeletons.cst import read_cst
 from ...io.skeletons.joint_names import read_joint_names
 from ...io.system.door import reads
 from ...io.text import Words, numbered_lines, parse_json, read_json, read_text
-from ..console.say import counted, say
+from ..console.console import counted, say
 from .bodies import tell_skeleton
 
 

@@ -23,14 +23,14 @@ from ...io.registry import (
 )
 from ...io.skeletons.amass import is_amass, read_amass
 from ...io.skinned.clip import split_clip
+from ..console.console import counted, say, warn
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
-from ..console.say import counted, say, warn
 from ..motions import load_motion, load_motion_of, load_skeleton, tell_clip
 from ..outputs import check_absent
 from ..sources import load_body, names_human
-from .convert_body import write_linear_body
-from .convert_points import read_labels, write_points
-from .convert_way import PURPOSES, Way, check_options, check_units, find_way
+from .body import write_linear_body
+from .conversion_kind import PURPOSES, Way, check_options, check_units, find_way
+from .points import read_labels, write_points
 
 #: metres, and bones a vertex
 TOLERANCE, INFLUENCES = 0.001, 4

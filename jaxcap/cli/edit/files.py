@@ -9,9 +9,9 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.registry import SKELETON_READERS, read_skeleton, write_motion
 from ...io.skinned.clip import suffix_of
+from ..console.console import counted, say
 from ..console.options import MotionSpec, arg
-from ..console.say import counted, say
-from ..convert.convert_way import OWN_UNIT
+from ..convert.conversion_kind import OWN_UNIT
 from ..motions import extent, load_motion, load_motion_of
 
 MotionFile = MotionSpec

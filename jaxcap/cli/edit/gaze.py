@@ -11,8 +11,8 @@ from ...edit.gaze import look_at_target
 from ...edit.gaze_line import GazeLine, gaze_shares, human_line, line_of_joint, line_of_vertices
 from ...errors import InputError, sentence_of
 from ...io.archives.limits import read_limits
+from ..console.console import say, warn
 from ..console.options import Flag, OptionalBody, OptionalFile, OptionalUnit, arg
-from ..console.say import say, warn
 from ..outputs import check_motion
 from ..sources import load_body
 from .files import Frames, MotionFile, OutMotion, frames_of, read_edited, save

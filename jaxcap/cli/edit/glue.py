@@ -17,8 +17,8 @@ from ...io.meshes.colours import read_colours
 from ...io.meshes.mesh import Mesh, read_mesh, vertex_normals
 from ...io.meshes.obj import write_obj
 from ...io.meshes.ply import write_ply
+from ..console.console import progress, say, warn
 from ..console.options import BODY_WORDS, MOTION_WORDS, BodySpec, Flag, MotionSpec, OptionalFile, Unit, arg
-from ..console.say import progress, say, warn
 from ..sources import load_body
 from ..track.results import make_writable
 from .files import Frames, frames_of, read_edited

@@ -5,12 +5,12 @@ from typing import Annotated
 
 import numpy as np
 
-from ...edit.between import resample
 from ...edit.clips import cut, join
+from ...edit.interpolation import resample
 from ...edit.transitions import find_transitions
 from ...errors import InputError
+from ..console.console import say, warn
 from ..console.options import Flag, MotionSpec, OptionalUnit, arg
-from ..console.say import say, warn
 from ..outputs import check_motion
 from .files import OutMotion, read_edited, save
 from .skeletons import check_same

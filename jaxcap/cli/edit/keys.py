@@ -13,8 +13,8 @@ from ...edit.keys import find_keys
 from ...errors import InputError
 from ...io.archives.npz import save_arrays, skeleton_arrays
 from ...io.table import write_json
+from ..console.console import say, table
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
-from ..console.say import say, table
 from ..outputs import check_motion, check_new
 from .files import MotionFile, read_edited, save
 

@@ -8,8 +8,8 @@ import numpy as np
 from ...edit.clips import make_loop
 from ...edit.transitions import find_loops
 from ...errors import InputError, sentence_of
+from ..console.console import say, table
 from ..console.options import Flag, OptionalUnit, arg
-from ..console.say import say, table
 from ..outputs import check_motion
 from .files import Frames, MotionFile, OutMotion, read_edited, save
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from ...edit.between import resample
+from ...edit.interpolation import resample
 from ...errors import InputError, sentence_of
 from ..console.options import Flag, OptionalUnit, arg
 from ..outputs import check_motion

@@ -20,8 +20,8 @@ from ...edit.retargeting.retarget_shape import retarget_shape
 from ...edit.retargeting.soles import floor_under, ground, lowest, sole_heights
 from ...errors import InputError, sentence_of
 from ...io.skeletons.joint_names import write_joint_names
+from ..console.console import progress, say, warn
 from ..console.options import BODY_WORDS, BodySpec, Flag, OptionalBody, OptionalFile, OptionalUnit, arg
-from ..console.say import progress, say, warn
 from ..motions import extent
 from ..outputs import check_motion
 from ..sources import load_body

@@ -10,7 +10,7 @@ from ...errors import InputError
 from ...io.kinds import identify
 from ...io.registry import BODY_SUFFIXES, SKELETON_READERS
 from ...io.skinned.clip import suffix_of
-from ..convert.convert_way import OWN_UNIT
+from ..convert.conversion_kind import OWN_UNIT
 from ..motions import load_skeleton
 from ..sources import load_body, names_human
 

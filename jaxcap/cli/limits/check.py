@@ -9,8 +9,8 @@ import numpy as np
 from ...body.limits.limit_surface import SurfaceLimits
 from ...io.table import write_json
 from ...limits.check import comfort_frames
+from ..console.console import say, table
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
-from ..console.say import say, table
 from ..outputs import check_new
 from .held import Held, LimitsFile, read_held, runs_of
 

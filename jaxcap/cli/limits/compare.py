@@ -8,8 +8,8 @@ import numpy as np
 from ...errors import InputError, sentence_of
 from ...limits.compare import compare_samples
 from ...limits.samples import gather_samples, parse_joints
+from ..console.console import table
 from ..console.options import MotionSpec, arg
-from ..console.say import table
 from ..motions import load_motion
 
 

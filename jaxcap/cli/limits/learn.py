@@ -14,8 +14,8 @@ from ...limits.charts import chart_places
 from ...limits.learn import COVERAGE, learn_limits
 from ...limits.marker_frames import arm_samples
 from ...limits.samples import JointSamples, gather_samples, parse_joints, spans
+from ..console.console import say, table, warn
 from ..console.options import MOTION_WORDS, Flag, MotionsSpec, OptionalUnit, arg
-from ..console.say import say, table, warn
 from ..motions import load_motion
 from ..outputs import check_npz, make_folder
 

@@ -9,8 +9,8 @@ import numpy as np
 from ...errors import InputError
 from ...io.registry import write_motion
 from ...limits.project import project_motion
+from ..console.console import say, warn
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalFile, OptionalUnit, arg
-from ..console.say import say, warn
 from ..outputs import check_motion, check_new
 from .check import summary
 from .held import LimitsFile, judge, read_held

@@ -14,14 +14,14 @@ from ...io.markers.subject import save_subject
 from ...io.system.lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.local import LocalFit, fit_local
-from ...markers.motion.solve import MarkerSolution, solve_markers
+from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.rotation_centres.centres import Method
-from ...markers.segments.unite import unite_takes
+from ...markers.segments.merge_takes import unite_takes
 from ...markers.subject import marker_body
 from ...report.markers.markers import held_residuals, report_markers, total_residuals
+from ..console.console import say
 from ..console.heartbeat import doing
 from ..console.options import SKELETON_WORDS, Flag, OptionalFile, OptionalUnit, Up, arg
-from ..console.say import say
 from ..motions import load_skeleton
 from ..outputs import check_npz, make_folder
 from ..terms import FloorHeight, read_terms

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ...markers.calibration.calibrate import Calibration
-from ...markers.calibration.null_space import length_deviations
+from ...markers.calibration.observability import length_deviations
 from ...markers.local import LocalFit
 from ...report.markers.markers import bones_between
-from ..console.say import say, table
+from ..console.console import say, table
 
 #: metres that a marker is out of its place, and the share of frames from which on that is told
 STRAY, OFTEN = 0.05, 0.02

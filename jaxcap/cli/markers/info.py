@@ -13,8 +13,8 @@ from ...io.markers.marker_file import check_extent, frame_size, pick_subject, su
 from ...io.registry import read_marker_file
 from ...markers.segments.gaps import describe_gaps, gap_statistics
 from ...observe import MarkerFrames
+from ..console.console import counted, say, table, warn
 from ..console.options import OptionalFile, OptionalUnit, arg
-from ..console.say import counted, say, table, warn
 from .takes import UNIT_ASKED
 
 #: characters of a marker's bar of time

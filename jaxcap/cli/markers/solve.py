@@ -7,19 +7,19 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from ...energy.term import AbstractEnergy
+from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ...io.markers.subject import load_subject
 from ...io.registry import MOTION_WRITERS, write_markers, write_motion
 from ...io.system.lock import run_lock
-from ...markers.motion.fill import fill_gaps
-from ...markers.motion.solve import MarkerSolution, solve_markers
+from ...markers.motion.gap_filling import fill_gaps
+from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.subject import Subject, marker_body
 from ...observe import MarkerFrames
 from ...report.markers.markers import held_residuals, report_markers, score_markers, total_residuals
+from ..console.console import say, table, warn
 from ..console.heartbeat import doing
 from ..console.options import Flag, OptionalUnit, Up, arg
-from ..console.say import say, table, warn
 from ..outputs import check_parent, make_folder, nothing_left
 from ..terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
 from .found import strays

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...body.pose import Pose, stack_poses
-from ...energy.term import AbstractEnergy
+from ...energy.energy import AbstractEnergy
 from ...markers.calibration.residuals import marker_residuals
-from ...markers.motion.matched import match_markers
-from ...markers.motion.solve import MarkerSolution
+from ...markers.motion.inverse_kinematics import MarkerSolution
+from ...markers.motion.label_matching import match_markers
 from ...markers.motion.stream import make_streamer, stream_frame
 from ...markers.subject import Subject
 from ...observe import MarkerFrames

@@ -13,11 +13,11 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.markers.marker_file import check_extent, pick_subject
 from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
-from ...markers.motion.fill import joint_frames
+from ...markers.motion.gap_filling import joint_frames
 from ...markers.segments.gaps import find_pieces, join_pieces, split_unlabelled
 from ...observe import MarkerFrames
+from ..console.console import counted, say, warn
 from ..console.options import arg
-from ..console.say import counted, say, warn
 from ..outputs import check_absent, check_parent
 from ..sources import Up, up_rotation
 

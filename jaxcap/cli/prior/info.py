@@ -7,12 +7,12 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from ...body.limits.pose_boxes import PoseBoxes
+from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pair_prior import PairPrior
 from ...io.archives.prior import load_boxes, load_prior, shape_counts
-from ...prior.zeroing import num_zeroed
+from ...prior.covariance_selection import num_zeroed
+from ..console.console import say, table
 from ..console.options import arg
-from ..console.say import say, table
 
 
 @dataclass

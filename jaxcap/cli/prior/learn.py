@@ -15,10 +15,10 @@ from ...edit.retargeting.retarget import retarget
 from ...errors import InputError, sentence_of
 from ...io.archives.npz import load_limits
 from ...io.archives.prior import save_prior
+from ...prior.covariance_selection import num_zeroed
 from ...prior.pose_prior import LearnedPair, learn_pairs, learn_ranges, pair_prior_of
-from ...prior.zeroing import num_zeroed
+from ..console.console import counted, progress, say, table, warn
 from ..console.options import BODY_WORDS, MOTION_WORDS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
-from ..console.say import counted, progress, say, table, warn
 from ..motions import load_motion
 from ..outputs import check_npz
 from ..sources import load_body

@@ -9,9 +9,9 @@ from ...adapt.shape.shape_prior import ShapePrior, make_shape_prior, shape_energ
 from ...body.body import Body
 from ...body.people.sample import unlike_poses
 from ...errors import InputError, sentence_of
-from ...fit.registered import fit_meshes
+from ...fit.fit_meshes import fit_meshes
 from ...io.meshes.meshes import read_named_meshes
-from ..console.say import say, warn
+from ..console.console import say, warn
 from ..fit import check_size, same_triangles
 
 #: more meshes of one body say little new, and a file grows with every one

@@ -21,12 +21,12 @@ from ...io.system.lock import run_lock
 from ...scanner.fuse import Scan as Fused
 from ...scanner.scan import dropped_views, scan_frame
 from ...scanner.settings import Scanner, check_scanner
+from ..console.console import progress, say, warn
 from ..console.options import BodySpec, Flag, MotionSpec, OptionalCount, OptionalFile, arg
-from ..console.say import progress, say, warn
 from ..motions import load_motion_of
 from ..sources import load_body
 from ..track.results import make_writable
-from .scan_folder import begin_folder, frame_path, gather_clouds
+from .folder import begin_folder, frame_path, gather_clouds
 
 _pose_body = eqx.filter_jit(pose_body)
 #: frames of a motion in which a camera has to see something

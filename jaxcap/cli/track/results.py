@@ -11,13 +11,13 @@ import numpy as np
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...fit.tracking.track import Tracker
+from ...fit.tracking.track_frame import Tracker
 from ...io.archives.journal import Journal
 from ...io.archives.npz import save_motion
 from ...io.meshes.clouds import Scans
 from ...io.skeletons.bvh import write_bvh
 from ...io.table import write_csv, write_json
-from .frame_rows import CLOUD_AT, Results, cloud_sum
+from .frame_records import CLOUD_AT, Results, cloud_sum
 
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 

@@ -8,23 +8,23 @@ from typing import Annotated, Literal
 import numpy as np
 
 from ...body.body import Body
-from ...energy.term import AbstractEnergy
+from ...energy.energy import AbstractEnergy
 from ...errors import InputError, sentence_of
 from ...fit.tracking.em import make_mixture
 from ...fit.tracking.recover import TrackedFrame
-from ...fit.tracking.sequence import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
-from ...fit.tracking.track import Tracker, make_tracker
+from ...fit.tracking.track import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
+from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, begin_journal, resume_journal
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.system.lock import run_lock
+from ..console.console import counted, progress, say, warn
 from ..console.heartbeat import doing
 from ..console.options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, Skl, Unit, Up, Vj, arg
-from ..console.say import counted, progress, say, warn
 from ..console.timed import timed
-from ..scan.scan_rate import Rate, ScanRate, rate_of, tell_rate
+from ..scan.rate import Rate, ScanRate, rate_of, tell_rate
 from ..sources import Clouds, load_body, load_cloud
 from ..terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
-from .frame_rows import pack, results_of, results_width, row_template, row_width, unpack, whose_poses
+from .frame_records import pack, results_of, results_width, row_template, row_width, unpack, whose_poses
 from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
 
 JOURNAL = "journal"

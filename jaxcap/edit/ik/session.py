@@ -14,8 +14,8 @@ from ...body.body import Body
 from ...body.limits.limits import AbstractLimits
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, project, rest_pose
+from ...energy.energy import AbstractEnergy
 from ...energy.priors.prior import RestPrior
-from ...energy.term import AbstractEnergy
 from .constraints import Constraint, Place, Turn, check_constraints, describe, make_constraints
 from .places import places_of
 from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik

@@ -16,13 +16,13 @@ from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, project
 from ...body.skeleton import Skeleton
 from ...energy.data.landmarks import VertexLandmarks
+from ...energy.energy import AbstractEnergy
 from ...energy.priors.limits import JointLimits
 from ...energy.priors.prior import ReferencePrior
-from ...energy.term import AbstractEnergy
-from ...fit.priority import solve_in_order
 from ...fit.solve import solve
 from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...fit.task_priority import solve_in_order
 from ...values import check_at_least
 from .constraints import ARM, Constraints, constrained_body
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from ...arguments import checked
 from ...body.body import Body, deform_all
 from ...body.pose import Motion, concatenate_poses, shift_roots, take_poses
-from ...fit.registered import fit_meshes
+from ...fit.fit_meshes import fit_meshes
 from ...geometry.procrustes import nearest_rotation
 from ...observe import MeshSequence
 from .soles import floor_under

@@ -5,7 +5,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
-from ..term import AbstractEnergy, root, where_weighed
+from ..energy import AbstractEnergy, root, where_weighed
 from .vertices import AbstractVertexEnergy, along_axes
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from ...arguments import checked
 from ...body.body import Body, Posed
 from ...geometry.laplacian import Conformance, laplacian, make_conformance
-from ..term import AbstractEnergy
+from ..energy import AbstractEnergy
 
 
 class LaplacianShape(AbstractEnergy):

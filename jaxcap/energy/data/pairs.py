@@ -6,7 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
-from ..term import root
+from ..energy import root
 from .vertices import AbstractVertexEnergy
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed
 from ...geometry.linear import inverse_symmetric
-from ..term import AbstractEnergy, root
+from ..energy import AbstractEnergy, root
 
 #: within this share of an ellipsoid's size around its centre the cone of distances is rounded off
 ROUNDING = 0.1

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...body.body import Posed
-from ..term import AbstractEnergy, root
+from ..energy import AbstractEnergy, root
 
 
 class AbstractVertexEnergy(AbstractEnergy):

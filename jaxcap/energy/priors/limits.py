@@ -2,7 +2,7 @@
 
 from ...body.body import Posed
 from ...body.limits.limits import AbstractLimits
-from ..term import AbstractEnergy
+from ..energy import AbstractEnergy
 
 
 class JointLimits(AbstractEnergy):

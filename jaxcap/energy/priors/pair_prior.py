@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from ...body.body import Posed
 from ...body.pair_prior import PairPrior, component_offsets, log_components, log_density, pair_vectors
-from ..term import AbstractEnergy
+from ..energy import AbstractEnergy
 
 #: keeps a root's slope finite where a likelihood is one but for rounding
 TINY = 1e-30

@@ -9,7 +9,7 @@ from ...body.pose import Pose, difference, own_vectors
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 from ...values import check_deviations
-from ..term import AbstractEnergy
+from ..energy import AbstractEnergy
 
 
 class PosePrior(AbstractEnergy):

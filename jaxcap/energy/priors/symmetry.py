@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from ...body.body import Posed
 from ...body.symmetry import length_differences
-from ..term import AbstractEnergy
+from ..energy import AbstractEnergy
 
 
 class BoneSymmetry(AbstractEnergy):

@@ -6,14 +6,14 @@ from jaxtyping import Array, Float
 from ...body.body import Posed
 from ...body.pose import Pose
 from ...geometry import rotation
-from ..term import AbstractEnergy
+from ..energy import AbstractEnergy
 
 
 class SecondDifference(AbstractEnergy):
     """How far the turn of every joint is from the middle of its turns in the frames `before` and `after`: the mean over joints
     of squares, radians squared (Adaptation, eq. 4.10).
 
-    For one frame between others that stay; a window of frames at once is `adapt.poses.window.smooth_poses`.
+    For one frame between others that stay; a window of frames at once is `adapt.poses.sliding_window.smooth_poses`.
     """
 
     before: Pose

@@ -11,13 +11,13 @@ from ...arguments import checked
 from ...energy.data.pairs import Pairs as Pairs
 from ...energy.data.pairs import places_on as places_on
 from ...geometry.camera import Camera, in_picture
-from .assign import AbstractAssignment, Assigned, NearestVertex, Surface
-from .assign import NearestOnSurface as NearestOnSurface
-from .assign import Scan as Scan
-from .assign import as_scan as as_scan
-from .assign import make_mesh_scan as make_mesh_scan
-from .assign import make_scan as make_scan
-from .assign_soft import SoftAssignment as SoftAssignment
+from .nearest_assignment import AbstractAssignment, Assigned, NearestVertex, Surface
+from .nearest_assignment import NearestOnSurface as NearestOnSurface
+from .nearest_assignment import Scan as Scan
+from .nearest_assignment import as_scan as as_scan
+from .nearest_assignment import make_mesh_scan as make_mesh_scan
+from .nearest_assignment import make_scan as make_scan
+from .soft_assignment import SoftAssignment as SoftAssignment
 
 
 class Matching(NamedTuple):

@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ...observe import Cloud
-from .parts import BLOCK, Parts
+from .part_blocks import BLOCK, Parts
 
 #: Points in a tile.
 TILE = 32

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from ...arguments import checked
 from ...observe import Cloud
 from .nearest import nearest_vertices
-from .parts import Parts
+from .part_blocks import Parts
 
 #: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without
 #: which a point with no compatible vertex would have no posterior.

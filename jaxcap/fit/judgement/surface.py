@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import Body
 from ...body.skeleton import Skeleton
-from ...geometry.order import spatial_order
+from ...geometry.morton_order import spatial_order
 from .inside import within_others
 
 #: samples of a surface, about 4 cm from each other on a person

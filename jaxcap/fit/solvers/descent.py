@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, PyTree
 
 from ..linear.dense import Dense
 from ..linear.structured import AbstractStructured, damped
-from .boxes import solve_boxed
+from .bounded_least_squares import solve_boxed
 from .equalities import Equalities
 
 

@@ -12,7 +12,7 @@ from ...body.pose import Motion, Pose
 from ...errors import InputError
 from ...observe import Cloud, Scan, stack_clouds
 from .em import FrameStatistics
-from .track import Tracker, TrackState, check_sigma, start_state, track_frame
+from .track_frame import Tracker, TrackState, check_sigma, start_state, track_frame
 
 
 @checked

@@ -7,12 +7,12 @@ from jaxtyping import Array, Float
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed, pose_body
 from ...body.pose import Pose
-from ...energy.data.moments import rigid_moments
 from ...energy.data.points import PointToPlane
-from ...energy.term import AbstractEnergy, Sum, terms_of
+from ...energy.data.sufficient_statistics import rigid_moments
+from ...energy.energy import AbstractEnergy, Sum, terms_of
 from ...observe import Cloud
 from ...values import as_number, check_at_least, check_positive, check_values, check_within
-from ..correspondence.parts import Parts
+from ..correspondence.part_blocks import Parts
 from ..correspondence.posterior import Posterior, posterior, update_priors, update_sigma
 from ..problem import PoseProblem
 from ..solvers.descent import NormalDescent

@@ -10,18 +10,18 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from ...arguments import checked
 from ...body.body import pose_body
+from ...body.decimate import reduce_body
 from ...body.pose import Pose, rest_pose, retract
-from ...body.reduce import reduce_body
 from ...body.skeleton import Skeleton, dof_layout
+from ...energy.energy import Sum, bare
 from ...energy.priors.limits import JointLimits
 from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
-from ...energy.term import Sum, bare
 from ...geometry import rotation
 from ...observe import Cloud, Scan, as_cloud, thin_cloud
 from ...values import check_at_least, check_direction
-from ..correspondence.parts import make_parts
+from ..correspondence.part_blocks import make_parts
 from .em import Estimate, box_volume, em_step, uniform_priors
-from .track import Tracker
+from .track_frame import Tracker
 
 _LOG = logging.getLogger(__name__)
 

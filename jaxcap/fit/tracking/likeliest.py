@@ -12,7 +12,7 @@ from ...body.skeleton import Skeleton
 from ...observe import Cloud
 from .em import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
 from .recover import next_frame, settled
-from .track import Tracker, TrackState, start_state
+from .track_frame import Tracker, TrackState, start_state
 
 #: deviation at which poses are compared, metres
 COMPARED = 0.02

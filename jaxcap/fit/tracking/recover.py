@@ -23,7 +23,7 @@ from .initialise import (
     subtree_starts,
     turned_starts,
 )
-from .track import Tracker, TrackState, start_state, track_frame
+from .track_frame import Tracker, TrackState, start_state, track_frame
 
 #: deviation at the end of a first frame, metres, and rounds to get there
 FIRST_SIGMA, FIRST_ROUNDS = 0.02, 6

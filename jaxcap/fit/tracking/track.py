@@ -1,137 +1,242 @@
-"""Follow a body through a sequence of clouds, each frame from the one before."""
+"""Track whole sequences, as a stream or at once."""
+
+import logging
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
 
-from ...arguments import check_fields, checked
+from ...arguments import check_rate, checked
 from ...body.body import Body
-from ...body.people.anatomy import rest_deviations
-from ...body.pose import Pose, difference, retract
-from ...energy.check import OwnTerms, own_terms
-from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
-from ...energy.term import AbstractEnergy, Sum, terms_of
-from ...observe import Cloud
-from ...values import as_number, check_at_least, check_deviations, check_positive, check_values
-from ..correspondence.parts import Parts, make_parts
-from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, make_mixture, uniform_priors
+from ...body.pose import Motion, Pose, rest_pose, stack_poses
+from ...energy.check import OwnTerms
+from ...errors import InputError
+from ...observe import Cloud, CloudFrames, Scan, as_cloud
+from ...values import check_direction
+from ..judgement.surface import judged_surface
+from ..judgement.usual import nothing_usual
+from .check import check_cloud
+from .initialise import coarse_tracker, initialise
+from .likeliest import likelier_pose, likeliest
+from .recover import (
+    Patience,
+    TrackedFrame,
+    better,
+    conclude,
+    first_frame,
+    judge,
+    next_frame,
+    recover,
+    settled,
+    wanted,
+)
+from .track_frame import Tracker, check_sigma, make_tracker
 
-#: metres that points are off at the start at most: more is in another unit
-WIDEST = 5.0
-
-
-class Tracker(eqx.Module):
-    """All that stays the same from frame to frame."""
-
-    body: Body
-    parts: Parts
-    mixture: Mixture
-    #: deviations of a pose from the one that its forerunners predict, metres and radians
-    motion_deviations: Float[Array, "D"]
-    #: deviations of joints from rest in their own frames, which hold what a cloud does not show
-    rest_deviations: Float[Array, "J 3"]
-    #: share of the last change that a frame is predicted to go on with
-    momentum: Float[Array, ""]
-    #: factor on the last frame's sigma at the start of a frame, and its least value in metres
-    sigma_growth: Float[Array, ""]
-    sigma_start: Float[Array, ""]
-    #: further terms, such as `JointLimits`
-    terms: tuple[AbstractEnergy, ...]
-    #: steps of expectation maximisation on a frame
-    iterations: int = eqx.field(static=True)
-
-    def __check_init__(self):
-        check_fields(self)
+_LOG = logging.getLogger(__name__)
+#: frames and reasons named in a sentence
+NAMED, REASONS = 20, 4
+#: whether the pose of a first frame is searched for: where the start does not explain the cloud, always, never
+FirstSearch = Literal["auto"] | bool
 
 
-class TrackState(eqx.Module):
-    """What one frame hands to the next."""
+class Search(NamedTuple):
+    """A search that is about to begin; the first one of a process compiles for a minute or more."""
 
-    estimate: Estimate
-    #: change of the pose over the last frame
-    change: Float[Array, "D"]
+    #: number of the frame
+    frame: int
+    #: what is wrong, as in `TrackedFrame.reasons`; empty where the search was asked for
+    reasons: tuple[str, ...]
+    #: how many searches there were before it
+    before: int
 
 
 @checked
-def make_tracker(
-    body: Body,
-    mixture: Mixture | None = None,
-    terms: OwnTerms = (),
+def track_frames(
+    tracker: Tracker,
+    clouds: Iterable[Cloud | Scan] | Cloud,
+    start: Pose | TrackedFrame | None = None,
     *,
-    motion_deviation: tuple[float, float] = (0.05, 0.3),
-    rest_deviation: float = 1.0,
-    momentum: float = 1.0,
-    sigma_growth: float = 1.5,
-    sigma_start: float = 0.015,
-    iterations: int = 3,
-) -> Tracker:
-    """A `Tracker` for a body.
+    search: FirstSearch = "auto",
+    sigma: float = 0.1,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    first: int = 0,
+    announce: Callable[[Search], None] | None = None,
+    known: Callable[[int], Sequence[Pose]] | None = None,
+    worth: float = 0.0,
+) -> Iterator[TrackedFrame]:
+    """Track a stream of clouds; yields a frame as soon as it is done.
 
-    **Arguments:** `motion_deviation` in metres for the root and radians for joints, how far
-    a frame strays from its prediction; `rest_deviation` in radians, how far joints stray from
-    rest whose anatomy is not known (`body.people.anatomy`); `terms` are further energies, in units of a log-likelihood.
+    **Arguments:** `start` is the pose to begin at, rest where not given, or the last `TrackedFrame` of a run that was
+    stopped; `search`, whether the first pose is found by `initialise`: where `start` does not explain the first cloud
+    ("auto"), always or never; `sigma` metres is the deviation that the first frame starts with (Kineben's sigma0);
+    `up` is the vertical of the scene; `first` is the number of the first cloud, so that a run that goes on searches as
+    it would have; `announce` is called before every search; `known(number)` gives other poses that a
+    frame may be in: the frame keeps the likeliest, and leaves the tracked pose only for one whose mean log-likelihood
+    is better by more than `worth`.
 
-    **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
+    A frame is judged by the points that no part explains and by the surface that has no points where a sensor looks,
+    against what the frames before it show to be normal. One that is not good is searched for from many starts; after a
+    search that has not helped the next one waits, twice as long each time. A frame that nothing explains is `lost`,
+    and tracking goes on.
+
+    **Raises:** `InputError` for a `sigma` or an `up` that cannot be, and, when it is its turn, for a cloud with fewer points
+    than the pose has parameters, or in another unit.
     """
-    where = "make_tracker"
-    check_deviations(where, motion_deviation=motion_deviation, rest_deviation=rest_deviation)
-    check_at_least(where, 0, momentum=momentum)
-    check_positive(where, sigma_growth=sigma_growth)
-    check_positive(where, "metres", sigma_start=sigma_start)
-    check_at_least(where, 1, iterations=iterations)
-    own = own_terms("track", terms, body)
-    bones = body.skin.parts()
-    return Tracker(
-        body=body,
-        parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
-        mixture=make_mixture() if mixture is None else mixture,
-        motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
-        rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
-        momentum=as_number(momentum),
-        sigma_growth=as_number(sigma_growth),
-        sigma_start=as_number(sigma_start),
-        terms=() if own is None else terms_of(own),
-        iterations=iterations,
-    )
+    check_sigma("track_frames", sigma)
+    check_direction("track_frames", up=up)
+    return _frames(tracker, clouds, start, search, sigma, up, first, announce, known, worth)
 
 
-def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
-    """Check that a deviation to start with is in metres: above 0, and none that is wider than what is fitted.
+def _frames(
+    tracker: Tracker,
+    clouds: Iterable[Cloud | Scan] | Cloud,
+    start: Pose | TrackedFrame | None,
+    search: FirstSearch,
+    sigma: float,
+    up: tuple[float, float, float],
+    first: int,
+    announce: Callable[[Search], None] | None,
+    known: Callable[[int], Sequence[Pose]] | None,
+    worth: float,
+) -> Iterator[TrackedFrame]:
+    """`track_frames`, once its numbers are checked."""
+    coarse, surface = None, judged_surface(tracker.body)
+    frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
 
-    **Raises:** `InputError`.
-    """
-    expected = f"a deviation above 0 and at most {WIDEST:g} metres"
-    check_values(where, lambda x: (x > 0) & (x <= WIDEST), expected, sigma=sigma)
+    def begin_search(number: int, reasons: tuple[str, ...], before: float) -> Tracker:
+        _LOG.info("searching for a better pose of frame %d", number)
+        if announce is not None:
+            announce(Search(number, reasons, int(before)))
+        return coarse_tracker(tracker) if coarse is None else coarse
+
+    for number, cloud in enumerate(_each(clouds), first):
+        check_cloud(tracker.body, cloud, f"cloud {number}")
+        if frame is None:
+            pose = rest_pose(tracker.body.skeleton) if pose is None else pose
+            if search is not True:
+                frame = first_frame(tracker, surface, cloud, pose, sigma)
+            if frame is None or (search == "auto" and frame.verdict != "good"):
+                coarse = begin_search(number, () if frame is None else frame.reasons, 0.0)
+                pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
+                found = first_frame(tracker, surface, cloud, pose, 0.03)
+                frame = found if frame is None else better(found, frame)
+                frame = eqx.tree_at(lambda f: f.searches, frame, 1.0)
+            if known is not None:
+                reached = frame.state, frame.statistics
+                state, statistics = likeliest(tracker, *reached, known(number), pose, cloud, worth)
+                if state is not frame.state:
+                    usual, patience = nothing_usual(surface), Patience()
+                    frame = judge(surface, cloud, state, statistics, usual, patience, frame.searches)
+                    frame = conclude(tracker, frame, pose)
+        else:
+            before, trusted, usual = frame.state.estimate.pose, frame.trusted, frame.usual
+            state, statistics = next_frame(tracker, frame.state, cloud)
+            # a lost frame may have led away
+            others = [*([trusted] if frame.lost else []), *(known(number) if known is not None else [])]
+            if others:
+                state, statistics = likeliest(tracker, state, statistics, others, before, cloud, worth)
+            if frame.lost:
+                state = settled(tracker, state)
+            frame = judge(surface, cloud, state, statistics, usual, frame.patience, frame.searches)
+            if wanted(frame):
+                coarse = begin_search(number, frame.reasons, frame.searches)
+                key = jax.random.key(number)
+                found = recover(tracker, surface, coarse, frame, usual, trusted, cloud, key, up)
+                if known is not None and found.pose is not frame.pose:
+                    # what a search ends with may be worse than what it began with
+                    likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
+                    found = found if likelier is found.pose else frame
+                frame = found
+            frame = conclude(tracker, frame, trusted)
+        yield frame
 
 
 @checked
-def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 0.05) -> TrackState:
-    """The state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
-    check_sigma("start_state", sigma)
-    estimate = Estimate(
-        pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts, pose.rotations.dtype)
-    )
-    return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
+def track(
+    body: Body,
+    clouds: Iterable[Cloud | Scan] | Cloud,
+    start: Pose | None = None,
+    *,
+    rate: float = 30.0,
+    tracker: Tracker | None = None,
+    search: FirstSearch = "auto",
+    sigma: float = 0.1,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    terms: OwnTerms = (),
+) -> Motion:
+    """The motion of a body through a sequence of clouds (Kineben, section 3.3).
 
+    **Arguments:** `clouds` from `make_cloud`, one a frame, or stacked over frames; `start` a pose near that of the
+    first frame; `rate` frames a second; `tracker` for other settings than the usual, made of the same body; `search`,
+    `sigma` and `up` as in `track_frames`; `terms`, further energies in units of a log-likelihood, such as `make_floor(body)`, where no tracker is given. Frames that are lost or doubtful are named in a warning, with what is wrong
+    in them, and parts of the body that no points show; `track_frames` gives the verdict on each frame.
 
-@checked
-def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
-    """One frame: predict, a few steps of expectation maximisation, and how well it went.
-
-    Pure, and of the form that `jax.lax.scan` takes once `tracker` is bound.
+    **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in
+    another unit.
     """
-    skeleton, before = tracker.body.skeleton, state.estimate
-    predicted = retract(skeleton, before.pose, tracker.momentum * state.change)
-    rest = RestPrior(tracker.rest_deviations)
-    prior = Sum((PosePrior(predicted, tracker.motion_deviations), rest, *tracker.terms))
-    volume = box_volume(cloud)
-    sigma = jnp.maximum(tracker.sigma_growth * before.sigma, tracker.sigma_start)
+    if tracker is not None and terms != ():
+        raise InputError(
+            "track: terms were given beside a tracker; give them to make_tracker(body, terms=...)."
+        )
+    check_rate("track", rate)
+    tracker = make_tracker(body, terms=terms) if tracker is None else tracker
+    poses, verdicts, unseen = [], [], []
+    for frame in track_frames(tracker, clouds, start, search=search, sigma=sigma, up=up):
+        # copies in NumPy: an array of JAX takes a kilobyte beside its numbers
+        poses.append(jax.tree.map(np.array, frame.pose))
+        verdicts.append((frame.verdict, frame.reasons))
+        unseen.append(frame.unseen)
+    for sentence in (*verdict_sentences(verdicts), *unseen_sentences(unseen)):
+        warnings.warn(f"{sentence}.", stacklevel=3)
+    return stack_poses(poses, rate)
 
-    def step(estimate, _):
-        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate)
 
-    start = Estimate(predicted, sigma, before.priors)
-    estimate, statistics = jax.lax.scan(step, start, length=tracker.iterations)
-    statistics = jax.tree.map(lambda leaf: leaf[-1], statistics)
-    return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics
+def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
+    """Say which frames are lost and which are doubtful, and why; without full stops.
+
+    **Arguments:** `verdict` and `reasons` of every `TrackedFrame`.
+    """
+    sentences = []
+    for verdict in ("lost", "doubtful"):
+        numbers = [number for number, (found, _) in enumerate(verdicts) if found == verdict]
+        if not numbers:
+            continue
+        named = ", ".join(map(str, numbers[:NAMED])) + (" and more" if len(numbers) > NAMED else "")
+        counts = Counter(reason for number in numbers for reason in verdicts[number][1])
+        reasons = "; ".join(f"{reason} (in {count})" for reason, count in counts.most_common(REASONS))
+        sentences.append(
+            f"{len(numbers)} of {len(verdicts)} frames are {verdict}: {named}, counted from 0; {reasons}"
+        )
+    if len(verdicts) > 1 and verdicts[0][0] == "doubtful":
+        sentences.append(
+            "later frames are compared with the first one, which is doubtful: a fault that they share with it is not told; look "
+            "at that frame, or give a better first pose"
+        )
+    return sentences
+
+
+def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
+    """Say which parts of the body are without points, and in how many frames; without a full stop.
+
+    **Arguments:** `unseen` of every `TrackedFrame`.
+    """
+    counts = Counter(part for parts in unseen for part in parts)
+    if not counts:
+        return []
+    named = ", ".join(f"{part} (in {count})" for part, count in counts.most_common(REASONS))
+    more = f" and {len(counts) - REASONS} other parts" if len(counts) > REASONS else ""
+    return [
+        f"{sum(map(bool, unseen))} of {len(unseen)} frames do not show all of the body: no points are of {named}{more}, whose "
+        "pose there is a guess"
+    ]
+
+
+def _each(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
+    """The frames, also of scans as files have them, and of one cloud that is stacked over them."""
+    if isinstance(clouds, (Cloud, Scan)):
+        return iter(CloudFrames(clouds))  # pyright: ignore[reportArgumentType] - a scan is refused there
+    return (as_cloud(cloud, number) for number, cloud in enumerate(clouds))

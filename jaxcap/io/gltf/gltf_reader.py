@@ -9,7 +9,7 @@ from ...arguments import checked
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import KINDS, Skeleton
-from ..skinned.bound import Bound, Joints, bind, body_of, motion_of, placing
+from ..skinned.bind_pose import Bound, Joints, bind, body_of, motion_of, placing
 from ..skinned.left_out import warn_left_out
 from ..system.door import reads
 from ..text import LARGEST

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...errors import InputError
-from ..skinned.bound import inverted
+from ..skinned.bind_pose import inverted
 from ..skinned.left_out import FIGURES, RIGID, SHAPES
 from ..skinned.surface import Surface, as_shares, joined, sewn
 from .gltf_file import GltfFile

@@ -22,7 +22,7 @@ from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
 from ..system.door import reads
 from ..text import numbered_lines, parse_floats, read_text, shortened
-from .tree import END, twist_orientations
+from .twist_axes import END, twist_orientations
 
 _KINDS = ("fixed", "revolute", "universal", "ball")
 

@@ -24,7 +24,7 @@ from ...errors import InputError
 from ..system.door import reads
 from ..text import RATES, float_table, parse_floats, parse_int, read_text, shortened, unit_scale
 from .bvh_writer import BvhWriter, write_bvh
-from .tree import END, twist_orientations
+from .twist_axes import END, twist_orientations
 
 __all__ = ["BvhWriter", "read_bvh", "write_bvh"]
 

@@ -19,7 +19,7 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError, sentence_of
 from ..system.atomic import replacing
 from ..text import unit_scale
-from .tree import is_end
+from .twist_axes import is_end
 
 _ROTATIONS = "Zrotation Xrotation Yrotation"
 _POSITIONS = "Xposition Yposition Zposition"

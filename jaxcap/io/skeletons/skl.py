@@ -24,7 +24,7 @@ from ...errors import InputError
 from ..system.atomic import write_text
 from ..system.door import reads
 from ..text import Words, shortened, unit_scale
-from .tree import with_twist_axes
+from .twist_axes import with_twist_axes
 
 #: letters of a joint's name
 LONGEST_NAME = 200

@@ -16,7 +16,7 @@ from ..archives.archive import PACKED, ROOM
 from ..gltf.gltf_document import no_skin
 from ..meshes.mesh import check_faces, check_points
 from ..meshes.meshes import triangulate
-from ..skinned.bound import Joints, bind, body_of, inverted, motion_of, placing
+from ..skinned.bind_pose import Joints, bind, body_of, inverted, motion_of, placing
 from ..skinned.left_out import FIGURES, RIGID, SHAPES, warn_left_out
 from ..skinned.surface import Surface, as_shares, joined
 from ..system.door import reads

@@ -27,7 +27,7 @@ from ...fit.solvers.descent import ConstrainedInfo, Constraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.problem import AbstractProblem
 from ..skeleton.limbs import Limbs, Tree, bone_rates, bones_of, move_limbs
-from ..weights.adapt import images, settle, spread_weights
+from ..weights.weights_and_rest import images, settle, spread_weights
 from .projected import Moves, Own, Projected, flat_bones
 
 #: what a joint's turn by one radian, and a centre's shift by one metre, may cost, as shares of r

@@ -6,9 +6,9 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Motion
 from ..state import LearnState
-from ..structure.exchange import exchange
-from ..structure.graft import Graft
-from .projection import improve_all
+from ..structure.skeleton_edit import Graft
+from ..structure.structure_search import exchange
+from .variable_projection import improve_all
 
 #: vertices from which bones are learned
 VERTICES = 2000

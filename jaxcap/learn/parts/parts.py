@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...geometry.procrustes import rigid_errors, rigid_motions
-from ..skeleton.rest import choose_rest
+from ..skeleton.reference_mesh import choose_rest
 from .agglomerate import Merging, agglomerate, merged_labels
-from .moves import improve_parts, sharpen_patches
-from .scene import Scene, carried_back, part_moments
+from .part_kmeans import improve_parts, sharpen_patches
+from .rigid_residuals import Scene, carried_back, part_moments
+from .ssdr_motions import unmix
 from .surface import cut_patches, label_edges, make_surface
-from .unmix import unmix
 
 #: patches that are merged into parts
 PATCHES = 300

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...body.body import Body, pose_body
+from ...body.geometric_jacobian import joint_rates, pose_rates, stack_rates, take_rates
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose, retract
-from ...body.rates import joint_rates, pose_rates, stack_rates, take_rates
 from ...body.skeleton import Skeleton
 from ...body.skin.swing_twist import SwingTwistSkin
 from ...body.symmetry import length_differences
-from ...energy.term import AbstractEnergy
+from ...energy.energy import AbstractEnergy
 from ...fit.frame_equations import frame_equations
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
@@ -29,7 +29,7 @@ from ...geometry import rotation
 from ...geometry.laplacian import Conformance, apply
 from ...geometry.patches import Blocks, laplacian_rows, make_blocks
 from ..objective import objective
-from .anchors import Anchors, Given, cut_anchors, given_anchors
+from .joint_centre_prior import Anchors, Given, cut_anchors, given_anchors
 
 #: vertices from which curvature is estimated, at least
 SAMPLES = 4000

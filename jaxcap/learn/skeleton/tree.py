@@ -13,7 +13,7 @@ from ...geometry import rotation
 from ..parts.parts import Parts
 from ..parts.surface import make_surface
 from .centres import Centres, Seams, find_centres, find_seams
-from .posing import motion_moments, pose_moments
+from .pose_from_parts import motion_moments, pose_moments
 
 #: how much of the parts' own error a joint has to win to stand at a short boundary
 DOUBT = 0.5

@@ -28,10 +28,10 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skin import LinearSkin, RigidSkin, SwingTwistSkin
 from ...geometry.laplacian import Conformance
-from .blends import Parts, make_blends
-from .colours import colour_vertices, within_two_rings
-from .slides import LENDERS, STEPS, make_slides, slide_rows, slide_skin
-from .sweep import error_field, field_energy, make_blocks, soften, sweep
+from .coordinate_descent import error_field, field_energy, make_blocks, soften, sweep
+from .graph_colouring import colour_vertices, within_two_rings
+from .linear_weights import Parts, make_blends
+from .swing_twist_weights import LENDERS, STEPS, make_slides, slide_rows, slide_skin
 
 
 class Turn(NamedTuple):

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ...body.body import Body, pose_body
 from ...body.people.anatomy import rest_deviations
 from ...body.people.human import body_of
-from ...body.people.morphs import Traits
+from ...body.people.morph_targets import Traits
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
 from ...energy.priors.prior import RestPrior

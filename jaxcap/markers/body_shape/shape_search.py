@@ -14,14 +14,14 @@ from jaxtyping import Array, Float, Int
 
 from ...body.body import Body
 from ...body.people.human import shape_of
-from ...body.people.morphs import AGES, Traits
+from ...body.people.morph_targets import AGES, Traits
 from ...body.pose import Pose
 from ...body.shape_modes import Modes
+from ...energy.energy import AbstractEnergy
 from ...energy.priors.prior import RestPrior
 from ...energy.stacked import NormalPrior
-from ...energy.term import AbstractEnergy
 from ...fit.alternate import alternate
-from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import Body, Posed, pose_body
+from ...body.decimate import attach
 from ...body.pose import Pose, rest_pose
-from ...body.reduce import attach
 from ...energy.data.surface import SurfaceLandmarks, surface_points
 
 #: a marker further off is not on this body, or the body is not in this pose, metres

@@ -15,15 +15,15 @@ from ...body.pose import Motion, take_poses
 from ...body.symmetry import bones_of
 from ...energy.check import OwnTerms, own_terms
 from ...observe import MarkerFrames
-from ..motion.matched import match_markers
-from ..motion.solve import solve_markers
+from ..motion.inverse_kinematics import solve_markers
+from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body
-from .adjust import Fit, adjust
-from .choose import choose_frames
-from .null_space import Hardly, describe_precision, hardly_known, shared_covariance
+from .bundle_adjustment import Fit, adjust
+from .calibration_parameters import Trust, solved_joints
+from .frame_selection import choose_frames
+from .observability import Hardly, describe_precision, hardly_known, shared_covariance
 from .problem import make_calibration_problem
-from .shared import Trust, solved_joints
-from .skin import shift_variances
+from .soft_tissue import shift_variances
 
 _LOG = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ SLIDING = 0.005
 class Calibration(NamedTuple):
     """A calibrated subject, its motion through all frames, and how well it is known.
 
-    Markers are in the subject's order; `s` are the shared unknowns of `jaxcap.markers.calibration.shared`.
+    Markers are in the subject's order; `s` are the shared unknowns of `jaxcap.markers.calibration.calibration_parameters`.
     """
 
     subject: Subject

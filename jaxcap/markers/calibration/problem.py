@@ -11,7 +11,7 @@ from ...arguments import checked
 from ...body.body import pose_body
 from ...body.pose import Pose, retract
 from ...energy.check import OwnTerms, own_terms
-from ...energy.term import AbstractEnergy
+from ...energy.energy import AbstractEnergy
 from ...fit.frame_equations import frame_equations
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
@@ -20,10 +20,10 @@ from ...fit.solvers.descent import ConstrainedInfo, Constraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.problem import AbstractNestedProblem
 from ..subject import Subject, marker_body, shifted
+from .calibration_parameters import Trust, constraint_rows, prior_precision, shift_subject
 from .residuals import linearise, marker_residuals
 from .robust import BOUND, UNBOUNDED, kernel
-from .shared import Trust, constraint_rows, prior_precision, shift_subject
-from .turning import Turning, free_turning, turning_equations, turning_square
+from .rotation_prior import Turning, free_turning, turning_equations, turning_square
 
 #: information on every number of a pose, 1/radian^2 and 1/metre^2: what no marker shows stays
 RIDGE = 1.0
@@ -32,7 +32,7 @@ BATCH = 5
 
 
 class CalibrationEstimate(eqx.Module):
-    """All that is unknown: poses in F frames; `s` of `jaxcap.markers.calibration.shared`, from the template, metres; and how far skin slides
+    """All that is unknown: poses in F frames; `s` of `jaxcap.markers.calibration.calibration_parameters`, from the template, metres; and how far skin slides
     with each feature of a frame, metres a radian."""
 
     poses: Pose
@@ -43,7 +43,7 @@ class CalibrationEstimate(eqx.Module):
 class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     """Find the subject and the poses that make robust squared residuals of markers least, in standard deviations.
 
-    What all frames share is `s` of `jaxcap.markers.calibration.shared`, then the slides. A marker's rest place enters its own residuals
+    What all frames share is `s` of `jaxcap.markers.calibration.calibration_parameters`, then the slides. A marker's rest place enters its own residuals
     only, so that its columns are 3 x 3 blocks.
 
     - `deviations (M,)` of markers, metres; beyond `bound` squared deviations a residual counts less.

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...body.geometric_jacobian import Rates, bones_below, field_rows, joint_rates, pose_rates, take_rates
 from ...body.kinematics import Transforms, forward_kinematics
 from ...body.pose import Pose
-from ...body.rates import Rates, bones_below, field_rows, joint_rates, pose_rates, take_rates
 from ...geometry import rotation
 from ..subject import Subject
 

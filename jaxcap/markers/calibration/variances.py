@@ -9,7 +9,7 @@ from ...fit.linear.cholesky import factorise
 from .problem import BATCH, RIDGE, CalibrationEstimate, CalibrationProblem, slid
 from .residuals import linearise
 from .robust import kernel
-from .turning import turning_equations
+from .rotation_prior import turning_equations
 
 #: below this no residual is believed, metres
 EXACT = 2e-5

@@ -11,12 +11,12 @@ from jaxtyping import Array, Bool, Float, Int
 from ...arguments import checked
 from ...body.pose import Pose, rest_pose
 from ...energy.check import OwnTerms, own_terms
-from ...energy.term import AbstractEnergy
+from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ..subject import Subject, marker_body
-from .frame import Search, solve_frame
-from .guess import guess_poses
-from .solve import DOUBT, FAR, LEAST
+from .initial_pose import guess_poses
+from .inverse_kinematics import DOUBT, FAR, LEAST
+from .solve_frame import Search, solve_frame
 
 #: iterations of a frame in time
 LIVE = Search(iterations=6)

@@ -6,13 +6,13 @@ from typing import Literal
 import numpy as np
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
-from ..segments.relative import Relative
-from .common import Centre
+from ..segments.relative_motion import Relative
+from .axis_sara import Hinge, find_hinge
+from .centre_estimate import Centre
+from .centre_score import score_centre
 from .gamage import gamage_centre
-from .hinge import Hinge, find_hinge
 from .joint import Joint
 from .precision import arc_bound, principal, swept_arc
-from .score import score_centre
 from .sphere import sphere_centre
 
 #: `sphere` is the paper's, `score` Ehrig's symmetrical one, `gamage` the closed form of common spheres

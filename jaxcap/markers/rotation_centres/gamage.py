@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
-from ..segments.relative import Relative
-from .common import LEAST, ROUNDS, Centre, prior_weight, robust_weights, settle
+from ..segments.relative_motion import Relative
+from .centre_estimate import LEAST, ROUNDS, Centre, prior_weight, robust_weights, settle
 from .precision import independent_share
 
 

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from ...geometry import linear
-from ..segments.relative import Relative
-from .common import ROUNDS, Centre, robust_weights, settle
+from ..segments.relative_motion import Relative
+from .centre_estimate import ROUNDS, Centre, robust_weights, settle
 from .precision import independent_share
 
 #: boxes along each side of the least box around a trajectory, by whose points densities are taken

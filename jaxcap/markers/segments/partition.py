@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...arguments import checked
-from .cover import maximal_sets
-from .deviation import TAIL, median_distances, pair_deviations
+from .maximal_cliques import maximal_sets
+from .pair_distances import TAIL, median_distances, pair_deviations
 from .segment import Segments, make_segments
 
 #: what a segment of 1, 2, 3 or more markers costs in the description, against the squared deviation of

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .deviation import median_distances, pair_deviations
 from .gaps import runs
+from .pair_distances import median_distances, pair_deviations
 
 #: partners that vouch for a marker: those that keep their distance from it best
 PARTNERS = 6

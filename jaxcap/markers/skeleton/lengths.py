@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
-from ..rotation_centres.common import settle
+from ..rotation_centres.centre_estimate import settle
 from .tree import Tree
 
 LengthMethod = Literal["mean", "least_squares", "global"]

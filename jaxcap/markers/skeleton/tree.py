@@ -8,12 +8,12 @@ from jaxtyping import Bool, Float
 
 from ...body.skeleton import Skeleton
 from ..rotation_centres.centres import Method, find_joint
+from ..rotation_centres.hinge_centres import settle_hinges
 from ..rotation_centres.joint import Joint
-from ..rotation_centres.settle import settle_hinges
-from ..segments.frames import fit_frames
-from ..segments.relative import Relative, relative
+from ..segments.relative_motion import Relative, relative
 from ..segments.segment import Segments
-from ..segments.virtual import Augmented, augment, hinge_assumed
+from ..segments.segment_frames import fit_frames
+from ..segments.virtual_markers import Augmented, augment, hinge_assumed
 
 #: what a metre between a centre and the nearest marker of either segment costs against a metre of
 #: residual: segments that hardly turn share any centre, those that are joined have it by their markers

@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from ...body.pose import Motion
 from ...io.system.atomic import replacing
-from ...markers.motion.fill import expected_places, joint_frames
-from ...markers.motion.matched import match_markers
+from ...markers.motion.gap_filling import expected_places, joint_frames
+from ...markers.motion.label_matching import match_markers
 from ...markers.subject import Subject
 from ...observe import MarkerFrames
 from ..pictures import new_figure, nice

@@ -11,7 +11,10 @@ from ...errors import InputError, sentence_of
 from ..contents import Take
 from ..figures.clouds import SeenCloud, SeenClouds
 from ..figures.figure import CLAY, BodyFigure, Colour
-from ..figures.heat import (
+from ..figures.pick import pick_point
+from ..figures.points import LabelledPoints, PointFigure
+from ..figures.posing import PosedFrame, PosedMotion
+from ..figures.scan_colours import (
     SIGMA,
     PartColours,
     ScanHeat,
@@ -21,9 +24,6 @@ from ..figures.heat import (
     posterior_colours,
     scan_heat,
 )
-from ..figures.pick import pick_point
-from ..figures.points import LabelledPoints, PointFigure
-from ..figures.posing import PosedFrame, PosedMotion
 from ..figures.skeleton_figure import BONE, SkeletonFigure, sample_bones
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..contents import Contents
 from ..figures.eye import FRONT, SIDE, TOP
-from ..figures.heat import heat_legend
+from ..figures.scan_colours import heat_legend
 from .column import DISTANCE, PLAIN, POSTERIOR, Choice
 from .text import as_markdown
 from .timeline import SPEEDS, Timeline

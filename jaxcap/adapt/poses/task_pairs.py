@@ -1,0 +1,102 @@
+"""How a body meets the scans of a task: pairs, the poses they lead to, and distances (Adaptation, 4.1.2)."""
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from ...body.body import Body
+from ...body.pose import Pose
+from ...fit.correspondence.correspond import Pairs, Scan
+from ...parallel import parallel_map
+from ..objective import Terms, motion_energy, pose_energy, symmetry_energy
+from ..problems import mean_square, stack
+from ..shape.reference import shape_prior_of
+from ..shape.shape_prior import shape_energy
+from ..task import AdaptState, Task
+from .pose import fit_pose, pairs_of, same_pose
+
+
+def pairs_at(task: Task, body: Body, pose: Pose, scan: Scan) -> Pairs:
+    """The pairs of a posed body with a scan, of vertices that the task's cameras see."""
+    return pairs_of(body, pose, scan, task.settings.matching, task.cameras)
+
+
+def pose_at(task: Task, state: AdaptState, scan: Scan, start: Pose, *, steps: int) -> Pose:
+    """The pose of the body in a scan, from one near it."""
+    return fit_pose(
+        state.body,
+        scan,
+        start,
+        task.prior,
+        task.settings.matching,
+        weight=state.weight,
+        steps=steps,
+        cameras=task.cameras,
+        boxes=task.boxes,
+        terms=task.terms,
+    ).pose
+
+
+def poses_at(
+    task: Task, state: AdaptState, scans: Iterable[Scan], starts: Iterable[Pose], *, steps: int
+) -> Iterator[Pose]:
+    """Find the poses of the body in several scans, each by itself, on all cores."""
+    both = zip(scans, starts, strict=True)
+    return parallel_map(lambda each: pose_at(task, state, *each, steps=steps), both)
+
+
+class Meetings:
+    """The scans of some frames, and the pairs that were found in each last, which hold until the body or its pose changes."""
+
+    def __init__(self, task: Task):
+        self._task = task
+        self._scans: dict[int, Scan] = {}
+        self._pairs: dict[int, tuple[Body, Pose, Pairs]] = {}
+
+    def scans(self, frames: Sequence[int]) -> list[Scan]:
+        """Get the scans of some frames, and forget all others."""
+        for gone in set(self._scans) - set(frames):
+            del self._scans[gone]
+            self._pairs.pop(gone, None)
+        for frame in frames:
+            if frame not in self._scans:
+                self._scans[frame] = self._task.scan(frame)
+        return [self._scans[frame] for frame in frames]
+
+    def pairs(self, body: Body, frames: Sequence[int], poses: Sequence[Pose]) -> list[Pairs]:
+        """Find the pairs of a body with the scans of some frames, on all cores."""
+        scans = self.scans(frames)
+        anew = [number for number, n in enumerate(frames) if not self._holds(n, body, poses[number])]
+        found = parallel_map(lambda k: pairs_at(self._task, body, poses[k], scans[k]), anew)
+        for number, pairs in zip(anew, found, strict=True):
+            self._pairs[frames[number]] = body, poses[number], pairs
+        return [self._pairs[frame][2] for frame in frames]
+
+    def _holds(self, frame: int, body: Body, pose: Pose) -> bool:
+        known = self._pairs.get(frame)
+        return known is not None and known[0] is body and same_pose(known[1], pose)
+
+
+def told(
+    task: Task, state: AdaptState, name: str, frames: Sequence[int], meetings: Meetings | None = None
+) -> AdaptState:
+    """With what a stage has reached in some frames, whose scans and pairs may be known."""
+    body, poses = state.body, [state.motion[n] for n in frames]
+    pairs = (Meetings(task) if meetings is None else meetings).pairs(body, frames, poses)
+    squares = [mean_square(body, pose, some) for pose, some in zip(poses, pairs, strict=True)]
+    terms = Terms(
+        data=float(np.mean(squares)),
+        pose=pose_energy(task.prior, body, stack(poses)),
+        temporal=0.0 if task.settings.unordered else motion_energy(body.skeleton, state.motion),
+        shape=shape_energy(shape_prior_of(task, state), body),
+        symmetry=symmetry_energy(body.skeleton, task.mirrored),
+        own=0.0 if task.terms is None else pose_energy(task.terms, body, stack(poses)),
+    )
+    reached = (name, 1000 * float(np.sqrt(terms.data)))
+    return state._replace(history=(*state.history, reached), terms=(*state.terms, terms))
+
+
+def some_of(frames: Sequence[int], count: int = 8) -> list[int]:
+    """A few of them, spread over all."""
+    rows = np.linspace(0, len(frames) - 1, min(len(frames), count)).astype(int)
+    return [frames[row] for row in np.unique(rows)]

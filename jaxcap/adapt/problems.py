@@ -1,0 +1,149 @@
+"""Problems that an adaptation minimises (Adaptation, eq. 4.3)."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Shaped
+
+from ..body.body import Body, pose_body
+from ..body.limits.rotation_vector_boxes import PoseBoxes
+from ..body.pose import Pose
+from ..body.shape_modes import Modes
+from ..energy.data.pairs import PairDistances, Pairs, num_pairs
+from ..energy.energy import AbstractEnergy, sum_of, weighted
+from ..energy.stacked import NormalPrior, SmoothTurns, Stacked, weigh_frames
+from ..fit.problem import PoseProblem
+from ..fit.sequences.problem import SequenceProblem
+from ..fit.sequences.unknowns import ShapeCoefficients
+from ..geometry.stacking import stack as stack_arrays
+
+#: pairs that are neighbours say the same: so many count as one
+ALIKE = 50.0
+#: what a unit of a log-likelihood counts among summed squared distances of pairs, metres squared: pairs are 3 mm off
+UNIT = 0.003**2 * ALIKE
+
+
+class Belief(eqx.Module):
+    """A normal prior of the amounts of modes."""
+
+    #: from where they stand
+    expected: Float[Array, "K"]
+    #: standard deviation of each
+    deviation: Float[Array, "K"]
+
+
+def pose_problem(
+    body: Body,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    weight: float | Float[Array, ""],
+    boxes: PoseBoxes | None = None,
+    terms: AbstractEnergy | None = None,
+) -> PoseProblem:
+    """`Q_data + weight Q_pose` of a frame, with `Q_data` the mean over its pairs, and further terms in units of a log-likelihood."""
+    count = num_pairs(pairs)
+    own = None if terms is None else weighted(UNIT / count, terms)
+    data = weighted(1.0 / count, PairDistances(pairs))
+    return PoseProblem(_sum(data, weighted(weight, prior), own), body, boxes)
+
+
+def window_problem(
+    body: Body,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    weight: float | Float[Array, ""],
+    temporal: float | Float[Array, ""],
+    times: Shaped[Array | np.ndarray, "F"],
+    boxes: PoseBoxes | None = None,
+    held: int = 0,
+    terms: AbstractEnergy | None = None,
+) -> SequenceProblem:
+    """The mean over frames of `Q_data + weight Q_pose`, and `temporal Q_temp` (eqs. 4.3, 4.9 and 4.10); the first `held`
+    frames keep their poses."""
+    frames, dtype = len(times), body.vertices.dtype
+    shares = (1.0 / (frames * jax.vmap(num_pairs)(pairs))).astype(dtype)
+    own = None if terms is None else weigh_frames(UNIT * shares, terms)
+    return SequenceProblem(
+        body,
+        _sum(weigh_frames(shares, Stacked(PairDistances(pairs))), weighted(weight / frames, prior), own),
+        jnp.asarray(times, dtype),
+        between=(SmoothTurns(jnp.asarray(temporal / max(frames - 2, 1), dtype)),),
+        boxes=boxes,
+        held=jnp.arange(frames) < held,
+    )
+
+
+def shared_problem(
+    body: Body,
+    pairs: Pairs,
+    prior: AbstractEnergy,
+    modes: Modes,
+    belief: Belief,
+    mirrored: tuple[tuple[int, int], ...],
+    weight: float | Float[Array, ""],
+    deviation: float | Float[Array, ""],
+    terms: AbstractEnergy | None = None,
+) -> SequenceProblem:
+    """Poses of several frames and the amounts of modes that they share. Paired bones are equally long (eq. 4.13 as a constraint).
+
+    **Arguments:** `pairs` stacked over frames; `weight` of the pose prior against the mean squared distance
+    of a pair, metres squared; `mirrored` pairs of joints of the left and the right; `deviation` of a pair's
+    distance, metres, against which beliefs count; `terms` of every frame, in units of a log-likelihood.
+    """
+    dtype = body.vertices.dtype
+    counts = jax.vmap(num_pairs)(pairs).astype(dtype)
+    own = None if terms is None else weighted(UNIT, terms)
+    frames = _sum(Stacked(PairDistances(pairs)), weigh_frames(weight * counts, prior), own)
+    spread = belief.deviation / (deviation * ALIKE**0.5)
+    return SequenceProblem(
+        body,
+        frames,
+        jnp.arange(len(counts), dtype=dtype),
+        {"modes": ShapeCoefficients(modes)},
+        shared=(NormalPrior("modes", belief.expected, spread),),
+        mirrored=mirrored,
+    )
+
+
+def _sum(*energies: AbstractEnergy | None) -> AbstractEnergy:
+    total = sum_of(energies)
+    assert total is not None
+    return total
+
+
+def stack(parts: Sequence):
+    """Poses or pairs of single frames as those of all, leaf by leaf."""
+    return jax.tree.map(lambda *leaves: stack_arrays(leaves), *parts)
+
+
+def stack_pairs(parts: Sequence[Pairs]) -> Pairs:
+    """Pairs of single frames as those of all; scans of fewer points get pairs of weight zero."""
+    count = max(len(part.weights) for part in parts)
+
+    def padded(part: Pairs) -> Pairs:
+        extra = (0, count - len(part.weights))
+        wide = jax.tree.map(
+            lambda leaf: jnp.pad(leaf, (extra, *[(0, 0)] * (leaf.ndim - 1)), mode="edge"), part
+        )
+        return eqx.tree_at(lambda p: p.weights, wide, jnp.pad(part.weights, extra))
+
+    return stack([padded(part) for part in parts])
+
+
+def unstack(whole, count: int) -> list:
+    """Split stacked poses or pairs into those of single frames."""
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], whole) for i in range(count)]
+
+
+def mean_square(body: Body, pose: Pose, pairs: Pairs) -> float:
+    """The mean weighed squared distance of a pair, metres squared."""
+    return float(_mean_square(body, pose, pairs))
+
+
+@eqx.filter_jit
+def _mean_square(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, ""]:
+    r = PairDistances(pairs).residual(pose_body(body, pose))
+    return (r @ r) / num_pairs(pairs)

@@ -1,0 +1,67 @@
+"""How large an actor is against the template, once the first poses fit (Adaptation, 4.1.4)."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...body.body import Body
+from ...body.limits.rotation_vector_boxes import PoseBoxes
+from ...body.pose import Pose
+from ...energy.energy import AbstractEnergy
+from ...fit.alternate import alternate
+from ...fit.correspondence.correspond import Matching, Scan
+from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.unknowns import Size
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...geometry.camera import Camera
+from ..poses.pose import LENGTHS, UPHILL, pairs_of
+from ..problems import stack, stack_pairs, unstack, window_problem
+
+#: an actor is between these sizes of the template
+SMALLEST, LARGEST = 0.5, 2.0
+
+
+def fit_size(
+    body: Body,
+    scans: Sequence[Scan],
+    poses: Sequence[Pose],
+    prior: AbstractEnergy,
+    matching: Matching,
+    weight: float,
+    rounds: int = 24,
+    cameras: Sequence[Camera] = (),
+    boxes: PoseBoxes | None = None,
+    terms: AbstractEnergy | None = None,
+    already: float = 1.0,
+) -> tuple[Body, list[Pose], float]:
+    """Scale the body to the actor, with its poses in some scans: new pairs, and a step of all poses and of the size
+    that they share, in turn. Joints and vertices do the rest later. `cameras`, `boxes` and `terms` as in `fit_pose`;
+    `already` is how many times as large as the template the body is. Return body, poses and its further scale."""
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=LENGTHS)
+    count = len(scans)
+
+    def remake(y: SequenceEstimate) -> SequenceProblem:
+        there = resized(body, jnp.exp(y.values["size"]))
+        pairs = [
+            pairs_of(there, pose, scan, matching, cameras)
+            for pose, scan in zip(unstack(y.poses, count), scans, strict=True)
+        ]
+        stacked = stack_pairs(pairs)
+        problem = window_problem(body, stacked, prior, weight, 0.0, np.arange(count), boxes, terms=terms)
+        unknown = {"size": Size(SMALLEST / already, LARGEST / already)}
+        return eqx.tree_at(lambda p: (p.unknowns, p.between), problem, (unknown, ()))
+
+    start = SequenceEstimate(stack(poses), {"size": jnp.zeros((), body.vertices.dtype)})
+    found = alternate(remake, start, solver, rounds=rounds, enough=1e-3, uphill=UPHILL).y
+    size = float(jnp.exp(found.values["size"]))
+    return resized(body, jnp.asarray(size, body.vertices.dtype)), unstack(found.poses, count), size
+
+
+def resized(body: Body, size: Float[Array, ""]) -> Body:
+    """The body at rest, so many times as large about the origin."""
+    return eqx.tree_at(
+        lambda b: (b.vertices, b.skeleton.centres), body, (body.vertices * size, body.skeleton.centres * size)
+    )

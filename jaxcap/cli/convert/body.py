@@ -1,0 +1,34 @@
+"""A body with its motion for other programs, which blend linearly."""
+
+from pathlib import Path
+
+from ...body.body import Body
+from ...body.people.sample import sample_poses
+from ...body.pose import Motion
+from ...edit.linear.linearise import linear_motion, linearise
+from ...io.registry import write_body
+from ..console.console import say, warn
+
+
+def write_linear_body(
+    target: Path, body: Body, motion: Motion | None, tolerance: float, influences: int
+) -> None:
+    """Linearise a body over its motion, or over poses of chance where it has none, write it, and tell how far it is off.
+
+    **Raises:** `InputError` where the file cannot be written; `ValueError` where a number is not positive.
+    """
+    poses = sample_poses(body.skeleton) if motion is None else motion.poses
+    linearised = linearise(body, poses, tolerance, influences=influences)
+    linear, joints = linearised.body, body.skeleton.num_joints
+    write_body(target, linear, None if motion is None else linear_motion(linearised, motion))
+    virtual, count = linear.skeleton.num_joints - joints, poses.rotations.shape[0]
+    say(
+        f"{target}: {len(linear.vertices)} vertices, {joints} joints, {virtual} virtual bones; "
+        f"within {1000 * linearised.error:.2g} mm of the body, {1000 * linearised.mean_error:.2g} mm on "
+        f"average, over {count} {'sampled poses' if motion is None else 'frames'}"
+    )
+    if linearised.error > tolerance:
+        warn(
+            f"{target}: {1000 * linearised.error:.2g} mm at the worst vertex is more than the tolerance of "
+            f"{1000 * tolerance:.2g} mm; more --influences come nearer"
+        )

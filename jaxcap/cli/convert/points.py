@@ -1,0 +1,72 @@
+"""What a motion takes through space, as points: joint centres, and vertices of its body."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...body.body import Body
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...io.meshes.vertex_list import read_vertex_list
+from ...io.registry import write_markers
+from ...markers.body_shape.vertex_markers import vertex_frames
+from ...markers.motion.gap_filling import joint_frames
+from ...observe import make_markers
+from ..console.console import counted, say
+
+
+def read_labels(words: Sequence[str]) -> dict[str, int]:
+    """Vertices by the labels of their markers, of `NUMBER`, `NAME=NUMBER`, or files of these. Raises `InputError`."""
+    found: dict[str, int] = {}
+    for word in words:
+        name, _, number = word.rpartition("=")
+        if number.isdecimal():
+            new = {name or f"v{int(number)}": int(number)}
+        elif Path(word).is_file():
+            new = read_vertex_list(word)
+        else:
+            raise InputError(
+                f"'{word}' is neither a vertex, such as 88 or LFHD=88, nor a file of names and vertices."
+            )
+        twice = set(found) & set(new)
+        if twice:
+            raise InputError(f"Two of --vertices are called '{min(twice)}'; give each marker its own name.")
+        found |= new
+    return found
+
+
+def write_points(
+    target: Path,
+    skeleton: Skeleton,
+    motion: Motion,
+    body: Body | None,
+    labels: Mapping[str, int],
+    unit: str | None,
+) -> None:
+    """Write joint centres, and behind them markers on vertices of the body where there are any.
+
+    **Raises:** `InputError` where the body has no such vertex, a marker is called as a joint, or the file cannot be
+    written.
+    """
+    frames = joint_frames(skeleton, motion)
+    if body is not None and labels:
+        beyond = [name for name, vertex in labels.items() if vertex >= len(body.vertices)]
+        if beyond:
+            raise InputError(
+                f"--vertices: '{beyond[0]}' is vertex {labels[beyond[0]]}, and the body has 0 to {len(body.vertices) - 1}."
+            )
+        alike = set(labels) & set(skeleton.names)
+        if alike:
+            raise InputError(
+                f"--vertices: a joint is called '{min(alike)}' already; give the marker another name."
+            )
+        markers = vertex_frames(body, motion, list(labels.values()), list(labels))
+        places = np.concatenate([np.asarray(frames.places), np.asarray(markers.places)], 1)
+        frames = make_markers(places, (*frames.labels, *markers.labels), motion.rate)
+    write_markers(target, frames, unit)
+    more = f" and {len(labels)} markers" if labels else ""
+    say(
+        f"{target}: {skeleton.num_joints} joint centres{more}, {counted(len(frames), 'frame')} at {frames.rate:g} a second"
+    )

@@ -1,0 +1,73 @@
+"""How many scans a second clouds are: as a user says, as the scanner wrote beside them, or as many as is usual."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from ...errors import InputError
+from ...io.kinds import identify
+from ...io.text import check_rate, read_json
+from ..console.console import say
+from ..console.options import arg
+from .folder import HEADER
+
+#: where nothing says it
+USUAL = 30.0
+ScanRate = Annotated[
+    float | None,
+    arg(
+        metavar="RATE",
+        help_behavior_hint="",
+        help=f"Frames a second; where not given, those that {HEADER} beside the clouds says, else {USUAL:g}.",
+    ),
+]
+
+
+class Rate(NamedTuple):
+    """Frames a second, and the file that says so, None where none does."""
+
+    frames: float
+    file: Path | None = None
+
+
+def rate_of(given: float | None, clouds: Sequence[str]) -> Rate:
+    """Return the rate that was given, else that of the scans, else the usual one.
+
+    **Raises:** `InputError` where what stands beside the clouds is no rate, or there are several.
+    """
+    if given is not None:
+        return Rate(given)
+    folders = dict.fromkeys(Path(one) if Path(one).is_dir() else Path(one).parent for one in clouds)
+    found = [rate for folder in folders if (rate := _beside(folder / HEADER)) is not None]
+    other = next((rate for rate in found if rate.frames != found[0].frames), None)
+    if other is not None:
+        raise InputError(
+            f"{other.file}: these scans are {other.frames:g} a second, and those of {found[0].file} are {found[0].frames:g}; "
+            "say how many all are by --rate."
+        )
+    return found[0] if found else Rate(USUAL)
+
+
+def tell_rate(rate: Rate) -> None:
+    """Say a rate that a file says."""
+    if rate.file is not None:
+        say(f"{rate.frames:g} frames a second, as {rate.file} says")
+
+
+def _beside(path: Path) -> Rate | None:
+    """The rate in a file of the scanner's; None where there is no such file, or it says none."""
+    if identify(path) != "scan":
+        return None
+    rate = read_json(path).get("rate")
+    if rate is None:
+        return None
+    if isinstance(rate, bool) or not isinstance(rate, int | float):
+        raise InputError(
+            f"{path}: the rate of the scans is {rate!r:.40}; write a number there, or give --rate."
+        )
+    try:
+        return Rate(check_rate(float(rate), str(path)), path)
+    except OverflowError:
+        raise InputError(
+            f"{path}: the rate of the scans has too many digits; write a shorter one, or give --rate."
+        ) from None

@@ -1,0 +1,121 @@
+"""A tracked frame as a row of numbers, which a run that was stopped goes on from."""
+
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...body.pose import Pose, rest_pose
+from ...body.skeleton import Skeleton
+from ...fit.judgement.surface import judged_surface
+from ...fit.judgement.usual import nothing_usual
+from ...fit.judgement.verdict import UNSEEN, Judgement
+from ...fit.tracking.em import FrameStatistics
+from ...fit.tracking.recover import Patience, TrackedFrame, reasons_of, unseen_of, verdict_of
+from ...fit.tracking.track_frame import Tracker, start_state
+
+#: column of a row that tells its cloud, and numbers of a row in front of its pose
+CLOUD_AT, POSE_AT = 1, 2
+
+
+def whose_poses(skeleton: Skeleton) -> dict[str, object]:
+    """What tells one who follows a run where poses are in its rows, and whose."""
+    return {"joints": list(skeleton.names), "pose at": POSE_AT}
+
+
+def cloud_sum(name: str) -> float:
+    """A number that tells clouds apart, by the name of their file without its folder."""
+    return float(zlib.crc32(Path(name).name.encode("utf-8", "surrogateescape")))
+
+
+def pack(frame: TrackedFrame, seconds: float, cloud: str = "") -> Float[np.ndarray, "R"]:
+    """A frame as one row of numbers, exact in both precisions; `cloud` is its cloud's name."""
+    return np.concatenate(
+        [[seconds, cloud_sum(cloud)], *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(frame))]
+    )
+
+
+def unpack(template: TrackedFrame, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame, float]:
+    """The frame of a row that `pack` made, to the last bit, with the shapes and types of a `row_template`."""
+    leaves, tree = jax.tree.flatten(template)
+    numbers, at = [], POSE_AT
+    for leaf in leaves:
+        size = np.size(leaf)
+        values = row[at : at + size].reshape(np.shape(leaf))
+        numbers.append(jnp.asarray(values, leaf.dtype) if eqx.is_array(leaf) else type(leaf)(values))
+        at += size
+    return jax.tree.unflatten(tree, numbers), float(row[0])
+
+
+class Results(NamedTuple):
+    """The results of N frames: what rows start with, without what the next frame needs."""
+
+    seconds: Float[np.ndarray, "N"]
+    #: stacked over the frames
+    poses: Pose
+    #: as arrays (N,)
+    statistics: FrameStatistics
+    #: `verdict` and `reasons` of every `TrackedFrame`
+    verdicts: list[tuple[str, tuple[str, ...]]]
+    #: `unseen` of every `TrackedFrame`
+    unseen: list[tuple[str, ...]]
+
+
+def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Results:
+    """Return the results in rows that `pack` made, or in their first `results_width` columns."""
+    leaves, tree = jax.tree.flatten(_results_in(template))
+    arrays, at = [], POSE_AT
+    for leaf in leaves:
+        size = np.size(leaf)
+        columns = rows[:, at : at + size].reshape(-1, *np.shape(leaf))
+        arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
+        at += size
+    poses, statistics, lost, judgements = jax.tree.unflatten(tree, arrays)
+    lost = np.asarray(lost)
+    judgements = jax.tree.map(np.asarray, judgements)
+    verdicts: list[tuple[str, tuple[str, ...]]] = [("good", ())] * len(rows)
+    unseen: list[tuple[str, ...]] = [()] * len(rows)
+    # of most frames there is nothing to tell: the others alone are looked at one by one
+    plain = (judgements.shares.max((1, 2)) < judgements.doubt) & (judgements.support.min(1) >= UNSEEN)
+    for number in np.flatnonzero(lost | ~plain):
+        there = jax.tree.map(lambda leaf, row=number: leaf[row, ...], judgements)
+        gone = bool(lost[number])
+        verdicts[number] = verdict_of(gone, there), reasons_of(gone, there)
+        unseen[number] = unseen_of(gone, there)
+    return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), verdicts, unseen)
+
+
+def results_width(template: TrackedFrame) -> int:
+    """Count the numbers of a row that are results."""
+    return POSE_AT + sum(np.size(leaf) for leaf in jax.tree.leaves(_results_in(template)))
+
+
+def _results_in(frame: TrackedFrame) -> tuple[Pose, FrameStatistics, bool, Judgement]:
+    return frame.pose, frame.statistics, frame.lost, frame.judgement
+
+
+def row_width(template: TrackedFrame) -> int:
+    """Count the numbers of a row."""
+    return len(pack(template, 0.0))
+
+
+def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
+    """Make a frame with the shapes and types of all frames of a run.
+
+    `like` is a pose of the precision that the run was begun with, the body's where not given. Samples the body's
+    surface, so make it once.
+    """
+    pose = rest_pose(tracker.body.skeleton) if like is None else like
+    number = jnp.zeros((), pose.rotations.dtype)
+    statistics = FrameStatistics(number, number, number, number)
+    surface = judged_surface(tracker.body)
+    usual = nothing_usual(surface)
+    support = jnp.zeros(len(surface.joints), number.dtype)
+    judgement = Judgement(usual.level, number, number, support, surface.names, surface.joints, surface.above)
+    state = start_state(tracker, pose)
+    return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, Patience(), 0.0)

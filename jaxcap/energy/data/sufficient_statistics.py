@@ -1,0 +1,64 @@
+"""Sufficient statistics: any number of weighted point pairs on a rigid bone, as 21 numbers."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ...arguments import checked
+from ...body.body import Posed
+from ..energy import AbstractEnergy
+
+
+class RigidMoments(AbstractEnergy):
+    """`sum_i w_i |T_b(i) x_i - y_i|^2`, exactly, for any number of pairs.
+
+    The sum depends on the pairs of a bone only through the 7 x 7 moment matrix `M` of
+    `[x; 1; y]`: with `A = [R, t, -I]` it is `trace(A M A^T)`, and with a factor
+    `M = F F^T` it is `|A F|^2`, 21 numbers a bone. Points are centred on `origins`
+    (rest side) and `places` (observed side), so that float32 keeps its digits.
+    """
+
+    factors: Float[Array, "J 7 7"]
+    origins: Float[Array, "J 3"]
+    places: Float[Array, "J 3"]
+
+    def residual(self, posed: Posed):
+        r, t = posed.transforms.rotations, posed.transforms.translations
+        shift = jnp.einsum("jab,jb->ja", r, self.origins) + t - self.places
+        f = self.factors
+        moved = jnp.einsum("jab,jbc->jac", r, f[:, :3]) + shift[:, :, None] * f[:, 3:4] - f[:, 4:]
+        return moved.reshape(-1)
+
+
+@checked
+def rigid_moments(
+    bones: Int[Array, "C"],
+    rest: Float[Array, "C 3"],
+    points: Float[Array, "C 3"],
+    weights: Float[Array, "C"],
+    num_bones: int,
+) -> RigidMoments:
+    """The statistics of pairs `rest (C, 3)` on `bones (C,)` and `points (C, 3)`, metres."""
+    # sums over bones as products with a membership matrix, which a CPU does faster than scatters
+    member = (bones[:, None] == jnp.arange(num_bones)) * weights[:, None]
+    total = jnp.sum(member, 0)[:, None]
+    safe = jnp.where(total > 0, total, 1.0)
+    origins, places = member.T @ rest / safe, member.T @ points / safe
+    stacked = jnp.concatenate([rest - origins[bones], jnp.ones_like(rest[:, :1]), points - places[bones]], 1)
+    products = (stacked[:, :, None] * stacked[:, None, :]).reshape(-1, 49)
+    moments = (member.T @ products).reshape(-1, 7, 7)
+    return RigidMoments(_semidefinite_factor(moments), origins, places)
+
+
+def _semidefinite_factor(moments: Float[Array, "J 7 7"]) -> Float[Array, "J 7 7"]:
+    """`F` with `F F^T = M`, by Cholesky's columns; a pivot that has vanished is passed over,
+    for a bone with few pairs, or with none, has a singular matrix."""
+    smallest = 8 * jnp.finfo(moments.dtype).eps * jnp.diagonal(moments, axis1=1, axis2=2)
+    columns, rest = [], moments
+    for k in range(7):
+        pivot = rest[:, k, k]
+        there = pivot > smallest[:, k]
+        column = rest[:, :, k] / jnp.sqrt(jnp.where(there, pivot, 1.0))[:, None]
+        column = jnp.where(there[:, None], column, 0.0)
+        columns.append(column)
+        rest = rest - column[:, :, None] * column[:, None, :]
+    return jnp.stack(columns, -1)

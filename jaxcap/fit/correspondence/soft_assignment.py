@@ -1,0 +1,118 @@
+"""A scan's points shared out among a body's vertices by a mixture of Gaussians, and the other way round."""
+
+from typing import Literal
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from .nearest_assignment import AbstractAssignment, Assigned, Scan, Surface
+
+#: log of how far a density may sink below the outlier class's before it counts as zero
+NEGLIGIBLE = np.log(1e-7)
+#: points that are shared out at once, which bounds memory
+CHUNK = 4096
+
+
+class SoftAssignment(AbstractAssignment):
+    """Gaussian soft assignment, as in the tracker's E-step but to vertices instead of parts: a point comes from
+
+        p(y) = (1 - w) / M sum_v N(y; x_v, sigma^2 I) + w / B,
+
+    the sum over the M vertices that are seen, those with another normal or out of reach left out (Kineben, eqs. 20
+    and 21; Myronenko and Song 2010). `w` is the share `outlier`, `B` the volume of the box around all points.
+    With `p_nv` the posterior of vertex v at point n, the M-step's sum is
+
+        sum_nv p_nv |x_v - y_n|^2 = sum_v P_v |x_v - m_v|^2 + const,
+        P_v = sum_n p_nv,    m_v = sum_n p_nv y_n / P_v,
+
+    so that one pair a vertex, of the posterior mean `m_v` with the mass `P_v` for a weight, has all of the scan
+    in it, in any metric that is the same for all points of a vertex. The mass may be more than one, as where a
+    scan is denser than a body; these weights are those of all points at once.
+
+    From the body to the scan points and vertices change places: vertices are explained, with their own box, and
+    `Q_v = sum_n q_vn`, at most one, is the weight of `sum_n q_vn y_n / Q_v`.
+
+    The class of outliers is what leaves points out, so that no mean is left out for being far apart. A mean lies
+    within a curved surface by about `sigma^2` times its mean curvature: lower `sigma` as poses become better.
+
+    Without outliers all within reach are weighed, which takes longer; and as `sigma` goes to zero, every point is
+    the nearest vertex's with a normal near its own.
+    """
+
+    #: standard deviation of a point from its vertex along each axis, metres
+    sigma: float = 0.01
+    #: share of points that nothing explains
+    outlier: float = 0.1
+
+    def __check_init__(self):
+        if not (np.isfinite(self.sigma) and self.sigma > 0):
+            raise ValueError(f"sigma is {self.sigma}; a standard deviation is finite and above 0.")
+        if not 0 <= self.outlier < 1:
+            raise ValueError(f"The share of outliers is {self.outlier}; it is at least 0 and less than 1.")
+
+    def from_scan(self, surface, scan, reach, cosine):
+        chosen = np.flatnonzero(surface.seen)
+        body = surface.vertices[chosen], surface.normals[chosen]
+        shares = self._posterior((scan.points, scan.normals), body, reach, cosine)
+        return _means(surface, scan, chosen, scipy.sparse.csr_array(shares.T), "mean")
+
+    def from_body(self, surface, scan, reach, cosine):
+        chosen = np.flatnonzero(surface.seen)
+        body = surface.vertices[chosen], surface.normals[chosen]
+        shares = self._posterior(body, (scan.points, scan.normals), reach, cosine)
+        return _means(surface, scan, chosen, shares, "vertex")
+
+    def _posterior(self, explained, means, reach: float, cosine: float) -> scipy.sparse.csr_array:
+        """`(N, M)` of N points that are explained by M means; each are places and normals."""
+        (points, normals), (centres, centre_normals) = explained, means
+        if not (len(points) and len(centres)):
+            return scipy.sparse.csr_array((len(points), len(centres)))
+        highest = np.log((1 - self.outlier) / len(centres)) - 1.5 * np.log(2 * np.pi * self.sigma**2)
+        beside = -np.inf
+        if self.outlier > 0:
+            beside = np.log(self.outlier / max(np.prod(np.ptp(points, 0)), 1e-6))
+            reach = min(reach, self.sigma * np.sqrt(2 * max(highest - beside - NEGLIGIBLE, 0.0)))
+        tree, rows = KDTree(centres), []
+        for start in range(0, len(points), CHUNK):
+            own = slice(start, start + CHUNK)
+            near = KDTree(points[own]).sparse_distance_matrix(tree, reach, output_type="ndarray")
+            row, column = near["i"], near["j"]
+            good = np.einsum("pa,pa->p", normals[own][row], centre_normals[column]) >= cosine
+            row, column, apart = row[good], column[good], near["v"][good]
+            shares = _shares(row, highest - 0.5 * (apart / self.sigma) ** 2, beside, len(points[own]))
+            shape = (len(points[own]), len(centres))
+            rows.append(scipy.sparse.csr_array((shares, (row, column)), shape=shape))
+        return scipy.sparse.csr_array(scipy.sparse.vstack(rows, format="csr"))
+
+
+def _shares(
+    row: Int[np.ndarray, "P"], log: Float[np.ndarray, "P"], beside: float, count: int
+) -> Float[np.ndarray, "P"]:
+    """Posteriors from the logs of densities, those of one row and the outlier class's one in sum."""
+    top = np.full(count, beside)
+    np.maximum.at(top, row, log)
+    unscaled = np.exp(log - top[row])
+    # a row without anything, and without an outlier class, has nothing to share out
+    outlier = np.exp(beside - np.where(np.isfinite(top), top, 0.0))
+    total = np.bincount(row, unscaled, count) + outlier
+    return unscaled / total[row]
+
+
+def _means(
+    surface: Surface,
+    scan: Scan,
+    chosen: Int[np.ndarray, "M"],
+    shares: scipy.sparse.csr_array,
+    each: Literal["vertex", "mean"],
+) -> Assigned:
+    """Every vertex with the mean of its shares `(M, N)` of a scan's points, and their mass."""
+    every = np.arange(len(surface.vertices))[:, None]
+    mass, normals = np.zeros(len(every)), np.zeros((len(every), 3))
+    points = surface.vertices.copy()
+    mass[chosen] = shares.sum(1)
+    safe = np.where(mass > 0, mass, 1.0)[chosen, None]
+    points[chosen] = np.where(mass[chosen, None] > 0, shares @ scan.points / safe, points[chosen])
+    normals[chosen] = shares @ scan.normals / safe
+    return Assigned(every, np.ones(every.shape), points, normals, mass, each)

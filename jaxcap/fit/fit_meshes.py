@@ -1,0 +1,144 @@
+"""Fit a body to registered meshes: every vertex of the body knows its place in the mesh."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from ..arguments import checked
+from ..body.body import Body, pose_body
+from ..body.pose import Motion, Pose, project
+from ..energy.check import OwnTerms, own_terms
+from ..energy.data.landmarks import VertexLandmarks
+from ..energy.energy import AbstractEnergy, Sum, terms_of
+from ..errors import InputError
+from ..geometry import rotation
+from ..geometry.procrustes import group_moments, nearest_rotation
+from ..observe import MeshSequence
+from .solve import solve
+from .solvers.levenberg_marquardt import LevenbergMarquardt
+
+#: how much a limb whose own vertices leave its turn open follows its parent, share of the body's moment
+FOLLOW = 1e-6
+#: one over the squared metres that a mean vertex is off by where the solver's damping weighs as much
+EVIDENCE = 1e6
+
+
+class MeshFit(eqx.Module):
+    """The outcome of `fit_meshes` over F meshes."""
+
+    motion: Motion
+    #: root mean square distance of the vertices to their places, metres; NaN where no place is known
+    rmse: Float[Array, "F"]
+    num_steps: Int[Array, "F"]
+    #: whether a mesh was fitted: it has finite places, and the solver converged to a finite pose
+    converged: Bool[Array, "F"]
+
+
+@checked
+def fit_meshes(
+    body: Body,
+    sequence: MeshSequence,
+    *,
+    start: Pose | None = None,
+    vertices: Int[Array | np.ndarray, "C"] | None = None,
+    max_steps: int = 40,
+    terms: OwnTerms = (),
+) -> MeshFit:
+    """The poses of a body in which its vertices come nearest to those of registered meshes, by
+    Levenberg-Marquardt from `procrustes_poses`; every mesh by itself, compiled once.
+
+    **Arguments:** `start` poses stacked over the meshes, in place of Procrustes' own; `vertices`
+    indices of those that count, all where not given. A vertex that is not finite in a mesh does not
+    count there. `terms` are further energies of the posed body, such as a floor; a unit of them weighs as much as vertices
+    that are a millimetre off in the mean. A mesh that cannot be fitted is told by `converged`, and takes nothing from the others.
+
+    **Raises:** `InputError` where the meshes have other vertices than the body, or no mesh is given.
+    """
+    count = body.vertices.shape[0]
+    if sequence.vertices.shape[1] != count:
+        raise InputError(
+            f"The meshes have {sequence.vertices.shape[1]} vertices and the body {count}; only meshes in the "
+            "order of the body's own vertices can be fitted so."
+        )
+    if len(sequence) == 0:
+        raise InputError("There is no mesh to fit the body to.")
+    places = sequence.vertices.astype(body.vertices.dtype)
+    poses = procrustes_poses(body, sequence) if start is None else start
+    chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
+    own = own_terms("fit_meshes", terms, body)
+    poses, rmse, steps, converged = _fit_all(body, poses, places, chosen, own, max_steps)
+    return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
+
+
+def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
+    """Poses stacked over meshes, limb by limb: from the root on, each bone takes the rotation that brings
+    its own vertices, weighed by its influence on them, nearest to their places (orthogonal Procrustes;
+    Adaptation, section 3.2.1), as far as its joint's kind allows. In NumPy and float64.
+
+    A limb whose vertices lie on a line, or that has none, follows its parent.
+    """
+    skeleton = body.skeleton
+    rest, places = np.asarray(body.vertices, float), np.asarray(sequence.vertices, float)
+    known = np.asarray(np.isfinite(places).all(2))
+    # by the vertices that all meshes have, but for meshes of which there is hardly anything
+    whole = np.asarray(known[known.mean(1) > 0.5].all(0))
+    places = np.where(known[:, :, None], places, 0.0)[:, whole]
+    shares = np.asarray(body.skin.influence(skeleton.num_joints), float).T[:, whole]
+    moments = group_moments(shares, rest[whole], np.moveaxis(places, 0, 1))
+    mass = np.where(moments.mass > 0, moments.mass, 1.0)
+    cross = moments.cross - moments.target[..., None] * (moments.source / mass[:, None])[:, None, None]
+    middles = moments.target / mass[:, None, None]
+    follow = FOLLOW * np.sum((rest - rest.mean(0)) ** 2)
+    frames, joints = len(places), skeleton.num_joints
+    turns, trunk = np.zeros((joints, frames, 3, 3)), nearest_rotation(cross.sum(0))
+    for joint, parent in enumerate(skeleton.parents):
+        before = trunk if parent < 0 else turns[parent]
+        turns[joint] = nearest_rotation(cross[joint] + follow * before)
+    centres = np.asarray(skeleton.centres, float)
+    translations, local = np.zeros((joints, frames, 3)), turns.copy()
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            local[joint] = np.swapaxes(turns[parent], -1, -2) @ turns[joint]
+        else:
+            arm = moments.source[joint] / mass[joint] - centres[joint]
+            translations[joint] = middles[joint] - turns[joint] @ arm - centres[joint]
+    dtype = body.vertices.dtype
+    quaternions = rotation.from_matrix(jnp.asarray(np.swapaxes(local, 0, 1), dtype))
+    shifts = jnp.asarray(np.swapaxes(translations, 0, 1), dtype)
+    return _project_all(body.skeleton, Pose(shifts, quaternions, jnp.ones(frames, dtype)))
+
+
+@eqx.filter_jit
+def _project_all(skeleton, poses: Pose) -> Pose:
+    return jax.vmap(lambda pose: project(skeleton, pose))(poses)
+
+
+@eqx.filter_jit
+def _fit_all(
+    body: Body,
+    starts: Pose,
+    places: Float[Array, "F V 3"],
+    chosen: Int[Array, "C"],
+    own: AbstractEnergy | None,
+    max_steps: int,
+) -> tuple[Pose, Float[Array, "F"], Int[Array, "F"], Bool[Array, "F"]]:
+    def one(frame):
+        start, place = frame
+        known = jnp.isfinite(place).all(1)
+        place = jnp.where(known[:, None], place, 0.0)
+        weights = known[chosen].astype(place.dtype)
+        weights = EVIDENCE * weights / jnp.maximum(weights.sum(), 1.0)
+        landmarks = VertexLandmarks(chosen, place[chosen], weights)
+        energy = Sum((landmarks, *(() if own is None else terms_of(own))))
+        solution = solve(energy, body, start, LevenbergMarquardt(), max_steps)
+        gaps = jnp.sum((pose_body(body, solution.pose).vertices - place) ** 2, 1)
+        total = known.sum()
+        rmse = jnp.sqrt(jnp.sum(jnp.where(known, gaps, 0.0)) / total)
+        fine = (solution.result == optx.RESULTS.successful) & jnp.isfinite(rmse)
+        pose = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(rmse), new, old), solution.pose, start)
+        return pose, rmse, solution.num_steps, fine
+
+    return jax.lax.map(one, (starts, places))

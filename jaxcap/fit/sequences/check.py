@@ -1,0 +1,132 @@
+"""Whether a problem of a sequence can be solved at all, before the first step, and in words why not."""
+
+from typing import Any
+
+import jax
+import numpy as np
+from jax.core import Tracer
+from jax.interpreters.partial_eval import dce_jaxpr
+
+from ...body.pose import Pose
+from ...energy.check import check_indices, check_numbers, explained
+from ...energy.stacked import NormalPrior, join_frame, num_frames_of, split_frames
+from ...errors import InputError
+from .problem import SequenceEstimate, SequenceProblem
+from .unknowns import AbstractUnknown
+
+#: fields of unknowns that are numbers of joints or of vertices
+_NUMBERS = {"joints": "joints", "bones": "joints", "vertices": "vertices"}
+
+
+def check_sequence(problem: SequenceProblem, poses: Pose) -> None:
+    """Check that a problem can be solved from a start.
+
+    **Raises:** `InputError` for frames that do not go together, unknowns that do not fit the body or that nothing depends on, bounds that
+    cross, and energies that cannot be evaluated.
+    """
+    _check_unknowns(problem)
+    _check_frames(problem, poses)
+    _check_constraints(problem)
+    own, same = split_frames(problem.frames)
+    check_numbers(join_frame(own, same), problem.body)
+    first = join_frame(jax.tree.map(lambda leaf: leaf[0], own), same)
+    start = problem.start(poses)
+    with explained(first, problem.body):
+        _check_seen(problem, start)
+    _check_bounds(problem, start)
+
+
+def _check_unknowns(problem: SequenceProblem) -> None:
+    given, body = problem.unknowns, problem.body
+    if not isinstance(given, dict) or not all(isinstance(each, AbstractUnknown) for each in given.values()):
+        raise InputError(
+            f"SequenceProblem: `unknowns` is {type(given).__name__} of {', '.join(type(each).__name__ for each in given) or 'nothing'}; "
+            "expected are unknowns by their names, such as {'size': Size()}."
+        )
+    counts: dict[str, int] = {"joints": body.skeleton.num_joints, "vertices": len(body.vertices)}
+    for name, unknown in given.items():
+        for field, what in _NUMBERS.items():
+            numbers = getattr(unknown, field, ())
+            owner = f"{type(unknown).__name__} '{name}'"
+            check_indices(owner, field, numbers, what, counts[what])
+            twice = sorted({number for number in numbers if numbers.count(number) > 1})
+            if twice:
+                raise InputError(f"{owner}: `{field}` has {twice[0]} twice; expected is each once.")
+    for prior in problem.shared:
+        if isinstance(prior, NormalPrior) and prior.name not in given:
+            raise InputError(
+                f"NormalPrior: there is no unknown '{prior.name}'; expected is one of {', '.join(sorted(given)) or 'none'}."
+            )
+
+
+def _check_frames(problem: SequenceProblem, poses: Pose) -> None:
+    given = {"poses": poses.scale.shape[0] if poses.scale.ndim else 1, "times": problem.num_frames}
+    if problem.held is not None:
+        given["held"] = len(problem.held)
+    counts = num_frames_of(problem.frames)
+    if len({*given.values(), *counts}) > 1:
+        words = ", ".join(f"`{name}` are of {count}" for name, count in given.items())
+        stacked = " and ".join(map(str, sorted(counts))) or "no"
+        raise InputError(
+            f"SequenceProblem: {words} frames, and stacked energies of {stacked}; expected is one number."
+        )
+    widest = max([1, *(term.frames for term in problem.between)])
+    if widest > problem.num_frames:
+        raise InputError(
+            f"SequenceProblem: {problem.num_frames} frames were given, and an energy between frames sees {widest}; "
+            "give more frames, or leave that energy out."
+        )
+    if problem.between and not isinstance(problem.times, Tracer):
+        wrong = np.flatnonzero(~(np.diff(np.asarray(problem.times)) > 0))
+        if len(wrong):
+            frame = int(wrong[0])
+            raise InputError(
+                f"SequenceProblem: `times` go from {float(problem.times[frame]):g} to {float(problem.times[frame + 1]):g} at frame "
+                f"{frame + 1}; expected are times that rise from frame to frame."
+            )
+
+
+def _check_constraints(problem: SequenceProblem) -> None:
+    if not problem.mirrored:
+        return
+    check_indices("SequenceProblem", "mirrored", problem.mirrored, "joints", problem.body.skeleton.num_joints)
+    if not problem.unknowns:
+        raise InputError(
+            "SequenceProblem: `mirrored` keeps bones equally long, and there are no `unknowns` that change them; give some, or leave "
+            "`mirrored` out."
+        )
+    bounded = [
+        name for name, each in problem.unknowns.items() if each.bounds(each.start(problem.body)) is not None
+    ]
+    if bounded:
+        raise InputError(
+            f"SequenceProblem: `mirrored` and bounds of the unknown '{bounded[0]}' cannot both be kept; leave one of them out."
+        )
+
+
+def _check_seen(problem: SequenceProblem, start: SequenceEstimate) -> None:
+    """Check that every shared unknown has a part in the energy."""
+    shapes = jax.eval_shape(lambda: start)
+    traced = jax.make_jaxpr(lambda values: problem.value(SequenceEstimate(start.poses, values)))(
+        shapes.values
+    )
+    _, used = dce_jaxpr(traced.jaxpr, [True])
+    for name, parts in jax.tree.unflatten(jax.tree.structure(shapes.values), used).items():
+        if not any(jax.tree.leaves(parts)):
+            raise InputError(
+                f"SequenceProblem: no energy depends on the unknown '{name}'; give one that does, or leave it out of `unknowns`."
+            )
+
+
+def _check_bounds(problem: SequenceProblem, start: SequenceEstimate) -> None:
+    for name, unknown in problem.unknowns.items():
+        ends: Any = unknown.bounds(unknown.start(problem.body))
+        if ends is None or any(isinstance(end, Tracer) for end in ends):
+            continue
+        crossed = np.flatnonzero(~(np.asarray(ends[0]) <= np.asarray(ends[1])))
+        if len(crossed):
+            low, high = (float(end[crossed[0]]) for end in ends)
+            raise InputError(
+                f"SequenceProblem: bounds of the unknown '{name}' cross: number {crossed[0]} is at least {low:g} and at most "
+                f"{high:g} from its start; give the smaller one first."
+            )

@@ -1,0 +1,310 @@
+"""Many frames and what they share as one least-squares problem, linearised frame by frame."""
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ...arguments import check_fields
+from ...body.body import Body, pose_body
+from ...body.limits.rotation_vector_boxes import BoxChart, PoseBoxes, box_chart, move_within
+from ...body.pose import Pose, project, rest_pose, retract
+from ...body.symmetry import length_differences
+from ...energy.energy import AbstractEnergy
+from ...energy.stacked import AbstractNeighbourEnergy, AbstractSharedEnergy, join_frame, split_frames
+from ..frame_equations import frame_equations
+from ..linear.block_arrow import BlockArrow
+from ..linear.block_banded import BlockBanded
+from ..linearise import BodyTangent, body_tangent
+from ..problem import pose_scales
+from ..solvers.descent import ConstrainedInfo, Constraints
+from ..solvers.equalities import Equalities
+from ..solvers.problem import AbstractProblem
+from .neighbours import window_equations, window_residuals
+from .unknowns import AbstractUnknown, make_body, split_tangent
+
+#: steps that bring mirrored bones to one length
+EQUALISING = 8
+
+
+class SequenceEstimate(eqx.Module):
+    """Poses stacked over frames, and a value for each shared unknown by its name."""
+
+    poses: Pose
+    values: dict[str, Any]
+
+
+#: tangents of all frames `(F, D)`, and of what they share `(S,)`
+SequenceTangent = tuple[Float[Array, "F D"], Float[Array, "S"]]
+
+
+class SequenceProblem(AbstractProblem[SequenceEstimate]):
+    """Find the poses of F frames, and what they share, that make a sum of energies least.
+
+    - `frames` is summed over all frames. Terms within `Stacked` have data of their own for each frame, terms within
+      `WeighedFrames` a weight; any other term is the same in every frame.
+    - `between` are energies of successive frames, `times (F,)` apart.
+    - `shared` are energies of the body itself, evaluated at its rest pose, and of the shared values.
+    - `unknowns` by name: what changes `body` in all frames at once. Without any, only poses are unknown.
+    - `boxes` are hard: poses stay within. Their tangents are then numbers of the boxes' charts.
+    - `held` frames keep their poses.
+    - `mirrored`: pairs of joints whose bones are equally long, kept exactly to first order.
+
+    Normal equations are block-arrow, and block-banded among the frames where these meet: time and memory grow with the
+    number of frames. Nothing of the size frames by rows by unknowns is kept.
+    """
+
+    body: Body
+    frames: AbstractEnergy
+    times: Float[Array, "F"]
+    unknowns: dict[str, AbstractUnknown] = eqx.field(default_factory=dict)
+    between: tuple[AbstractNeighbourEnergy, ...] = ()
+    shared: tuple[AbstractEnergy | AbstractSharedEnergy, ...] = ()
+    boxes: PoseBoxes | None = None
+    held: Bool[Array, "F"] | None = None
+    mirrored: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        check_fields(self)
+
+    @property
+    def num_frames(self) -> int:
+        return self.times.shape[0]
+
+    @property
+    def num_shared(self) -> int:
+        """S, how many numbers the frames share."""
+        return sum(unknown.size(self.body) for unknown in self.unknowns.values())
+
+    def body_at(self, values: dict[str, Any], d: Float[Array, "S"] | None = None) -> Body:
+        """Make the body of shared values, moved along a tangent where one is given."""
+        if d is not None:
+            values = self._moved(values, d)
+        return make_body(self.body, self.unknowns, values)
+
+    def start(self, poses: Pose) -> SequenceEstimate:
+        """Start from poses, projected onto what the joints' kinds and the boxes allow, and the body as it is."""
+
+        def allowed(pose: Pose) -> Pose:
+            pose = project(self.body.skeleton, pose)
+            return pose if self.boxes is None else self.boxes.nearest(self.body.skeleton, pose)
+
+        values = {name: unknown.start(self.body) for name, unknown in self.unknowns.items()}
+        return SequenceEstimate(jax.vmap(allowed)(poses), values)
+
+    def retract(self, y: SequenceEstimate, d: SequenceTangent) -> SequenceEstimate:
+        # kinds and axes of joints are those of the body, whatever is shared
+        skeleton = self.body.skeleton
+        if self.boxes is None:
+            poses = jax.vmap(retract, (None, 0, 0))(skeleton, y.poses, d[0])
+        else:
+            move = jax.vmap(move_within, (None, None, 0, 0, 0))
+            poses = move(self.boxes, skeleton, y.poses, self.charts(y.poses), d[0])
+        held = self.held
+        if held is not None:
+            # to the last bit
+            poses = jax.tree.map(
+                lambda new, old: jnp.where(held.reshape(-1, *[1] * (new.ndim - 1)), old, new), poses, y.poses
+            )
+        return SequenceEstimate(poses, self._moved(y.values, d[1]))
+
+    def scales(self) -> SequenceTangent:
+        own = pose_scales(self.body.skeleton)
+        shared = [self.unknowns[name].scales(self.body) for name in sorted(self.unknowns)]
+        shared = jnp.concatenate([jnp.zeros(0, own.dtype), *shared])
+        return jnp.broadcast_to(own, (self.num_frames, len(own))), shared
+
+    def value(self, y: SequenceEstimate) -> Float[Array, ""]:
+        """Compute `|r|^2 / 2`, frame after frame."""
+        body = self.body_at(y.values)
+        own, same = split_frames(self.frames)
+
+        def of_frame(total, frame):
+            pose, arrays = frame
+            r = join_frame(arrays, same).residual(pose_body(body, pose))
+            return total + 0.5 * (r @ r), None
+
+        # made again in reverse mode: what all frames leave is too much to keep
+        zero = jnp.zeros((), body.vertices.dtype)
+        total, _ = jax.lax.scan(jax.checkpoint(of_frame), zero, (y.poses, own))
+        for term in self.between:
+            total = total + 0.5 * jnp.sum(window_residuals(term, body, y.poses, self.times) ** 2)
+        for r in self._shared_residuals(y.values):
+            total = total + 0.5 * (r @ r)
+        return total
+
+    def residual(self, y: SequenceEstimate) -> Float[Array, "R"]:
+        """Write out all residuals: of the frames, between them, and of what is shared."""
+        body = self.body_at(y.values)
+        own, same = split_frames(self.frames)
+        rows = [
+            jax.vmap(lambda pose, arrays: join_frame(arrays, same).residual(pose_body(body, pose)))(
+                y.poses, own
+            )
+        ]
+        for term in self.between:
+            rows.append(window_residuals(term, body, y.poses, self.times))
+        return jnp.concatenate([r.reshape(-1) for r in rows] + self._shared_residuals(y.values))
+
+    def linearise(self, y: SequenceEstimate):
+        """Write out the residual and a dense Jacobian by `[x, s]`: for small problems and checks."""
+        frames, dofs = self.num_frames, self.body.skeleton.num_dofs
+
+        def moved(d):
+            return self.residual(
+                self.retract(y, (d[: frames * dofs].reshape(frames, dofs), d[frames * dofs :]))
+            )
+
+        zero = jnp.zeros(frames * dofs + self.num_shared, self.body.vertices.dtype)
+        return moved(zero), jax.jacfwd(moved)(zero)
+
+    def information(self, y: SequenceEstimate) -> ConstrainedInfo:
+        value, gradient, hessian = self.normal_equations(y)
+        x, s = self.scales()
+        hessian = hessian.rescaled(x, s)
+        scaled = x * gradient[0], s * gradient[1]
+        return ConstrainedInfo(value, scaled, hessian, constraints=self._constraints(y))  # pyright: ignore[reportCallIssue]
+
+    def normal_equations(self, y: SequenceEstimate) -> tuple[Float[Array, ""], SequenceTangent, BlockArrow]:
+        """Sum `|r|^2 / 2`, `J^T r` and `J^T J` one frame at a time."""
+        own, same = split_frames(self.frames)
+        dofs, count, dtype = self.body.skeleton.num_dofs, self.num_shared, self.body.vertices.dtype
+        body, tangent = self.body_at(y.values), self.body_tangent(y.values)
+        body_at = partial(self.body_at, y.values) if count else None
+
+        def of_frame(total, frame):
+            pose, arrays = frame
+            value, side, matrix = frame_equations(join_frame(arrays, same), body, pose, body_at, tangent)
+            shared = value, side[dofs:], matrix[dofs:, dofs:]
+            return jax.tree.map(jnp.add, total, shared), (
+                matrix[:dofs, :dofs],
+                matrix[:dofs, dofs:],
+                side[:dofs],
+            )
+
+        none = jnp.zeros((), dtype), jnp.zeros(count, dtype), jnp.zeros((count, count), dtype)
+        with jax.default_matmul_precision("highest"):
+            total, (own_blocks, coupling, sides) = jax.lax.scan(of_frame, none, (y.poses, own))
+            width = max([1, *(term.frames for term in self.between)])
+            blocks = jnp.zeros((self.num_frames, width, dofs, dofs), dtype).at[:, 0].set(own_blocks)
+            for term in self.between:
+                banded = window_equations(term, partial(self.body_at, y.values), count, y.poses, self.times)
+                number = term.frames
+                windows = self.num_frames - number + 1
+                for later in range(number):
+                    here = slice(later, later + windows)
+                    sides = sides.at[here].add(banded.sides[:, later])
+                    coupling = coupling.at[here].add(banded.coupling[:, later])
+                    for before in range(later + 1):
+                        blocks = blocks.at[here, before].add(banded.blocks[:, later, later - before])
+                total = jax.tree.map(jnp.add, total, banded.total)
+            rows, residual = self._shared_rows(y.values)
+            own = 0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows
+            value, side, shared = jax.tree.map(jnp.add, total, own)
+        arrow = BlockArrow(BlockBanded(blocks), coupling, shared)
+        if self.boxes is not None:
+            turn = self.charts(y.poses).turn
+            arrow, sides = arrow.turned(turn), jnp.einsum("fai,fa->fi", turn, sides, precision="highest")
+        return value, (sides, side), arrow
+
+    def _moved(self, values: dict[str, Any], d: Float[Array, "S"]) -> dict[str, Any]:
+        parts = split_tangent(self.body, self.unknowns, d)
+        return {name: unknown.retract(values[name], parts[name]) for name, unknown in self.unknowns.items()}
+
+    def body_tangent(self, values: dict[str, Any]) -> BodyTangent | None:
+        """Differentiate the body by what is shared."""
+        if not self.num_shared:
+            return None
+        return body_tangent(partial(self.body_at, values), self.body_at(values), self.num_shared)
+
+    def charts(self, poses: Pose) -> BoxChart:
+        """Make the charts of the boxes about poses; `boxes` are given."""
+        assert self.boxes is not None
+        return jax.vmap(box_chart, (None, None, 0))(self.boxes, self.body.skeleton, poses)
+
+    def within(self, y: SequenceEstimate) -> SequenceEstimate:
+        """Bring shared values that are out of their unknowns' bounds to the nearest that are not, and bones that are to be equally long
+        to one length, by the least change."""
+
+        def inside(name: str, value: Any) -> Any:
+            ends = self.unknowns[name].bounds(value)
+            return (
+                value
+                if ends is None
+                else self.unknowns[name].retract(value, jnp.clip(jnp.zeros_like(ends[0]), *ends))
+            )
+
+        values = {name: inside(name, value) for name, value in y.values.items()}
+        if self.mirrored:
+            s = self.scales()[1]
+
+            def equalise(_, values):
+                return self._moved(values, s * Equalities(*self._equalities(values)).least_change())
+
+            values = jax.lax.fori_loop(0, EQUALISING, equalise, values)
+        return SequenceEstimate(y.poses, values)
+
+    def constraint(self):
+        bounded = [
+            name
+            for name in sorted(self.unknowns)
+            if self.unknowns[name].bounds(self.unknowns[name].start(self.body))
+        ]
+        names = [f"bounds of the unknown '{name}'" for name in bounded]
+        names += ["boxes of poses"] * (self.boxes is not None) + ["bones of equal length"] * bool(
+            self.mirrored
+        )
+        return " and ".join(names) or None
+
+    def _constraints(self, y: SequenceEstimate) -> Constraints | None:
+        low, high = self._bounds(y)
+        equalities = Equalities(*self._equalities(y.values)) if self.mirrored else None
+        return None if low is None and equalities is None else Constraints(low, high, equalities)
+
+    def _equalities(self, values: dict[str, Any]) -> tuple[Float[Array, "C S"], Float[Array, "C"]]:
+        """Linearise the differences of mirrored bones' lengths, and what these lack of zero."""
+        body, tangent = self.body_at(values), self.body_tangent(values)
+        assert tangent is not None
+        differences, by_centre = length_differences(body.skeleton, self.mirrored)
+        rows = jnp.einsum("bja,jas->bs", by_centre, tangent.centres)
+        return rows * self.scales()[1], -differences
+
+    def _bounds(self, y: SequenceEstimate) -> tuple[SequenceTangent, SequenceTangent] | tuple[None, None]:
+        x, s = self.scales()
+        names = sorted(self.unknowns)
+        bounds = [self.unknowns[name].bounds(y.values[name]) for name in names]
+        if self.boxes is None and self.held is None and not any(bounds):
+            return None, None
+        low, high = jnp.full_like(x, -jnp.inf), jnp.full_like(x, jnp.inf)
+        if self.boxes is not None:
+            charts = self.charts(y.poses)
+            low, high = charts.low / x, charts.high / x
+        if self.held is not None:
+            low, high = (jnp.where(self.held[:, None], 0.0, end) for end in (low, high))
+        free = [
+            ends or (jnp.full(size, -jnp.inf), jnp.full(size, jnp.inf))
+            for ends, size in zip(
+                bounds, (self.unknowns[name].size(self.body) for name in names), strict=True
+            )
+        ]
+        none = jnp.zeros(0, s.dtype)
+        least, most = (jnp.concatenate([none, *(ends[i] for ends in free)]) / s for i in range(2))
+        return (low, least), (high, most)
+
+    def _shared_residuals(self, values: dict[str, Any]) -> list[Float[Array, "R"]]:
+        body = self.body_at(values)
+        posed = pose_body(body, rest_pose(body.skeleton))
+        return [
+            term.residual(values, posed) if isinstance(term, AbstractSharedEnergy) else term.residual(posed)
+            for term in self.shared
+        ]
+
+    def _shared_rows(self, values) -> tuple[Float[Array, "R S"], Float[Array, "R"]]:
+        def moved(d):
+            r = jnp.concatenate([jnp.zeros(0, d.dtype), *self._shared_residuals(self._moved(values, d))])
+            return r, r
+
+        return jax.jacfwd(moved, has_aux=True)(jnp.zeros(self.num_shared, self.body.vertices.dtype))

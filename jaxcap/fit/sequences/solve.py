@@ -1,0 +1,82 @@
+"""Solve for all frames of a sequence and what they share, and differentiate through the solution."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from ...arguments import checked
+from ...body.body import Body
+from ...body.pose import Motion, Pose
+from ..solvers.implicit import implicit_minimum, is_trustworthy
+from ..solvers.levenberg_marquardt import LevenbergMarquardt
+from ..solvers.minimise import AnySolver
+from .check import check_sequence
+from .problem import SequenceEstimate, SequenceProblem
+
+
+class SequenceSolution(eqx.Module):
+    """The outcome of `solve_sequence`."""
+
+    body: Body
+    poses: Pose
+    #: value of each shared unknown by its name
+    values: dict[str, Any]
+    #: `|r|^2` at the solution
+    energy: Float[Array, ""]
+    #: `|r|^2` after each step, NaN beyond the last
+    history: Float[Array, "H"]
+    num_steps: Int[Array, ""]
+    #: `RESULTS.successful`, or why the solver stopped before it converged
+    result: optx.RESULTS
+    #: whether the solver converged and hardly anything is left to gain, so that derivatives by the implicit function theorem hold
+    trustworthy: Bool[Array, ""]
+
+
+@checked
+def solve_sequence(
+    problem: SequenceProblem,
+    start: Pose | Motion | SequenceEstimate,
+    solver: AnySolver | None = None,
+    max_steps: int = 64,
+) -> SequenceSolution:
+    """Find the poses of all frames, and the shared unknowns, that make the energies of a problem least.
+
+    **Arguments:** `start` poses stacked over frames, from which shared unknowns start at the body as it is, or an estimate;
+    `solver` is `LevenbergMarquardt()` where not given, or any of optimistix's; `max_steps` bounds its steps.
+
+    `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to every array of the problem: data,
+    weights, priors and the body. Nothing is raised where the solver fails: see `SequenceSolution.result`, and `trustworthy`
+    before a derivative is used.
+
+    **Raises:** `InputError` for frames that do not go together, and for energies whose arrays do not fit the body.
+    """
+    # data may be of another precision than the body
+    dtype = problem.body.vertices.dtype
+    problem, start = jax.tree.map(
+        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, (problem, start)
+    )
+    poses = start if isinstance(start, Pose) else start.poses
+    check_sequence(problem, poses)
+    solver = LevenbergMarquardt() if solver is None else solver
+    start = start if isinstance(start, SequenceEstimate) else problem.start(poses)
+    found = implicit_minimum(problem, problem.within(start), solver, max_steps, _onto)
+    trustworthy = is_trustworthy(problem, found)
+    estimate, energy = found.y, 2.0 * problem.value(found.y)
+    return SequenceSolution(
+        problem.body_at(estimate.values),
+        estimate.poses,
+        estimate.values,
+        energy,
+        found.history,
+        found.num_steps,
+        found.result,
+        trustworthy,
+    )
+
+
+def _onto(problem: SequenceProblem, y: SequenceEstimate) -> SequenceEstimate:
+    """Onto the manifold that the joints' own axes span, which may be parameters."""
+    return SequenceEstimate(problem.start(y.poses).poses, y.values)

@@ -1,0 +1,172 @@
+"""How well the data hold the poses of a sequence and what its frames share: blocks of the covariance, and what nothing shows."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from ...arguments import checked
+from ...body.skeleton import dof_layout
+from ...errors import InputError
+from ..linear.cholesky import unit_scale
+from ..solvers.implicit import free_numbers
+from .problem import SequenceEstimate, SequenceProblem
+from .solve import SequenceSolution
+
+#: a number is not shown where its variance, on a unit diagonal, is above such a share of the largest that rounding lets be told
+SHOWN = 0.02
+
+
+class SequenceUncertainty(eqx.Module):
+    """What the normal equations tell at a solution, by the tangents of poses and of what is shared.
+
+    A number that the data do not show has an infinite variance, and covariances with it are not numbers. What is held, or
+    pressed against a bound, has a variance of zero.
+    """
+
+    #: covariance of each frame's pose, metres and radians squared
+    poses: Float[Array, "F D D"]
+    #: covariance of what is shared, in the order of the unknowns' names
+    shared: Float[Array, "S S"]
+    #: columns are directions of what is shared, on a unit diagonal
+    directions: Float[Array, "S S"]
+    #: which of these the energies do not hold
+    unobservable: Bool[Array, "S"]
+    #: which numbers of each frame's pose no energy holds
+    still: Bool[Array, "F D"]
+    #: whether the solution had converged, without which all this holds nearby only
+    trustworthy: Bool[Array, ""]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+
+@checked
+def sequence_uncertainty(
+    problem: SequenceProblem,
+    solution: SequenceSolution,
+    variance: float | Float[Array, ""] | None = None,
+    tolerance: float | None = None,
+) -> SequenceUncertainty:
+    """Compute the first-order uncertainty of a solved sequence: the blocks on the diagonal of `variance (J^T J)^-1`, without
+    forming the rest of it, within the problem's bounds and equations.
+
+    **Arguments:** `variance` is that of one component of the residual; where not given it is estimated as `|r|^2 / (R - N)`. A direction of
+    what is shared counts as unobservable where its curvature, the poses being free, is below `tolerance` times the largest on a unit
+    diagonal; where not given that is what rounding leaves of zero. Numbers that such a direction touches have an infinite variance.
+
+    **Raises:** `InputError` for a solution whose energy is not finite.
+    """
+    if not isinstance(solution.energy, Tracer) and not np.isfinite(solution.energy):
+        raise InputError(
+            "sequence_uncertainty: the solution's energy is not finite; look for NaN in the data and at `SequenceSolution.result`."
+        )
+    estimate = SequenceEstimate(solution.poses, solution.values)
+    rows = jax.eval_shape(problem.residual, estimate).shape[0]
+    frames, dofs, count = problem.num_frames, problem.body.skeleton.num_dofs, problem.num_shared
+    if variance is None:
+        variance = solution.energy / max(rows - frames * dofs - count, 1)
+    dtype = problem.body.vertices.dtype
+    if tolerance is None:
+        tolerance = max(dofs, 10) * float(jnp.finfo(dtype).eps)
+    found = _blocks(problem, estimate, jnp.asarray(variance, dtype), jnp.asarray(tolerance, dtype))
+    names = tuple(
+        f"{name}[{number}]"
+        for name in sorted(problem.unknowns)
+        for number in range(problem.unknowns[name].size(problem.body))
+    )
+    return SequenceUncertainty(*found, solution.trustworthy, names)
+
+
+@eqx.filter_jit
+@jax.default_matmul_precision("highest")
+def _blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
+    info = problem.information(y)
+    arrow: Any = info.hessian
+    units = problem.scales()
+    free = free_numbers(info)
+    arrow = arrow.among(free)
+    # on a unit diagonal, what nothing holds is held by as much as rounding lets be told
+    x, s = (_unit_scale(part, tolerance) for part in arrow.diagonal())
+    arrow = arrow.rescaled(x, s)
+    arrow = arrow.add_diagonal((jnp.full_like(x, tolerance), jnp.zeros_like(s)))
+    factor = arrow.frames.factorise()
+    columns = factor.forward(arrow.coupling)
+    schur = arrow.shared - jnp.tensordot(columns, columns, ((0, 1), (0, 1)), precision="highest")
+    kept = None if info.constraints is None else info.constraints.equalities
+    rows = jnp.zeros((0, len(s)), s.dtype) if kept is None else kept.rows * s
+    values, directions, fixed = _within(schur, rows)
+    unobservable = (values <= tolerance) & ~fixed
+    inverse = jnp.where(fixed, 0.0, 1.0 / jnp.maximum(values, tolerance))
+    shared = jnp.einsum("ik,k,jk->ij", directions, inverse, directions, precision="highest")
+    follow = factor.backward(columns)
+    poses = factor.diagonal_inverse() + jnp.einsum(
+        "fis,st,fjt->fij", follow, shared, follow, precision="highest"
+    )
+    poses, still = _told(poses, free[0], tolerance)
+    shared, _ = _told(shared, free[1], tolerance)
+    poses = variance * poses * _outer(x * units[0])
+    if problem.boxes is not None:
+        turn = problem.charts(y.poses).turn
+        poses = jnp.einsum("fai,fij,fbj->fab", turn, poses, turn, precision="highest")
+    return poses, variance * shared * _outer(s * units[1]), directions, unobservable, still
+
+
+def _unit_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:
+    """Return what brings a diagonal to one, but for curvatures that are no more than the rounding of the largest."""
+    largest = jnp.max(diagonal, initial=0.0)
+    return unit_scale(jnp.where(diagonal > tolerance**2 * largest, diagonal, largest))
+
+
+def _within(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):
+    """Find curvatures and directions of a matrix on what equations leave free; the directions that they fix are marked."""
+    size = matrix.shape[0]
+    if len(rows) == 0:
+        return *jnp.linalg.eigh(matrix), jnp.zeros(size, bool)
+    _, lengths, across = jnp.linalg.svd(rows, full_matrices=False)
+    across = jnp.where((lengths > size * jnp.finfo(lengths.dtype).eps * lengths[0])[:, None], across, 0.0)
+    fixing = across.T @ across
+    project = jnp.eye(size, dtype=matrix.dtype) - fixing
+    # no curvature on a unit diagonal is so large
+    beyond = 4.0 * size
+    values, directions = jnp.linalg.eigh(project @ matrix @ project + beyond * fixing)
+    return values, directions, values > beyond / 2
+
+
+def _told(covariance: Float[Array, "*F N N"], free: Bool[Array, "*F N"], tolerance):
+    """Write infinite variances where numbers are not shown, and zero where they are not free."""
+    variances = jnp.diagonal(covariance, axis1=-2, axis2=-1)
+    unseen = free & (variances > SHOWN / tolerance)
+    eye = jnp.eye(free.shape[-1], dtype=bool)
+    either = unseen[..., :, None] | unseen[..., None, :]
+    covariance = jnp.where(either, jnp.where(eye, jnp.inf, jnp.nan), covariance)
+    return jnp.where(free[..., :, None] & free[..., None, :], covariance, 0.0), unseen
+
+
+def _outer(scale: Float[Array, "*F N"]) -> Float[Array, "*F N N"]:
+    return scale[..., :, None] * scale[..., None, :]
+
+
+@checked
+def describe_sequence(problem: SequenceProblem, result: SequenceUncertainty) -> list[str]:
+    """Write a line for each direction of what is shared that nothing shows, for each number of a pose that no energy
+    holds, with the frames, and where the solution had not converged."""
+    lines = []
+    if not result.trustworthy:
+        lines.append("The solver had not converged; deviations hold where it has.")
+    for column in np.flatnonzero(np.asarray(result.unobservable)):
+        direction = np.asarray(result.directions[:, column])
+        largest = np.argsort(-np.abs(direction))[:3]
+        parts = [f"{direction[k]:+.2f} {result.names[k]}" for k in largest if abs(direction[k]) > 0.1]
+        lines.append("The data do not show " + ", ".join(parts) + ".")
+    still = np.asarray(result.still)
+    for number, name in enumerate(dof_layout(problem.body.skeleton).names):
+        frames = np.flatnonzero(still[:, number])
+        if len(frames) == len(still):
+            lines.append(f"The data do not show {name} in any frame.")
+        elif len(frames):
+            some = ", ".join(map(str, frames[:10])) + (" and others" if len(frames) > 10 else "")
+            lines.append(f"The data do not show {name} in frames {some}.")
+    return lines

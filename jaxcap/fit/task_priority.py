@@ -1,0 +1,231 @@
+"""Strict priorities: what is asked for later never disturbs what was asked for before.
+
+Damped null-space projection (Baerlocher and Boulic 2004; joint-limits paper, section 5.2) over any
+number of groups of energies. A step of a group lies in the null space of all groups above it.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+from threadpoolctl import threadpool_limits
+
+from ..arguments import checked
+from ..body.body import Body, pose_body
+from ..body.pose import Pose, project
+from ..energy.check import check_numbers, explained
+from ..energy.energy import AbstractEnergy, Sum, energies, terms_of
+from .problem import PoseProblem
+from .solvers.hierarchical_least_squares import Damping, Rows, constrained, descend
+from .solvers.levenberg_marquardt import where
+from .solvers.minimise import HISTORY
+
+#: a step is tried whole, then halved up to so many times
+HALVINGS = 8
+#: returns of a candidate to the groups above, which it left along their curvature
+REPAIRS = 6
+
+
+class OrderedSolution(eqx.Module):
+    """The outcome of `solve_in_order`: that of `solve`, with an energy for each of G groups."""
+
+    pose: Pose
+    #: `|r|^2` of every term at the solution, by the term's name
+    energies: dict[str, Float[Array, ""]]
+    #: `|r|^2` of every group after each step, highest first, NaN beyond the last
+    history: Float[Array, "H G"]
+    num_steps: Int[Array, ""]
+    #: `RESULTS.successful`, or why the solver stopped before it converged
+    result: optx.RESULTS
+
+
+@checked
+def solve_in_order(
+    groups: Sequence[AbstractEnergy],
+    body: Body,
+    start: Pose,
+    *,
+    max_steps: int = 64,
+    damping: float | Float[Array, ""] = 1e-6,
+    rtol: float | Float[Array, ""] = 1e-5,
+    atol: float | Float[Array, ""] = 1e-6,
+) -> OrderedSolution:
+    """The pose that makes the first energy least; among such poses, the second; and so on.
+
+    **Arguments:** `groups` at least one energy, highest priority first; a sum is one group.
+    Residuals that vanish in a valid region, as those of `JointLimits`, are inequalities: where
+    valid they leave the lower groups free, and no lower group leads out. `damping` is the
+    least constant on the diagonal of a group's normal equations; `max_steps` bounds the steps;
+    `rtol` and `atol` end them where no group's energy changes by more than that share of it, or
+    no number by more than that many radians. A start that the joints' kinds do not allow is
+    projected.
+
+    No step raises the energy of a group for the sake of a lower one, to the machine's
+    precision. Nothing is raised where the solver fails: see `OrderedSolution.result`. It cannot be
+    differentiated in reverse: a lower group's minimum has no derivative where inequalities change.
+
+    **Raises:** `ValueError` where there is no group.
+    """
+    if not groups:
+        raise ValueError("There is nothing to solve for; give one energy or more, highest priority first.")
+    for group in groups:
+        check_numbers(group, body)
+    numbers = (jnp.asarray(number, body.vertices.dtype) for number in (damping, rtol, atol))
+    # threads of BLAS and those of XLA wait for each other, and matrices of a pose are small
+    with threadpool_limits(1, "blas"), explained(Sum(tuple(groups)), body, start):
+        return jax.block_until_ready(_solve_in_order(tuple(groups), body, start, max_steps, *numbers))
+
+
+@checked
+def priority_step(
+    groups: Sequence[AbstractEnergy], body: Body, pose: Pose, damping: float | Float[Array, ""] = 1e-6
+) -> Pose:
+    """One step of `solve_in_order`, for use under `jit` in place of an unconstrained step; the
+    same pose where no step helps. On a busy machine it is a hundred times faster with one thread
+    for BLAS (`OPENBLAS_NUM_THREADS=1`), which `solve_in_order` sees to."""
+    dtype = body.vertices.dtype
+    none = Damping(jnp.asarray(damping, dtype), jnp.zeros((), dtype))
+    return _step(_Order(tuple(groups), body), pose, none)[0]
+
+
+@eqx.filter_jit
+def _solve_in_order(groups, body, start, max_steps, damping, rtol, atol) -> OrderedSolution:
+    order = _Order(groups, body)
+
+    def going(carry):
+        *_, steps, done = carry
+        return ~done & (steps < max_steps)
+
+    def step(carry):
+        pose, before, share, history, steps, _ = carry
+        pose, after, slack, length, taken = _step(order, pose, Damping(damping, share))
+        flat = (jnp.abs(after - before) <= rtol * before + slack).all()
+        # where no part of a step helps, one nearer to the steepest descent may
+        done = (length < atol) | (flat & ((taken > 0) | (share >= 1.0)))
+        grown = jnp.where(taken > 0, 10.0, 100.0) * jnp.maximum(share, 1e-5)
+        share = jnp.where(taken == 1.0, share / 10, grown)
+        return pose, after, share, history.at[steps].set(after, mode="drop"), steps + 1, done
+
+    pose = project(body.skeleton, start)
+    first = order.values(pose)
+    history = jnp.full((HISTORY, len(groups)), jnp.nan, first.dtype)
+    carry = pose, first, jnp.zeros_like(damping), history, jnp.array(0), jnp.array(False)
+    pose, last, _, history, steps, done = jax.lax.while_loop(going, step, carry)
+    good, bad = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
+    result = optx.RESULTS.where(done, good, bad)
+    result = optx.RESULTS.where(jnp.isfinite(last).all(), result, optx.RESULTS.nonfinite)
+    return OrderedSolution(pose, energies(_all(groups), pose_body(body, pose)), history, steps, result)
+
+
+class _Order(eqx.Module):
+    """Groups of energies on a body, in one measure of metres and radians."""
+
+    groups: tuple[AbstractEnergy, ...]
+    body: Body
+
+    @property
+    def upper(self) -> "_Order":
+        return _Order(self.groups[:-1], self.body)
+
+    def values(self, pose: Pose) -> Float[Array, "G"]:
+        residuals = self.residuals(pose)
+        return jnp.stack([r @ r for r in residuals])
+
+    def residuals(self, pose: Pose) -> list[Float[Array, "R"]]:
+        posed = pose_body(self.body, pose)
+        return [group.residual(posed) for group in self.groups]
+
+    def rows(self, pose: Pose) -> Rows:
+        """Of all groups, one below the other, linearised in one pass."""
+        problem = PoseProblem(_all(self.groups), self.body)
+        residual, jacobian = problem.linearise(pose)
+        return Rows(residual, jacobian * problem.scales())
+
+    def levels(self, pose: Pose) -> list[Rows]:
+        edges = np.cumsum([len(r) for r in jax.eval_shape(self.residuals, pose)])[:-1]
+        parts = (jnp.split(array, edges) for array in self.rows(pose))
+        return [Rows(r, j) for r, j in zip(*parts, strict=True)]
+
+    def move(self, pose: Pose, d: Float[Array, "D"]) -> Pose:
+        problem = PoseProblem(_all(self.groups), self.body)
+        return problem.retract(pose, problem.scales() * d)
+
+
+def _all(groups: tuple[AbstractEnergy, ...]) -> Sum:
+    return Sum(tuple(term for group in groups for term in terms_of(group)))
+
+
+def _step(order: _Order, pose: Pose, damping):
+    """One step: `(pose, energies of the groups, what counts as no change of them, length of the
+    step, how much of it was taken)`."""
+    levels = order.levels(pose)
+    before = jnp.stack([level.residual @ level.residual for level in levels])
+    if len(levels) == 1:
+        d, taken = descend(levels, damping), levels
+    else:
+        d, taken = constrained(levels, lambda d: order.upper.rows(order.move(pose, d)), damping)
+    eps = jnp.finfo(d.dtype).eps
+    # rounding, and as much as a move by the root of the precision makes in the stiffest direction
+    stiffest = jnp.stack([jnp.linalg.norm(level.jacobian.T @ level.jacobian) for level in taken])
+    rounding, smallest = 10 * eps * before, 0.01 * eps * jnp.maximum(stiffest, 1.0)
+    slack = smallest + rounding
+
+    def bounds(share):
+        """The energies that are allowed: a lower group pays for what the ones above it still better."""
+        linear = [level.residual + share * level.jacobian @ d for level in levels]
+        return jnp.maximum(before, jnp.stack([r @ r for r in linear])).at[0].set(before[0])
+
+    def failed(carry):
+        _, _, better, _, halvings = carry
+        return ~better & (halvings <= HALVINGS)
+
+    def halve(carry):
+        _, _, _, share, halvings = carry
+        most = bounds(share)
+        moved = order.move(pose, share * d)
+        candidate, there = _repaired(order, moved, before, most, 1e-4 * smallest + rounding, damping)
+        better = _judge(there, before, most, slack)[0]
+        return candidate, there, better, share / 2, halvings + 1
+
+    start = pose, before, jnp.array(False), jnp.ones((), d.dtype), jnp.array(0)
+    candidate, there, better, share, _ = jax.lax.while_loop(failed, halve, start)
+    pose, after = where(better, candidate, pose), jnp.where(better, there, before)
+    return pose, after, slack, jnp.max(jnp.abs(d), initial=0.0), jnp.where(better, 2 * share, 0.0)
+
+
+def _judge(there, before, most, slack) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+    """Whether a candidate is better, and whether a group other than the last spoils it.
+
+    It is better where a group has fallen and none above it has risen, or where none has risen
+    by more than what the ones above it cost, too little to show in their own energies.
+    """
+    level, fallen, spoilt = jnp.array(True), jnp.array(False), jnp.array(False)
+    for number in range(len(there)):
+        fallen = fallen | (level & (there[number] < before[number] - slack[number]))
+        level = level & (there[number] <= most[number] + slack[number])
+        spoilt = spoilt | (~fallen & ~level) if number < len(there) - 1 else spoilt
+    paid = level & (most > before + slack).any()
+    return (fallen | paid) & jnp.isfinite(there).all(), spoilt
+
+
+def _repaired(order: _Order, pose: Pose, before, most, slack, damping):
+    """A candidate led back to where it stood with the upper groups, and its energies."""
+    if len(order.groups) == 1:
+        return pose, order.values(pose)
+
+    def spoilt(carry):
+        _, there, rounds = carry
+        return _judge(there, before, most, slack)[1] & (rounds < REPAIRS)
+
+    def repair(carry):
+        pose, _, rounds = carry
+        whole = damping._replace(share=jnp.zeros_like(damping.share))
+        pose = order.move(pose, descend(order.upper.levels(pose), whole))
+        return pose, order.values(pose), rounds + 1
+
+    pose, there, _ = jax.lax.while_loop(spoilt, repair, (pose, order.values(pose), jnp.array(0)))
+    return pose, there

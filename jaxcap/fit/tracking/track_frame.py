@@ -1,0 +1,137 @@
+"""Follow a body through a sequence of clouds, each frame from the one before."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...arguments import check_fields, checked
+from ...body.body import Body
+from ...body.people.anatomy import rest_deviations
+from ...body.pose import Pose, difference, retract
+from ...energy.check import OwnTerms, own_terms
+from ...energy.energy import AbstractEnergy, Sum, terms_of
+from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
+from ...observe import Cloud
+from ...values import as_number, check_at_least, check_deviations, check_positive, check_values
+from ..correspondence.part_blocks import Parts, make_parts
+from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, make_mixture, uniform_priors
+
+#: metres that points are off at the start at most: more is in another unit
+WIDEST = 5.0
+
+
+class Tracker(eqx.Module):
+    """All that stays the same from frame to frame."""
+
+    body: Body
+    parts: Parts
+    mixture: Mixture
+    #: deviations of a pose from the one that its forerunners predict, metres and radians
+    motion_deviations: Float[Array, "D"]
+    #: deviations of joints from rest in their own frames, which hold what a cloud does not show
+    rest_deviations: Float[Array, "J 3"]
+    #: share of the last change that a frame is predicted to go on with
+    momentum: Float[Array, ""]
+    #: factor on the last frame's sigma at the start of a frame, and its least value in metres
+    sigma_growth: Float[Array, ""]
+    sigma_start: Float[Array, ""]
+    #: further terms, such as `JointLimits`
+    terms: tuple[AbstractEnergy, ...]
+    #: steps of expectation maximisation on a frame
+    iterations: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        check_fields(self)
+
+
+class TrackState(eqx.Module):
+    """What one frame hands to the next."""
+
+    estimate: Estimate
+    #: change of the pose over the last frame
+    change: Float[Array, "D"]
+
+
+@checked
+def make_tracker(
+    body: Body,
+    mixture: Mixture | None = None,
+    terms: OwnTerms = (),
+    *,
+    motion_deviation: tuple[float, float] = (0.05, 0.3),
+    rest_deviation: float = 1.0,
+    momentum: float = 1.0,
+    sigma_growth: float = 1.5,
+    sigma_start: float = 0.015,
+    iterations: int = 3,
+) -> Tracker:
+    """A `Tracker` for a body.
+
+    **Arguments:** `motion_deviation` in metres for the root and radians for joints, how far
+    a frame strays from its prediction; `rest_deviation` in radians, how far joints stray from
+    rest whose anatomy is not known (`body.people.anatomy`); `terms` are further energies, in units of a log-likelihood.
+
+    **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
+    """
+    where = "make_tracker"
+    check_deviations(where, motion_deviation=motion_deviation, rest_deviation=rest_deviation)
+    check_at_least(where, 0, momentum=momentum)
+    check_positive(where, sigma_growth=sigma_growth)
+    check_positive(where, "metres", sigma_start=sigma_start)
+    check_at_least(where, 1, iterations=iterations)
+    own = own_terms("track", terms, body)
+    bones = body.skin.parts()
+    return Tracker(
+        body=body,
+        parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
+        mixture=make_mixture() if mixture is None else mixture,
+        motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
+        rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
+        momentum=as_number(momentum),
+        sigma_growth=as_number(sigma_growth),
+        sigma_start=as_number(sigma_start),
+        terms=() if own is None else terms_of(own),
+        iterations=iterations,
+    )
+
+
+def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
+    """Check that a deviation to start with is in metres: above 0, and none that is wider than what is fitted.
+
+    **Raises:** `InputError`.
+    """
+    expected = f"a deviation above 0 and at most {WIDEST:g} metres"
+    check_values(where, lambda x: (x > 0) & (x <= WIDEST), expected, sigma=sigma)
+
+
+@checked
+def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 0.05) -> TrackState:
+    """The state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
+    check_sigma("start_state", sigma)
+    estimate = Estimate(
+        pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts, pose.rotations.dtype)
+    )
+    return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
+
+
+@checked
+def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
+    """One frame: predict, a few steps of expectation maximisation, and how well it went.
+
+    Pure, and of the form that `jax.lax.scan` takes once `tracker` is bound.
+    """
+    skeleton, before = tracker.body.skeleton, state.estimate
+    predicted = retract(skeleton, before.pose, tracker.momentum * state.change)
+    rest = RestPrior(tracker.rest_deviations)
+    prior = Sum((PosePrior(predicted, tracker.motion_deviations), rest, *tracker.terms))
+    volume = box_volume(cloud)
+    sigma = jnp.maximum(tracker.sigma_growth * before.sigma, tracker.sigma_start)
+
+    def step(estimate, _):
+        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate)
+
+    start = Estimate(predicted, sigma, before.priors)
+    estimate, statistics = jax.lax.scan(step, start, length=tracker.iterations)
+    statistics = jax.tree.map(lambda leaf: leaf[-1], statistics)
+    return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics

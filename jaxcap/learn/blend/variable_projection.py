@@ -1,0 +1,176 @@
+"""A linearly blended body improved by all of its unknowns at once: rounds of one `BlendProblem`."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...body.body import Body
+from ...body.pose import Pose
+from ...body.skin import LinearSkin
+from ...body.symmetry import bones_of as paired_bones
+from ...fit.alternate import alternate
+from ...fit.linear.block_arrow import Unknowns
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ..skeleton.limbs import Limbs, Tree, bones_of, is_simple, make_limbs, read_limbs
+from ..weights.weights_and_rest import promising_bones
+from .blend import Blend, BlendProblem, arrow_of, errors_of, settle_blend
+
+#: vertices on which steps rest, and of each part at least
+SAMPLES, LEAST = 1200, 12
+#: vertices that settle at once; as many, so that this is compiled once
+BLOCK = SAMPLES
+#: bones that may move a vertex
+NEAR = 12
+#: steps of the inner minimum before a round; times that the bones near a vertex are chosen anew there
+OUTER, PASSES = 10, 4
+#: curvature of what does not count at all, as a share of the largest
+LITTLE = 1e-9
+
+
+class Improved(NamedTuple):
+    """A body with its poses, and the squares left on all vertices, at alpha = 0, before and after."""
+
+    body: Body
+    poses: Pose
+    before: float
+    value: float
+    damping: float
+
+
+def improve_all(
+    body: Body,
+    poses: Pose,
+    targets: Float[Array, "F V 3"],
+    pairs: Int[np.ndarray, "P 2"],
+    damping: float = 1e-3,
+    *,
+    rounds: int = 3,
+    steps: int = 6,
+    samples: int = SAMPLES,
+    enough: float = 0.02,
+) -> Improved:
+    """Levenberg-Marquardt on the sum of squared distances over poses and joints, with the best
+    weights and rest vertices for each: never more than before.
+
+    **Arguments:** `poses` stacked over F frames, of scale one; `targets` the registered meshes, metres; `pairs` of
+    joints whose bones stay equally long; `rounds` of `steps`, fewer where one gains less than a
+    share `enough`: before each the bones that may move a vertex are chosen anew. They rest on some `samples` vertices, to which all others then adapt.
+
+    **Raises:** `ValueError` for a skin that is not linear, and for joints that are no balls below free roots.
+    """
+    if not isinstance(body.skin, LinearSkin):
+        raise ValueError(f"A {type(body.skin).__name__} cannot be projected; give the body a LinearSkin.")
+    if not is_simple(body.skeleton):
+        raise ValueError("Only ball joints below free roots can be projected; give the body such a skeleton.")
+    count = body.skeleton.num_joints
+    tree, limbs = make_limbs(body.skeleton, poses)
+    width = len(tree.parents)
+    kept = spread_vertices(np.asarray(body.skin.parts()), samples)
+    shown = jnp.swapaxes(targets[:, kept], 0, 1).reshape(len(kept), -1)
+    weights = jnp.pad(body.skin.influence(count), ((0, 0), (0, width - count)))
+    twins = _twins(body, pairs, width)
+    start = Blend(limbs, weights[kept], body.vertices[kept])
+    start, _ = _settled(start, tree, shown, jnp.asarray(count))
+    solver = LevenbergMarquardt(rtol=enough / 2, damping=jnp.asarray(damping, targets.dtype))
+
+    def remake(y: Blend) -> BlendProblem:
+        near, units = _prepared(y, tree, shown, jnp.asarray(count))
+        return BlendProblem(tree, near, shown, twins, units)
+
+    found = alternate(remake, start, solver, rounds=rounds, steps=steps, enough=enough)
+    skeleton, there = read_limbs(body.skeleton, found.y.limbs)
+    moved = eqx.tree_at(lambda b: b.skeleton, body, skeleton)
+    whole, after = _adapt_body(moved, tree, found.y.limbs, targets)
+    aims = jnp.swapaxes(targets, 0, 1).reshape(len(body.vertices), -1)
+    left = _errors(Blend(limbs, weights, body.vertices), tree, aims)
+    before = float(np.sum(np.square(np.asarray(left, float))))
+    if after < before:
+        return Improved(whole, there, before, after, damping)
+    return Improved(body, poses, before, before, damping)
+
+
+def adapt_all(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> tuple[Body, float]:
+    """Find the weights and the rest place of each vertex that are best, and the squares left."""
+    tree, limbs = make_limbs(body.skeleton, poses)
+    return _adapt_body(body, tree, limbs, targets)
+
+
+def _adapt_body(body: Body, tree: Tree, limbs: Limbs, targets) -> tuple[Body, float]:
+    count, joints = len(body.vertices), body.skeleton.num_joints
+    weights = jnp.pad(body.skin.influence(joints), ((0, 0), (0, len(tree.parents) - joints)))
+    aims = jnp.swapaxes(targets, 0, 1).reshape(count, -1)
+    size = min(BLOCK, count)
+    parts = []
+    for first in range(0, count, size):
+        # blocks are equally long; what is in the last one twice is cut from its head
+        begin = min(first, count - size)
+        some = slice(begin, begin + size)
+        found = _settled(
+            Blend(limbs, weights[some], body.vertices[some]), tree, aims[some], jnp.asarray(joints)
+        )
+        parts.append([leaf[first - begin :] for leaf in (found[0].weights, found[0].rest, found[1])])
+    weights, rest, squares = (jnp.concatenate(leaves) for leaves in zip(*parts, strict=True))
+    body = eqx.tree_at(lambda b: (b.skin, b.vertices), body, (LinearSkin(weights[:, :joints]), rest))
+    return body, float(np.sum(np.asarray(squares), dtype=float))
+
+
+@eqx.filter_jit
+def _settled(y: Blend, tree: Tree, aims, count) -> tuple[Blend, Float[Array, "V"]]:
+    def again(_, y):
+        return settle_blend(y, tree, _near(y, tree, aims, count), aims, OUTER)
+
+    found = jax.lax.fori_loop(0, PASSES, again, y)
+    return found, jnp.sum(errors_of(found, tree, aims) ** 2, 1)
+
+
+@eqx.filter_jit
+def _prepared(y: Blend, tree: Tree, aims, count) -> tuple[Int[Array, "V K"], Unknowns]:
+    """The bones that may move each vertex, and units in which all numbers of a joint count alike."""
+
+    def unit(diagonal):
+        threes = diagonal.reshape(*diagonal.shape[:-1], -1, 3)
+        alike = jnp.broadcast_to(jnp.mean(threes, -1, keepdims=True), threes.shape).reshape(diagonal.shape)
+        return 1.0 / jnp.sqrt(alike + LITTLE * jnp.max(alike))
+
+    x, s = arrow_of(tree, y).diagonal()
+    return _near(y, tree, aims, count), (unit(x), unit(s))
+
+
+def _near(y: Blend, tree: Tree, aims, count) -> Int[Array, "V K"]:
+    return promising_bones(
+        y.weights, y.rest, bones_of(tree, y.limbs), aims, count, min(NEAR, y.weights.shape[1])
+    )
+
+
+_errors = eqx.filter_jit(errors_of)
+
+
+def _twins(body: Body, pairs, width: int) -> Int[Array, "P 4"]:
+    parents = np.array(body.skeleton.parents)
+    rows = [(a, parents[a], b, parents[b]) for a, b in paired_bones(body.skeleton, pairs).tolist()]
+    return jnp.asarray(np.array(rows + [(0, 0, 0, 0)] * (width // 2 - len(rows)), np.int32))
+
+
+def spread_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray, "S"]:
+    """Choose so many of the vertices, or all, more than their share from parts that have few."""
+    sizes = np.bincount(labels)
+    shares = np.minimum(sizes, np.maximum(LEAST, count * np.sqrt(sizes) / np.sqrt(sizes).sum())).astype(int)
+    groups = (np.flatnonzero(labels == part) for part in range(len(sizes)))
+    picked = [
+        group[np.linspace(0, len(group) - 1, share).round().astype(int)]
+        for group, share in zip(groups, shares, strict=True)
+        if share
+    ]
+    some = np.concatenate(picked)
+    others = np.setdiff1d(np.arange(len(labels)), some)
+    # always as many, so that trees of any shape share what is compiled
+    missing = min(count, len(labels)) - len(some)
+    if missing < 0:
+        some = some[np.linspace(0, len(some) - 1, count).astype(int)]
+    elif missing > 0:
+        some = np.concatenate([some, others[np.linspace(0, len(others) - 1, missing).astype(int)]])
+    return np.sort(some)

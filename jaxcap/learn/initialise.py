@@ -1,0 +1,125 @@
+"""Where learning starts: rigid parts, joints between them, and every limb placed by itself."""
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..body.body import Body
+from ..body.pose import Pose
+from ..body.skeleton import Skeleton, make_skeleton
+from ..body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from ..body.symmetry import symmetrise
+from ..geometry.procrustes import group_moments
+from ..observe import MeshSequence
+from ..rig.rig import rig_mesh
+from .parts.parts import find_parts
+from .parts.surface import make_surface, membership
+from .skeleton.left_right_pairs import find_pairs
+from .skeleton.pose_from_parts import pose_moments
+from .skeleton.reference_mesh import choose_rest
+from .skeleton.tree import find_tree, pose_parts
+
+SkinName = Literal["swing_twist", "lbs", "rigid"]
+
+
+class Start(NamedTuple):
+    """A body whose skin has binary weights, rigid kinematics (Adaptation, 3.2.1), and its poses."""
+
+    body: Body
+    poses: Pose
+    #: left and right joints
+    pairs: Int[np.ndarray, "P 2"]
+    #: root mean square error over the number of parts, metres; empty for a given skeleton
+    curve: Float[np.ndarray, "N"]
+
+
+def start_from_motion(
+    meshes: MeshSequence, joints: int | None, skin: SkinName, symmetry: bool | Int[np.ndarray, "P 2"]
+) -> Start:
+    """Parts by their motion, the tree between them, and its poses.
+
+    **Arguments:** `joints` between parts, one less than there are parts; as many as the motion
+    shows where None. `symmetry` finds the pairs, leaves them out, or gives them.
+
+    **Raises:** `ValueError` for meshes in which there are not so many parts, and for pairs of
+    joints that there are not.
+    """
+    shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
+    rest = shapes[choose_rest(shapes, faces)]
+    parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest)
+    tree = find_tree(parts, parts.rest, faces)
+    pairs = choose_pairs(symmetry, tree.skeleton, tree.areas)
+    skeleton = symmetrise(tree.skeleton, pairs)
+    poses = pose_parts(skeleton, tree.parts, parts.rest)
+    body = _bind(skeleton, skin, tree.parts.labels, parts.rest, meshes)
+    return Start(body, _cast(poses, meshes), pairs, parts.curve)
+
+
+def start_from_skeleton(
+    meshes: MeshSequence, skeleton: Skeleton, skin: SkinName, symmetry: bool | Int[np.ndarray, "P 2"]
+) -> Start:
+    """A given skeleton, which stands in the first mesh; parts from its bones' heat in that mesh.
+
+    **Raises:** `InputError` where the mesh is none that the skeleton can be bound to.
+    """
+    shapes, faces = np.asarray(meshes.vertices, float), np.asarray(meshes.faces)
+    labels = np.asarray(rig_mesh(shapes[0], faces, skeleton, "heat").skin.parts())
+    surface = make_surface(shapes[0], shapes, faces)
+    groups = membership(labels, surface.areas, skeleton.num_joints)
+    areas = np.asarray(groups.sum(1)).ravel()
+    pairs = choose_pairs(symmetry, skeleton, areas)
+    skeleton = symmetrise(skeleton, pairs)
+    poses = pose_moments(skeleton, group_moments(groups, shapes[0], shapes.transpose(1, 0, 2)))
+    return Start(_bind(skeleton, skin, labels, shapes[0], meshes), _cast(poses, meshes), pairs, np.zeros(0))
+
+
+def start_free(meshes: MeshSequence, joints: int | None) -> Start:
+    """Bones that hang on nothing: a skeleton of free roots, each in the middle of its part.
+
+    **Raises:** `ValueError` for meshes in which there are not so many parts.
+    """
+    shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
+    rest = shapes[choose_rest(shapes, faces)]
+    parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest)
+    names = [f"bone{part}" for part in range(parts.num_parts)]
+    middles = [parts.rest[parts.labels == part].mean(0) for part in range(parts.num_parts)]
+    skeleton = make_skeleton(names, [-1] * len(names), ["free"] * len(names), middles)
+    body = _bind(skeleton, "lbs", parts.labels, parts.rest, meshes)
+    poses = _cast(pose_parts(skeleton, parts, parts.rest), meshes)
+    return Start(body, poses, np.zeros((0, 2), int), parts.curve)
+
+
+def choose_pairs(
+    symmetry: bool | Int[np.ndarray, "P 2"], skeleton: Skeleton, areas: Float[np.ndarray, "J"]
+) -> Int[np.ndarray, "P 2"]:
+    """The pairs found, none, or those given. **Raises:** `ValueError` for a joint that there is not."""
+    if isinstance(symmetry, bool):
+        return find_pairs(skeleton, areas) if symmetry else np.zeros((0, 2), int)
+    pairs = np.asarray(symmetry, int).reshape(-1, 2)
+    wrong = pairs[(pairs < 0) | (pairs >= skeleton.num_joints)]
+    if len(wrong):
+        raise ValueError(
+            f"The pairs name joint {wrong[0]}, but there are only joints 0 to {skeleton.num_joints - 1}."
+        )
+    return pairs
+
+
+def _bind(skeleton, skin: SkinName, labels, rest, meshes: MeshSequence) -> Body:
+    dtype, bones = meshes.vertices.dtype, jnp.asarray(labels, jnp.int32)
+    count = skeleton.num_joints
+    none = jnp.zeros((len(bones), count), dtype)
+    skins: dict[str, AbstractSkin] = {
+        "swing_twist": SwingTwistSkin(bones, none, none),
+        "lbs": LinearSkin(none.at[jnp.arange(len(bones)), bones].set(1.0)),
+        "rigid": RigidSkin(bones),
+    }
+    if skin not in skins:
+        raise ValueError(f"There is no skin '{skin}' to learn; give one of {', '.join(skins)}.")
+    return Body(skeleton, skins[skin], jnp.asarray(rest, dtype), meshes.faces)
+
+
+def _cast(poses: Pose, meshes: MeshSequence) -> Pose:
+    dtype = meshes.vertices.dtype
+    return Pose(*(jnp.asarray(field, dtype) for field in (poses.translations, poses.rotations, poses.scale)))

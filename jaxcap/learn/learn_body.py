@@ -1,0 +1,320 @@
+"""Learn an animatable body from registered meshes: three improvements in turn, until Q is least."""
+
+import logging
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..arguments import checked
+from ..body.body import Body, take_vertices
+from ..body.pose import Motion, Pose
+from ..body.skeleton import Skeleton
+from ..energy.check import OwnTerms, own_terms
+from ..energy.energy import AbstractEnergy, sum_of, weighted
+from ..geometry.laplacian import Conformance, make_conformance
+from ..observe import MeshSequence
+from .blend.linear import VERTICES, improve_linear
+from .blend.variable_projection import adapt_all
+from .coarse import Coarse, coarse_alpha, coarsen, enough_vertices
+from .initialise import SkinName, Start, start_free, start_from_motion, start_from_skeleton
+from .objective import objective
+from .skeleton.joint_centre_prior import Given
+from .skeleton.joints import Curvature, improve_joints, make_curvature
+from .skeleton.limbs import is_simple
+from .state import LearnState
+from .structure.skeleton_edit import Graft
+from .structure.structure_search import exchange
+from .weights.rest_vertices import carry_back, solve_vertices
+from .weights.weights import improve_weights
+
+_LOG = logging.getLogger(__name__)
+
+#: a round that lowers Q by less than this share is the last on its mesh
+ENOUGH = 8e-3
+#: the share of all rounds that may go to the coarse mesh
+COARSE_SHARE = 2 / 3
+#: the alpha up to which bodies under a linear skin are learned by bones, with all that vertices can make of them
+LOOSE = 1.0
+#: what a unit of an energy of a user's own counts for each vertex, metres squared
+UNIT = 1e-3**2
+#: damping of the first step of joints and poses
+FIRST_DAMPING = 1e-3
+#: improvements of joints and poses, some steps each, before the first round and in each
+FIRST_STEPS, STEPS = 2, 1
+#: rounds after which joints are exchanged, rounds of each trial, and how many of these
+EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 3
+#: sweeps over the weights, at most, in the first round on a mesh and in others
+FIRST_SWEEPS, SWEEPS = 8, 4
+#: what steps on the coarse mesh are called by in the history
+COARSE = "coarse "
+
+
+#: whether joints are exchanged, and whether their number stays
+Exchanging = Literal["no", "fixed", "free"]
+
+
+class Learned(NamedTuple):
+    """A learned body, the poses of the meshes it was learned from, and how it came about."""
+
+    body: Body
+    motion: Motion
+    #: left and right joints
+    pairs: Int[np.ndarray, "P 2"]
+    #: (step, Q): after the start, and after every improvement; Q never rises
+    history: tuple[tuple[str, float], ...]
+    #: root mean square error over the number of rigid parts, metres; empty where it was not asked
+    curve: Float[np.ndarray, "N"]
+
+
+@checked
+def learn_body(
+    meshes: MeshSequence,
+    *,
+    joints: int | None = None,
+    skin: SkinName = "swing_twist",
+    alpha: float = 100.0,
+    symmetry: bool | Int[np.ndarray, "P 2"] = True,
+    skeleton: Skeleton | None = None,
+    keep_joints: bool = False,
+    free_bones: bool = False,
+    rounds: int = 30,
+    terms: OwnTerms = (),
+    on_round: Callable[[LearnState], None] | None = None,
+    resume: LearnState | None = None,
+) -> Learned:
+    """A body that follows registered meshes of one actor (Adaptation, section 3.2).
+
+    Rigid parts, joints and poses are found first (3.2.1). Then skinning weights, rest vertices,
+    and joints with all poses are improved in turn, each by what it can lower of
+
+        Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2        (eq. 3.19)
+
+    until a round lowers it by little, or `rounds` are over. A mesh of many vertices is learned on
+    some of them first (`coarsen`), and on all of them only then.
+
+    **Arguments:** `joints` between parts, as many as the motion shows and as are worth it in the
+    end where None; `skin` says how
+    vertices follow; `alpha` weighs shape against distance; `symmetry` keeps left and right bones
+    equally long, in pairs that are found or given as `(P, 2)` indices of joints; `skeleton`, which
+    stands in the first mesh, replaces the joints that would be found: a prior for them beside what motion
+    tells, or with `keep_joints` all that counts; `free_bones` hang on
+    nothing, and blend linearly; `terms`, an energy or several, are of the posed body with all vertices, and move joints and
+    poses: a unit of them weighs as much as vertices that are a millimetre off in the mean. With them no joints are exchanged. `on_round` sees the state after every round; `resume` goes on
+    from one, to the same result.
+
+    **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned, and `InputError` for
+    energies of vertices or joints that there are not.
+    """
+    exchanging: Exchanging = "no" if skeleton is not None else "free" if joints is None else "fixed"
+    given = None if skeleton is None else Given(skeleton.centres, keep_joints)
+    whole = sum_of((terms,) if isinstance(terms, AbstractEnergy) else terms)
+    if whole is not None:
+        # trees of other joints would be told by other energies
+        exchanging = "no"
+    fine = _stage(
+        meshes, alpha, "", given, None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
+    )
+    simple = skeleton is None or is_simple(skeleton)
+    loose = skin == "lbs" and alpha < LOOSE and whole is None and simple
+    coarse = coarsen(meshes, VERTICES if loose else enough_vertices(joints))
+    thinned = len(coarse.kept) < meshes.vertices.shape[1]
+    if resume is None:
+        _LOG.info("finding parts and joints")
+        # a given skeleton is bound by heat, for which a mesh has to be whole, and terms are of all vertices
+        on_coarse = skeleton is None and whole is None
+        start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, skeleton, free_bones)
+        own_terms("learn_body", terms, start.body)
+        motion = Motion(start.poses, meshes.rate)
+        state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
+        if thinned and not on_coarse:
+            state = state._replace(body=_thin(state.body, coarse))
+    else:
+        state = resume
+    if len(state.body.vertices) < meshes.vertices.shape[1]:
+        stage = _stage(
+            coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE, given
+        )
+        state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
+        _LOG.info("carrying the body over to all vertices")
+        state = state._replace(body=_refine(state, meshes, coarse, loose))
+    # joints that were exchanged on the coarse mesh stay
+    if not (thinned and loose):
+        state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging, loose)
+    return Learned(state.body, state.motion, state.pairs, state.history, state.curve)
+
+
+class _Stage(NamedTuple):
+    """The meshes that rounds work on, their metric, and what their steps are called by."""
+
+    meshes: MeshSequence
+    metric: Conformance
+    curvature: Curvature
+    prefix: str
+    given: Given | None
+    terms: AbstractEnergy | None
+
+
+def _stage(
+    meshes: MeshSequence,
+    alpha: float,
+    prefix: str,
+    given: Given | None,
+    terms: AbstractEnergy | None = None,
+) -> _Stage:
+    metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
+    return _Stage(meshes, metric, make_curvature(metric), prefix, given, terms)
+
+
+def _value(body: Body, poses: Pose, stage: _Stage) -> float:
+    """Q, and what a user's own energies add."""
+    return float(objective(body, poses, stage.meshes.vertices, stage.metric, stage.terms))
+
+
+def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> Start:
+    if free_bones:
+        return start_free(meshes, joints)
+    if skeleton is not None:
+        return start_from_skeleton(meshes, skeleton, skin, symmetry)
+    return start_from_motion(meshes, joints, skin, symmetry)
+
+
+def _thin(body: Body, coarse: Coarse) -> Body:
+    return take_vertices(body, jnp.asarray(coarse.kept), coarse.meshes.faces)
+
+
+def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse, loose: bool) -> Body:
+    """The body on all vertices: each with the weights of the kept one nearest to it, and at rest
+    where its own places in the meshes call for."""
+    body = take_vertices(state.body, jnp.asarray(coarse.nearest), meshes.faces)
+    rest = carry_back(body, state.motion.poses, meshes.vertices)
+    body = eqx.tree_at(lambda b: b.vertices, body, rest)
+    return adapt_all(body, state.motion.poses, meshes.vertices)[0] if loose else body
+
+
+def _improve(
+    state: LearnState,
+    stage: _Stage,
+    rounds: int,
+    on_round: Callable[[LearnState], None] | None,
+    exchanging: Exchanging,
+    loose: bool,
+) -> LearnState:
+    """Rounds on one mesh until one of them lowers Q by little, or as many are over. After the first
+    few, and where rounds alone gain little, joints that are too many are exchanged for joints that
+    are missing, until that gains nothing either."""
+    if not _values(state, stage):
+        value = _value(state.body, state.motion.poses, stage)
+        state = state._replace(history=(*state.history, (stage.prefix + "start", value)))
+        if state.round == 0 and not loose:
+            state = _improve_joints(state, stage, FIRST_STEPS)
+    if loose:
+        free = exchanging == "free"
+        return improve_linear(
+            state, stage.meshes.vertices, rounds, on_round, exchanging != "no", free, stage.prefix
+        )
+    while state.round < rounds:
+        settled = _settled(state, stage)
+        first = state.round >= EXCHANGE_AFTER and not _has(state, stage, "exchange")
+        before = state.history[-1][1]
+        if exchanging != "no" and (first or settled):
+            state = _exchange(state, stage, exchanging == "free")
+            if settled and state.history[-1][1] > (1 - ENOUGH) * before:
+                break
+        elif settled and state.history[-1][1] > (1 - ENOUGH) * before:
+            break
+        if state.round < rounds:
+            state = _round(state, stage)
+            if on_round is not None:
+                on_round(state)
+    return state
+
+
+def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
+    targets = stage.meshes.vertices
+    _LOG.info("exchanging joints")
+
+    def improve(before: LearnState, made: Graft) -> LearnState:
+        value = _value(made.body, made.poses, stage)
+        after = before._replace(
+            body=made.body,
+            motion=Motion(made.poses, before.motion.rate),
+            pairs=made.pairs,
+            damping=FIRST_DAMPING,
+            history=(*before.history, (stage.prefix + "graft", value)),
+        )
+        for number in range(TRIAL_ROUNDS):
+            after = _round(after, stage, far=number == 0)
+        return after
+
+    return exchange(state, targets, improve, stage.prefix + "exchange", TRIALS if free else TRIALS - 1, free)
+
+
+def _has(state: LearnState, stage: _Stage, step: str) -> bool:
+    return any(name == stage.prefix + step for name, _ in state.history)
+
+
+def _values(state: LearnState, stage: _Stage) -> list[float]:
+    """Q after every step on this mesh."""
+    first = stage.prefix + "start"
+    names = [name for name, _ in state.history]
+    return [value for _, value in state.history[names.index(first) :]] if first in names else []
+
+
+def _settled(state: LearnState, stage: _Stage) -> bool:
+    """Whether the last round on this mesh lowered Q by little."""
+    values, length = _values(state, stage), 2 + STEPS
+    # that is no part of a round
+    if any(name == stage.prefix + "exchange" for name, _ in state.history[-length:]):
+        return False
+    return len(values) > 2 * length and values[-1] > (1 - ENOUGH) * values[-1 - length]
+
+
+def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
+    poses, targets = state.motion.poses, stage.meshes.vertices
+    # the first weights on a mesh have far to go
+    far = far or not _has(state, stage, "weights")
+    effort = FIRST_SWEEPS if far else SWEEPS
+    _LOG.info("round %d: weights", state.round + 1)
+    better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=far).body
+    state = _keep(state, better, stage, "weights")
+    _LOG.info("round %d: rest vertices", state.round + 1)
+    rest = solve_vertices(state.body, poses, targets, stage.metric)
+    state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
+    _LOG.info("round %d: joints and poses", state.round + 1)
+    state = _improve_joints(state, stage, STEPS)
+    return state._replace(round=state.round + 1)
+
+
+def _keep(state: LearnState, body: Body, stage: _Stage, step: str) -> LearnState:
+    """The state with a better body; where rounding made it worse, as it was."""
+    before = state.history[-1][1]
+    value = _value(body, state.motion.poses, stage)
+    kept = body if value <= before else state.body
+    return state._replace(body=kept, history=(*state.history, (stage.prefix + step, min(value, before))))
+
+
+def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
+    for _ in range(steps):
+        found = improve_joints(
+            state.body,
+            state.motion.poses,
+            stage.meshes.vertices,
+            stage.metric,
+            stage.curvature,
+            state.pairs,
+            state.damping,
+            state.history[-1][1],
+            given=stage.given,
+            terms=stage.terms,
+        )
+        state = state._replace(
+            body=found.body,
+            motion=Motion(found.poses, state.motion.rate),
+            damping=found.damping,
+            history=(*state.history, (stage.prefix + "joints", found.value)),
+        )
+    return state

@@ -1,0 +1,168 @@
+"""Parts made better: k-means with rigid motions, and splits and drops out of its local minima."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from ...geometry.procrustes import Moments, rigid_errors, rigid_motions
+from .agglomerate import agglomerate, merged_labels
+from .rigid_residuals import Scene, part_costs, part_moments
+from .surface import adjacency, connect, cut_patches, label_edges, membership
+from .two_bone_blend import Mixed, Motions, make_motions, mix, mix_parts
+
+#: patches of a part by which it may be split in two
+SPLIT_PATCHES = 24
+#: rounds of k-means, and how little may change for it to be done
+ROUNDS, SETTLED = 30, 1e-3
+#: how often, for each part, a drop and a split are tried
+TRIES = 1
+#: rounds in which borders of patches move, and the share of its cost for which a vertex changes over
+BORDER_ROUNDS, CLEARLY = 5, 0.5
+
+
+class State(NamedTuple):
+    """Parts as they stand."""
+
+    labels: Int[np.ndarray, "V"]
+    moments: Moments
+    motions: Motions
+    mixed: Mixed
+
+    def error(self, scene: Scene) -> float:
+        """The error of mixtures, vertices weighted by area, summed over frames."""
+        return float(scene.surface.areas @ self.mixed.errors)
+
+
+def improve_parts(scene: Scene, labels: Int[np.ndarray, "V"], count: int) -> State:
+    """K-means; then one part is dropped and another split in two, again and again, as long as both
+    together lower the error.
+
+    That error is of vertices moved by their own part mixed with one that touches it (`mixing`), as
+    any skin moves them: parts that stand for nothing but the bend of the skin around a joint give
+    way to parts that move by themselves.
+    """
+    state = _settle(scene, labels, count)
+    # of parts that have not changed; those around them count for little, and the test is the error after
+    splits: dict[bytes, tuple[float, np.ndarray]] = {}
+    refused: set[tuple[bytes, bytes]] = set()
+    for _ in range(TRIES * count if count > 2 else 0):
+        keys = [np.flatnonzero(state.labels == part).tobytes() for part in range(count)]
+        for part, key in enumerate(keys):
+            if key not in splits:
+                splits[key] = _split(scene, state, part)
+        touching = np.unique(label_edges(scene.surface, state.labels)[0], axis=0)
+        drops = [_drop(scene, state, part, touching) for part in range(count)]
+        change = np.array([cost for cost, _ in drops])[:, None] - np.array([splits[key][0] for key in keys])
+        np.fill_diagonal(change, np.inf)
+        for i, first in enumerate(keys):
+            for j, second in enumerate(keys):
+                if (first, second) in refused:
+                    change[i, j] = np.inf
+        dropped, part = np.unravel_index(np.argmin(change), change.shape)
+        least = state.error(scene)
+        if change[dropped, part] > -SETTLED * least:
+            break
+        tried = drops[dropped][1].copy()
+        tried[splits[keys[part]][1]] = dropped
+        after = _settle(scene, tried, count)
+        if after.error(scene) < (1 - SETTLED) * least:
+            state = after
+        else:
+            refused.add((keys[dropped], keys[part]))
+    return state
+
+
+def sharpen_patches(scene: Scene, patches: Int[np.ndarray, "V"]) -> Int[np.ndarray, "V"]:
+    """Patches that were cut without a look at the motion, with the vertices at their borders given
+    to the neighbour that moves them clearly better: none then lies across a joint."""
+    ring = adjacency(scene.surface)
+    rows = np.arange(len(patches))
+    for _ in range(BORDER_ROUNDS):
+        count = int(patches.max()) + 1
+        costs = part_costs(scene, *rigid_motions(part_moments(scene, patches, count)))
+        near = (ring @ membership(patches, np.ones(len(patches)), count).T).toarray() > 0
+        own = CLEARLY * costs[rows, patches]
+        reach = np.where(near, costs, np.inf)
+        reach[rows, patches] = own
+        moved = np.argmin(reach, axis=1)
+        if (moved == patches).all():
+            break
+        patches = np.unique(connect(scene.surface, moved, costs), return_inverse=True)[1]
+    return patches
+
+
+def _settle(scene: Scene, labels: np.ndarray, count: int) -> State:
+    labels, moments = _refine(scene, labels, count)
+    motions = make_motions(*rigid_motions(moments))
+    touching = np.unique(label_edges(scene.surface, labels)[0], axis=0)
+    return State(labels, moments, motions, mix_parts(scene.rest, scene.paths, labels, motions, touching))
+
+
+def _drop(scene: Scene, state: State, part: int, touching: np.ndarray) -> tuple[float, np.ndarray]:
+    """How much the error rises without a part, and the labels then: of its vertices, the greater
+    share of the best mixture of two parts around it."""
+    around = np.unique(touching[(touching == part).any(1)])
+    around = around[around != part]
+    own = np.flatnonzero(state.labels == part)
+    pairs = np.array([(a, b) for a in around for b in around if a <= b], int)
+    errors, shares = mix(scene.rest[own], scene.paths[own], state.motions, pairs)
+    best = np.argmin(errors, axis=1)
+    rows = np.arange(len(own))
+    rise = scene.surface.areas[own] @ (errors[rows, best] - state.mixed.errors[own])
+    labels = state.labels.copy()
+    labels[own] = np.where(shares[rows, best] >= 0.5, pairs[best, 0], pairs[best, 1])
+    return float(rise), labels
+
+
+def _split(scene: Scene, state: State, part: int) -> tuple[float, np.ndarray]:
+    """How much the error falls when a part becomes two, and the vertices of one of them."""
+    own = np.flatnonzero(state.labels == part)
+    patches = cut_patches(scene.surface, scene.rest, SPLIT_PATCHES, own)
+    if patches.max() < 1:
+        return 0.0, own[:0]
+    small = part_moments(scene, patches, int(patches.max()) + 1)
+    merging = agglomerate(small, label_edges(scene.surface, patches)[0])
+    half = own[merged_labels(merging, 2)[patches[own]] == 1]
+    count = len(state.motions.rotations)
+    labels = state.labels.copy()
+    labels[half] = count
+    moved = part_moments(scene, np.where(labels == part, 0, np.where(labels == count, 1, -1)), 2)
+    rotations, translations = rigid_motions(moved)
+    motions = make_motions(
+        np.concatenate([state.motions.rotations, rotations[1:]]),
+        np.concatenate([state.motions.translations, translations[1:]]),
+    )
+    motions.rotations[part], motions.translations[part] = rotations[0], translations[0]
+    motions = make_motions(motions.rotations, motions.translations)
+    touching = np.unique(label_edges(scene.surface, labels)[0], axis=0)
+    after = mix_parts(scene.rest[own], scene.paths[own], labels[own], motions, touching)
+    return float(scene.surface.areas[own] @ (state.mixed.errors[own] - after.errors)), half
+
+
+def _refine(scene: Scene, labels: np.ndarray, count: int) -> tuple[np.ndarray, Moments]:
+    """Vertices go to the part that moves them best, parts move as their vertices do (Le and Deng
+    2012), parts staying connected, until nearly nothing changes. The best labels met and their moments."""
+    ring = adjacency(scene.surface)
+    degree = np.asarray(ring.sum(1))
+    labels = connect(
+        scene.surface, labels, part_costs(scene, *rigid_motions(part_moments(scene, labels, count)))
+    )
+    best, best_moments, least = labels, part_moments(scene, labels, count), np.inf
+    for _ in range(ROUNDS):
+        moments = part_moments(scene, labels, count)
+        error = rigid_errors(moments).sum()
+        if error < least:
+            done = error > (1 - SETTLED / 10) * least
+            best, best_moments, least = labels, moments, error
+            if done:
+                break
+        else:
+            break
+        costs = part_costs(scene, *rigid_motions(moments))
+        # a vertex and its neighbours decide together, which keeps the borders short
+        smooth = 0.5 * costs + 0.5 * (ring @ costs) / np.maximum(degree, 1)
+        labels = connect(scene.surface, np.argmin(smooth, axis=1), smooth)
+        if len(np.unique(labels)) < count:
+            break
+    return best, best_moments

@@ -1,0 +1,94 @@
+"""The motions of bones under a skin that mixes them, two at every vertex."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...geometry.linear import solve_symmetric
+from ...geometry.procrustes import Moments, group_moments, rigid_motions
+from .rigid_residuals import Scene
+from .surface import label_edges, membership
+from .two_bone_blend import Mixed, Motions, carried_sums, make_motions, mix_parts, with_one
+
+#: rounds of shares, rest vertices and motions: later ones fit better, by bones that come apart at the joints
+ROUNDS = 3
+
+
+class Unmixed(NamedTuple):
+    """Two-bone skinning of a moving surface."""
+
+    motions: Motions
+    mixed: Mixed
+    rest: Float[np.ndarray, "V 3"]
+
+
+def unmix(scene: Scene, labels: Int[np.ndarray, "V"], motions: Motions) -> Unmixed:
+    """Rigid motions freed of what the skin around the joints mixes into them.
+
+    The best rigid motion of all vertices of a part is drawn towards its neighbours by the vertices
+    that move with both. In turn: each vertex's share in its own part and in one that touches it;
+    its rest position; and each part's motion, in closed form by Procrustes from what the other
+    part leaves of its vertices (Le and Deng 2012, section 4). Each of them lowers the error.
+    """
+    touching = np.unique(label_edges(scene.surface, labels)[0], axis=0)
+    rest = scene.rest
+    mixed = mix_parts(rest, scene.paths, labels, motions, touching)
+    for _ in range(ROUNDS):
+        rest = _rest_vertices(scene, labels, motions, mixed)
+        motions = _bone_motions(scene, rest, labels, motions, mixed)
+        mixed = mix_parts(rest, scene.paths, labels, motions, touching)
+    return Unmixed(motions, mixed, rest)
+
+
+def _rest_vertices(scene: Scene, labels: np.ndarray, motions: Motions, mixed: Mixed) -> np.ndarray:
+    """The least squares of `M p + m = x` over the frames, `[M m]` the mixture at the vertex."""
+    count, frames = motions.translations.shape[:2]
+    rows = np.arange(len(labels))
+    w = mixed.shares[:, None]
+    sums = carried_sums(scene.paths, motions, np.arange(count))
+    carried = w * sums[rows, labels] + (1 - w) * sums[rows, mixed.partners]
+    cross = motions.products[labels, mixed.partners]
+    w = w[:, :, None]
+    both = w**2 * motions.products[labels, labels]
+    both = both + (1 - w) ** 2 * motions.products[mixed.partners, mixed.partners]
+    both = both + w * (1 - w) * (cross + cross.swapaxes(1, 2))
+    # opposite turns can leave a direction open, in which the vertex stays
+    ridge = 1e-6 * frames * np.eye(3)
+    right = carried[:, :3] - both[:, :3, 3] + 1e-6 * frames * scene.rest
+    return solve_symmetric(both[:, :3, :3] + ridge, right)
+
+
+def _bone_motions(
+    scene: Scene, rest: np.ndarray, labels: np.ndarray, motions: Motions, mixed: Mixed
+) -> Motions:
+    """Part by part, the best rigid motion given those of all others."""
+    count = len(motions.rotations)
+    areas, shares, partners = scene.surface.areas, mixed.shares, mixed.partners
+    alone = partners == labels
+    others = np.where(alone, 0.0, 1 - shares)
+    first = membership(labels, areas * shares, count)
+    moments = group_moments(first + membership(partners, areas * others, count), rest, scene.paths)
+    weights = membership(labels, areas * shares**2, count) + membership(partners, areas * others**2, count)
+    mass, source = np.asarray(weights.sum(1)).ravel(), weights @ rest
+    whole = with_one(rest)
+    outer = (areas * shares * others)[:, None, None] * whole[:, :, None] * whole[:, None, :]
+    overlap = np.zeros((count, count, 4, 4))
+    np.add.at(overlap, (labels, partners), outer)
+    overlap = overlap + overlap.swapaxes(0, 1)
+    affine = np.concatenate([motions.rotations, motions.translations[..., None]], -1)
+    for part in range(count):
+        if mass[part] <= 0:
+            continue
+        near = np.flatnonzero(overlap[part, :, 3, 3] > 0)
+        taken = np.einsum("ofab,obc->fac", affine[near], overlap[part, near])
+        left = Moments(
+            mass[part],
+            source[part],
+            moments.target[part] - taken[:, :, 3],
+            moments.source_square[part],
+            moments.target_square[part],
+            moments.cross[part] - taken[:, :, :3],
+        )
+        affine[part, :, :, :3], affine[part, :, :, 3] = rigid_motions(left)
+    return make_motions(affine[..., :3].copy(), affine[..., 3].copy())

@@ -1,0 +1,131 @@
+"""Bones as they move, and where those meet that had no joint between them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...body.pose import Pose
+from ...body.skeleton import Skeleton
+from ...geometry import rotation
+from ..parts.surface import Surface
+from .centres import Seams, find_centres, find_seams
+from .pose_from_parts import world_motions
+from .tree import least_tree
+
+#: share of the body's diagonal within which a joint that hangs on another bone may move
+REACH = 0.03
+#: share of a joint's gap that the gap of another has to be below to take its place
+CLEARLY = 0.8
+
+
+class Bones(NamedTuple):
+    """World motions of J bones in F frames, without the poses' scale, which learning leaves at one."""
+
+    rotations: Float[np.ndarray, "F J 3 3"]
+    translations: Float[np.ndarray, "F J 3"]
+
+
+def bone_motions(skeleton: Skeleton, poses: Pose) -> Bones:
+    """Where the bones are in every frame; in NumPy, as trees of other joints would each be compiled anew."""
+    local = np.asarray(_matrices(poses.rotations), float).swapaxes(0, 1)
+    shifts = np.asarray(poses.translations, float).swapaxes(0, 1)
+    centres = np.asarray(skeleton.centres, float)
+    found = world_motions(centres, np.array(skeleton.parents), local, shifts)
+    return Bones(*(part.swapaxes(0, 1) for part in found))
+
+
+def hang_children(
+    skeleton: Skeleton, bones: Bones, joint: int, rest: Float[np.ndarray, "V 3"]
+) -> dict[int, tuple[int, Float[np.ndarray, "3"], float]]:
+    """On which bone, and where, each child of a joint hangs once that is gone, and the root mean
+    square gap there, metres: the tree with the least gaps."""
+    parent, centres = skeleton.parents[joint], np.asarray(skeleton.centres, float)
+    children = [j for j, above in enumerate(skeleton.parents) if above == joint]
+    if not children:
+        return {}
+    size = float(np.linalg.norm(np.ptp(rest, axis=0)))
+    ends = [parent, *children]
+    places = [centres[joint], *centres[children]]
+    picked = [(a, b) for a in range(len(ends)) for b in range(a + 1, len(ends))]
+    rows = [
+        (
+            ends[a],
+            ends[b],
+            (places[a] + places[b]) / 2,
+            max(float(np.linalg.norm(places[a] - places[b])) / 2, REACH * size),
+        )
+        for a, b in picked
+    ]
+    points, gaps = common_points(rows, bones, size)
+    edges = least_tree(gaps, np.array(picked), len(ends))
+    return {
+        ends[child]: (ends[above], points[edge], float(gaps[edge]))
+        for child, above, edge in _outwards(edges, picked)
+    }
+
+
+def hang_joint(
+    skeleton: Skeleton,
+    bones: Bones,
+    labels: Int[np.ndarray, "V"],
+    surface: Surface,
+    rest: Float[np.ndarray, "V 3"],
+) -> tuple[tuple[int, int, Float[np.ndarray, "3"]], ...]:
+    """Where a new bone hangs, the last one of `bones` and `labels`, and what hangs on it: rows of
+    joint, parent and centre.
+
+    Of the joints there are and of those that may be between the new bone and what it touches, the
+    tree with the least gaps; a joint that there is has to be clearly worse than a new one to go.
+    """
+    count, size = skeleton.num_joints, float(np.linalg.norm(np.ptp(rest, axis=0)))
+    centres = np.asarray(skeleton.centres, float)
+    reach = REACH * size
+    old = [(joint, parent) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
+    rows = [(parent, joint, centres[joint], reach) for joint, parent in old]
+    # bones without vertices touch nothing
+    shown, places = np.unique(labels, return_inverse=True)
+    seams = find_seams(surface, places, rest, len(shown))
+    rows += [
+        (int(shown[first]), count, seams.middles[row], seams.radii[row])
+        for row, (first, second) in enumerate(seams.pairs)
+        if shown[second] == count
+    ]
+    points, gaps = common_points(rows, bones, size)
+    costs = np.where(np.arange(len(rows)) < len(old), CLEARLY * gaps, gaps)
+    edges = least_tree(costs, np.array([row[:2] for row in rows]), count + 1)
+    # a joint that only turned round stays where it was
+    return tuple(
+        (child, above, points[edge] if edge >= len(old) else rows[edge][2])
+        for child, above, edge in _outwards(edges, [row[:2] for row in rows])
+        if edge >= len(old) or skeleton.parents[child] != above
+    )
+
+
+def _outwards(edges: Sequence[int], pairs: Sequence[tuple]) -> list[tuple[int, int, int]]:
+    """Child, parent and edge, from node 0 on along the edges of a tree."""
+    found, reached, seen = [], [0], {0}
+    while reached:
+        here = reached.pop()
+        for edge in edges:
+            first, second = pairs[edge]
+            other = second if first == here else first if second == here else 0
+            if other not in seen:
+                seen.add(other)
+                reached.append(other)
+                found.append((other, here, edge))
+    return found
+
+
+def common_points(rows: Sequence[tuple], bones: Bones, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of rows (bone, bone, prior middle, radius): the points that both move alike, and the gaps."""
+    first, second, middles, radii = zip(*rows, strict=True)
+    none = np.zeros(len(rows))
+    seams = Seams(np.stack([first, second], 1), np.stack(middles), np.array(radii), none, none)
+    found = find_centres(seams, bones.rotations, bones.translations, size)
+    return found.points, found.residuals
+
+
+_matrices = jax.jit(rotation.to_matrix)

@@ -1,0 +1,73 @@
+"""How well bones, blended linearly, follow vertices whose rest positions stay."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...body.body import Body
+from ...geometry.laplacian import vertex_adjacency
+from ..skeleton.reparent import Bones
+from ..weights.simplex import simplex_least_squares
+
+#: so many problems are solved at a time, with a multiple of so many columns: few shapes are compiled
+BATCH, WIDTH = 2048, 8
+
+
+def bones_around(body: Body) -> list[list[int]]:
+    """For each bone those near it in the tree, up to two joints away, and on the surface."""
+    parents, labels = np.array(body.skeleton.parents), np.asarray(body.skin.parts())
+    near = np.eye(len(parents), dtype=bool)
+    below = np.flatnonzero(parents >= 0)
+    near[below, parents[below]] = near[parents[below], below] = True
+    near = near @ near
+    first, second = vertex_adjacency(np.asarray(body.faces), len(labels)).tocoo().coords
+    near[labels[first], labels[second]] = True
+    np.fill_diagonal(near, False)
+    return [np.flatnonzero(row).tolist() for row in near]
+
+
+def blend_grams(
+    bones: Bones,
+    columns: list[int],
+    rest: Float[np.ndarray, "C 3"],
+    goals: Float[np.ndarray, "F C 3"],
+    width: int,
+) -> Float[np.ndarray, "C K K"]:
+    """Products of the vertices' distances from their goals, bone by bone; columns filled up to `width`."""
+    frames, count = len(goals), len(columns)
+    flat = bones.rotations[:, columns].transpose(3, 1, 0, 2).reshape(3, -1)
+    images = (rest @ flat).reshape(len(rest), count, frames, 3)
+    apart = images + (bones.translations[:, columns].swapaxes(0, 1) - goals.swapaxes(0, 1)[:, None])
+    apart = apart.reshape(len(rest), count, 3 * frames)
+    room = width - count
+    return np.pad(apart @ apart.swapaxes(1, 2), ((0, 0), (0, room), (0, room)))
+
+
+def fit_blends(
+    grams: Float[np.ndarray, "C K K"], real: Bool[np.ndarray, "C K"]
+) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C K"]]:
+    """The least squares over the simplex, and the weights, of the real columns."""
+    count, columns = real.shape
+    room = -columns % WIDTH
+    wide = np.pad(grams, ((0, 0), (0, room), (0, room)))
+    real = np.pad(real, ((0, 0), (0, room)))
+    parts = [
+        _fit(wide[first : first + BATCH], real[first : first + BATCH]) for first in range(0, count, BATCH)
+    ]
+    weights = np.concatenate(parts)[:, :columns]
+    return np.einsum("ck,ckl,cl->c", weights, grams, weights), weights
+
+
+def _fit(grams: Float[np.ndarray, "C K K"], real: Bool[np.ndarray, "C K"]) -> Float[np.ndarray, "C K"]:
+    """The weights of at most `BATCH` problems."""
+    own = np.where(real, np.einsum("ckk->ck", grams), np.inf)
+    start = np.eye(grams.shape[1])[np.argmin(own, 1)]
+    size = np.maximum(own.min(1), 1e-12)[:, None, None]
+    room = BATCH - len(grams)
+    filled = [
+        np.concatenate([array, np.broadcast_to(array[:1], (room, *array.shape[1:]))])
+        for array in (grams / size, start, real)
+    ]
+    scaled, begin, free = (jnp.asarray(array) for array in filled)
+    weights = simplex_least_squares(scaled, jnp.zeros(begin.shape), begin, free)
+    return np.asarray(weights, float)[: len(grams)]

@@ -1,0 +1,165 @@
+"""Bones that are missing: what a body would gain by one joint more."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...body.body import Body
+from ...body.pose import Pose
+from ...geometry.procrustes import group_moments, rigid_motions
+from ..parts.surface import Surface, cut_patches, label_edges, make_surface, membership
+from ..skeleton.reparent import Bones, bone_motions, hang_joint
+from .blend_fit import blend_grams, bones_around, fit_blends
+from .skeleton_edit import Split
+
+#: patches that are tried as the seed of a bone, and how many of them go on
+PATCHES, SEEDS = 256, 12
+#: the least number of vertices that make a bone
+LEAST = 8
+#: rounds in which a new bone and its vertices are found by turns
+ROUNDS = 3
+#: share of the new bone in a vertex from which it is one that tells its motion; from which it counts at all
+CORE, TOUCHED = 0.5, 0.1
+
+
+class _Seed(NamedTuple):
+    """A bone in the making: how it moves, and the patches about it."""
+
+    motion: Bones
+    patches: Int[np.ndarray, "N"]
+
+
+class _Fit(NamedTuple):
+    """What it would do to the vertices there."""
+
+    gain: float
+    vertices: Int[np.ndarray, "C"]
+    #: bones of the columns, the new one first
+    columns: list[int]
+    weights: Float[np.ndarray, "C K"]
+
+
+class _Scene(NamedTuple):
+    rest: Float[np.ndarray, "V 3"]
+    #: (F, V, 3)
+    goals: Float[np.ndarray, "F V 3"]
+    bones: Bones
+    labels: Int[np.ndarray, "V"]
+    around: list[list[int]]
+    surface: Surface
+    patches: Int[np.ndarray, "V"]
+    #: (P, P) which patches touch, each itself
+    touching: np.ndarray
+
+
+def find_splits(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
+    """New bones that would be worth most, each apart from the others, by what they gain.
+
+    Every patch of the surface is tried as a bone of its own: it moves as its own vertices do most
+    nearly, and those nearby are blended, linearly, of it and the bones around by least squares over
+    the simplex. What that leaves less than the bones around alone is its gain: the same measure by
+    which bones are given up (`find_removals`). The best are then made better: the vertices that a
+    new bone gets tell how it moves. It hangs where its motion has a point in common with another's.
+    """
+    scene = _scene(body, poses, targets)
+    number = len(scene.touching)
+    if number < 2:
+        return []
+    motions = _motions(scene, membership(scene.patches, np.ones(len(scene.rest)), number))
+    seeds = [
+        _Seed(Bones(motions.rotations[:, [p]], motions.translations[:, [p]]), np.flatnonzero(near))
+        for p, near in enumerate(scene.touching)
+    ]
+    fits = _fits(scene, seeds)
+    chosen: list[int] = []
+    for patch in np.argsort([-fit.gain for fit in fits]):
+        if len(chosen) < SEEDS and not scene.touching[patch, chosen].any():
+            chosen.append(int(patch))
+    wide = scene.touching @ scene.touching
+    seeds = [seeds[patch]._replace(patches=np.flatnonzero(wide[patch])) for patch in chosen]
+    for _ in range(ROUNDS):
+        fits = _fits(scene, seeds)
+        seeds = [_follow_own(scene, seed, fit) for seed, fit in zip(seeds, fits, strict=True)]
+    splits = [_split(body, scene, seed, fit) for seed, fit in zip(seeds, _fits(scene, seeds), strict=True)]
+    return sorted((split for split in splits if split is not None), key=lambda split: -split.gain)
+
+
+def _scene(body: Body, poses: Pose, targets) -> _Scene:
+    rest, goals = np.asarray(body.vertices, float), np.asarray(targets, float)
+    surface = make_surface(rest, rest[None], np.asarray(body.faces))
+    patches = cut_patches(surface, rest, max(1, min(PATCHES, len(rest) // LEAST)))
+    number = int(patches.max()) + 1
+    touching = np.eye(number, dtype=bool)
+    pairs = label_edges(surface, patches)[0]
+    touching[pairs[:, 0], pairs[:, 1]] = touching[pairs[:, 1], pairs[:, 0]] = True
+    bones, labels = bone_motions(body.skeleton, poses), np.asarray(body.skin.parts())
+    return _Scene(rest, goals, bones, labels, bones_around(body), surface, patches, touching)
+
+
+def _motions(scene: _Scene, groups) -> Bones:
+    rotations, translations = rigid_motions(group_moments(groups, scene.rest, scene.goals.swapaxes(0, 1)))
+    return Bones(rotations.swapaxes(0, 1), translations.swapaxes(0, 1))
+
+
+def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
+    """All seeds fitted at once."""
+    count = scene.bones.rotations.shape[1]
+    places = [np.flatnonzero(np.isin(scene.patches, seed.patches)) for seed in seeds]
+    columns = []
+    for own in places:
+        owner = int(np.argmax(np.bincount(scene.labels[own])))
+        columns.append([count, *sorted({owner, *scene.around[owner], *scene.labels[own].tolist()})])
+    width = -(-max(len(row) for row in columns) // 4) * 4
+    grams = [
+        blend_grams(_with(scene.bones, seed.motion), row, scene.rest[own], scene.goals[:, own], width)
+        for seed, row, own in zip(seeds, columns, places, strict=True)
+    ]
+    owner = np.repeat(np.arange(len(seeds)), [len(own) for own in places])
+    real = np.arange(width) < np.array([len(row) for row in columns])[owner, None]
+    grams = np.concatenate(grams)
+    whole, weights = fit_blends(grams, real)
+    real[:, 0] = False
+    lost, _ = fit_blends(grams, real)
+    gains = np.bincount(owner, np.maximum(lost - whole, 0.0), len(seeds))
+    return [
+        _Fit(float(gain), own, row, weights[owner == number, : len(row)])
+        for number, (gain, own, row) in enumerate(zip(gains, places, columns, strict=True))
+    ]
+
+
+def _with(bones: Bones, motion: Bones) -> Bones:
+    both = zip(bones, motion, strict=True)
+    return Bones(*(np.concatenate(pair, 1) for pair in both))
+
+
+def _follow_own(scene: _Scene, seed: _Seed, fit: _Fit) -> _Seed:
+    """The seed with the motion of the vertices that are mostly its own."""
+    core = fit.weights[:, 0] > CORE
+    if core.sum() < LEAST:
+        return seed
+    weights = np.zeros((1, len(scene.rest)))
+    weights[0, fit.vertices[core]] = fit.weights[core, 0]
+    return seed._replace(motion=_motions(scene, weights))
+
+
+def _split(body: Body, scene: _Scene, seed: _Seed, fit: _Fit) -> Split | None:
+    touched = fit.weights[:, 0] > TOUCHED
+    core = fit.vertices[fit.weights[:, 0] > CORE]
+    if len(core) < LEAST:
+        return None
+    count = body.skeleton.num_joints
+    shares = np.zeros((int(touched.sum()), count + 1))
+    shares[:, fit.columns] = fit.weights[touched]
+    labels = scene.labels.copy()
+    labels[core] = count
+    # free of the joints, as those may be wrong
+    sizes = np.bincount(labels, minlength=count + 1)
+    free = _motions(scene, membership(labels, np.ones(len(labels)), count + 1))
+    bones = _with(scene.bones, seed.motion)
+    for field, own in zip(bones, free, strict=True):
+        field[:, sizes >= LEAST] = own[:, sizes >= LEAST]
+    hung = hang_joint(body.skeleton, bones, labels, scene.surface, scene.rest)
+    owner = int(np.argmax(np.bincount(scene.labels[core])))
+    rotations, translations = (field[:, [owner, count]] for field in bones)
+    return Split(owner, fit.gain, fit.vertices[touched], shares, rotations, translations, hung)

@@ -1,0 +1,63 @@
+"""What a body would lose without one of its joints."""
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...body.body import Body
+from ...body.pose import Pose
+from ..skeleton.reparent import Bones, bone_motions, hang_children
+from .blend_fit import blend_grams, bones_around, fit_blends
+from .skeleton_edit import Removal
+
+#: share of a bone in a vertex from which it counts
+TOUCHED = 0.02
+
+
+def find_removals(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Removal]:
+    """Every joint but the root dissolved into the bones around it, the cheapest first.
+
+    A vertex that the bone moved is blended of the bones around instead, linearly, by least squares
+    over the simplex; the cost is what that leaves more than the same blend with the bone. Where children then hang with a gap, their own vertices pay for it.
+    """
+    skeleton = body.skeleton
+    influence = np.asarray(body.skin.influence(skeleton.num_joints), float)
+    rest, goals = np.asarray(body.vertices, float), np.asarray(targets, float)
+    bones = bone_motions(skeleton, poses)
+    joints = [joint for joint, parent in enumerate(skeleton.parents) if parent >= 0]
+    near = bones_around(body)
+    around = [near[joint] for joint in joints]
+    chosen = [np.flatnonzero(influence[:, joint] > TOUCHED) for joint in joints]
+    width = max((len(row) for row in around), default=0) + 1
+    grams = np.concatenate(
+        [np.zeros((0, width, width))]
+        + [
+            blend_grams(bones, [joint, *others], rest[own], goals[:, own], width)
+            for joint, others, own in zip(joints, around, chosen, strict=True)
+        ]
+    )
+    if len(grams) == 0:
+        return []
+    owner = np.repeat(np.arange(len(joints)), [len(own) for own in chosen])
+    real = np.arange(width) <= np.array([len(row) for row in around])[owner, None]
+    whole, _ = fit_blends(grams, real)
+    real[:, 0] = False
+    lost, weights = fit_blends(grams, real)
+    rise = np.bincount(owner, np.maximum(lost - whole, 0.0), len(joints))
+    return sorted(
+        (
+            _removal(body, bones, rest, joint, others, own, weights[owner == row], float(rise[row]))
+            for row, (joint, others, own) in enumerate(zip(joints, around, chosen, strict=True))
+        ),
+        key=lambda removal: removal.cost,
+    )
+
+
+def _removal(body: Body, bones: Bones, rest, joint, others, own, weights, rise: float) -> Removal:
+    skeleton = body.skeleton
+    shares = np.zeros((len(own), skeleton.num_joints))
+    shares[:, others] = weights[:, 1 : 1 + len(others)]
+    hung = hang_children(skeleton, bones, joint, rest)
+    counts = np.bincount(np.asarray(body.skin.parts()), minlength=skeleton.num_joints)
+    frames = len(bones.rotations)
+    gaps = sum(frames * float(counts[child]) * gap**2 for child, (_, _, gap) in hung.items())
+    return Removal(joint, rise + gaps, own, shares)

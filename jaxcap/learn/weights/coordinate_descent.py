@@ -1,0 +1,120 @@
+"""One sweep of block coordinate descent over the vertices of a body, a colour at a time."""
+
+import functools
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ...body.body import Body, deform_all
+from ...body.pose import Pose
+from ...geometry.laplacian import Conformance, laplacian
+from .linear_weights import Blends, Parts
+from .swing_twist_weights import LENDERS, Slides
+
+
+class Field(NamedTuple):
+    """Errors of all vertices and the Laplacians of the errors, metres, frames last."""
+
+    errors: Float[Array, "V 3 F"]
+    rough: Float[Array, "V 3 F"]
+
+
+class Swept(NamedTuple):
+    """Weights after a sweep, the field that belongs to them, and which vertices have changed."""
+
+    rows: Any
+    field: Field
+    changed: Bool[Array, "V"]
+
+
+@eqx.filter_jit
+def error_field(body: Body, poses: Pose, targets: Float[Array, "F V 3"], metric: Conformance) -> Field:
+    """The field of a body in its poses."""
+    errors = jnp.transpose(targets - deform_all(body, poses), (1, 2, 0))
+    return Field(errors, laplacian(metric, errors.reshape(len(errors), -1)).reshape(errors.shape))
+
+
+@jax.jit
+def field_energy(field: Field, metric: Conformance) -> Float[Array, ""]:
+    """Q (Adaptation, eq. 3.19), squared metres."""
+    return jnp.sum(field.errors**2) + metric.alpha * jnp.sum(field.rough**2)
+
+
+def soften(metric: Conformance, share: float) -> Conformance:
+    """The metric with a share of its weight on shape."""
+    softer = share * metric.alpha, 1.0 + share * (metric.diagonal - 1.0)
+    return eqx.tree_at(lambda m: (m.alpha, m.diagonal), metric, softer)
+
+
+@functools.partial(jax.jit, donate_argnames="field")
+def sweep(
+    chooser: Slides | Blends | Parts,
+    rows,
+    field: Field,
+    rest: Float[Array, "V 3"],
+    metric: Conformance,
+    blocks: Int[Array, "B C"],
+    slide: Float[Array, ""],
+    reach: Float[Array, ""],
+    count: Int[Array, ""],
+    turn: Int[Array, ""],
+) -> Swept:
+    """Let the vertices of every block choose their weights, block after block.
+
+    **Arguments:** `rows` the weights of all vertices in the form of the `chooser`; `blocks`
+    vertices of which no two meet in the metric, padded with V; `slide`, `reach`, `count` as in
+    `Slides.choose`; `turn` says which neighbours lend their weights. `field` is used up.
+    """
+    total = len(rest)
+    real = metric.neighbours != jnp.arange(total)[:, None]
+    shares = metric.shares[:, None, None]
+    slots = range(metric.neighbours.shape[1])
+    # what is gained below this is rounding
+    least = 100 * jnp.finfo(rest.dtype).eps
+
+    def visit(carry, block):
+        rows, field, changed = carry
+        here = jnp.minimum(block, total - 1)
+        ring, own = metric.neighbours[here], real[here]
+        inside = jnp.where(shares[here] > 0, 1.0, 0.0).astype(rest.dtype)
+        back = inside * field.rough[here]
+        for i in slots:
+            near = ring[:, i]
+            back = back - jnp.where(own[:, i, None, None], shares[near] * field.rough[near], 0.0)
+        weight = metric.diagonal[here][:, None, None]
+        aims = (field.errors[here] + metric.alpha * back) / weight
+        take = lambda at: jax.tree.map(lambda row: row[at], rows)  # noqa: E731
+        lent = [take(jnp.take(ring, (turn + i) % len(slots), axis=1)) for i in range(LENDERS)]
+        new, shift, gain = chooser.choose(take(here), lent, rest[here], aims, slide, reach, count)
+        better = (block < total) & (gain > least * jnp.sum(aims**2, (1, 2)))
+        put = jnp.where(better, block, total)
+        rows = jax.tree.map(lambda row, fresh: row.at[put].set(fresh, mode="drop"), rows, new)
+        errors = field.errors.at[put].add(-shift, mode="drop")
+        rough = field.rough.at[put].add(-inside * shift, mode="drop")
+        for i in slots:
+            near = jnp.where(better & own[:, i], ring[:, i], total)
+            rough = rough.at[near].add(shares[ring[:, i]] * shift, mode="drop")
+        return (rows, Field(errors, rough), changed.at[put].set(True, mode="drop")), None
+
+    return Swept(*jax.lax.scan(visit, (rows, field, jnp.zeros(total, bool)), blocks)[0])
+
+
+def make_blocks(
+    colours: Int[np.ndarray, "V"], active: Bool[np.ndarray, "V"], order: Int[np.ndarray, "V"]
+) -> Int[np.ndarray, "B C"]:
+    """The active vertices in their order, a colour a row, padded with V to one of a few lengths."""
+    order = order[active[order]]
+    order = order[np.argsort(colours[order], kind="stable")]
+    number = int(colours.max()) + 1
+    sizes = np.bincount(colours[order], minlength=number)
+    width = int(np.bincount(colours).max())
+    while width // 4 >= max(int(sizes.max()), 8):
+        width //= 4
+    blocks = np.full((number, width), len(colours), np.int32)
+    starts = np.cumsum(sizes) - sizes
+    blocks[colours[order], np.arange(len(order)) - starts[colours[order]]] = order
+    return blocks

@@ -1,0 +1,305 @@
+"""Swing-twist weights of single vertices: slide along the chain, swing weights exact for each slide.
+
+For given twist weights a vertex is linear in its swing weights, so these are a least-squares
+problem over the simplex. Twist weights come as candidates (Adaptation, 3.2.2): slid towards and
+from each child of the base, past the base's joint to its parent, past a child to its children,
+and, what the thesis does not have, where Gauss-Newton in swing and twist together sends them,
+which ends in a few sweeps what slides alone approach by ever smaller steps.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ...body.joint_swing_twist import split_joints
+from ...body.kinematics import forward_kinematics
+from ...body.pose import Pose
+from ...body.skeleton import Skeleton
+from ...body.skin import SwingTwistSkin
+from .simplex import simplex_least_squares
+
+#: candidates that are not slides: the twists as they are, and two lengths of the Gauss-Newton step
+STEPS = (0.0, 1.0, 0.5)
+#: neighbours on the surface of which the twists are tried
+LENDERS = 2
+
+
+class SlideRows(eqx.Module):
+    """Weights of vertices as short rows: slot `k` belongs to the base's `k`-th child."""
+
+    bases: Int[Array, "V"]
+    swing: Float[Array, "V K"]
+    twist: Float[Array, "V K"]
+
+
+class Slides(eqx.Module):
+    """All that the choice of swing-twist weights needs of skeleton and poses, frames last."""
+
+    #: children of each bone, padded with J
+    children: Int[Array, "J K"]
+    #: where weights slide when they pass a joint: the next base, the slot there; padded with -1
+    passes: Int[Array, "J M 2"]
+    #: whether that is the way up, to the parent
+    upward: Bool[Array, "J M"]
+    #: row J moves nothing
+    twists: Float[Array, "I 8 F"]
+    swings: Float[Array, "I 12 F"]
+    rotations: Float[Array, "J 9 F"]
+    translations: Float[Array, "J 3 F"]
+    scales: Float[Array, "F"]
+
+    @property
+    def num_candidates(self) -> int:
+        return len(STEPS) + LENDERS + 2 * self.children.shape[1] + self.passes.shape[1]
+
+    def choose(
+        self,
+        rows: SlideRows,
+        lent: list[SlideRows],
+        rest: Float[Array, "C 3"],
+        aims: Float[Array, "C 3 F"],
+        slide: Float[Array, ""],
+        reach: Float[Array, ""],
+        count: Int[Array, ""],
+    ) -> tuple[SlideRows, Float[Array, "C 3 F"], Float[Array, "C"]]:
+        """The best of the first `count` candidates for each vertex, how far it moves the vertex,
+        and by how much it lowers the squared distance to the aim.
+
+        **Arguments:** `lent` the rows of neighbours; `rest` vertices, metres; `aims` from where the vertices are to where they
+        should be; `slide` the length of slides; `reach` by which aims are stretched when weights
+        are solved for; which are best is judged by the aims themselves.
+        """
+        here = self._place(rows, rest)
+        goal, far = here + aims, here + reach * aims
+        bases, twists = self._candidates(rows, lent, rest, far, slide)
+
+        def compare(i, best):
+            chosen, place, cost = best
+            tried = SlideRows(bases[i], jnp.zeros_like(rows.swing), twists[i])
+            tried, where, left = self._fit_swing(tried, rest, goal, far)
+            better = left < cost
+            pick = lambda a, b: jnp.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)  # noqa: E731
+            return jax.tree.map(pick, tried, chosen), pick(where, place), jnp.where(better, left, cost)
+
+        before = jnp.sum(aims**2, (1, 2))
+        chosen, place, cost = jax.lax.fori_loop(0, count, compare, (rows, here, before))
+        return self._settle(chosen), place - here, before - cost
+
+    def _fit_swing(self, rows: SlideRows, rest, goal, far):
+        """The swing weights that bring the vertices nearest to `far`, their places, and the
+        squared distances to `goal` there."""
+        twisted, swung = self._images(rows, rest)
+        gap = self._into_base(rows.bases, far) - twisted
+        swing = _nearest(swung, gap * self.scales**2, self.scales**2, self._real(rows.bases))
+        place = self._into_world(rows.bases, twisted + jnp.einsum("ck,ckaf->caf", swing, swung))
+        return SlideRows(rows.bases, swing, rows.twist), place, jnp.sum((goal - place) ** 2, (1, 2))
+
+    def _candidates(self, rows: SlideRows, lent: list[SlideRows], rest, far, slide):
+        """Bases (N, C) and twist weights (N, C, K)."""
+        step = self._newton(rows, rest, far) - rows.twist
+        bases = [rows.bases] * len(STEPS) + [row.bases for row in lent]
+        bases += [rows.bases] * (2 * self.children.shape[1])
+        twists = [rows.twist + share * step for share in STEPS] + [row.twist for row in lent]
+        slots = jnp.eye(self.children.shape[1], dtype=rows.twist.dtype)
+        real = self._real(rows.bases)
+        for slot in slots:
+            towards = jnp.minimum(rows.twist + slide * slot, 1.0)
+            others = jnp.sum(towards * (1 - slot), 1, keepdims=True)
+            room = 1.0 - jnp.sum(towards * slot, 1, keepdims=True)
+            squeeze = jnp.minimum(1.0, room / jnp.where(others > 0, others, 1.0))
+            towards = towards * jnp.where(slot > 0, 1.0, squeeze)
+            twists += [jnp.where(real, towards, 0.0), jnp.maximum(rows.twist - slide * slot, 0.0)]
+        for i in range(self.passes.shape[1]):
+            base, slot = self.passes[rows.bases, i, 0], self.passes[rows.bases, i, 1]
+            weight = jnp.where(self.upward[rows.bases, i], 1.0 - slide, slide)
+            open_to = base >= 0
+            bases.append(jnp.where(open_to, base, rows.bases))
+            twists.append(jnp.where(open_to[:, None], weight[:, None] * slots[slot], rows.twist))
+        return jnp.stack(bases), jnp.stack(twists)
+
+    def _newton(self, rows: SlideRows, rest, far) -> Float[Array, "C K"]:
+        """Twist weights after a step of Gauss-Newton in swing and twist together."""
+        twisted, swung = self._images(rows, rest)
+        slopes = self._slopes(rows, rest)
+        motions = self.swings[self.children[rows.bases]]
+        # what the swings do to a shift of the twisted vertex: blended rotation
+        blend = jnp.einsum("ck,ckmf->cmf", rows.swing, motions - self.swings[-1])
+        slopes = slopes + jnp.stack(
+            [sum(blend[:, None, 4 * a + b] * slopes[:, :, b] for b in range(3)) for a in range(3)], 2
+        )
+        gap = self._into_base(rows.bases, far) - twisted - jnp.einsum("ck,ckaf->caf", rows.swing, swung)
+        now = jnp.concatenate([rows.twist, rows.swing], 1)
+        columns = jnp.concatenate([slopes, swung], 1)
+        gap = gap + jnp.einsum("ck,ckaf->caf", now, columns)
+        real = self._real(rows.bases)
+        count = real.shape[1]
+        groups = tuple(i // count for i in range(2 * count))
+        solved = _nearest(
+            columns, gap * self.scales**2, self.scales**2, jnp.concatenate([real, real], 1), now, groups
+        )
+        return solved[:, :count]
+
+    def _images(self, rows: SlideRows, rest):
+        """In the frame of the base at rest: the twisted vertices (C, 3, F), and how far each
+        child's whole swing would take them (C, K, 3, F)."""
+        children = self.children[rows.bases]
+        twisted = _move(self._blend(rows)[0], rest)
+        swings = (self.swings - self.swings[-1])[children]
+        swung = jnp.stack(
+            [
+                sum(swings[:, :, 4 * a + b] * twisted[:, None, b] for b in range(3)) + swings[:, :, 4 * a + 3]
+                for a in range(3)
+            ],
+            2,
+        )
+        return twisted, swung
+
+    def _slopes(self, rows: SlideRows, rest) -> Float[Array, "C K 3 F"]:
+        """How the twisted vertices move with the twist weights."""
+        blend, motions, still = self._blend(rows)
+
+        def along(k):
+            return jax.jvp(lambda d: _move(d, rest), (blend,), (motions[:, k] - still,))[1]
+
+        return jnp.stack([along(k) for k in range(motions.shape[1])], 1)
+
+    def _blend(self, rows: SlideRows):
+        """The sum of weighted twists (C, 8, F), and the twists (C, K, 8, F) and the neutral motion
+        (C, 8, F) with the signs that they have in it."""
+        motions, neutral = self.twists[self.children[rows.bases]], 1.0 - jnp.sum(rows.twist, 1)
+        first, signs = _signs(rows.twist, neutral, motions[:, :, :4])
+        motions, still = signs[:, :, None] * motions, first[:, None] * self.twists[-1]
+        blend = jnp.einsum("ck,ckdf->cdf", rows.twist, motions) + neutral[:, None, None] * still
+        return blend, motions, still
+
+    def _place(self, rows: SlideRows, rest):
+        twisted, swung = self._images(rows, rest)
+        return self._into_world(rows.bases, twisted + jnp.einsum("ck,ckaf->caf", rows.swing, swung))
+
+    def _into_world(self, bases, points):
+        r = self.rotations[bases]
+        turned = [sum(r[:, 3 * a + b] * points[:, b] for b in range(3)) for a in range(3)]
+        return jnp.stack(turned, 1) + self.translations[bases]
+
+    def _into_base(self, bases, points):
+        r, away = self.rotations[bases], (points - self.translations[bases]) / self.scales**2
+        return jnp.stack([sum(r[:, 3 * b + a] * away[:, b] for b in range(3)) for a in range(3)], 1)
+
+    def _real(self, bases):
+        return self.children[bases] < len(self.children)
+
+    def _settle(self, rows: SlideRows) -> SlideRows:
+        """All weight at one child is that child for a base."""
+        whole = jnp.minimum(rows.swing, rows.twist) > 1.0 - 4 * jnp.finfo(rows.twist.dtype).eps
+        passed = jnp.any(whole, 1)
+        child = jnp.take_along_axis(self.children[rows.bases], jnp.argmax(whole, 1)[:, None], 1)[:, 0]
+        keep = jnp.where(passed, 0.0, 1.0)[:, None].astype(rows.twist.dtype)
+        return SlideRows(jnp.where(passed, child, rows.bases), rows.swing * keep, rows.twist * keep)
+
+
+def make_slides(skeleton: Skeleton, poses: Pose) -> Slides:
+    """The tables of a skeleton in a stack of poses."""
+    children, passes, upward = _tree(skeleton)
+    motions = _motions(skeleton, poses)
+    return Slides(jnp.asarray(children), jnp.asarray(passes), jnp.asarray(upward), *motions)
+
+
+def slide_rows(slides: Slides, skin: SwingTwistSkin) -> SlideRows:
+    """The short rows of a skin."""
+    children = slides.children[skin.bases]
+    pick = lambda w: jnp.where(  # noqa: E731
+        children < w.shape[1], jnp.take_along_axis(w, jnp.minimum(children, w.shape[1] - 1), 1), 0.0
+    )
+    return SlideRows(skin.bases, pick(skin.swing), pick(skin.twist))
+
+
+def slide_skin(slides: Slides, rows: SlideRows) -> SwingTwistSkin:
+    """The skin of short rows."""
+    children = slides.children[rows.bases]
+    lines = jnp.arange(len(children))[:, None]
+    wide = jnp.zeros((len(children), len(slides.children)), rows.swing.dtype)
+    spread = lambda w: wide.at[lines, children].set(w, mode="drop")  # noqa: E731
+    return SwingTwistSkin(rows.bases, spread(rows.swing), spread(rows.twist))
+
+
+def _tree(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    parents = np.array(skeleton.parents)
+    lists = [np.flatnonzero(parents == joint).tolist() for joint in range(len(parents))]
+    width = max(1, *(len(row) for row in lists))
+    children = np.array([row + [len(parents)] * (width - len(row)) for row in lists], np.int32)
+    passes = []
+    for joint, parent in enumerate(parents):
+        up = [(parent, lists[parent].index(joint))] if parent >= 0 else []
+        passes.append(up + [(child, slot) for child in lists[joint] for slot in range(len(lists[child]))])
+    room = max(1, *(len(row) for row in passes))
+    table = np.array([row + [(-1, 0)] * (room - len(row)) for row in passes], np.int32)
+    upward = (np.arange(room) == 0) & (parents >= 0)[:, None]
+    return children, table, upward
+
+
+@eqx.filter_jit
+def _motions(skeleton: Skeleton, poses: Pose):
+    split = jax.vmap(lambda pose: split_joints(skeleton, pose))(poses)
+    bones = jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)
+    frames, joints = bones.translations.shape[:2]
+    still = jnp.zeros((1, 8, frames), split.twists.dtype).at[:, 0].set(1.0)
+    rest = jnp.broadcast_to(jnp.eye(3, 4, dtype=still.dtype).reshape(1, 12, 1), (1, 12, frames))
+    last = lambda array: jnp.moveaxis(array.reshape(frames, joints, -1), 0, -1)  # noqa: E731
+    return (
+        jnp.concatenate([last(split.twists), still]),
+        jnp.concatenate([last(split.swings), rest]),
+        last(bones.rotations),
+        last(bones.translations),
+        poses.scale,
+    )
+
+
+def _nearest(columns, gap, scales, real, start=None, groups=None):
+    """Weights of columns (C, K, 3, F), what is left of one unused, nearest to the gap."""
+    count, width = columns.shape[:2]
+    groups = groups or (0,) * width
+    number = max(groups) + 1
+    flat = columns.reshape(count, width, -1)
+    gram = jnp.einsum("ckf,clf->ckl", flat, (columns * scales).reshape(count, width, -1))
+    linear = jnp.einsum("ckf,cf->ck", flat, gap.reshape(count, -1))
+    gram = jnp.pad(gram, ((0, 0), (0, number), (0, number)))
+    linear = jnp.pad(linear, ((0, 0), (0, number)))
+    start = jnp.zeros((count, width), linear.dtype) if start is None else start
+    member = jnp.asarray(np.equal.outer(groups, np.arange(number)), start.dtype)
+    start = jnp.concatenate([start, jnp.maximum(1.0 - start @ member, 0.0)], 1)
+    allowed = jnp.concatenate([real, jnp.ones((count, number), bool)], 1)
+    solved = simplex_least_squares(gram, linear, start, allowed, (*groups, *range(number)))
+    return solved[:, :width]
+
+
+def _signs(twist, neutral, reals):
+    """Signs as in `dualquat.align`: those of the hemisphere of the motion that weighs most; of
+    the neutral one (C, F) and of the children's (C, K, F)."""
+    most = jnp.argmax(jnp.concatenate([neutral[:, None], twist], 1), 1)
+    still = jnp.zeros_like(reals[:, :1]).at[:, :, 0].set(1.0)
+    every = jnp.concatenate([still, reals], 1)
+    leader = jnp.take_along_axis(every, most[:, None, None, None], 1)
+    signs = jnp.where(jnp.sum(every * leader, 2) < 0, -1.0, 1.0).astype(twist.dtype)
+    return signs[:, 0], signs[:, 1:]
+
+
+def _move(motion: Float[Array, "C 8 F"], rest: Float[Array, "C 3"]) -> Float[Array, "C 3 F"]:
+    """`dualquat.apply` with frames last."""
+    a0, v0, ae, ve = motion[:, :1], motion[:, 1:4], motion[:, 4:5], motion[:, 5:]
+    squared = jnp.sum(motion[:, :4] ** 2, 1, keepdims=True)
+    points = jnp.broadcast_to(rest[:, :, None], v0.shape)
+    turned = _cross(v0, _cross(v0, points) + a0 * points)
+    return points + 2.0 * (turned + a0 * ve - ae * v0 + _cross(v0, ve)) / squared
+
+
+def _cross(a, b):
+    return jnp.stack(
+        [
+            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+        ],
+        1,
+    )

@@ -1,0 +1,110 @@
+"""Skin that slides on its bone as the joints beside it turn, which no rigid bone explains.
+
+Each marker's rest place shifts linearly with the turns of the joints at both ends of its bone, as
+soft tissue mostly does (Camomilla, Cereatti, Cutti and others 2013; Bonci and others 2014):
+
+    o_m(f) = o_m + sum_k phi_mk(f) d_mk
+
+with `phi` the turns about their means, along the few directions in which they vary most, radians.
+A shift that follows a joint looks much like a centre elsewhere. Left out, it is taken for one, all
+the more firmly the more frames there are; with `d` unknown, drawn to zero as far as the markers of
+all bones say that skin slides, what cannot be told apart counts as unknown.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...body.pose import Pose
+from ..subject import Subject
+from .rotation_prior import mean_turns
+
+#: directions of turns that count: more take for skin what the segments lack in joints
+DIRECTIONS = 2
+#: how many times what chance alone explains of the residuals, turns have to
+TELLING = 6.0
+#: metres a radian that skin slides, at least and at most: less is none
+LEAST, MOST = 2e-4, 0.05
+#: metres that markers are from the middle of their bone, about
+LEVER = 0.05
+
+
+def skin_shifts(
+    features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
+) -> Float[np.ndarray, "F M 3"]:
+    """Compute how far each marker is from its rest place, metres."""
+    return np.einsum("fmk,kma->fma", features, slides)
+
+
+def shift_variances(
+    features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
+) -> Float[np.ndarray, "M"]:
+    """Compute mean squares of the shifts along each axis, metres squared."""
+    return np.mean(skin_shifts(features, slides) ** 2, (0, 2))
+
+
+def sliding(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
+    """The features of every marker: turns of the joints at both ends of its bone, radians."""
+    skeleton, bones = subject.skeleton, np.asarray(subject.bones)
+    rotations = np.asarray(poses.rotations, float)
+    angles = 2 * np.arccos(np.clip(np.abs(rotations[..., :1]), 0, 1))
+    turns = np.concatenate([mean_turns(rotations), angles], 2)
+    features = np.zeros((len(turns), len(bones), DIRECTIONS))
+    for bone in np.unique(bones):
+        ends = [joint for joint, parent in enumerate(skeleton.parents) if parent == bone]
+        beside = ends + ([bone] if skeleton.parents[bone] >= 0 else [])
+        if not beside:
+            continue
+        wide = turns[:, beside].reshape(len(turns), -1)
+        wide = wide - wide.mean(0)
+        _, _, directions = np.linalg.svd(wide, full_matrices=False)
+        found = wide @ directions[:DIRECTIONS].T
+        features[:, bones == bone, : found.shape[1]] = found[:, None]
+    return features
+
+
+def find_skin(
+    features: Float[np.ndarray, "F M K"],
+    residuals: Float[np.ndarray, "F M 3"],
+    counted: Bool[np.ndarray, "F M"],
+) -> float | None:
+    """Estimate the standard deviation of every number of `d`, metres a radian, where residuals follow the joints by more than
+    chance; else none."""
+    explained = whole = chance = squares = 0.0
+    for marker in range(residuals.shape[1]):
+        some = counted[:, marker]
+        phi, left = features[some, marker], residuals[some, marker]
+        phi = phi[:, (phi**2).sum(0) > 1e-9]
+        if len(left) <= 2 * phi.shape[1] or not phi.size:
+            continue
+        phi, left = phi - phi.mean(0), left - left.mean(0)
+        told = float(np.sum((phi @ (np.linalg.pinv(phi, 1e-6) @ left)) ** 2))
+        explained, whole = explained + told, whole + float(np.sum(left**2))
+        chance += phi.shape[1] / len(left) * float(np.sum(left**2))
+        squares += float(np.sum(phi**2)) * 3
+    if whole == 0.0 or explained < TELLING * chance:
+        return None
+    return float(np.clip(np.sqrt(explained / squares), LEAST, MOST))
+
+
+def slide_deviation(
+    subject: Subject, features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
+) -> float:
+    """Estimate the standard deviation of the slides by which the markers of a bone move among each other.
+
+    By what is left of them the bone itself would seem to move, which only joints contradict: were they
+    counted, ever larger slides would take the place of poses.
+    """
+    bones, offsets = np.asarray(subject.bones), np.asarray(subject.offsets, float)
+    squares = numbers = 0.0
+    for bone in np.unique(bones):
+        own = np.flatnonzero(bones == bone)
+        arms = offsets[own] - offsets[own].mean(0)
+        turns = np.cross(np.eye(3)[:, None], arms).reshape(3, -1)
+        shifts = np.tile(np.eye(3), (1, len(own)))
+        _, sizes, basis = np.linalg.svd(np.concatenate([turns / LEVER, shifts]), full_matrices=False)
+        rigid = basis[sizes > 1e-3]
+        for each, phi in zip(slides[:, own].reshape(-1, 3 * len(own)), features[:, own[0]].T, strict=True):
+            if phi.any():
+                squares += float(each @ each - np.sum((rigid @ each) ** 2))
+                numbers += each.size - len(rigid)
+    return float(np.clip(np.sqrt(squares / max(numbers, 1.0)), LEAST, MOST))

@@ -1,0 +1,99 @@
+"""What a solved motion shows: joint centres in every frame, and markers where cameras lost them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...arguments import checked
+from ...body.kinematics import forward_kinematics, joint_positions
+from ...body.pose import Motion, Pose
+from ...body.skeleton import Skeleton
+from ...observe import MarkerFrames
+from ..calibration.residuals import rest_places
+from ..subject import Subject
+from .label_matching import match_markers
+
+
+@checked
+def joint_frames(
+    skeleton: Skeleton, motion: Motion, lost: Bool[np.ndarray, "F"] | None = None
+) -> MarkerFrames:
+    """The joints' centres in every frame, as points with the joints' names; frames that are `lost` show
+    none."""
+    places = np.asarray(_centres(skeleton, motion.poses))
+    seen = np.ones(places.shape[:2], bool)
+    if lost is not None:
+        seen &= ~np.asarray(lost)[:, None]
+    return MarkerFrames(np.where(seen[..., None], places, 0), seen, skeleton.names, motion.rate)
+
+
+@checked
+def fill_gaps(
+    subject: Subject,
+    motion: Motion,
+    frames: MarkerFrames,
+    *,
+    weights: Float[np.ndarray, "F M"] | None = None,
+    lost: Bool[np.ndarray, "F"] | None = None,
+) -> MarkerFrames:
+    """The subject's markers without gaps: where one is seen as it is seen, else as its bone carries it.
+
+    What a marker is off its place on the bone at both sides of a gap goes over linearly from the one to
+    the other, in the bone's frame, so that nothing jumps; before the first and after the last frame it
+    stays. A marker that is never seen is at its place on the bone.
+
+    **Arguments:** `motion` through the frames; `weights` that markers were given by the solve, in the
+    subject's order: what counted less than a half is out of its place and filled as a gap is; in `lost`
+    frames, and for markers with the subject's weight 0, nothing is filled.
+    """
+    matched = match_markers(subject, frames)
+    places, seen = np.asarray(matched.places, float), np.asarray(matched.seen)
+    local = np.asarray(_carried_back(subject, motion.poses, matched.places), float)
+    trusted = seen if weights is None else seen & (np.asarray(weights) >= 0.5)
+    filled = np.tile(np.asarray(subject.offsets, float), (len(places), 1, 1))
+    at = np.arange(len(places))
+    for marker in np.flatnonzero(trusted.any(0)):
+        known = np.flatnonzero(trusted[:, marker])
+        for axis in range(3):
+            filled[:, marker, axis] = np.interp(at, known, local[known, marker, axis])
+    on_bones = np.asarray(subject.weights) > 0
+    gap = ~trusted & on_bones
+    if lost is not None:
+        gap &= ~np.asarray(lost)[:, None]
+    carried = np.asarray(_carried(subject, motion.poses, jnp.asarray(filled, matched.places.dtype)), float)
+    whole = np.where(gap[..., None], carried, places)
+    dtype = np.asarray(frames.places).dtype
+    return MarkerFrames(whole.astype(dtype), seen | gap, subject.labels, frames.rate)
+
+
+def expected_places(subject: Subject, motion: Motion) -> Float[Array, "F M 3"]:
+    """Where a motion has the subject's markers, metres; those on circles and spheres as if they were rigid."""
+    local = jnp.broadcast_to(subject.offsets, (len(motion), *subject.offsets.shape))
+    return _carried(subject, motion.poses, local)
+
+
+@eqx.filter_jit
+def _centres(skeleton: Skeleton, poses: Pose) -> Float[Array, "F J 3"]:
+    return jax.lax.map(lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose)), poses)
+
+
+@eqx.filter_jit
+def _carried_back(subject: Subject, poses: Pose, places: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
+    def of_frame(frame):
+        pose, there = frame
+        return rest_places(subject, pose, forward_kinematics(subject.skeleton, pose), there)
+
+    return jax.lax.map(of_frame, (poses, places))
+
+
+@eqx.filter_jit
+def _carried(subject: Subject, poses: Pose, local: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
+    def of_frame(frame):
+        pose, here = frame
+        transforms = forward_kinematics(subject.skeleton, pose)
+        r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
+        return jnp.einsum("mab,mb->ma", r, here) + t
+
+    return jax.lax.map(of_frame, (poses, local))

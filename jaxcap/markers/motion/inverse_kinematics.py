@@ -1,0 +1,177 @@
+"""The motion of a known subject through frames of markers."""
+
+import logging
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...arguments import checked
+from ...body.pose import Motion, Pose
+from ...energy.check import OwnTerms, own_terms
+from ...geometry.stacking import concatenate
+from ...observe import MarkerFrames
+from ...parallel import parallel_map
+from ..calibration.residuals import marker_residuals
+from ..subject import Subject, marker_body
+from .initial_pose import guess_poses
+from .label_matching import match_markers
+from .solve_frame import Search, SolvedFrame, solve_frame
+
+_LOG = logging.getLogger(__name__)
+
+#: markers that a frame must show; fewer leave the whole body's place open
+LEAST = 3
+#: a frame whose residuals are at their median so many deviations long is searched for anew
+DOUBT = 3.0
+#: frames solved one after the other in one call; sequences are padded to whole lengths
+CHUNK = 256
+#: of a frame from a start that is a guess
+FAR = Search(iterations=40, tolerance=1e-4)
+
+
+class MarkerSolution(NamedTuple):
+    """A motion, and how well it explains what was seen. Markers are in the subject's order."""
+
+    motion: Motion
+    #: metres from where each marker was seen to where it should have been; NaN where it was not seen
+    residuals: Float[np.ndarray, "F M"]
+    #: what each marker counted, 0 to 1: 0 where not seen, little where it was taken for a swapped one
+    weights: Float[np.ndarray, "F M"]
+    #: frames with too few markers, or that no pose explains; they keep the last pose
+    lost: Bool[np.ndarray, "F"]
+    #: what the user should know, in sentences
+    told: tuple[str, ...]
+
+
+@checked
+def solve_markers(
+    subject: Subject,
+    frames: MarkerFrames,
+    search: Search = Search(),
+    *,
+    terms: OwnTerms = (),
+) -> MarkerSolution:
+    """The pose of every frame, each started at the one before it.
+
+    **Arguments:** `frames` with the subject's labels in any order; markers with other labels are left
+    out, and missing ones are never seen. `search`: when the search in each frame ends. `terms` are energies of your own, in units of
+    a log-likelihood, which see the subject's skeleton with its markers for vertices.
+
+    Joints that no marker tells stay as in the frame before. A frame that shows fewer than `LEAST`
+    markers keeps the last pose and is marked `lost`, as is one that no pose explains; the frames
+    after it are solved.
+
+    **Raises:** `ValueError` where frames and subject share no label.
+    """
+    matched = match_markers(subject, frames)
+    places, seen = matched.places, np.asarray(matched.seen)
+    used = seen & (np.asarray(subject.weights) > 0)
+    enough = used.sum(1) >= LEAST
+    _LOG.info("solving %d frames", len(places))
+    energy = own_terms("solve_markers", terms, marker_body(subject))
+    solved = _in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search, energy)
+    _LOG.info("solving frames again that no pose explains")
+    solved = _again(subject, places, used, enough, solved, energy)
+    lost = ~enough | ~np.isfinite(np.asarray(solved.residuals)).all(1) | _unexplained(subject, used, solved)
+    residuals = np.where(seen, np.asarray(_lengths(subject, solved.pose, places)), np.nan)
+    told = _sentences(subject, frames, seen, lost)
+    weights = np.asarray(solved.weights) * ~lost[:, None]
+    return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, told)
+
+
+def _in_chunks(subject: Subject, places, seen, search: Search, energy) -> SolvedFrame:
+    """Chunks of frames, each started at a guess of its first one, on as many threads as there are
+    cores: while one is computed, Python is free for the next."""
+    count = len(places)
+    size = CHUNK if count > CHUNK else max(8, 1 << (count - 1).bit_length())
+    chunks = -(-count // size)
+    extra = chunks * size - count
+    places = jnp.pad(places, ((0, extra), (0, 0), (0, 0)), mode="edge").reshape(chunks, size, -1, 3)
+    # frames that only fill up show nothing, and cost next to nothing
+    seen = jnp.pad(seen, ((0, extra), (0, 0))).reshape(chunks, size, -1)
+    first = np.asarray(jnp.argmax(seen.sum(2) >= LEAST, 1))
+    rows = np.arange(chunks)
+    starts = guess_poses(subject, places[rows, first], seen[rows, first])
+
+    def run(chunk: int) -> SolvedFrame:
+        start = jax.tree.map(lambda leaf: leaf[chunk], starts)
+        return jax.block_until_ready(_solve_chunk(subject, start, places[chunk], seen[chunk], search, energy))
+
+    parts = parallel_map(run, range(chunks))
+    return jax.tree.map(lambda *leaves: concatenate(leaves)[:count], *parts)
+
+
+@eqx.filter_jit
+def _solve_chunk(subject: Subject, start: Pose, places, seen, search: Search, energy) -> SolvedFrame:
+    far = solve_frame(subject, start, places[0], seen[0], FAR, energy)
+
+    def follow(pose, frame):
+        solved = solve_frame(subject, pose, frame[0], frame[1], search, energy)
+        kept = jax.tree.map(lambda new, old: jnp.where(frame[1].any(), new, old), solved.pose, pose)
+        return kept, solved._replace(pose=kept)
+
+    return jax.lax.scan(follow, far.pose, (places, seen))[1]
+
+
+def _again(subject: Subject, places, used, enough, solved: SolvedFrame, energy) -> SolvedFrame:
+    """Frames in doubt from a guess of their own; the better of both is kept."""
+    doubtful = np.flatnonzero(enough & ~(np.asarray(solved.spread) < DOUBT))
+    if not len(doubtful):
+        return solved
+    size = 1 << (len(doubtful) - 1).bit_length()
+    padded = np.pad(doubtful, (0, size - len(doubtful)), mode="edge")
+    starts = guess_poses(subject, places[padded], jnp.asarray(used[padded]))
+    other = _solve_each(subject, starts, places[padded], jnp.asarray(used[padded]), energy)
+    better = np.flatnonzero(
+        ~(np.asarray(solved.spread)[doubtful] <= np.asarray(other.spread)[: len(doubtful)])
+    )
+    if not len(better):
+        return solved
+    return jax.tree.map(lambda old, new: old.at[doubtful[better]].set(new[better]), solved, other)
+
+
+@eqx.filter_jit
+def _solve_each(subject: Subject, starts: Pose, places, seen, energy) -> SolvedFrame:
+    return jax.lax.map(
+        lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], FAR, energy), (starts, places, seen)
+    )
+
+
+@eqx.filter_jit
+def _lengths(subject: Subject, poses: Pose, places) -> Float[Array, "F M"]:
+    def of_frame(frame):
+        return jnp.linalg.norm(marker_residuals(subject, *frame), axis=1)
+
+    return jax.lax.map(of_frame, (poses, places))
+
+
+def _unexplained(subject: Subject, used, solved: SolvedFrame) -> np.ndarray:
+    """Frames of which the median marker is a decimetre off: no pose of this subject."""
+    lengths = np.where(used, np.asarray(solved.residuals), np.nan)
+    middle = np.zeros(len(used))
+    some = used.any(1)
+    middle[some] = np.nanmedian(lengths[some], 1)
+    return middle > 0.1
+
+
+def _sentences(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str, ...]:
+    said = []
+    never = [label for label, there in zip(subject.labels, seen.any(0), strict=True) if not there]
+    if never:
+        said.append(f"{len(never)} of the subject's markers never appear: {', '.join(never[:10])}.")
+    others = [label for label in frames.labels if label not in subject.labels]
+    if others:
+        said.append(
+            f"{len(others)} markers are not the subject's and are left out: {', '.join(others[:10])}."
+        )
+    if lost.any():
+        numbers = ", ".join(map(str, np.flatnonzero(lost)[:20]))
+        said.append(
+            f"{int(lost.sum())} of {len(lost)} frames are lost (fewer than {LEAST} markers, or explained by no "
+            f"pose) and keep the pose before: {numbers}."
+        )
+    return tuple(said)

@@ -1,0 +1,121 @@
+"""The pose of one frame: iteratively reweighted least squares with derivatives in closed form."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ...body.body import pose_body
+from ...body.pose import Pose, retract
+from ...energy.energy import AbstractEnergy
+from ...fit.alternate import reweigh
+from ...fit.frame_equations import frame_equations
+from ...fit.linear.dense import Dense
+from ...fit.solvers.descent import ConstrainedInfo
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...fit.solvers.problem import AbstractProblem
+from ..calibration.residuals import linearise, marker_residuals
+from ..calibration.robust import kernel, spread
+from ..subject import Subject, marker_body
+
+#: information on a number of a pose below which no marker tells it: of a deviation of a metre at a metre from the joint
+UNTOLD = 1.0
+#: steps after which deviations are widened anew
+STEPS = 3
+
+
+class Search(eqx.Module):
+    """When the search for a pose ends."""
+
+    iterations: int = eqx.field(static=True, default=12)
+    #: radians and metres: no number of the last step was larger
+    tolerance: float = eqx.field(static=True, default=1e-3)
+
+
+class SolvedFrame(NamedTuple):
+    """One frame's pose, and what it leaves of the M markers that were seen."""
+
+    pose: Pose
+    #: metres; zero where not seen
+    residuals: Float[Array, "M"]
+    #: 0 to 1, what each marker counts in the end; zero where not seen
+    weights: Float[Array, "M"]
+    #: standard deviations that residuals are long at their median, at least one
+    spread: Float[Array, ""]
+    iterations: Int[Array, ""]
+
+
+class FrameProblem(AbstractProblem[Pose]):
+    """Find the pose that makes the robust squared residuals of a frame's markers least, in deviations that are widened."""
+
+    subject: Subject
+    places: Float[Array, "M 3"]
+    #: inverse variances, zero where not seen
+    precision: Float[Array, "M"]
+    #: energies of a user's own, which see the markers for vertices
+    terms: AbstractEnergy | None = None
+
+    def value(self, y):
+        residual = marker_residuals(self.subject, y, self.places)
+        value = 0.5 * jnp.sum(kernel(jnp.sum(residual**2, 1) * self.precision)[0])
+        if self.terms is None:
+            return value
+        r = self.terms.residual(pose_body(marker_body(self.subject), y))
+        return value + 0.5 * (r @ r)
+
+    def information(self, y):
+        rows = linearise(self.subject, y, self.places)
+        costs, slopes = kernel(jnp.sum(rows.residual**2, 1) * self.precision)
+        flat = rows.by_pose.reshape(-1, rows.by_pose.shape[2])
+        weighted = flat * jnp.repeat(slopes * self.precision, 3)[:, None]
+        value, side, matrix = 0.5 * jnp.sum(costs), weighted.T @ rows.residual.reshape(-1), weighted.T @ flat
+        if self.terms is not None:
+            own = frame_equations(self.terms, marker_body(self.subject), y)
+            value, side, matrix = value + own[0], side + own[1], matrix + own[2]
+        # numbers that nothing tells stay
+        told = jnp.diagonal(matrix) > UNTOLD
+        return ConstrainedInfo(value, jnp.where(told, side, 0.0), Dense(matrix).among(told))  # pyright: ignore[reportCallIssue]
+
+    def retract(self, y, d):
+        return retract(self.subject.skeleton, y, d)
+
+    def scales(self):
+        return jnp.ones(self.subject.skeleton.num_dofs, self.places.dtype)
+
+
+def solve_frame(
+    subject: Subject,
+    start: Pose,
+    places: Float[Array, "M 3"],
+    seen: Bool[Array, "M"],
+    search: Search = Search(),
+    terms: AbstractEnergy | None = None,
+) -> SolvedFrame:
+    """Find the pose with the least robust distances to the markers that are seen, in standard deviations.
+
+    Deviations are widened by the median of the residuals, so that a start from far off, or a subject
+    that fits badly, takes no marker for a swapped one. Numbers of the pose that no seen marker tells
+    stay as they are at the start. Never fails: without markers the start comes back.
+    """
+    precision = jnp.where(seen, subject.weights / subject.deviations**2, 0.0)
+    counted = precision > 0
+
+    def left(pose):
+        squared = jnp.sum(marker_residuals(subject, pose, places) ** 2, 1)
+        return squared, spread(squared * precision, counted)
+
+    def remake(pose):
+        return FrameProblem(subject, places, precision / left(pose)[1], terms)
+
+    solver = LevenbergMarquardt(0.0, search.tolerance, damping=1e-6, relative=True)
+    rounds = -(-search.iterations // STEPS)
+    pose, count = reweigh(remake, start, solver, rounds=rounds, steps=STEPS, enough=search.tolerance)
+    squared, wide = left(pose)
+    return SolvedFrame(
+        pose,
+        jnp.where(seen, jnp.sqrt(squared), 0.0),
+        jnp.where(counted, kernel(squared * precision / wide)[1], 0.0),
+        jnp.sqrt(wide),
+        count,
+    )

@@ -1,0 +1,100 @@
+"""SARA, the symmetrical axis of rotation approach (Ehrig, Taylor, Duda, Heller 2007)."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .centre_estimate import ROUNDS, robust_weights
+
+#: a joint is a hinge where what turns off the axis is less than this share of what turns about it, both
+#: in the root mean square
+SHARE = 0.18
+#: and less than this, radians
+WOBBLE = np.radians(7.0)
+#: and the turn about it is more than this, root mean square, radians: less may be any joint's
+LEAST_TURN = np.radians(8.0)
+
+
+class Hinge(NamedTuple):
+    """The line about which two segments turn."""
+
+    #: unit axis in both frames
+    in_parent: Float[np.ndarray, "3"]
+    in_child: Float[np.ndarray, "3"]
+    #: root mean square angle between the axis as the two segments carry it, radians
+    wobble: float
+    #: root mean square turn about the axis from its mean, radians
+    turn: float
+    #: range of the turn about the axis, radians
+    swept: float
+    #: the two least singular values of SCoRE's matrix, a frame; the least is zero, rank 5, of a hinge
+    singular: tuple[float, float]
+
+    @property
+    def is_hinge(self) -> bool:
+        """Whether all but a small share of the turning is about the axis."""
+        return bool(self.turn > LEAST_TURN and self.wobble < min(WOBBLE, SHARE * self.turn))
+
+
+def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hinge:
+    """The axis that both segments carry alike: the null direction of SCoRE's matrix, whose rank is 5
+    for a hinge, since the centre may lie anywhere along the axis (Ehrig 2007, section 2).
+
+    **Arguments:** `rotations` of the child's frame in the parent's.
+    """
+    weights = np.ones(len(rotations))
+    parent = child = np.zeros(3)
+    values = np.zeros(6)
+    for _ in range(ROUNDS if robust else 1):
+        mean = np.einsum("f,fab->ab", weights, rotations) / weights.sum()
+        matrix = np.block([[np.eye(3), -mean], [-mean.T, np.eye(3)]])
+        values, vectors = np.linalg.eigh(matrix)
+        last = parent
+        parent, child = vectors[:3, 0], vectors[3:, 0]
+        parent, child = (v / max(np.linalg.norm(v), 1e-300) for v in (parent, child))
+        # one sign for good: the largest number is positive
+        sign = np.sign(parent[np.argmax(np.abs(parent))]) or 1.0
+        parent, child = sign * parent, sign * child
+        if np.abs(parent - last).max() < 1e-12:
+            break
+        if robust:
+            weights = robust_weights(np.linalg.norm(rotations @ child - parent, axis=1))
+    off = np.linalg.norm(rotations @ child - parent, axis=1)
+    # a part of the take in which it turns otherwise is no outlier; the worst 5 % of the frames may be
+    kept = np.sort(off)[: max(1, round(0.95 * len(off)))] if robust else off
+    wobble = 2 * np.arcsin(np.clip(0.5 * np.sqrt(np.mean(kept**2)), 0, 1))
+    angles = turn_angles(rotations, parent)
+    singular = np.sqrt(np.maximum(values[:2], 0.0))
+    return Hinge(
+        parent,
+        child,
+        float(wobble),
+        float(np.std(angles)),
+        _range(angles),
+        (float(singular[0]), float(singular[1])),
+    )
+
+
+def turn_angles(
+    rotations: Float[np.ndarray, "F 3 3"], axis: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "F"]:
+    """The turn about an axis of the parent from the first frame on, radians, unwrapped."""
+    turned = rotations @ rotations[:1].swapaxes(-1, -2)
+    skew = np.stack(
+        [
+            turned[:, 2, 1] - turned[:, 1, 2],
+            turned[:, 0, 2] - turned[:, 2, 0],
+            turned[:, 1, 0] - turned[:, 0, 1],
+        ],
+        -1,
+    )
+    trace = np.trace(turned, axis1=1, axis2=2)
+    # twist of the quaternion: atan2 of its vector part along the axis and its scalar part
+    scalar = 1 + trace
+    return np.unwrap(2 * np.arctan2(skew @ axis, scalar))
+
+
+def _range(angles: np.ndarray) -> float:
+    low, high = np.quantile(angles, [0.01, 0.99])
+    return float(min(high - low, 2 * np.pi))

@@ -1,0 +1,94 @@
+"""SCoRE, the symmetrical centre of rotation estimation (Ehrig, Taylor, Duda, Heller 2006)."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...geometry.linear import inverse_symmetric, solve_symmetric
+from ..segments.relative_motion import Relative
+from .centre_estimate import ROUNDS, Centre, prior_weight, robust_weights, settle
+from .precision import independent_share
+
+
+class _Fit(NamedTuple):
+    """Both places of a centre, and what the next round weighs frames and the prior by."""
+
+    found: np.ndarray
+    weights: np.ndarray
+    variance: float
+    share: float
+    held: float
+
+
+def score_centre(relative: Relative, robust: bool = True) -> Centre:
+    """The centre that both segments carry alike: the least sum over frames of `|R c + t - p|^2` over
+    its places `p` in the parent and `c` in the child, exact without noise.
+
+    Frames that fit badly count less where `robust`. A weak prior at `relative.middle` decides only
+    what the frames do not: along a hinge's axis, or when the joint hardly turns. Noise in the frames
+    turns them about the middles of their markers and so draws the centre to these; that is taken off.
+
+    **Raises:** `ValueError` where the child's frame is not known.
+    """
+    if relative.rotations is None or relative.translations is None:
+        raise ValueError("SCoRE needs the frames of both segments; this child has fewer than three markers.")
+    r, t = relative.rotations, relative.translations
+    count = len(r)
+    middle_child = np.median(np.einsum("fba,fb->fa", r, relative.middle - t), axis=0)
+    prior = np.concatenate([relative.middle, middle_child])
+    # work about the prior, so that rounding and the hold are small
+    aside = np.einsum("fab,b->fa", r, prior[3:]) + t - prior[:3]
+
+    def step(fit: _Fit) -> _Fit:
+        weights = fit.weights
+        side = np.concatenate([weights @ aside, -np.einsum("f,fba,fb->a", weights, r, aside)])
+        found = prior + solve_symmetric(_normal(r, weights) + fit.held * np.eye(6), side)
+        off = np.einsum("fab,b->fa", r, found[3:]) + t - found[:3]
+        distances = np.linalg.norm(off, axis=1)
+        if robust:
+            weights = robust_weights(distances)
+        variance = float(weights @ distances**2) / (3 * weights.sum())
+        share = independent_share(off)
+        held = prior_weight(float(weights.sum()), variance, share, relative.spread)
+        return _Fit(found, weights, variance, share, held)
+
+    held = prior_weight(float(count), 0.0, 1.0, relative.spread)
+    fit = settle(step, _Fit(prior, np.ones(count), 0.0, 1.0, held), ROUNDS, 1e-9)
+    covariance = fit.variance / fit.share * inverse_symmetric(_normal(r, fit.weights) + fit.held * np.eye(6))
+    found = _unbiased(fit.found, relative, fit.weights)
+    return Centre(found[:3], found[3:], _widen(covariance[:3, :3], r, fit.weights, relative.spread))
+
+
+def _unbiased(found: np.ndarray, relative: Relative, weights: np.ndarray) -> np.ndarray:
+    """The centre without the pull of noise in the rotations. Of variance `n` about any axis it adds
+    `2 n` to `1 - R R^T`, R the mean rotation, as if the joint also turned about that segment's origin."""
+    r, t = relative.rotations, relative.translations
+    assert r is not None and t is not None
+    of_parent, of_child = (2 * noise for noise in relative.turn_noise)
+    if of_parent + of_child == 0:
+        return found
+    share = weights / weights.sum()
+    mean, origin = np.einsum("f,fab->ab", share, r), share @ t
+    pull = of_parent * found[:3] + of_child * (found[:3] - origin)
+    values, vectors = np.linalg.eigh(np.eye(3) - mean @ mean.T)
+    # where most of the turn is noise there is nothing to mend
+    left = values - of_parent - of_child
+    gains = np.where(left > 0.5 * values, 1 / np.maximum(left, 1e-300), 0.0)
+    shift = vectors @ (gains * (vectors.T @ pull))
+    # the child's place follows from the parent's: its rows of the normal equations
+    return np.concatenate([found[:3] + shift, found[3:] + mean.T @ shift])
+
+
+def _normal(r: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    mean = np.einsum("f,fab->ab", weights, r)
+    whole = weights.sum() * np.eye(6)
+    whole[:3, 3:], whole[3:, :3] = -mean, -mean.T
+    return whole
+
+
+def _widen(covariance: np.ndarray, r: np.ndarray, weights: np.ndarray, spread: float) -> np.ndarray:
+    """Along what no frame tells, as far as rounding goes, the prior's own spread."""
+    mean = np.einsum("f,fab->ab", weights / weights.sum(), r)
+    values, vectors = np.linalg.eigh(np.eye(3) - mean @ mean.T)
+    blind = vectors[:, values < 1e-8]
+    return covariance + spread**2 * blind @ blind.T

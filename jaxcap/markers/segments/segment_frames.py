@@ -1,0 +1,219 @@
+"""Where each segment is in every frame, from the markers that are seen of it."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...geometry.procrustes import nearest_rotation
+from ..rotation_centres.centre_estimate import robust_weights
+from .segment import Segments
+
+#: sweeps in which the shape of a segment settles
+SWEEPS = 8
+#: frames that a shape is taken from, evenly over the take
+SHAPE_FRAMES = 400
+#: a segment is a line where its second extent is less than this share of its first
+LINE = 0.05
+
+
+class SegmentFrames(NamedTuple):
+    """Rigid motions of K segments over F frames, `x = rotations p + origins`."""
+
+    rotations: Float[np.ndarray, "F K 3 3"]
+    origins: Float[np.ndarray, "F K 3"]
+    #: where three markers that span a plane were seen
+    known: Bool[np.ndarray, "F K"]
+    #: place of each marker in its segment's frame, metres; zero where it has none
+    template: Float[np.ndarray, "M 3"]
+
+    def residuals(
+        self, places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], segments: Segments
+    ) -> Float[np.ndarray, "F M"]:
+        """How far each marker is from where its segment carries it, metres; NaN where not known."""
+        owner = segments.of_marker
+        r, o = self.rotations[:, owner], self.origins[:, owner]
+        away = np.linalg.norm(np.einsum("fmab,mb->fma", r, self.template) + o - places, axis=-1)
+        return np.where(seen & self.known[:, owner] & (owner >= 0), away, np.nan)
+
+    def noise(
+        self, places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], segments: Segments
+    ) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
+        """Of each segment, the variance of its markers about their places, metres squared a coordinate,
+        and that of its rotation about an axis that comes of it, radians squared."""
+        off = self.residuals(places, seen, segments)
+        own, turn = np.zeros(segments.num_segments), np.zeros(segments.num_segments)
+        for k, members in enumerate(segments.members):
+            if not self.known[:, k].any():
+                continue
+            # robust: half of the squares of a coordinate's normal error lie below 0.455 variances;
+            # the median of a length's square is 2.37, and six of 3N numbers went into the frame
+            square = float(np.nanmedian(off[:, list(members)] ** 2)) / 2.37
+            own[k] = square * len(members) / max(len(members) - 2, 1)
+            p = self.template[list(members)]
+            p = p - p.mean(0)
+            inertia = np.sum(p * p) * np.eye(3) - p.T @ p
+            turn[k] = own[k] * float(np.trace(np.linalg.pinv(inertia, hermitian=True))) / 3
+        return own, turn
+
+
+def fit_frames(
+    places: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    segments: Segments,
+    method: Literal["procrustes", "axes"] = "procrustes",
+) -> SegmentFrames:
+    """The frames of all segments.
+
+    A segment's own axes are the paper's: the origin at the weighted centre of mass, x towards the
+    marker with the greatest distance times weight, the xy plane through the marker with the greatest
+    distance from that axis times weight. With `"axes"` they are built anew in every frame in which
+    all markers are seen; with `"procrustes"` they are built once, in the mean shape, and the mean
+    shape is laid on all markers that are seen, at least three, weighted, and from four on robustly.
+    Segments with fewer than three markers, or on a line, are known in no frame.
+    """
+    count, number = len(places), segments.num_segments
+    rotations = np.tile(np.eye(3), (count, number, 1, 1))
+    origins = np.zeros((count, number, 3))
+    known = np.zeros((count, number), bool)
+    template = np.zeros((places.shape[1], 3))
+    for k, members in enumerate(segments.members):
+        chosen = list(members)
+        weights = segments.weights[chosen]
+        x, s = places[:, chosen], seen[:, chosen]
+        shape = mean_shape(x, s, weights)
+        if shape is None:
+            continue
+        axes, origin, (far, off) = shape_axes(shape, weights)
+        shape = (shape - origin) @ axes
+        template[chosen] = shape
+        if method == "axes":
+            known[:, k] = s.all(1)
+            origins[:, k] = np.einsum("fma,m->fa", x, weights) / weights.sum()
+            rotations[:, k] = _axes(x[:, far] - origins[:, k], x[:, off] - origins[:, k])
+        else:
+            rotations[:, k], origins[:, k], known[:, k] = lay(shape, x, s, weights)
+    return SegmentFrames(rotations, origins, known, template)
+
+
+def shape_axes(
+    shape: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N"]
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], tuple[int, int]]:
+    """The paper's axes as columns, the origin, and which two markers they are from."""
+    origin = weights @ shape / weights.sum()
+    away = shape - origin
+    far = int(np.argmax(np.linalg.norm(away, axis=1) * weights))
+    x = away[far] / np.linalg.norm(away[far])
+    off = int(np.argmax(np.linalg.norm(away - np.outer(away @ x, x), axis=1) * weights))
+    return _axes(away[None, far], away[None, off])[0], origin, (far, off)
+
+
+def mean_shape(
+    x: Float[np.ndarray, "F N 3"], seen: Bool[np.ndarray, "F N"], weights: Float[np.ndarray, "N"]
+) -> Float[np.ndarray, "N 3"] | None:
+    """The shape that N markers keep, by generalised Procrustes (Gower 1975) with what is seen; None
+    where fewer than three are seen together or they are on a line."""
+    if x.shape[1] < 3 or not (seen.sum(1) >= 3).any():
+        return None
+    some = np.unique(np.linspace(0, len(x) - 1, min(SHAPE_FRAMES, len(x))).round().astype(int))
+    if (np.asarray(seen[some].sum(1)) == seen.sum(1).max()).any():
+        x, seen = x[some], seen[some]
+    counts = np.asarray(seen.sum(1))
+    full = np.flatnonzero(counts == counts.max())
+    # the start is the frame that is most like the others in its distances
+    distances = np.linalg.norm(x[full][:, :, None] - x[full][:, None], axis=-1)
+    both = seen[full][:, :, None] & seen[full][:, None]
+    usual = np.nanmedian(np.where(both, distances, np.nan), axis=0, keepdims=True) if both.all() else None
+    off = np.zeros(len(full)) if usual is None else np.abs(distances - usual).sum((1, 2))
+    start = full[int(np.argmin(off))]
+    shape, have = x[start].copy(), seen[start].copy()
+    for _ in range(SWEEPS):
+        r, o, ok = lay(shape, x, seen & have, weights, rounds=2)
+        if not ok.any():
+            return None
+        back = np.einsum("fba,fnb->fna", r[ok], x[ok] - o[ok, None])
+        s = seen[ok]
+        had = have
+        have = np.asarray(s.any(0))
+        new = shape.copy()
+        for n in np.flatnonzero(have):
+            # robust by distance, not by coordinate, which would depend on how the world is turned
+            mine = back[s[:, n], n]
+            about = shape[n] if had[n] else mine.mean(0)
+            for _ in range(3):
+                about = np.average(mine, axis=0, weights=robust_weights(np.linalg.norm(mine - about, axis=1)))
+            new[n] = about
+        moved = np.abs(new - shape).max()
+        shape = new
+        if had.all() and moved < 1e-9:
+            break
+    if not have.all():
+        # a marker never seen with three others has no place in the shape
+        return None
+    return shape if spans(shape[None], np.ones((1, len(shape)), bool))[0] else None
+
+
+def lay(
+    shape: Float[np.ndarray, "N 3"],
+    x: Float[np.ndarray, "F N 3"],
+    seen: Bool[np.ndarray, "F N"],
+    weights: Float[np.ndarray, "N"],
+    rounds: int = 4,
+) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"], Bool[np.ndarray, "F"]]:
+    """The rigid motions that lay a shape on what is seen of it, and where that is known."""
+    w = weights * seen
+    known = (seen.sum(1) >= 3) & spans(np.broadcast_to(shape, x.shape), seen)
+    r, o = _procrustes(shape, x, w)
+    if len(shape) >= 4:
+        for _ in range(rounds):
+            off = np.linalg.norm(np.einsum("fab,nb->fna", r, shape) + o[:, None] - x, axis=-1)
+            inside = off[seen & known[:, None]]
+            if inside.size == 0:
+                break
+            scale = max(3.0 * float(np.median(inside)), 1e-6)
+            r, o = _procrustes(shape, x, w / (1 + (off / scale) ** 2) ** 2)
+    return r, o, known
+
+
+def spans(shape: Float[np.ndarray, "F N 3"], seen: Bool[np.ndarray, "F N"]) -> Bool[np.ndarray, "F"]:
+    """Where the markers seen span a plane at least."""
+    patterns, place = np.unique(seen, axis=0, return_inverse=True)
+    extents = np.zeros(len(patterns), bool)
+    for i, pattern in enumerate(patterns):
+        if pattern.sum() >= 3:
+            some = shape[np.argmax(place.ravel() == i)][pattern]
+            values = np.linalg.svd(some - some.mean(0), compute_uv=False)
+            extents[i] = values[1] > LINE * values[0]
+    return extents[place.ravel()]
+
+
+def pair_frames(
+    first: Float[np.ndarray, "F 3"],
+    second: Float[np.ndarray, "F 3"],
+    base: Float[np.ndarray, "F 3"],
+    seen: Bool[np.ndarray, "F"],
+) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"], Bool[np.ndarray, "F"]]:
+    """Frames of a segment of two markers that hangs on another by a hinge (Silaghi et al. 1998): x from
+    the first marker to the second, the xy plane through a marker of the base segment, which stays in
+    that plane as the hinge turns. Not known where the three are on a line."""
+    along, aside = second - first, base - first
+    high = np.linalg.norm(np.cross(along, aside), axis=-1)
+    flat = high > LINE * np.linalg.norm(along, axis=-1) * np.linalg.norm(aside, axis=-1)
+    return _axes(along, aside), 0.5 * (first + second), seen & flat
+
+
+def _axes(along: np.ndarray, aside: np.ndarray) -> np.ndarray:
+    """(F, 3, 3) x along the first direction, the xy plane through the second; columns are axes."""
+    x = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-300)
+    z = np.cross(x, aside)
+    z = z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-300)
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def _procrustes(shape: np.ndarray, x: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    mass = np.maximum(w.sum(1), 1e-300)
+    here = w @ shape / mass[:, None]
+    there = np.einsum("fn,fna->fa", w, x) / mass[:, None]
+    cross = np.einsum("fn,fna,fnb->fab", w, x - there[:, None], shape[None] - here[:, None])
+    r = nearest_rotation(cross)
+    return r, there - np.einsum("fab,fb->fa", r, here)
