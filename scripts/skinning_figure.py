@@ -2,7 +2,7 @@
 
     python scripts/skinning_figure.py
 
-The cylinder and the measures are those of `tests/test_artefacts.py`.
+The cylinder and the measures are those of `tests/project/test_artefacts.py`.
 """
 
 import sys

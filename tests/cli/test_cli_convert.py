@@ -1,0 +1,206 @@
+"""`jaxcap convert`: motions, points and bodies for other programs, read again by others' readers."""
+
+import ezc3d
+import numpy as np
+import pytest
+from command_line import fails, runs, tree, write_inputs
+
+import jaxcap as jc
+from jaxcap.body.body import deform_all
+from jaxcap.body.kinematics import joint_paths
+from jaxcap.io.archives.npz import load_body, load_motion, load_skeleton, save_motion
+from jaxcap.io.meshes.vertex_list import read_vertex_list
+from jaxcap.io.registry import read_markers
+from jaxcap.io.skeletons.amass import write_amass
+from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    return write_inputs(tmp_path_factory.mktemp("inputs"))
+
+
+def same_motion(found, motion, atol):
+    np.testing.assert_allclose(found.poses.translations, motion.poses.translations, atol=atol)
+    apart = 1 - np.abs(np.sum(np.asarray(found.poses.rotations) * np.asarray(motion.poses.rotations), -1))
+    assert apart.max() < atol
+
+
+@pytest.mark.parametrize("suffix", ["c3d", "trc"])
+def test_joint_centres_in_other_programs_files(inputs, tmp_path, capsys, suffix):
+    """From BVH as well; in millimetres, or in the unit that is asked for."""
+    body, motion = load_body(inputs / "body.npz"), load_motion(inputs / "truth.npz")
+    joints = np.asarray(joint_paths(body.skeleton, motion.poses))
+    write_bvh(tmp_path / "truth.bvh", body.skeleton, motion)
+    named = list(body.skeleton.names)
+    for source, unit in (
+        (inputs / "truth.npz", "mm"),
+        (inputs / "truth.npz", "m"),
+        (tmp_path / "truth.bvh", "mm"),
+    ):
+        path = tmp_path / f"{source.suffix[1:]}-{unit}.{suffix}"
+        told = runs(capsys, "convert", source, path, *(() if unit == "mm" else ("--target-unit", unit)))
+        assert "31 joint centres, 5 frames at 30 a second" in told
+        back = read_markers(path)
+        assert back.rate == 30.0
+        assert bool(np.asarray(back.seen).all())
+        at = [back.labels.index(name) for name in named]
+        np.testing.assert_allclose(np.asarray(back.places)[:, at], joints, atol=1e-6)
+    if suffix == "c3d":
+        file = ezc3d.c3d(str(tmp_path / "npz-mm.c3d"))
+        point = file["parameters"]["POINT"]
+        assert point["LABELS"]["value"] == named
+        assert (point["UNITS"]["value"], point["RATE"]["value"].tolist()) == (["mm"], [30.0])
+        np.testing.assert_allclose(
+            file["data"]["points"][:3].transpose(2, 1, 0), 1000 * joints, rtol=1e-6, atol=1e-4
+        )
+    else:
+        lines = (tmp_path / "npz-mm.trc").read_text().splitlines()
+        assert lines[2].split("\t")[:5] == ["30", "30", "5", "31", "mm"]
+        assert lines[3].split("\t")[2::3][:31] == named
+        row = [float(cell) for cell in lines[7].split("\t")]
+        np.testing.assert_allclose(row[:2], [2, 1 / 30], atol=1e-6)
+        np.testing.assert_allclose(row[2:], 1000 * joints[1].reshape(-1), atol=1e-4)
+
+
+def test_vertices_become_markers(inputs, tmp_path, capsys):
+    body, motion = load_body(inputs / "body.npz"), load_motion(inputs / "truth.npz")
+    (tmp_path / "head.txt").write_text("# two on the head\nLFHD 7\nRFHD 1499\n\n12\n")
+    assert read_vertex_list(tmp_path / "head.txt") == {"LFHD": 7, "RFHD": 1499, "v12": 12}
+    told = runs(
+        capsys, "convert", inputs / "truth.npz", tmp_path / "all.c3d", "--body", inputs / "body.npz",
+        "--vertices", tmp_path / "head.txt", "SACR=900", "33",
+    )  # fmt: skip
+    assert "31 joint centres and 5 markers" in told
+    back = read_markers(tmp_path / "all.c3d")
+    assert back.labels == (*body.skeleton.names, "LFHD", "RFHD", "v12", "SACR", "v33")
+    expected = np.asarray(deform_all(body, motion.poses))[:, [7, 1499, 12, 900, 33]]
+    np.testing.assert_allclose(np.asarray(back.places)[:, 31:], expected, atol=1e-6)
+    # and from one format of markers to another
+    runs(capsys, "convert", tmp_path / "all.c3d", tmp_path / "all.trc")
+    again = read_markers(tmp_path / "all.trc")
+    assert (again.labels, again.rate) == (back.labels, back.rate)
+    np.testing.assert_allclose(again.places, back.places, atol=1e-8)
+
+
+def test_amass_there_and_back(inputs, tmp_path, capsys):
+    motion = load_motion(inputs / "truth.npz")
+    told = runs(capsys, "convert", inputs / "truth.npz", tmp_path / "a.npz", "--as", "amass")
+    assert "5 frames at 30 a second" in told
+    runs(capsys, "convert", tmp_path / "a.npz", tmp_path / "back.npz")
+    assert load_skeleton(tmp_path / "back.npz").names == load_skeleton(inputs / "truth.npz").names
+    same_motion(load_motion(tmp_path / "back.npz"), motion, 1e-12)
+    # one that does not know its skeleton, with y up, as others write it
+    with np.load(tmp_path / "a.npz") as file:
+        bare = {name: file[name] for name in file.files if not name.startswith("skeleton.")}
+    np.savez(tmp_path / "bare.npz", **bare)
+    assert "--body" in fails(capsys, "convert", tmp_path / "bare.npz", tmp_path / "b.bvh")
+    with_body = ("convert", tmp_path / "bare.npz", tmp_path / "b.npz", "--body", inputs / "body.npz")
+    runs(capsys, *with_body)
+    same_motion(load_motion(tmp_path / "b.npz"), motion, 1e-12)
+    runs(capsys, *with_body, "--up", "y", "--overwrite")
+    lying = np.asarray(load_motion(tmp_path / "b.npz").poses.rotations)[0, 0]
+    np.testing.assert_allclose(np.abs(lying[:2]), np.sqrt(0.5), atol=0.05)
+
+
+def test_a_body_with_a_motion_of_amass_becomes_usd_and_glb(inputs, tmp_path, capsys):
+    body, motion = load_body(inputs / "body.npz"), load_motion(inputs / "truth.npz")
+    write_amass(tmp_path / "a.npz", body.skeleton, motion)
+    for name in ("body.usda", "body.glb"):
+        told = runs(capsys, "convert", inputs / "body.npz", tmp_path / name, "--motion", tmp_path / "a.npz")
+        assert "1500 vertices, 31 joints" in told
+        assert "over 5 frames" in told
+    assert (tmp_path / "body.usda").read_text().startswith("#usda")
+    # the animation of a .glb is a motion
+    runs(capsys, "convert", tmp_path / "body.glb", tmp_path / "m.bvh")
+    skeleton, back = read_bvh(tmp_path / "m.bvh")
+    at = [skeleton.names.index(name) for name in body.skeleton.names]
+    there = np.asarray(joint_paths(skeleton, back.poses))[:, at]
+    np.testing.assert_allclose(there, joint_paths(body.skeleton, motion.poses), atol=1e-5)
+    runs(capsys, "convert", inputs / "body.npz", tmp_path / "still.glb")
+    assert "no animation" in fails(capsys, "convert", tmp_path / "still.glb", tmp_path / "s.bvh")
+    # and its skin a body
+    told = runs(capsys, "convert", tmp_path / "body.glb", tmp_path / "again.npz", "--as", "body")
+    assert "1500 vertices, 31 joints" in told
+    again = load_body(tmp_path / "again.npz")
+    np.testing.assert_allclose(again.vertices, body.vertices, atol=1e-6)
+    told = runs(capsys, "info", tmp_path / "body.glb")
+    assert "motion: 5 frames" in told and "1500 vertices" in told and "LinearSkin" in told
+    words = ("convert", inputs / "truth.npz", tmp_path / "c.npz", "--as", "body")
+    assert "body" in fails(capsys, *words)
+    assert not (tmp_path / "c.npz").exists()
+
+
+def test_a_motion_of_a_body(inputs, tmp_path, capsys):
+    """BVH in metres is matched to the body's joints by name."""
+    body, motion = load_body(inputs / "body.npz"), load_motion(inputs / "truth.npz")
+    write_bvh(tmp_path / "m.bvh", body.skeleton, motion, "m")
+    runs(
+        capsys, "convert", tmp_path / "m.bvh", tmp_path / "m.npz", "--body", inputs / "body.npz", "--unit", "m"
+    )  # fmt: skip
+    assert load_skeleton(tmp_path / "m.npz").kinds == body.skeleton.kinds
+    same_motion(load_motion(tmp_path / "m.npz", body.skeleton), motion, 1e-6)
+
+
+def test_the_human_is_a_body_without_a_file(inputs, tmp_path, capsys):
+    runs(capsys, "convert", "human:low", tmp_path / "a.glb", "--motion", inputs / "truth.npz")
+    assert "1500 vertices" in runs(capsys, "convert", "human:low", tmp_path / "human.npz")
+    low = jc.human(resolution="low", joints="tracking")
+    np.testing.assert_array_equal(jc.load_body(tmp_path / "human.npz").vertices, low.vertices)
+    told = fails(capsys, "convert", "human:low", tmp_path / "b.npz", "--motion", inputs / "truth.npz")
+    assert "--motion is for a body that becomes a .glb" in told
+    runs(capsys, "convert", inputs / "body.npz", tmp_path / "b.glb", "--motion", inputs / "truth.npz")
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+    runs(
+        capsys, "convert", inputs / "truth.npz", tmp_path / "a.trc", "--body", "human:low", "--vertices", "7"
+    )
+    assert "'huge' is not an option" in fails(capsys, "convert", "human:huge", tmp_path / "c.glb")
+
+
+def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
+    body, motion, out = inputs / "body.npz", inputs / "truth.npz", tmp_path / "out"
+    (tmp_path / "three.txt").write_text("LFHD 7 8\n")
+    (tmp_path / "words.txt").write_text("LFHD seven\n")
+    (tmp_path / "none.txt").write_text("# nobody\n")
+    (tmp_path / "minus.txt").write_text("LFHD -3\n")
+    (tmp_path / "twice.txt").write_text("LFHD 3\nLFHD 4\n")
+    marked = (motion, "out.trc", "--body", body, "--vertices")
+    skeleton = load_body(body).skeleton
+    save_motion(inputs / "still.npz", load_motion(motion).slice(slice(0, 0)), skeleton)
+    before = tree(tmp_path)
+    for source, target, *options, said in (
+        (motion, "out.fbx", "'.fbx' files are not written; write .glb"),
+        (motion, "out.gltf", "'.gltf' files are not written; write .glb"),
+        ("human", "out.gltf", "'.gltf' files are not written; write .glb"),
+        ("human", "out.ply", "human: the embedded body cannot become '.ply' files; write it as .glb"),
+        (motion, "out.foo", "cannot become '.foo' files; motions are read from"),
+        (motion, "out.trc", "--motion", motion, "--motion is for a body that becomes a .glb"),
+        (motion, "out.trc", "--as", "amass", "--as amass is for a motion that becomes an .npz"),
+        (motion, "out.bvh", "--as", "amass", "is written as .npz"),
+        (motion, "out.bvh", "--up", "y", "other motions have y up"),
+        (body, "out.glb", "--up", "y", "other motions have y up"),
+        (motion, "out.bvh", "--vertices", "7", "--vertices is for a motion that becomes .trc"),
+        (motion, "out.trc", "--vertices", "7", "name it by --body"),
+        (motion, "out.bvh", "--unit", "mm", "'.npz' files say their unit themselves"),
+        (motion, "out.npz", "--target-unit", "mm", "'.npz' files are written in metres"),
+        (body, "out.usda", "--target-unit", "mm", "'.usda' files are written in metres"),
+        (motion, "out.bvh", "--influences", "8", "--influences is for a body that becomes"),
+        (motion, "out.bvh", "--tolerance", "1", "--tolerance is for a body that becomes"),
+        (body, "out.skl", "--body", body, "--body is for a motion"),
+        (motion, "out.usda", "not a 'jaxcap body'"),
+        (body, "out.bvh", "not a 'jaxcap motion'"),
+        (*marked, "LFHD", "neither a vertex"),
+        (*marked, "a=1", "a=2", "called 'a'"),
+        (*marked, "1500", "the body has 0 to 1499"),
+        (*marked, "Head=7", "a joint is called 'Head'"),
+        (*marked, tmp_path / "three.txt", "three.txt:1"),
+        (*marked, tmp_path / "words.txt", "not a whole number"),
+        (*marked, tmp_path / "none.txt", "no vertices"),
+        (*marked, tmp_path / "minus.txt", "count from 0"),
+        (*marked, tmp_path / "twice.txt", "stands twice"),
+        (tmp_path / "none.npz", "out.bvh", "no such file"),
+        (inputs / "still.npz", "out.bvh", "there are no frames in this motion"),
+        (body, "out.glb", "--motion", inputs / "still.npz", "there are no frames in this motion"),
+    ):
+        assert said in fails(capsys, "convert", source, out.with_name(target), *options)
+    assert tree(tmp_path) == before

@@ -1,0 +1,44 @@
+"""Derivatives of learned joints and poses against central differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+import jaxcap as jc
+from jaxcap.body.body import deform_all
+from jaxcap.geometry.laplacian import make_conformance
+from jaxcap.learn.skeleton.joints import make_curvature
+from jaxcap.learn.skeleton.solve_joints import solve_joints
+from tests.learn.test_learn_projection import arm
+
+
+def test_joints_and_poses_by_targets_weights_and_rest_vertices(rng):
+    body, poses = arm(rng, 5)
+    targets = deform_all(body, poses) + 1e-3 * rng.normal(size=(5, len(body.vertices), 3))
+    metric = make_conformance(np.asarray(body.faces), len(body.vertices), 1.0)
+    curvature = make_curvature(metric)
+    pick = [jnp.asarray(rng.normal(size=shape)) for shape in ((3, 3), (5, 3, 4))]
+
+    @eqx.filter_jit
+    def told(targets, weights, rest):
+        there = eqx.tree_at(lambda b: (b.skin, b.vertices), body, (jc.LinearSkin(weights), rest))
+        found = solve_joints(there, poses, targets, metric, curvature)
+        turns = jnp.abs(found.poses.rotations)
+        return jnp.vdot(pick[0], found.body.skeleton.centres) + jnp.vdot(pick[1], turns), found.result
+
+    given = targets, body.skin.weights, body.vertices
+    assert told(*given)[1] == optx.RESULTS.successful
+    slopes = jax.grad(lambda *given: told(*given)[0], (0, 1, 2))(*given)
+    for number, slope in enumerate(slopes):
+        direction = jnp.asarray(rng.normal(size=slope.shape))
+
+        def at(share, number=number, direction=direction):
+            moved = [x + share * direction if i == number else x for i, x in enumerate(given)]
+            return float(told(*moved)[0])
+
+        step = 1e-4
+        # without the error of the second order
+        differences = (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
+        np.testing.assert_allclose(jnp.vdot(slope, direction), differences, rtol=1e-5)
