@@ -1,2 +1,1 @@
-"""What a template model's examples say of bodies to come: how joints turn together, how far, and the
-shape around every vertex (Adaptation, section 4.1.1)."""
+"""Adapt a template body to the actor in a sequence of scans."""

@@ -1,0 +1,1 @@
+"""Skeletons, poses, skins and bodies."""

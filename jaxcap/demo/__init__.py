@@ -1,0 +1,1 @@
+"""A small performance, scanned and tracked."""

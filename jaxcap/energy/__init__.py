@@ -1,0 +1,1 @@
+"""Energies: residuals of posed bodies that add up."""

@@ -1,0 +1,1 @@
+"""Fit bodies: least-squares problems, correspondence, tracking."""

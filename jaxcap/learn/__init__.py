@@ -1,0 +1,1 @@
+"""Learn animatable bodies from registered meshes."""

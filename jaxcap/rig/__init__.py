@@ -1,0 +1,1 @@
+"""Put a skeleton into a mesh."""

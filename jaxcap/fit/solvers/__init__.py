@@ -1,0 +1,1 @@
+"""Minimise sums of squares on manifolds."""
