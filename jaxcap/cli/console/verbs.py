@@ -86,7 +86,7 @@ def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
         prepare_jax(keep)
         import tyro
 
-        made = getattr(importlib.import_module(f"{__package__}.{module}"), name)
+        made = getattr(importlib.import_module(f"jaxcap.cli.{module}"), name)
     if {"-h", "--help"} & set(words):
         sys.stdout.write(verb_help(made, prog))
         raise SystemExit(0)
