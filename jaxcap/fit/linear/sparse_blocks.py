@@ -18,7 +18,7 @@ STEPS = 2000
 
 
 class SparseBlocks(AbstractStructured):
-    """A symmetric matrix over `e (V, 3)`, as the diagonal blocks of vertices and the blocks of coupled pairs."""
+    """A symmetric matrix over `e (V, 3)`: the diagonal blocks of vertices and the blocks of coupled pairs."""
 
     own: Float[Array, "V 3 3"]
     #: each pair once; its block has the first vertex's rows and the second vertex's columns
