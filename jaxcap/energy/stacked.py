@@ -53,7 +53,7 @@ def stack_energies(energies: Sequence[AbstractEnergy]) -> Stacked:
 
 
 class WeighedFrames(AbstractEnergy):
-    """One energy that is the same in every frame, except for a weight of each of F frames (`weigh_frames`)."""
+    """One energy that is the same in every frame, with a weight for each of F frames (`weigh_frames`)."""
 
     energy: AbstractEnergy
     weights: Float[Array, "F"]
@@ -74,7 +74,7 @@ def weigh_frames(weights: Float[Array, "F"], energy: AbstractEnergy) -> Abstract
 
 
 class AbstractSharedEnergy(eqx.Module):
-    """A squared residual of the values shared by all frames of a sequence, and of the body that they define."""
+    """A squared residual of the values shared by all frames of a sequence, and of their body."""
 
     def __check_init__(self):
         check_fields(self)
