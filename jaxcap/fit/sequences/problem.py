@@ -88,7 +88,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return make_body(self.body, self.unknowns, values)
 
     def start(self, poses: Pose) -> SequenceEstimate:
-        """Make the start from poses, projected onto the joints' types and the boxes, and the unchanged body."""
+        """Make the start from poses, projected onto joints' types and boxes, and the unchanged body."""
 
         def allowed(pose: Pose) -> Pose:
             pose = project(self.body.skeleton, pose)

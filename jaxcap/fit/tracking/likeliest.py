@@ -27,7 +27,9 @@ _change = eqx.filter_jit(difference)
 
 @eqx.filter_jit
 def _apart(skeleton: Skeleton, one: Pose, other: Pose) -> Float[Array, ""]:
-    """Compute the largest distance between two poses of a bone's points, at its joint or `AROUND` it, metres."""
+    """Compute the largest distance between two poses of a bone's points, at its joint and `AROUND` it,
+    metres.
+    """
     here, there = (forward_kinematics(skeleton, pose) for pose in (one, other))
     moved = joint_positions(skeleton, here) - joint_positions(skeleton, there)
     turned = AROUND * jnp.linalg.norm(here.rotations - there.rotations, axis=1)

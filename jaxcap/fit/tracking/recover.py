@@ -81,7 +81,9 @@ class TrackedFrame(eqx.Module):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """The faults and their parts, such as "unexplained points near the left leg"; empty for a good frame."""
+        """The faults and their parts, such as "unexplained points near the left leg"; empty if the frame is
+        good.
+        """
         return reasons_of(self.lost, self.judgement)
 
     @property
