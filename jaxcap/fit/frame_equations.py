@@ -60,7 +60,7 @@ def _pulled_back(equations: Equations, moved: Float[Array, "V 3 N"]) -> Equation
 def _vertex_sums(term: AbstractEnergy, posed: Posed) -> Equations | None:
     """Compute the equations of a term by each vertex, `(V, 3)` and `(V, 3, 3)`.
 
-    None if its rows are fewer, or depend on several vertices.
+    None if it is not a term over vertices, has fewer rows, or has rows that depend on several vertices.
     """
     if not isinstance(bare(term), AbstractVertexEnergy):
         return None

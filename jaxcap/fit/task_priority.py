@@ -204,8 +204,9 @@ def _step(order: _Order, pose: Pose, damping):
 def _judge(there, before, most, slack) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
     """Test if a candidate is better, and if a group other than the last rejects it.
 
-    It is better if a group has fallen and none above it has risen, or if none has risen by more than its cost
-    for the groups above it, which is too small to show in their own energies.
+    It is better if a group has fallen and none above it has risen. It is also better if none has risen by
+    more than the gains of the groups above it allow, when these gains are too small to show in their own
+    energies.
     """
     level, fallen, spoilt = jnp.array(True), jnp.array(False), jnp.array(False)
     for number in range(len(there)):

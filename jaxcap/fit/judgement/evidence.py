@@ -1,4 +1,4 @@
-"""Evidence against a pose in a cloud: points without surface, surface without points, and self-intersection."""
+"""Evidence against a pose in a cloud: points without surface, surface without points, self-intersection."""
 
 from collections.abc import Sequence
 

@@ -140,7 +140,7 @@ def region_name(joint: str) -> str:
 def _even_samples(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[Int[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
-    """Sample corners and barycentric shares at equal steps of area, over the triangles along Morton's curve."""
+    """Sample triangle corners and barycentric shares at equal steps of area along Morton's curve."""
     triangles = vertices[faces]
     order = np.asarray(spatial_order(triangles.mean(1)))
     passed = np.cumsum(np.linalg.norm(_area_normals(triangles), axis=1)[order])

@@ -38,7 +38,7 @@ FIRST = 10.0
 
 
 class Judgement(eqx.Module):
-    """A frame compared with the normal values of the sequence: shares of the limits at which a frame is lost."""
+    """A frame compared with a sequence's normal values: shares of the limits at which a frame is lost."""
 
     #: of each row of `observed`, by region and, last, of the whole body
     shares: Float[Array | np.ndarray, "3 Q"]
@@ -81,7 +81,7 @@ class Judgement(eqx.Module):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """The faults and their parts, without a full stop, the worst first; empty where the verdict is good."""
+        """The faults and their parts, without a full stop, worst first; empty where the verdict is good."""
         found: dict[str, float] = {}
         doubt = float(self.doubt)
         for row, what in zip(np.asarray(self.shares, float), WORDS, strict=True):
