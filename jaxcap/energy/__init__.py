@@ -1,1 +1,1 @@
-"""Energies: residuals of posed bodies that add up."""
+"""Energies: additive residuals of posed bodies."""

@@ -1,4 +1,4 @@
-"""Whether an energy can be evaluated for a body at all, and in words why not."""
+"""Checks that an energy can be evaluated for a body, with explanatory errors."""
 
 import contextlib
 import dataclasses
@@ -20,12 +20,12 @@ from .energy import AbstractEnergy, Weighted, bare, name_of, sum_of, terms_of
 #: energies of a user's own: one or several
 OwnTerms = AbstractEnergy | Sequence[AbstractEnergy]
 
-#: fields of energies that are numbers of vertices or of joints
+#: fields of energies that are indices of vertices or of joints
 _NUMBERS = {"vertices": "vertices", "bones": "joints", "joints": "joints"}
 
 
 def flat_terms(energy: AbstractEnergy) -> list[AbstractEnergy]:
-    """The summands of an energy, of sums within sums as well."""
+    """List the terms of an energy, including those of nested sums."""
     terms = terms_of(energy)
     return (
         [energy]
@@ -35,13 +35,13 @@ def flat_terms(energy: AbstractEnergy) -> list[AbstractEnergy]:
 
 
 def check_numbers(energy: AbstractEnergy, body: Body) -> None:
-    """Check that an energy is of vertices and joints that the body has, where JAX would take the last one for any beyond, that
-    weights are at least zero, where less would count as none, and that what the library's own energies are made of has no NaN
-    but where it weighs nothing.
+    """Check the vertex and joint indices, weights and data of an energy against a body.
 
-    Traced arrays, whose values are not known, are not looked at.
+    Indices have to exist in the body, because JAX would clamp those beyond the last. Weights have to be at
+    least zero, because negative ones would count as zero. The data of the library's own energies may be NaN
+    only where the weight is zero. Traced arrays, whose values are unknown, are not checked.
 
-    **Raises:** `InputError` with the energy, the field, what was found and what is expected.
+    **Raises:** `InputError` with the energy, the field, the value and the expectation.
     """
     counts = {"vertices": len(body.vertices), "joints": body.skeleton.num_joints}
     for term in flat_terms(energy):
@@ -54,9 +54,9 @@ def check_numbers(energy: AbstractEnergy, body: Body) -> None:
 
 
 def check_indices(owner: str, field: str, numbers: Any, what: str, count: int) -> None:
-    """Check that numbers of vertices or joints are among those that a body has.
+    """Check that indices of vertices or joints exist in a body.
 
-    **Raises:** `InputError` with the first that is not.
+    **Raises:** `InputError` with the first that does not.
     """
     if isinstance(numbers, Tracer):
         return
@@ -72,7 +72,7 @@ def _check_weight(term: AbstractEnergy) -> None:
     while isinstance(term, Weighted):
         if not isinstance(term.weight, Tracer):
             weight = np.asarray(term.weight)
-            # written so that what is no number counts as wrong
+            # written so that NaN counts as wrong
             if not (weight >= 0).all():
                 raise InputError(
                     f"{name_of(term)}: its weight is {float(weight.min()):g}; expected is a number of at least 0."
@@ -81,7 +81,7 @@ def _check_weight(term: AbstractEnergy) -> None:
 
 
 def _check_data(term: AbstractEnergy) -> None:
-    """Check weights and numbers of an energy of the library; what may stand in those of others is theirs to say."""
+    """Check weights and data of an energy of the library; other energies define their own valid data."""
     if type(term).__module__.partition(".")[0] != __name__.partition(".")[0]:
         return
     weights = getattr(term, "weights", None)
@@ -91,11 +91,11 @@ def _check_data(term: AbstractEnergy) -> None:
 
 
 def own_terms(where: str, terms: OwnTerms, body: Body) -> AbstractEnergy | None:
-    """Add up energies of a user's own, one or several, after a check that they can be evaluated for a body; None where
-    there are none.
+    """Add up a user's own energies, after a check that they can be evaluated for a body; None where there are
+    none.
 
-    **Raises:** `InputError` with the term for what is no energy, for arrays that do not fit the body or have NaN, for weights below zero
-    and for a residual that is not one row.
+    **Raises:** `InputError` with the term for an object that is not an energy, for arrays that do not fit the
+    body or have NaN, for weights below zero and for a residual that is not one row.
     """
     given = (terms,) if isinstance(terms, AbstractEnergy) else tuple(terms)
     for term in given:
@@ -111,10 +111,10 @@ def own_terms(where: str, terms: OwnTerms, body: Body) -> AbstractEnergy | None:
 
 
 def _check_finite(term: AbstractEnergy) -> None:
-    """Check that there is no NaN, but in rows of a weight of zero."""
+    """Check that there is no NaN, except in rows of weight zero."""
     term = bare(term)
     if isinstance(getattr(term, "weights", None), Tracer):
-        # whether a row counts is not known
+        # unknown weights do not show which rows count
         return
     weights = known(getattr(term, "weights", None))
     for field in dataclasses.fields(term):
@@ -130,7 +130,7 @@ def _check_finite(term: AbstractEnergy) -> None:
 
 
 def _check_residual(term: AbstractEnergy, body: Body, pose: Pose) -> None:
-    """Check that a residual is one row, and the same in each call."""
+    """Check that a residual is one row, of the same length in each call."""
     lengths = []
     for _ in range(2):
         try:
@@ -149,7 +149,7 @@ def _check_residual(term: AbstractEnergy, body: Body, pose: Pose) -> None:
 
 @contextlib.contextmanager
 def explained(energy: AbstractEnergy, body: Body, pose: Pose | None = None) -> Iterator[None]:
-    """Turn an error of a residual's own arrays in the block into a sentence; nothing is done where there is none.
+    """Explain an error that the arrays of a residual cause in the block; do nothing without an error.
 
     **Raises:** `InputError` with the first term whose residual cannot be evaluated, its fields and the error.
     """

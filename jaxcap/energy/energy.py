@@ -1,4 +1,4 @@
-"""Energies: residuals of a posed body, with weights, that add up."""
+"""Energies: additive weighted residuals of a posed body."""
 
 import abc
 from collections.abc import Sequence
@@ -14,8 +14,8 @@ from ..body.body import Posed
 class AbstractEnergy(eqx.Module):
     """A squared residual `E = |r|^2` of a posed body (Kineben, eq. 2).
 
-    A new energy is a class with its data as fields and one method. It sums with others
-    (`a + b`) and is weighted by a number (`3.0 * a`, which triples `E`).
+    A new energy is a class with its data as fields and one method. It adds to others (`a + b`) and is
+    weighted by a number (`3.0 * a`, which triples `E`).
     """
 
     def __check_init__(self):
@@ -23,13 +23,13 @@ class AbstractEnergy(eqx.Module):
 
     @abc.abstractmethod
     def residual(self, posed: Posed) -> Float[Array, "R"]:
-        """The residual of one posed body, any number of components."""
+        """Compute the residual of one posed body, any number of components."""
 
     def __add__(self, other: "AbstractEnergy") -> "Sum":
         return Sum(terms_of(self) + terms_of(other))
 
     def __radd__(self, other) -> "AbstractEnergy":
-        # what `sum` starts with
+        # the start value of `sum`
         if other == 0:
             return self
         return NotImplemented
@@ -52,7 +52,7 @@ class Weighted(AbstractEnergy):
 
 
 class Sum(AbstractEnergy):
-    """The sum of several energies: their residuals one below the other."""
+    """The sum of several energies: their concatenated residuals."""
 
     terms: tuple[AbstractEnergy, ...]
 
@@ -61,7 +61,7 @@ class Sum(AbstractEnergy):
 
 
 def weighted(weight, energy: AbstractEnergy) -> AbstractEnergy:
-    """`weight * E`; a sum is weighted term by term, and weights of weights multiply."""
+    """Weight an energy, `weight * E`; a sum is weighted term by term, and nested weights multiply."""
     if isinstance(energy, Sum):
         return Sum(tuple(weighted(weight, term) for term in energy.terms))
     if isinstance(energy, Weighted):
@@ -70,35 +70,35 @@ def weighted(weight, energy: AbstractEnergy) -> AbstractEnergy:
 
 
 def _number(weight) -> Float[Array, ""]:
-    """A weight as an array, in its own precision where it is one."""
+    """Convert a weight to an array, in its own precision if it is one already."""
     there = eqx.is_inexact_array(weight)
     return weight if there else jnp.asarray(weight, float)
 
 
 def sum_of(energies: Sequence[AbstractEnergy | None]) -> AbstractEnergy | None:
-    """Add up energies, none of which may be a sum in a sum; None where there are none."""
+    """Add up energies without nesting sums; None where there are none."""
     terms = tuple(term for energy in energies if energy is not None for term in terms_of(energy))
     return Sum(terms) if terms else None
 
 
 def terms_of(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
-    """The summands of an energy; itself where it is no sum."""
+    """Get the terms of an energy; the energy itself if it is no sum."""
     return energy.terms if isinstance(energy, Sum) else (energy,)
 
 
 def name_of(energy: AbstractEnergy) -> str:
-    """The class of an energy, through its weight: `JointLimits`."""
+    """Get the class name of an energy without its weight: `JointLimits`."""
     return type(bare(energy)).__name__
 
 
 def bare(energy: AbstractEnergy) -> AbstractEnergy:
-    """An energy without its weight."""
+    """Strip the weight from an energy."""
     return bare(energy.energy) if isinstance(energy, Weighted) else energy
 
 
 @checked
 def energies(energy: AbstractEnergy, posed: Posed) -> dict[str, Float[Array, ""]]:
-    """The value `|r|^2` of every summand by its name; equal names are added up."""
+    """Compute the value `|r|^2` of every term by its name; equal names are added up."""
     values: dict[str, Float[Array, ""]] = {}
     for term in terms_of(energy):
         r = term.residual(posed)
@@ -107,12 +107,13 @@ def energies(energy: AbstractEnergy, posed: Posed) -> dict[str, Float[Array, ""]
 
 
 def root(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """The square root of weights, with slope zero where a weight is zero: what is not
-    there stays away under differentiation too."""
+    """Compute the square root of weights, with slope zero where a weight is zero, so that missing data stay
+    without effect under differentiation.
+    """
     positive = weights > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, weights, 1.0)), 0.0)
 
 
 def where_weighed(weights: Float[Array, "C"], rows: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-    """Rows of data, zero where they weigh nothing, for what was not seen may be NaN."""
+    """Replace rows of weight zero by zeros, because unobserved data may be NaN."""
     return jnp.where((weights > 0)[:, None], rows, 0.0)

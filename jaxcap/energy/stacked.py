@@ -18,9 +18,10 @@ from .priors.temporal import second_difference
 
 
 class Stacked(AbstractEnergy):
-    """One energy with data of its own for each of F frames: all arrays of `energy` have a leading axis of frames.
+    """One energy with separate data for each of F frames: all arrays of `energy` have a leading axis of
+    frames.
 
-    `stack_energies` makes it. Beside it in a sum, any other energy is the same in every frame.
+    Made by `stack_energies`. In a sum with it, any other energy is the same in every frame.
     """
 
     energy: AbstractEnergy
@@ -34,9 +35,9 @@ class Stacked(AbstractEnergy):
 
 @checked
 def stack_energies(energies: Sequence[AbstractEnergy]) -> Stacked:
-    """Stack the energies of single frames, which are of one kind and one shape.
+    """Stack the energies of single frames, which have one type and one shape.
 
-    **Raises:** `InputError` where there are none, and where they differ in kind or shape.
+    **Raises:** `InputError` where there are none, and where they differ in type or shape.
     """
     if not energies:
         raise InputError("stack_energies: no energies were given; give one for each frame.")
@@ -52,7 +53,7 @@ def stack_energies(energies: Sequence[AbstractEnergy]) -> Stacked:
 
 
 class WeighedFrames(AbstractEnergy):
-    """One energy that is the same in every frame, but for a weight of each of F frames (`weigh_frames`)."""
+    """One energy that is the same in every frame, with a weight for each of F frames (`weigh_frames`)."""
 
     energy: AbstractEnergy
     weights: Float[Array, "F"]
@@ -66,26 +67,27 @@ class WeighedFrames(AbstractEnergy):
 
 @checked
 def weigh_frames(weights: Float[Array, "F"], energy: AbstractEnergy) -> AbstractEnergy:
-    """Weigh an energy by a number for each frame; a sum is weighed term by term."""
+    """Weight an energy by a number for each frame; a sum is weighted term by term."""
     if isinstance(energy, Sum):
         return Sum(tuple(weigh_frames(weights, term) for term in energy.terms))
     return WeighedFrames(energy, weights)
 
 
 class AbstractSharedEnergy(eqx.Module):
-    """A squared residual of the values that all frames of a sequence share, and of the body that they make."""
+    """A squared residual of the values shared by all frames of a sequence, and of their body."""
 
     def __check_init__(self):
         check_fields(self)
 
     @abc.abstractmethod
     def residual(self, values: dict[str, Any], posed: Posed) -> Float[Array, "R"]:
-        """The residual of shared values by their names, and of their body at rest."""
+        """Compute the residual of shared values by their names, and of their body at rest."""
 
 
 class NormalPrior(AbstractSharedEnergy):
-    """A normal distribution of the numbers of one shared value: how far each is from where it is expected, in standard
-    deviations."""
+    """A normal distribution of one shared value: deviation of each component from its expected value, in
+    standard deviations.
+    """
 
     name: str = eqx.field(static=True)
     expected: Float[Array, "N"]
@@ -96,7 +98,7 @@ class NormalPrior(AbstractSharedEnergy):
 
 
 class AbstractNeighbourEnergy(eqx.Module):
-    """A squared residual of a few successive frames, such as of a motion that is to be smooth."""
+    """A squared residual of a few successive frames, such as for smooth motion."""
 
     def __check_init__(self):
         check_fields(self)
@@ -104,16 +106,19 @@ class AbstractNeighbourEnergy(eqx.Module):
     @property
     @abc.abstractmethod
     def frames(self) -> int:
-        """How many successive frames it sees, two or more."""
+        """The number of successive frames in the residual, two or more."""
 
     @abc.abstractmethod
     def residual(self, posed: tuple[Posed, ...], gaps: Float[Array, "W"]) -> Float[Array, "R"]:
-        """The residual of successive posed bodies, `gaps` frames apart: one gap less than there are bodies."""
+        """Compute the residual of successive posed bodies, `gaps` frames apart: one gap less than there are
+        bodies.
+        """
 
 
 class SmoothTurns(AbstractNeighbourEnergy):
-    """How far the turns of all joints are from the middle of those before and after: the mean over joints of squares, radians
-    squared, times a weight (Adaptation, eqs. 4.9 and 4.10)."""
+    """Deviation of all joints' rotations from the midpoint of the previous and the next: the mean over joints
+    of squares, radians squared, times a weight (Adaptation, eqs. 4.9 and 4.10).
+    """
 
     weight: Float[Array, ""]
 
@@ -128,7 +133,7 @@ class SmoothTurns(AbstractNeighbourEnergy):
 
 
 def split_frames(energy: AbstractEnergy) -> tuple[AbstractEnergy, AbstractEnergy]:
-    """Split an energy into the arrays that each frame has of its own, with `None` elsewhere, and all else."""
+    """Split an energy into the arrays of each frame, with `None` elsewhere, and the rest."""
 
     def own(node: Any) -> Any:
         if isinstance(node, WeighedFrames):
@@ -140,12 +145,12 @@ def split_frames(energy: AbstractEnergy) -> tuple[AbstractEnergy, AbstractEnergy
 
 
 def join_frame(own: AbstractEnergy, same: AbstractEnergy) -> AbstractEnergy:
-    """Make the energy of one frame of its arrays and all else, a flat sum."""
+    """Combine the arrays of one frame with the rest to its energy, a flat sum."""
     return Sum(_unwrapped(eqx.combine(own, same)))
 
 
 def num_frames_of(energy: AbstractEnergy) -> set[int]:
-    """Find the numbers of frames that the stacked terms of an energy have."""
+    """Find the frame counts of the stacked terms of an energy."""
     return {leaf.shape[0] for leaf in jax.tree.leaves(split_frames(energy)[0])}
 
 

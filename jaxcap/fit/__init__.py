@@ -1,1 +1,1 @@
-"""Fit bodies: least-squares problems, correspondence, tracking."""
+"""Fitting of bodies: least-squares problems, correspondence, tracking."""

@@ -1,4 +1,4 @@
-"""Outer rounds: a problem that is made anew where the last one led, such as with new pairs or weights."""
+"""Outer iterations: a problem is rebuilt at each result, such as with new pairs or weights."""
 
 import logging
 import math
@@ -19,15 +19,15 @@ from .solvers.problem import AbstractProblem
 _DONE, _UNFINISHED = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
 _LOG = logging.getLogger(__name__)
 
-#: damping from which on steps are too short to tell anything
+#: damping above which steps are too short to be informative
 STUCK = 1e3
 
 
 class Alternation(NamedTuple):
-    """The best that the rounds have reached."""
+    """The best result of all rounds."""
 
     y: Any
-    #: the problem that was made there
+    #: the problem built there
     problem: Any
     #: its `|r|^2 / 2`
     value: float
@@ -45,10 +45,11 @@ def alternate(
     enough: float = 0.0,
     uphill: int = 0,
 ) -> Alternation:
-    """Make a problem, take steps on it, and again, each round from where the last one ended.
+    """Build a problem, take steps on it, and repeat, each round from the end of the last.
 
-    **Arguments:** `remake(y)` makes the problem at `y`, always of the same shapes; `rounds` of `steps` each. A new problem may be worth more
-    than the last one where that had come: after `uphill` rounds in a row that do not better the best one by a share `enough` the rounds end. The best is kept.
+    **Arguments:** `remake(y)` builds the problem at `y`, always of the same shapes; `rounds` of `steps` each.
+    A new problem may have a higher value than the last one at its end: the rounds end after `uphill` rounds
+    in a row that do not improve on the best by a share `enough`. The best is kept.
     """
     y, best, worse, history, lowered = start, None, 0, [], math.inf
     damping = jnp.asarray(solver.damping, float)
@@ -71,14 +72,14 @@ def alternate(
 
 
 class Renewal(NamedTuple):
-    """Where rounds of renewed problems ended."""
+    """The result of rounds of renewed problems."""
 
     y: Any
     #: the last problem
     problem: Any
     #: `|r|^2` after every step; a rise marks a new problem
     history: tuple[float, ...]
-    #: whether the last renewal hardly changed the problem, and the solver was able to step
+    #: true if the last renewal hardly changed the problem, and the solver was able to step
     settled: bool
 
 
@@ -93,11 +94,13 @@ def renew(
     steps: int,
     most: int,
 ) -> Renewal:
-    """Minimise a problem, renew what its weights rest on, and again, until that hardly changes; energies of successive problems
-    are not comparable, as in fits whose variances are found.
+    """Minimise a problem, renew its weights, and repeat until they hardly change.
 
-    **Arguments:** `renewed(number, problem, y)` makes of the round's minimum the next problem and start, and says whether these have settled;
-    `tolerance(number)` is the share of the energy that a round's last step gains; `rounds` of `steps` at most, `most` steps in all.
+    Energies of successive problems are not comparable, as in fits with estimated variances.
+
+    **Arguments:** `renewed(number, problem, y)` makes the next problem and start from the round's minimum,
+    and returns if these have settled; `tolerance(number)` is the share of the energy that a round's last step
+    gains; `rounds` of `steps` at most, `most` steps in all.
     """
     y, history, settled = start, [], False
     for number in range(1, rounds + 1):
@@ -126,8 +129,12 @@ def anneal(
     *,
     steps: int = 1,
 ) -> Any:
-    """Make a problem `remake(y, stage)` for each stage, such as each of falling scales of robust weights, and take `steps` on it
-    from where the last stage ended. What different problems are worth is not compared: the last place is the answer."""
+    """Take `steps` on a problem `remake(y, stage)` for each stage, such as each of falling scales of robust
+    weights.
+
+    Each stage starts from the end of the last. Values of different problems are not compared: the last point
+    is the result.
+    """
     y, damping = start, jnp.asarray(solver.damping, float)
     for stage in stages:
         found = _improve(remake(y, stage), y, solver, steps, damping)
@@ -144,11 +151,12 @@ def reweigh(
     steps: int,
     enough: float,
 ) -> tuple[Any, Int[Array, ""]]:
-    """Make a problem `remake(y)`, take a few steps on it, and again, inside of `jit` and its kin: iteratively reweighted least squares
-    for one small problem of many.
+    """Iterate on a rebuilt problem under `jit`: iteratively reweighted least squares for one small problem of
+    many.
 
-    Returns where that ended and how many steps it took: `rounds` of `steps` at most, fewer where no number of a step is above `enough`, or where
-    steps are refused again and again, which is the end of what the precision shows.
+    Build a problem `remake(y)`, take a few steps on it, and repeat. Returns the end point and the number of
+    steps: `rounds` of `steps` at most, fewer if no component of a step is above `enough`, or if steps are
+    rejected again and again, which is the limit of the precision.
     """
 
     def going_on(carry):

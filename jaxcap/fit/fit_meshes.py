@@ -1,4 +1,4 @@
-"""Fit a body to registered meshes: every vertex of the body knows its place in the mesh."""
+"""Fitting of a body to registered meshes: the correspondence of every vertex is known."""
 
 import equinox as eqx
 import jax
@@ -20,20 +20,21 @@ from ..observe import MeshSequence
 from .solve import solve
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 
-#: how much a limb whose own vertices leave its turn open follows its parent, share of the body's moment
+#: weight of the parent's rotation for a limb whose own vertices do not determine its rotation, as a share of
+#: the body's moment
 FOLLOW = 1e-6
-#: one over the squared metres that a mean vertex is off by where the solver's damping weighs as much
+#: one over the mean squared distance of vertices at which the solver's damping has equal weight, 1/m²
 EVIDENCE = 1e6
 
 
 class MeshFit(eqx.Module):
-    """The outcome of `fit_meshes` over F meshes."""
+    """The result of `fit_meshes` over F meshes."""
 
     motion: Motion
-    #: root mean square distance of the vertices to their places, metres; NaN where no place is known
+    #: root mean square distance of the vertices from their targets, metres; NaN if no target is known
     rmse: Float[Array, "F"]
     num_steps: Int[Array, "F"]
-    #: whether a mesh was fitted: it has finite places, and the solver converged to a finite pose
+    #: true if a mesh was fitted: it has finite vertices, and the solver converged to a finite pose
     converged: Bool[Array, "F"]
 
 
@@ -47,13 +48,15 @@ def fit_meshes(
     max_steps: int = 40,
     terms: OwnTerms = (),
 ) -> MeshFit:
-    """The poses of a body in which its vertices come nearest to those of registered meshes, by
-    Levenberg-Marquardt from `procrustes_poses`; every mesh by itself, compiled once.
+    """Fit the poses of a body to registered meshes, by Levenberg-Marquardt from `procrustes_poses`.
 
-    **Arguments:** `start` poses stacked over the meshes, in place of Procrustes' own; `vertices`
-    indices of those that count, all where not given. A vertex that is not finite in a mesh does not
-    count there. `terms` are further energies of the posed body, such as a floor; a unit of them weighs as much as vertices
-    that are a millimetre off in the mean. A mesh that cannot be fitted is told by `converged`, and takes nothing from the others.
+    Meshes are fitted independently, compiled once.
+
+    **Arguments:** `start` poses stacked over the meshes, in place of Procrustes' own; `vertices` indices of
+    those that count, all where not given. A vertex that is not finite in a mesh does not count there. `terms`
+    are further energies of the posed body, such as a floor; a unit of them has the weight of a root mean
+    square distance of a millimetre. `converged` marks the meshes that could be fitted; the others do not
+    affect them.
 
     **Raises:** `InputError` where the meshes have other vertices than the body, or no mesh is given.
     """
@@ -74,16 +77,17 @@ def fit_meshes(
 
 
 def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
-    """Poses stacked over meshes, limb by limb: from the root on, each bone takes the rotation that brings
-    its own vertices, weighed by its influence on them, nearest to their places (orthogonal Procrustes;
-    Adaptation, section 3.2.1), as far as its joint's kind allows. In NumPy and float64.
+    """Estimate poses stacked over meshes, limb by limb, by orthogonal Procrustes (Adaptation, section 3.2.1).
 
-    A limb whose vertices lie on a line, or that has none, follows its parent.
+    From the root on, each bone takes the rotation that best aligns its own vertices, weighted by its
+    influence on them, with their targets, as far as its joint's type allows. In NumPy and float64.
+
+    A limb whose vertices are collinear, or that has none, follows its parent.
     """
     skeleton = body.skeleton
     rest, places = np.asarray(body.vertices, float), np.asarray(sequence.vertices, float)
     known = np.asarray(np.isfinite(places).all(2))
-    # by the vertices that all meshes have, but for meshes of which there is hardly anything
+    # use the vertices that all meshes have, except for meshes with few known vertices
     whole = np.asarray(known[known.mean(1) > 0.5].all(0))
     places = np.where(known[:, :, None], places, 0.0)[:, whole]
     shares = np.asarray(body.skin.influence(skeleton.num_joints), float).T[:, whole]

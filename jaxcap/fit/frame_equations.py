@@ -1,4 +1,4 @@
-"""Normal equations of one frame, by its pose and by what all frames share."""
+"""Normal equations of one frame, by its pose and by the shared unknowns."""
 
 from collections.abc import Callable, Sequence
 
@@ -25,7 +25,9 @@ def frame_equations(
 ) -> Equations:
     """Compute `|r|^2 / 2`, `J^T r` and `J^T J` of a frame by `[d, s]`; arguments as of `frame_rows`.
 
-    A term with more rows than the vertices have coordinates is summed over each vertex first: no row is written out for it."""
+    A term with more rows than the vertices have coordinates is first summed over each vertex, without writing
+    out its rows.
+    """
     posed, terms = pose_body(body, pose), terms_of(energy)
     sums = [_vertex_sums(term, posed) for term in terms]
     others = tuple(term for term, part in zip(terms, sums, strict=True) if part is None)
@@ -44,9 +46,9 @@ def _total(parts: Sequence[Equations]) -> Equations:
 
 
 def _pulled_back(equations: Equations, moved: Float[Array, "V 3 N"]) -> Equations:
-    """Turn equations of the vertices into those of what moves them."""
+    """Transform equations of the vertices into equations of the unknowns, by the vertices' Jacobian."""
     value, sides, matrices = equations
-    # by hand: a product for every vertex is slow on a CPU
+    # written out, because batched products per vertex are slow on a CPU
     across = [
         sum((matrices[:, a, b, None] * moved[:, b] for b in (1, 2)), matrices[:, a, 0, None] * moved[:, 0])
         for a in range(3)
@@ -56,7 +58,10 @@ def _pulled_back(equations: Equations, moved: Float[Array, "V 3 N"]) -> Equation
 
 
 def _vertex_sums(term: AbstractEnergy, posed: Posed) -> Equations | None:
-    """Compute the equations of a term by each vertex, `(V, 3)` and `(V, 3, 3)`; None where its rows are fewer, or no vertex's own."""
+    """Compute the equations of a term by each vertex, `(V, 3)` and `(V, 3, 3)`.
+
+    None if it is not a term over vertices, has fewer rows, or has rows that depend on several vertices.
+    """
     if not isinstance(bare(term), AbstractVertexEnergy):
         return None
     vertices, directions = weighted_slopes(term, posed)

@@ -1,4 +1,4 @@
-"""Residuals of a posed body with their Jacobian by the pose, and by what changes the body itself."""
+"""Residuals of a posed body with their Jacobian by the pose, and by parameters of the body itself."""
 
 from collections.abc import Callable
 
@@ -17,30 +17,31 @@ from ..energy.data.vertices import AbstractVertexEnergy
 from ..energy.energy import AbstractEnergy, Weighted, bare, root, terms_of
 from ..geometry import rotation
 
-#: places whose rows are summed at once: as many as stay in a core's cache
+#: points whose rows are summed together: as many as fit in a core's cache
 BATCH = 64
 
 
 class BodyTangent(eqx.Module):
-    """How a body at rest moves with S numbers that all frames share."""
+    """The derivative of a body at rest by S parameters shared by all frames."""
 
     centres: Float[Array, "J 3 S"]
-    #: turns of the joints' orientations on the right, radians a unit; none where no number turns them
+    #: rotations of the joints' orientations on the right, radians per unit; None if no parameter rotates them
     turns: Float[Array, "J 3 S"] | None
     vertices: Float[Array, "V 3 S"]
-    #: derivatives of all other arrays of the body, such as skinning weights, with S as their last axis; None for those that stay
+    #: derivatives of all other arrays of the body, such as skinning weights, with S as their last axis; None
+    #: for constant ones
     others: Body
 
 
 def linearise(
     energy: AbstractEnergy, body: Body, pose: Pose
 ) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
-    """Residual and Jacobian of an energy at a pose, by tangents of `retract`, rows in the order
-    of `energy.residual`.
+    """Compute residual and Jacobian of an energy at a pose, by tangents of `retract`, rows in the order of
+    `energy.residual`.
 
-    Terms over vertices use the skin's own Jacobian (Kineben, eqs. 8 to 13), which costs one
-    sum down the tree for each joint; forward autodiff, which all other terms use, pushes
-    each of the D tangents through the whole skin.
+    Terms over vertices use the skin's own Jacobian (Kineben, eqs. 8 to 13), which costs one sum down the tree
+    for each joint. All other terms use forward automatic differentiation, which pushes each of the D tangents
+    through the whole skin.
     """
     return frame_rows(energy, body, pose, None, None)
 
@@ -52,9 +53,11 @@ def frame_rows(
     body_at: Callable[[Float[Array, "S"]], Body] | None,
     tangent: BodyTangent | None,
 ) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
-    """Residual and Jacobian of a frame by `[d, s]`, the tangent of its pose and the S numbers that change the body.
+    """Compute residual and Jacobian of a frame by `[d, s]`, the tangent of its pose and the S parameters of
+    the body.
 
-    **Arguments:** `body_at(s)` makes the body of shared numbers, `body_at(0) = body`; `tangent` is its derivative at zero.
+    **Arguments:** `body_at(s)` makes the body of shared parameters, `body_at(0) = body`; `tangent` is its
+    derivative at zero.
     """
     posed = pose_body(body, pose)
     terms = terms_of(energy)
@@ -68,7 +71,7 @@ def frame_rows(
         residuals = tuple(term.residual(placed) for term in others)
         return residuals, residuals
 
-    # all in one pass: what the terms share is differentiated once
+    # all in one pass, so that common parts of the terms are differentiated once
     zero = jnp.zeros(dofs + count, body.vertices.dtype)
     jacobians, residuals = jax.jacfwd(moved, has_aux=True)(zero) if others else ((), ())
     differentiated = iter(zip(residuals, jacobians, strict=True))
@@ -82,7 +85,7 @@ def frame_rows(
 
 
 def body_tangent(body_at: Callable[[Float[Array, "S"]], Body], body: Body, count: int) -> BodyTangent:
-    """Differentiate the body of `count` shared numbers at zero; `body` is the one at zero."""
+    """Differentiate the body by `count` shared parameters at zero; `body` is the one at zero."""
     zero = jnp.zeros(count, body.vertices.dtype)
     changed = _changed(body_at, zero)
     by_number = jax.jacfwd(lambda s: eqx.filter(body_at(s), changed))(zero)
@@ -92,7 +95,7 @@ def body_tangent(body_at: Callable[[Float[Array, "S"]], Body], body: Body, count
     if vertices is None:
         vertices = jnp.zeros((*body.vertices.shape, count), zero.dtype)
     if turns is not None:
-        # of q exp(w) it is q (0, w) / 2
+        # the derivative of q exp(w) is q (0, w) / 2
         back = jax.vmap(
             lambda q, rates: jax.vmap(lambda rate: rotation.multiply(rotation.conjugate(q), rate), 1, 1)(
                 rates
@@ -108,7 +111,7 @@ def _in_closed_form(body: Body):
 
 
 def _changed(body_at: Callable[[Float[Array, "S"]], Body], zero: Float[Array, "S"]) -> Body:
-    """Find which arrays of a body depend on what is shared: a tree of truths."""
+    """Find the arrays of a body that depend on the shared parameters: a tree of booleans."""
 
     def arrays(s):
         return [leaf for leaf in jax.tree.leaves(body_at(s)) if eqx.is_inexact_array(leaf)]
@@ -125,8 +128,9 @@ def _is_inexact(leaf: object) -> bool:
 
 
 def vertex_maps(body: Body, pose: Pose) -> tuple[Float[Array, "V 3 3"], Float[Array, "V 3"]]:
-    """`A (V, 3, 3)` and `x (V, 3)`: every posed vertex is `x + A e` where it is at rest by `e` elsewhere
-    (Adaptation, 4.1.4: a posed vertex depends linearly on its place at rest)."""
+    """Compute `A (V, 3, 3)` and `x (V, 3)`: every posed vertex is `x + A e` if its rest position is moved by
+    `e` (Adaptation, 4.1.4: a posed vertex depends linearly on its rest position).
+    """
     transforms = forward_kinematics(body.skeleton, pose)
 
     def deform(shift):
@@ -143,9 +147,12 @@ def place_rows(
     directions: Float[Array, "C K R 3"],
     tangent: BodyTangent | None = None,
 ) -> Float[Array, "C R N"]:
-    """Compute rows `sum_k n_k . dx_k/d[d, s]` of places between K vertices each, by the pose and by what is shared.
+    """Compute rows `sum_k n_k . dx_k/d[d, s]` of points between K vertices each, by the pose and by the
+    shared parameters.
 
-    Where places have more corners than the body has vertices, each vertex is differentiated once, along the three axes."""
+    If points have more corners than the body has vertices, each vertex is differentiated once, along the
+    three axes.
+    """
     count = len(posed.vertices)
     if vertices.size <= count:
         every = vertices.reshape(-1)
@@ -156,7 +163,7 @@ def place_rows(
     def of_place(place):
         corners, along = place
         moved = along_axes[corners].reshape(-1, along_axes.shape[2])
-        # summed by hand: a product for every place is slow on a CPU
+        # summed explicitly, because batched products per point are slow on a CPU
         along = jnp.swapaxes(along, 1, 2).reshape(len(moved), -1)
         return sum(along[i, :, None] * moved[i] for i in range(len(moved)))
 
@@ -164,7 +171,7 @@ def place_rows(
 
 
 def vertex_rows(posed: Posed, tangent: BodyTangent | None = None) -> Float[Array, "V 3 N"]:
-    """Differentiate all posed vertices by the pose and by what is shared."""
+    """Differentiate all posed vertices by the pose and by the shared parameters."""
     count, dtype = len(posed.vertices), posed.vertices.dtype
     axes = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (count, 3, 3))
     return _skin_rows(posed, jnp.arange(count), axes, tangent)
@@ -203,7 +210,9 @@ def _skin_rows(
 
 
 def _moved_by_others(body: Body, pose: Pose, others: Body) -> Float[Array, "V 3 S"]:
-    """Differentiate posed vertices by what is shared through arrays of the body that have no closed form here."""
+    """Differentiate posed vertices by the shared parameters through arrays of the body without a closed form
+    here.
+    """
     truths = jax.tree.map(lambda leaf: leaf is not None, others, is_leaf=_is_none)
     changed, rest = eqx.partition(body, truths)
 

@@ -14,13 +14,16 @@ from .linearise import linearise as linearise
 from .solvers.descent import ConstrainedInfo, Constraints
 from .solvers.problem import AbstractDenseProblem
 
-#: a joint turned by a radian moves what hangs on it by about as many metres
+#: metres that the rotation of a joint by a radian moves its descendants by, about
 LEVER = 0.3
 
 
 class PoseProblem(AbstractDenseProblem[Pose]):
-    """Find the pose of a body that makes an energy least. Within hard `boxes` tangents are numbers of the boxes' chart about
-    the pose, in which boxes are bounds."""
+    """The problem of finding the pose of a body that minimises an energy.
+
+    Within hard `boxes` tangents are coordinates of the boxes' chart about the pose, in which boxes are
+    bounds.
+    """
 
     energy: AbstractEnergy
     body: Body
@@ -61,7 +64,7 @@ class PoseProblem(AbstractDenseProblem[Pose]):
 
 
 def pose_scales(skeleton: Skeleton) -> Float[Array, "D"]:
-    """Bring metres and radians of a pose's tangent to one measure."""
+    """Compute the scales that bring metres and radians of a pose's tangent to one measure."""
     layout = dof_layout(skeleton)
     scales = jnp.ones(skeleton.num_dofs + 1, skeleton.centres.dtype)
     return scales.at[layout.translations].set(LEVER)[:-1]

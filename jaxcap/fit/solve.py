@@ -1,4 +1,4 @@
-"""Find the pose that makes an energy least, and differentiate through the finding."""
+"""The pose that minimises an energy, with derivatives of the solution."""
 
 import equinox as eqx
 import optimistix as optx
@@ -16,7 +16,7 @@ from .solvers.minimise import AnySolver
 
 
 class Solution(eqx.Module):
-    """The outcome of `solve`."""
+    """The result of `solve`."""
 
     pose: Pose
     #: `|r|^2` of every term at the solution, by the term's name
@@ -24,9 +24,10 @@ class Solution(eqx.Module):
     #: `|r|^2` after each step, NaN beyond the last
     history: Float[Array, "H"]
     num_steps: Int[Array, ""]
-    #: `RESULTS.successful`, or why the solver stopped before it converged
+    #: `RESULTS.successful`, or the reason for stopping before convergence
     result: optx.RESULTS
-    #: whether the solver converged and hardly anything is left to gain, so that derivatives by the implicit function theorem hold
+    #: true if the solver converged and almost nothing is left to gain, so that derivatives by the implicit
+    #: function theorem hold
     trustworthy: Bool[Array, ""]
 
 
@@ -38,18 +39,19 @@ def solve(
     solver: AnySolver | None = None,
     max_steps: int = 64,
 ) -> Solution:
-    """The pose of a body that makes an energy least, from a start near it.
+    """Find the pose of a body that minimises an energy, from a start near it.
 
-    **Arguments:** `solver` is `LevenbergMarquardt()` where not given, or `GaussNewton()`, or any least-squares solver or minimiser of optimistix;
-    `max_steps` bounds its steps. A start that the joints' kinds do not allow is projected.
+    **Arguments:** `solver` is `LevenbergMarquardt()` where not given, or `GaussNewton()`, or any
+    least-squares solver or minimiser of optimistix; `max_steps` bounds its steps. A start that the joints'
+    types do not allow is projected.
 
-    `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to
-    every array of the energy and of the body; not to the start, on which a minimum does
-    not depend. What no term holds stays where it is, in the derivative too. Nothing is raised where the solver fails: see `Solution.result`, and `trustworthy`
-    before a derivative is used.
+    `jax.grad` and `jax.jvp` differentiate the solution by the implicit function theorem, by every array of
+    the energy and of the body; not by the start, on which a minimum does not depend. Coordinates that no term
+    determines stay at their start, in the derivative too. A failing solver raises nothing: see
+    `Solution.result`, and `trustworthy` before a derivative is used.
 
-    **Raises:** `InputError` for what is no solver, and for an energy whose arrays do not go together or
-    name vertices or joints that the body has not.
+    **Raises:** `InputError` for an object that is not a solver, and for an energy with inconsistent arrays or
+    with indices of vertices or joints that the body does not have.
     """
     check_numbers(energy, body)
     problem = PoseProblem(energy, body)
@@ -62,5 +64,5 @@ def solve(
 
 
 def _onto(problem: PoseProblem, pose: Pose) -> Pose:
-    """Project onto the manifold that the joints' own axes span, which may be parameters."""
+    """Project onto the manifold of the joints' own axes, which may be parameters."""
     return project(problem.body.skeleton, pose)

@@ -1,7 +1,7 @@
-"""Strict priorities: what is asked for later never disturbs what was asked for before.
+"""Strict task priorities: a lower priority never disturbs a higher one.
 
-Damped null-space projection (Baerlocher and Boulic 2004; joint-limits paper, section 5.2) over any
-number of groups of energies. A step of a group lies in the null space of all groups above it.
+Damped null-space projection (Baerlocher and Boulic 2004; joint-limits paper, section 5.2) over any number of
+groups of energies. A step of a group lies in the null space of all groups above it.
 """
 
 from collections.abc import Sequence
@@ -24,14 +24,15 @@ from .solvers.hierarchical_least_squares import Damping, Rows, constrained, desc
 from .solvers.levenberg_marquardt import where
 from .solvers.minimise import HISTORY
 
-#: a step is tried whole, then halved up to so many times
+#: largest number of halvings of a step
 HALVINGS = 8
-#: returns of a candidate to the groups above, which it left along their curvature
+#: largest number of corrections that return a candidate to the groups above, which it left along their
+#: curvature
 REPAIRS = 6
 
 
 class OrderedSolution(eqx.Module):
-    """The outcome of `solve_in_order`: that of `solve`, with an energy for each of G groups."""
+    """The result of `solve_in_order`: that of `solve`, with an energy for each of G groups."""
 
     pose: Pose
     #: `|r|^2` of every term at the solution, by the term's name
@@ -39,7 +40,7 @@ class OrderedSolution(eqx.Module):
     #: `|r|^2` of every group after each step, highest first, NaN beyond the last
     history: Float[Array, "H G"]
     num_steps: Int[Array, ""]
-    #: `RESULTS.successful`, or why the solver stopped before it converged
+    #: `RESULTS.successful`, or the reason for stopping before convergence
     result: optx.RESULTS
 
 
@@ -54,19 +55,18 @@ def solve_in_order(
     rtol: float | Float[Array, ""] = 1e-5,
     atol: float | Float[Array, ""] = 1e-6,
 ) -> OrderedSolution:
-    """The pose that makes the first energy least; among such poses, the second; and so on.
+    """Find the pose that minimises the first energy; among such poses, the second; and so on.
 
-    **Arguments:** `groups` at least one energy, highest priority first; a sum is one group.
-    Residuals that vanish in a valid region, as those of `JointLimits`, are inequalities: where
-    valid they leave the lower groups free, and no lower group leads out. `damping` is the
-    least constant on the diagonal of a group's normal equations; `max_steps` bounds the steps;
-    `rtol` and `atol` end them where no group's energy changes by more than that share of it, or
-    no number by more than that many radians. A start that the joints' kinds do not allow is
-    projected.
+    **Arguments:** `groups` at least one energy, highest priority first; a sum is one group. Residuals that
+    vanish in a valid region, as those of `JointLimits`, are inequalities: inside the region they leave the
+    lower groups free, and no lower group leads out of it. `damping` is the smallest constant on the diagonal
+    of a group's normal equations; `max_steps` bounds the steps; `rtol` and `atol` end them where no group's
+    energy changes by more than that share of it, or no coordinate by more than that many radians. A start
+    that the joints' types do not allow is projected.
 
-    No step raises the energy of a group for the sake of a lower one, to the machine's
-    precision. Nothing is raised where the solver fails: see `OrderedSolution.result`. It cannot be
-    differentiated in reverse: a lower group's minimum has no derivative where inequalities change.
+    No step raises the energy of a group for the sake of a lower one, to machine precision. A failing solver
+    raises nothing: see `OrderedSolution.result`. It cannot be differentiated in reverse mode: a lower group's
+    minimum has no derivative where inequalities change.
 
     **Raises:** `ValueError` where there is no group.
     """
@@ -75,7 +75,7 @@ def solve_in_order(
     for group in groups:
         check_numbers(group, body)
     numbers = (jnp.asarray(number, body.vertices.dtype) for number in (damping, rtol, atol))
-    # threads of BLAS and those of XLA wait for each other, and matrices of a pose are small
+    # threads of BLAS and of XLA wait for each other, and the matrices of a pose are small
     with threadpool_limits(1, "blas"), explained(Sum(tuple(groups)), body, start):
         return jax.block_until_ready(_solve_in_order(tuple(groups), body, start, max_steps, *numbers))
 
@@ -84,9 +84,12 @@ def solve_in_order(
 def priority_step(
     groups: Sequence[AbstractEnergy], body: Body, pose: Pose, damping: float | Float[Array, ""] = 1e-6
 ) -> Pose:
-    """One step of `solve_in_order`, for use under `jit` in place of an unconstrained step; the
-    same pose where no step helps. On a busy machine it is a hundred times faster with one thread
-    for BLAS (`OPENBLAS_NUM_THREADS=1`), which `solve_in_order` sees to."""
+    """Take one step of `solve_in_order`, for use under `jit` in place of an unconstrained step; the same pose
+    where no step helps.
+
+    On a busy machine it is a hundred times faster with one thread for BLAS (`OPENBLAS_NUM_THREADS=1`), which
+    `solve_in_order` sets itself.
+    """
     dtype = body.vertices.dtype
     none = Damping(jnp.asarray(damping, dtype), jnp.zeros((), dtype))
     return _step(_Order(tuple(groups), body), pose, none)[0]
@@ -104,7 +107,7 @@ def _solve_in_order(groups, body, start, max_steps, damping, rtol, atol) -> Orde
         pose, before, share, history, steps, _ = carry
         pose, after, slack, length, taken = _step(order, pose, Damping(damping, share))
         flat = (jnp.abs(after - before) <= rtol * before + slack).all()
-        # where no part of a step helps, one nearer to the steepest descent may
+        # if no part of a step helps, one nearer to the steepest descent may
         done = (length < atol) | (flat & ((taken > 0) | (share >= 1.0)))
         grown = jnp.where(taken > 0, 10.0, 100.0) * jnp.maximum(share, 1e-5)
         share = jnp.where(taken == 1.0, share / 10, grown)
@@ -122,7 +125,7 @@ def _solve_in_order(groups, body, start, max_steps, damping, rtol, atol) -> Orde
 
 
 class _Order(eqx.Module):
-    """Groups of energies on a body, in one measure of metres and radians."""
+    """Groups of energies on a body, with metres and radians in one measure."""
 
     groups: tuple[AbstractEnergy, ...]
     body: Body
@@ -140,7 +143,7 @@ class _Order(eqx.Module):
         return [group.residual(posed) for group in self.groups]
 
     def rows(self, pose: Pose) -> Rows:
-        """Of all groups, one below the other, linearised in one pass."""
+        """Linearise all groups in one pass, concatenated."""
         problem = PoseProblem(_all(self.groups), self.body)
         residual, jacobian = problem.linearise(pose)
         return Rows(residual, jacobian * problem.scales())
@@ -160,8 +163,9 @@ def _all(groups: tuple[AbstractEnergy, ...]) -> Sum:
 
 
 def _step(order: _Order, pose: Pose, damping):
-    """One step: `(pose, energies of the groups, what counts as no change of them, length of the
-    step, how much of it was taken)`."""
+    """Take one step: `(pose, energies of the groups, their negligible changes, length of the step, share of
+    it taken)`.
+    """
     levels = order.levels(pose)
     before = jnp.stack([level.residual @ level.residual for level in levels])
     if len(levels) == 1:
@@ -169,13 +173,13 @@ def _step(order: _Order, pose: Pose, damping):
     else:
         d, taken = constrained(levels, lambda d: order.upper.rows(order.move(pose, d)), damping)
     eps = jnp.finfo(d.dtype).eps
-    # rounding, and as much as a move by the root of the precision makes in the stiffest direction
+    # rounding, and the change by a move of the root of the precision in the stiffest direction
     stiffest = jnp.stack([jnp.linalg.norm(level.jacobian.T @ level.jacobian) for level in taken])
     rounding, smallest = 10 * eps * before, 0.01 * eps * jnp.maximum(stiffest, 1.0)
     slack = smallest + rounding
 
     def bounds(share):
-        """The energies that are allowed: a lower group pays for what the ones above it still better."""
+        """Compute the allowed energies: a lower group may rise as far as the linearised step predicts."""
         linear = [level.residual + share * level.jacobian @ d for level in levels]
         return jnp.maximum(before, jnp.stack([r @ r for r in linear])).at[0].set(before[0])
 
@@ -198,10 +202,11 @@ def _step(order: _Order, pose: Pose, damping):
 
 
 def _judge(there, before, most, slack) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Whether a candidate is better, and whether a group other than the last spoils it.
+    """Test if a candidate is better, and if a group other than the last rejects it.
 
-    It is better where a group has fallen and none above it has risen, or where none has risen
-    by more than what the ones above it cost, too little to show in their own energies.
+    It is better if a group has fallen and none above it has risen. It is also better if none has risen by
+    more than the gains of the groups above it allow, when these gains are too small to show in their own
+    energies.
     """
     level, fallen, spoilt = jnp.array(True), jnp.array(False), jnp.array(False)
     for number in range(len(there)):
@@ -213,7 +218,7 @@ def _judge(there, before, most, slack) -> tuple[Bool[Array, ""], Bool[Array, ""]
 
 
 def _repaired(order: _Order, pose: Pose, before, most, slack, damping):
-    """A candidate led back to where it stood with the upper groups, and its energies."""
+    """Correct a candidate back to its values of the upper groups; also return its energies."""
     if len(order.groups) == 1:
         return pose, order.values(pose)
 

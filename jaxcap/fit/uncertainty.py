@@ -1,4 +1,4 @@
-"""How well the data hold a solution: covariance, and directions they do not show."""
+"""Uncertainty of a solution: covariance, and unobservable directions."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,15 +15,15 @@ from .problem import PoseProblem
 
 
 class Uncertainty(eqx.Module):
-    """What the normal matrix `J^T J` tells at a solution, by tangents of `retract`."""
+    """First-order uncertainty from the normal matrix `J^T J` at a solution, in tangents of `retract`."""
 
-    #: `variance * (J^T J)^+`, metres and radians squared; directions unseen are left out
+    #: `variance * (J^T J)^+`, metres and radians squared; without unobservable directions
     covariance: Float[Array, "D D"]
     #: curvatures of the energy along `directions`, in scaled units, rising
     curvatures: Float[Array, "D"]
     #: columns are directions in tangent space, in scaled units
     directions: Float[Array, "D D"]
-    #: which directions the energy does not hold
+    #: mask of the directions that the energy does not determine
     unobservable: Bool[Array, "D"]
 
 
@@ -31,12 +31,12 @@ class Uncertainty(eqx.Module):
 def uncertainty(
     energy: AbstractEnergy, body: Body, pose: Pose, variance=None, tolerance: float | None = None
 ) -> Uncertainty:
-    """First-order uncertainty of a solved pose.
+    """Compute the first-order uncertainty of a solved pose.
 
-    **Arguments:** `variance` is that of one component of the residual; where not given it
-    is estimated as `|r|^2 / (R - D)`. A direction counts as unobservable where its
-    curvature is below `tolerance` times the largest; where not given that is what rounding leaves
-    of a curvature of zero, D times the machine's precision.
+    **Arguments:** `variance` is that of one component of the residual; where not given it is estimated as
+    `|r|^2 / (R - D)`. A direction counts as unobservable where its curvature is below `tolerance` times the
+    largest; where not given that is D times the machine's precision, the rounding error of a curvature of
+    zero.
     """
     check_numbers(energy, body)
     problem = PoseProblem(energy, body)
@@ -57,7 +57,7 @@ def uncertainty(
 
 @checked
 def describe_unobservable(skeleton: Skeleton, result: Uncertainty) -> list[str]:
-    """A line for each unobservable direction: the numbers of the pose that make most of it."""
+    """Write a line for each unobservable direction, with its largest components of the pose."""
     names = dof_layout(skeleton).names
     lines = []
     for column in np.flatnonzero(np.asarray(result.unobservable)):

@@ -1,1 +1,1 @@
-"""Energies of what was observed: points, surfaces, landmarks, the floor."""
+"""Data terms: points, surfaces, landmarks, the floor."""

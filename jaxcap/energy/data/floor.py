@@ -1,4 +1,4 @@
-"""A floor that a body stands on and does not sink into."""
+"""A floor that a body stands on and does not penetrate."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +9,12 @@ from ...body.body import Body, Posed
 from ...values import check_deviations, check_direction, check_values
 from .vertices import AbstractVertexEnergy
 
-#: vertices that are looked at: those lowest at rest, and others spread over the surface
+#: numbers of tested vertices: the lowest at rest, and others spread over the surface
 LOWEST, SPREAD = 100, 200
 
 
 class Floor(AbstractVertexEnergy):
-    """How far some vertices are below a plane, in standard deviations; nothing above it.
+    """Penetration of vertices below a plane, in standard deviations; zero above it.
 
     The plane is `up . x = height`.
     """
@@ -23,7 +23,7 @@ class Floor(AbstractVertexEnergy):
     up: Float[Array, "3"]
     #: metres
     height: Float[Array, ""]
-    #: how far a vertex may sink in, metres
+    #: standard deviation of the penetration, metres
     deviation: Float[Array, ""]
 
     def __check_init__(self):
@@ -49,12 +49,13 @@ def make_floor(
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     deviation: float | Float[Array, ""] = 0.01,
 ) -> Floor:
-    """Make the floor of a body, seen by its lowest vertices at rest and some others.
+    """Make the floor of a body, tested at its lowest vertices at rest and some others.
 
-    **Arguments:** `height` of the floor along `up`, a vector of any length, metres; `deviation`, how far a vertex may sink in,
-    metres.
+    **Arguments:** `height` of the floor along `up`, a vector of any length, metres; `deviation`, the standard
+    deviation of the penetration, metres.
 
-    **Raises:** `InputError` where `up` has no direction, the height is not finite or the deviation is not above zero.
+    **Raises:** `InputError` where `up` has no direction, the height is not finite or the deviation is not
+    above zero.
     """
     check_direction("make_floor", up=up)
     check_values("make_floor", np.isfinite, "a finite number of metres", height=height)

@@ -1,4 +1,4 @@
-"""Points of a body that are to reach given places (Kineben, eq. 2)."""
+"""Points of a body with target positions (Kineben, eq. 2)."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -10,8 +10,10 @@ from .vertices import AbstractVertexEnergy, along_axes
 
 
 class VertexLandmarks(AbstractVertexEnergy):
-    """`sum_i w_i |x_i - y_i|^2` over chosen vertices, metres; a weight of zero is a
-    landmark that was not seen, whose target may be NaN."""
+    """`sum_i w_i |x_i - y_i|^2` over chosen vertices, metres.
+
+    A weight of zero marks a landmark that was not observed; its target may be NaN.
+    """
 
     vertices: Int[Array, "C"]
     targets: Float[Array, "C 3"]
@@ -26,8 +28,10 @@ class VertexLandmarks(AbstractVertexEnergy):
 
 
 class BoneLandmarks(AbstractEnergy):
-    """`sum_i w_i |T_b(i) p_i - y_i|^2`: points fixed to bones, such as optical markers or
-    joint centres. `rest (C, 3)` are their places in the rest pose, metres."""
+    """`sum_i w_i |T_b(i) p_i - y_i|^2`: points fixed to bones, such as optical markers or joint centres.
+
+    `rest (C, 3)` are their positions in the rest pose, metres.
+    """
 
     bones: Int[Array, "C"]
     rest: Float[Array, "C 3"]
@@ -41,8 +45,9 @@ class BoneLandmarks(AbstractEnergy):
 
 
 class JointLandmarks(AbstractEnergy):
-    """`sum_j w_j |c_j - y_j|^2` over all joint centres, metres; a weight of zero is a joint that
-    was not seen."""
+    """`sum_j w_j |c_j - y_j|^2` over all joint centres, metres; a weight of zero marks a joint that was not
+    observed.
+    """
 
     targets: Float[Array, "J 3"]
     weights: Float[Array, "J"]
@@ -53,10 +58,10 @@ class JointLandmarks(AbstractEnergy):
 
 @checked
 def joint_landmarks(targets: Float[Array, "J 3"], weights=None) -> JointLandmarks:
-    """Joint centres that are to reach `targets (J, 3)`; all `weights (J,)` one where not given."""
+    """Make landmarks from target joint centres `targets (J, 3)`; `weights (J,)` default to one."""
     return JointLandmarks(targets, jnp.ones(len(targets), targets.dtype) if weights is None else weights)
 
 
 def _apart(weights, places, targets) -> Float[Array, "R"]:
-    """Weighed differences of places from their targets."""
+    """Compute weighted differences of positions from their targets."""
     return (root(weights)[:, None] * (places - where_weighed(weights, targets))).reshape(-1)

@@ -1,4 +1,4 @@
-"""A surface that keeps its shape: the Laplacian vectors of a posed body against those of a mesh."""
+"""Preservation of surface shape: Laplacian vectors of a posed body compared with those of a mesh."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,8 +11,12 @@ from ..energy import AbstractEnergy
 
 
 class LaplacianShape(AbstractEnergy):
-    """How far the Laplacian vectors of the posed surface, each vertex from the mean of its neighbours, are from those of a
-    mesh: the mean over vertices of squares, metres squared (Adaptation, eq. 4.12 of one mesh)."""
+    """Mean squared difference of the Laplacian vectors of the posed surface from those of a mesh, metres
+    squared.
+
+    The Laplacian vector of a vertex is its offset from the mean of its neighbours (Adaptation, eq. 4.12 for
+    one mesh).
+    """
 
     metric: Conformance
     vectors: Float[Array, "V 3"]
@@ -24,7 +28,7 @@ class LaplacianShape(AbstractEnergy):
 
 @checked
 def make_laplacian_shape(body: Body, mesh: Float[np.ndarray, "V 3"]) -> LaplacianShape:
-    """The shape of a mesh that is registered to a body, in the mesh's own pose; metres.
+    """Make the shape energy of a mesh registered to a body, in the mesh's own pose; metres.
 
     **Raises:** `ValueError` where it has another number of vertices than the body.
     """

@@ -1,4 +1,4 @@
-"""Distances between points of a posed surface and points that were observed."""
+"""Distances between points of a posed surface and observed points."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -9,8 +9,8 @@ from .vertices import AbstractVertexEnergy, along_axes
 
 
 class PointToPoint(AbstractVertexEnergy):
-    """`sum_i w_i |x_i - y_i|^2` over pairs of a body's vertex and an observed point
-    (Kineben, eq. 2; with posteriors for weights the M-step of eq. 29).
+    """`sum_i w_i |x_i - y_i|^2` over pairs of a body's vertex and an observed point (Kineben, eq. 2; with
+    posteriors as weights the M-step of eq. 29).
 
     `vertices (C,)` indices, `points (C, 3)` metres, `weights (C,)` at least zero.
     """
@@ -29,8 +29,9 @@ class PointToPoint(AbstractVertexEnergy):
 
 
 class PointToPlane(AbstractVertexEnergy):
-    """`sum_i w_i (n_i . (x_i - y_i))^2`: distance along fixed directions `n (C, 3)`, so
-    that points slide along the surface (Chen and Medioni 1991)."""
+    """`sum_i w_i (n_i . (x_i - y_i))^2`: distance along fixed directions `n (C, 3)`, so that points slide
+    along the surface (Chen and Medioni 1991).
+    """
 
     vertices: Int[Array, "C"]
     points: Float[Array, "C 3"]

@@ -1,4 +1,4 @@
-"""A body as a soft object: an implicit surface of ellipsoids fixed to bones, and points drawn to it."""
+"""A body as a soft object: an implicit surface of ellipsoids fixed to bones, fitted to points."""
 
 import equinox as eqx
 import jax
@@ -11,21 +11,20 @@ from ...body.body import Body, Posed
 from ...geometry.linear import inverse_symmetric
 from ..energy import AbstractEnergy, root
 
-#: within this share of an ellipsoid's size around its centre the cone of distances is rounded off
+#: share of an ellipsoid's size around its centre in which the cone of distances is rounded off
 ROUNDING = 0.1
 
 
 class SoftObject(eqx.Module):
-    """Exponential primitives fixed to bones, whose sum has the skin for a level set (Plaenkers and
-    Fua 2003; joint-limits paper, section 5.1).
+    """Exponential primitives fixed to bones, whose sum has the skin as a level set (Plaenkers and Fua 2003;
+    joint-limits paper, section 5.1).
 
-    Primitive `i` is the ellipsoid `d_i(y) = (y - c)^T Q (y - c) = 1` in the rest frame of the
-    world, with the axes' directions and `1 / semi-axis^2` for the eigenvectors and eigenvalues of
-    its precision `Q`. Its field is `exp(-stiffness * phi_i)`, of the distance `phi_i` from it in
-    metres (`primitive_distance`), and the skin is where the fields' sum is 1: of one
-    primitive exactly its ellipsoid, of several their blend. The paper's primitives are
-    exponentials of `d_i` itself, whose reach grows with their size; of metres one stiffness
-    blends fingers and trunk alike.
+    Primitive `i` is the ellipsoid `d_i(y) = (y - c)^T Q (y - c) = 1` in the rest frame of the world, with the
+    axes' directions and `1 / semi-axis^2` as the eigenvectors and eigenvalues of its precision `Q`. Its field
+    is `exp(-stiffness * phi_i)`, of the distance `phi_i` from it in metres (`primitive_distance`), and the
+    skin is where the sum of the fields is 1: for one primitive exactly its ellipsoid, for several their
+    blend. The paper's primitives are exponentials of `d_i` itself, whose reach grows with their size. With
+    distances in metres one stiffness blends fingers and trunk alike.
     """
 
     #: bone of each primitive
@@ -34,7 +33,7 @@ class SoftObject(eqx.Module):
     centres: Float[Array, "P 3"]
     #: symmetric and positive, per metre squared
     precisions: Float[Array, "P 3 3"]
-    #: per metre: primitives nearer to each other than about its inverse blend
+    #: per metre: primitives blend if nearer to each other than about its inverse
     stiffness: Float[Array, ""]
 
     def __check_init__(self):
@@ -42,12 +41,13 @@ class SoftObject(eqx.Module):
 
 
 class SoftPoints(AbstractEnergy):
-    """`sum_i w_i rho(D(x_i))^2` over observed points, with their distances `D` from a soft
-    object's skin (joint-limits paper, eq. 4), metres; a weight of zero is a point that is not
-    there, whatever its place says.
+    """`sum_i w_i rho(D(x_i))^2` over observed points, with their distances `D` from a soft object's skin
+    (joint-limits paper, eq. 4), metres.
 
-    `rho(D) = D / sqrt(1 + (D / robust)^2)` is `D` near the skin and saturates at `robust` metres
-    (Geman and McClure 1987), so that erroneous points lose their pull; infinite: never.
+    A weight of zero marks a missing point, whatever its position.
+
+    `rho(D) = D / sqrt(1 + (D / robust)^2)` is `D` near the skin and saturates at `robust` metres (Geman and
+    McClure 1987), so that outliers lose their influence; with infinity it never saturates.
     """
 
     soft: SoftObject
@@ -56,7 +56,7 @@ class SoftPoints(AbstractEnergy):
     robust: Float[Array, ""] = eqx.field(default=np.inf, converter=jnp.asarray)
 
     def residual(self, posed: Posed):
-        # depth images have no numbers where nothing was seen
+        # depth images have NaN where nothing was observed
         points = jnp.where((self.weights > 0)[:, None], self.points, 0.0)
         distances = soft_distance(self.soft, posed, points)
         return root(self.weights) * distances / jnp.sqrt(1.0 + (distances / self.robust) ** 2)
@@ -64,29 +64,28 @@ class SoftPoints(AbstractEnergy):
 
 @checked
 def soft_distance(soft: SoftObject, posed: Posed, points: Float[Array, "N 3"]) -> Float[Array, "N"]:
-    """Signed distance of points from the posed skin, metres, negative inside.
+    """Compute the signed distance of points from the posed skin, metres, negative inside.
 
-    With `F = sum_i exp(-k phi_i)` it is `-log(F) / k`, the smooth minimum of the primitives'
-    distances: zero on the skin, below the least of them by at most `log(P) / k`, and its slope is
-    their mean by shares of F, so it stays about one. `(1 - F) / |grad F|` has the same zeros and
-    slope there, but grows exponentially outside, and has poles inside, where fields balance.
+    With `F = sum_i exp(-k phi_i)` it is `-log(F) / k`, the smooth minimum of the primitives' distances: zero
+    on the skin, and below the least distance by at most `log(P) / k`. Its gradient is the mean of theirs by
+    shares of F, so it stays about one. `(1 - F) / |grad F|` has the same zeros and slope there, but grows
+    exponentially outside, and has poles inside, where fields balance.
 
-    Primitives are carried into the world, as similarities take them there: P of them, not N
-    points into the frame of each.
+    The P primitives are transformed into the world by similarities, not N points into the frame of each.
     """
     r, scale = posed.transforms.rotations[soft.bones], posed.pose.scale
     centres = jnp.einsum("pab,pb->pa", r, soft.centres) + posed.transforms.translations[soft.bones]
-    # a similarity's inverse: its rotation block is a rotation times the scale
+    # the inverse of a similarity: its rotation block is a rotation times the scale
     precisions = jnp.einsum("pab,pbc,pdc->pad", r, soft.precisions, r) / scale**4
     return _blend(points, centres, precisions, soft.stiffness / scale)
 
 
 def primitive_distance(offset: Float[Array, "3"], precision: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """Distance `phi` in metres from an ellipsoid, of a point at an `offset` from its centre.
+    """Compute the distance `phi` in metres from an ellipsoid of a point at an `offset` from its centre.
 
-    To first order it is `(sqrt(d) - 1) / |grad sqrt(d)|` (Taubin 1991), which is exact along the axes
-    and has slope one on the surface, but a tip at the centre. With `d + ROUNDING^2` for `d`, and
-    likewise below, it is smooth there too, and has the same zeros.
+    To first order it is `(sqrt(d) - 1) / |grad sqrt(d)|` (Taubin 1991), which is exact along the axes and has
+    slope one on the surface, but is not smooth at the centre. With `d + ROUNDING^2` for `d`, and likewise in
+    the denominator, it is smooth there too, and has the same zeros.
     """
     gradient = precision @ offset
     length = jnp.sqrt(offset @ gradient + ROUNDING**2)
@@ -96,11 +95,11 @@ def primitive_distance(offset: Float[Array, "3"], precision: Float[Array, "3 3"]
 
 @jax.custom_jvp
 def _blend(points, centres, precisions, stiffness):
-    """The smooth minimum over primitives in the world, by point.
+    """Compute the smooth minimum over primitives in the world, per point.
 
-    Its derivative is written down for the sake of forward mode: the slopes of N x P distances
-    are found once, and each tangent is a product with them. Left to itself, every
-    tangent would pass through all of the N x P distances.
+    Its derivative is written by hand for forward mode: the slopes of N x P distances are computed once, and
+    each tangent is a product with them. With automatic differentiation, every tangent would pass through all
+    of the N x P distances.
     """
     apart = points[:, None] - centres
     distances = jax.vmap(jax.vmap(primitive_distance), (0, None))(apart, precisions)
@@ -128,26 +127,26 @@ def _blend_tangent(primals, tangents):
 _measure = jax.jit(_blend)
 
 
-#: a slice of a part with fewer vertices has no shape
+#: fewest vertices of a slice; fewer define no shape
 FEWEST = 4
-#: rounds in which primitives are grown and shrunk until each one's vertices lie on the skin
+#: rounds in which primitives are scaled until the vertices of each lie on the skin
 ROUNDS = 20
 
 
 @checked
 def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None) -> SoftObject:
-    """A soft object in the place of a body's surface; not for use under `jit`.
+    """Make a soft object that replaces a body's surface; not for use under `jit`.
 
-    Each bone's vertices (`skin.parts()`) are cut into slices across their longest axis, about as
-    long as they are wide, and each slice becomes an ellipsoid of its mean and covariance. All are
-    then scaled until each one's vertices lie on the skin in the mean, weighted by area. Bones with
-    fewer than four vertices get none.
+    Each bone's vertices (`skin.parts()`) are cut into slices across their longest axis, about as long as they
+    are wide, and each slice becomes an ellipsoid of its mean and covariance. All are then scaled until the
+    vertices of each lie on the skin on average, weighted by area. Bones with fewer than four vertices get
+    none.
 
-    **Arguments:** `primitives` most slices of a bone; `blend` metres, the inverse of the
+    **Arguments:** `primitives` largest number of slices of a bone; `blend` metres, the inverse of the
     stiffness, where not given 0.6 of the median of the primitives' shortest semi-axes.
 
-    **Raises:** `ValueError` where no bone has four vertices, `primitives` is less than one, or
-    `blend` is not positive.
+    **Raises:** `ValueError` where no bone has four vertices, `primitives` is less than one, or `blend` is not
+    positive.
     """
     if primitives < 1:
         raise ValueError(f"A bone was to have {primitives} primitives at most; give one or more.")
@@ -170,7 +169,7 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
     covariances = np.array([covariance for _, covariance in shapes])
     shortest = np.sqrt(3 * np.linalg.eigvalsh(covariances)[:, 0])
     stiffness = 1.0 / (0.6 * np.median(shortest) if blend is None else blend)
-    # the surface of an ellipsoid has a third of its semi-axes squared for a covariance
+    # the covariance of an ellipsoid's surface is a third of its squared semi-axes
     precisions = inverse_symmetric(3 * covariances)
     precisions = _settled(vertices, areas, slices, centres, precisions, stiffness)
     dtype = body.vertices.dtype
@@ -183,7 +182,7 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
 
 
 def _areas(body: Body) -> Float[np.ndarray, "V"]:
-    """Area around each vertex, square metres, and next to nothing for one that has no triangle."""
+    """Compute the area around each vertex, square metres; negligible for a vertex without triangles."""
     vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     thirds = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
@@ -191,7 +190,7 @@ def _areas(body: Body) -> Float[np.ndarray, "V"]:
 
 
 def _slices(vertices, areas, chosen, most: int):
-    """`(vertices, axis)` of each slice of one part; the axis as long as the slice is thick."""
+    """Cut a part into slices: `(vertices, axis)` of each, with the axis as long as the slice is thick."""
     if len(chosen) < FEWEST:
         return []
     x = vertices[chosen]
@@ -214,17 +213,19 @@ def _moments(x, weights):
 
 
 def _shape(x, weights, along):
-    """Centre and covariance of a slice, that much longer that it reaches into its neighbours."""
+    """Compute centre and covariance of a slice, lengthened so that it overlaps its neighbours."""
     centre, covariance = _moments(x, weights)
     values, vectors = np.linalg.eigh(covariance + 0.1 * np.outer(along, along))
-    # a flat slice is given a thickness, for the distance from a disc hardly grows along it
+    # a flat slice gets a thickness, because the distance from a disc hardly grows along it
     values = np.maximum(values, 0.04 * values[2] + 1e-12)
     return centre, (vectors * values) @ vectors.T
 
 
 def _settled(vertices, areas, slices, centres, precisions, stiffness):
-    """Precisions scaled so that the vertices of each primitive lie on the skin in the mean, where
-    half and double its size is enough: one that others bury would shrink to nothing."""
+    """Scale precisions until the vertices of each primitive lie on the skin on average.
+
+    Sizes stay between half and double: a primitive buried in others would shrink to nothing.
+    """
     chosen = np.concatenate(slices)
     owner = np.repeat(np.arange(len(slices)), [len(one) for one in slices])
     total = np.bincount(owner, areas[chosen])

@@ -1,4 +1,4 @@
-"""Sufficient statistics: any number of weighted point pairs on a rigid bone, as 21 numbers."""
+"""Sufficient statistics: any number of weighted point pairs on a rigid bone, reduced to 21 residuals."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -11,10 +11,10 @@ from ..energy import AbstractEnergy
 class RigidMoments(AbstractEnergy):
     """`sum_i w_i |T_b(i) x_i - y_i|^2`, exactly, for any number of pairs.
 
-    The sum depends on the pairs of a bone only through the 7 x 7 moment matrix `M` of
-    `[x; 1; y]`: with `A = [R, t, -I]` it is `trace(A M A^T)`, and with a factor
-    `M = F F^T` it is `|A F|^2`, 21 numbers a bone. Points are centred on `origins`
-    (rest side) and `places` (observed side), so that float32 keeps its digits.
+    The sum depends on the pairs of a bone only through the 7 x 7 moment matrix `M` of `[x; 1; y]`: with `A =
+    [R, t, -I]` it is `trace(A M A^T)`, and with a factor `M = F F^T` it is `|A F|^2`, 21 numbers per bone.
+    Points are centred on `origins` (rest side) and `places` (observed side), so that float32 keeps its
+    digits.
     """
 
     factors: Float[Array, "J 7 7"]
@@ -37,8 +37,8 @@ def rigid_moments(
     weights: Float[Array, "C"],
     num_bones: int,
 ) -> RigidMoments:
-    """The statistics of pairs `rest (C, 3)` on `bones (C,)` and `points (C, 3)`, metres."""
-    # sums over bones as products with a membership matrix, which a CPU does faster than scatters
+    """Compute the statistics of pairs `rest (C, 3)` on `bones (C,)` and `points (C, 3)`, metres."""
+    # sums over bones as products with a membership matrix, which is faster on a CPU than scatters
     member = (bones[:, None] == jnp.arange(num_bones)) * weights[:, None]
     total = jnp.sum(member, 0)[:, None]
     safe = jnp.where(total > 0, total, 1.0)
@@ -50,8 +50,10 @@ def rigid_moments(
 
 
 def _semidefinite_factor(moments: Float[Array, "J 7 7"]) -> Float[Array, "J 7 7"]:
-    """`F` with `F F^T = M`, by Cholesky's columns; a pivot that has vanished is passed over,
-    for a bone with few pairs, or with none, has a singular matrix."""
+    """Factorise `M` as `F F^T` by Cholesky's columns, skipping zero pivots.
+
+    A bone with few pairs or none has a singular matrix.
+    """
     smallest = 8 * jnp.finfo(moments.dtype).eps * jnp.diagonal(moments, axis1=1, axis2=2)
     columns, rest = [], moments
     for k in range(7):

@@ -1,4 +1,4 @@
-"""Points held by the triangles of a body's surface, such as markers on skin."""
+"""Points attached to the triangles of a body's surface, such as markers on skin."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -8,8 +8,11 @@ from ..energy import AbstractEnergy, root
 
 
 class SurfaceLandmarks(AbstractEnergy):
-    """`sum_i w_i |p_i - y_i|^2`: points at `shares` of their triangles' `corners` and `heights`
-    over them, metres, that are to reach `targets`; a weight of zero is one that was not seen."""
+    """`sum_i w_i |p_i - y_i|^2`: points at barycentric `shares` of their triangles' `corners` and `heights`
+    above them, metres, with positions `targets`.
+
+    A weight of zero marks a point that was not observed.
+    """
 
     corners: Int[Array, "C 3"]
     shares: Float[Array, "C 3"]
@@ -25,16 +28,16 @@ class SurfaceLandmarks(AbstractEnergy):
 def surface_points(
     posed: Posed, corners: Int[Array, "C 3"], shares: Float[Array, "C 3"], heights: Float[Array, "C"]
 ) -> Float[Array, "C 3"]:
-    """`sum_k s_k x_k + h n` over the corners `x` of each point's triangle with its unit normal `n`.
+    """Compute `sum_k s_k x_k + h n` over the corners `x` of each point's triangle with its unit normal `n`.
 
-    Only the corners are posed, so that a derivative does not go through the whole skin.
+    Only the corners are posed, so that a derivative does not involve the whole skin.
     """
     body, chosen = posed.body, corners.reshape(-1)
     few = body.skin.take(chosen)
     x = few.deform(body.vertices[chosen], body.skeleton, posed.pose, posed.transforms).reshape(-1, 3, 3)
     across = jnp.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     squared = jnp.sum(across * across, -1, keepdims=True)
-    # a triangle that a pose has made a line has no normal
+    # a triangle that a pose has collapsed to a line has no normal
     degenerate = squared < jnp.finfo(x.dtype).tiny
     normals = jnp.where(degenerate, 0.0, across) / jnp.sqrt(jnp.where(degenerate, 1.0, squared))
     return jnp.einsum("ck,cka->ca", shares, x) + heights[:, None] * normals

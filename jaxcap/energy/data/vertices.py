@@ -1,4 +1,4 @@
-"""Energies whose residual is linear in the posed vertices."""
+"""Energies with a residual that is linear in the posed vertices."""
 
 import abc
 
@@ -10,16 +10,22 @@ from ..energy import AbstractEnergy, root
 
 
 class AbstractVertexEnergy(AbstractEnergy):
-    """An energy with R numbers for each of C chosen vertices, such as `n . (x_v - y)`, or for each of C places that lie
-    between K vertices, `sum_k n_k . x_k - y`. It says how these numbers change with the vertices, and the body's skin
-    knows how vertices move, so that none is differentiated automatically (`AbstractSkin.jacobian`)."""
+    """An energy with R residuals for each of C chosen vertices, such as `n . (x_v - y)`, or for each of C
+    points between K vertices, `sum_k n_k . x_k - y`.
+
+    It gives the derivative of these residuals by the vertices, and the body's skin gives that of the
+    vertices, so that no automatic differentiation is needed (`AbstractSkin.jacobian`).
+    """
 
     @abc.abstractmethod
     def slopes(self, posed: Posed) -> tuple[Int[Array, "C *K"], Float[Array, "C *K R 3"]]:
-        """The vertices, and the derivative of the residual by their positions, at a posed body. The residual is in the same order,
-        vertex by vertex or place by place, and depends on nothing else of the pose."""
+        """Get the vertices, and the derivative of the residual by their positions, at a posed body.
+
+        The residual has the same order, vertex by vertex or point by point, and depends on nothing else of
+        the pose.
+        """
 
 
 def along_axes(weights: Float[Array, "C"]) -> Float[Array, "C 3 3"]:
-    """Directions of differences `sqrt(w) (x - y)`."""
+    """Compute the directions of differences `sqrt(w) (x - y)`."""
     return root(weights)[:, None, None] * jnp.eye(3, dtype=weights.dtype)

@@ -1,1 +1,1 @@
-"""Energies of what is known beforehand: likely poses, limits, symmetry, smooth motion."""
+"""Priors: likely poses, limits, symmetry, smooth motion."""

@@ -1,4 +1,4 @@
-"""Joint limits: nothing inside of them, a residual that grows outside."""
+"""Joint limits: zero inside, a residual that grows outside."""
 
 from ...body.body import Posed
 from ...body.limits.limits import AbstractLimits
@@ -6,8 +6,9 @@ from ..energy import AbstractEnergy
 
 
 class JointLimits(AbstractEnergy):
-    """Penalty of joints beyond their limits, in about radians: ranges of angles, cones
-    (Kineben, eqs. 14, 15 and 42), boxes, or learned surfaces (Limits, section 5.2)."""
+    """Penalty of joints beyond their limits, in about radians: ranges of angles, cones (Kineben, eqs. 14, 15
+    and 42), boxes, or learned surfaces (Limits, section 5.2).
+    """
 
     limits: AbstractLimits
 

@@ -1,4 +1,4 @@
-"""A preference for poses near a given one, or near rest."""
+"""Priors for poses near a given one, or near rest."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,10 +13,10 @@ from ..energy import AbstractEnergy
 
 
 class PosePrior(AbstractEnergy):
-    """`sum_k (d_k / s_k)^2`, where `d` is the tangent from a reference pose to this one and
-    `s (D,)` are standard deviations in metres and radians (infinite: free).
+    """`sum_k (d_k / s_k)^2`, where `d` is the tangent from a reference pose to this one and `s (D,)` are
+    standard deviations in metres and radians (infinite: free).
 
-    Holds what the data do not show, damps a step, or ties a frame to its prediction.
+    Determines unobserved coordinates, damps a step, or ties a frame to its prediction.
     """
 
     reference: Pose
@@ -31,9 +31,11 @@ class PosePrior(AbstractEnergy):
 
 
 class RestPrior(AbstractEnergy):
-    """`sum (w / s)^2` over the rotation vectors `w` of joints from rest, each in its joint's own
-    frame (twist, flexion, sideways), with standard deviations `s (J, 3)` in radians (infinite:
-    free). An elbow that bends sideways costs more than one that flexes."""
+    """`sum (w / s)^2` over the rotation vectors `w` of joints from rest, each in its joint's own frame
+    (twist, flexion, sideways), with standard deviations `s (J, 3)` in radians (infinite: free).
+
+    An elbow that bends sideways costs more than one that flexes.
+    """
 
     deviations: Float[Array, "J 3"]
 
@@ -46,9 +48,12 @@ class RestPrior(AbstractEnergy):
 
 
 class ReferencePrior(AbstractEnergy):
-    """`sum (t / m)^2 + sum (w / s)^2` over the shifts `t` and rotation vectors `w` of joints from a reference
-    pose, each vector in its joint's own frame as in `RestPrior`, with standard deviations `m (J,)` in metres and
-    `s (J, 3)` in radians (infinite: free). An elbow that leaves the reference bends rather than shears."""
+    """`sum (t / m)^2 + sum (w / s)^2` over the translations `t` and rotation vectors `w` of joints from a
+    reference pose.
+
+    Each vector is in its joint's own frame as in `RestPrior`, with standard deviations `m (J,)` in metres and
+    `s (J, 3)` in radians (infinite: free). An elbow that leaves the reference bends rather than shears.
+    """
 
     reference: Pose
     metres: Float[Array, "J"]
@@ -70,6 +75,6 @@ class ReferencePrior(AbstractEnergy):
 
 @checked
 def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:
-    """A deviation for every number of a tangent: one for what slides, one for what turns."""
+    """Make the standard deviations of a tangent: one for translations, one for rotations."""
     deviations = jnp.full(skeleton.num_dofs + 1, radians, skeleton.centres.dtype)
     return deviations.at[dof_layout(skeleton).translations].set(metres)[:-1]

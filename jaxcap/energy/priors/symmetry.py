@@ -1,4 +1,4 @@
-"""A body as long on the left as on the right."""
+"""Symmetry of bone lengths between left and right."""
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -9,8 +9,11 @@ from ..energy import AbstractEnergy
 
 
 class BoneSymmetry(AbstractEnergy):
-    """Differences of the lengths of paired bones, metres (Adaptation, eq. 4.13): of the body and not of its pose, for whoever
-    has joints among the unknowns. `pairs` of joints, left and right, as of `mirrored_joints`."""
+    """Differences of the lengths of paired bones, metres (Adaptation, eq. 4.13).
+
+    They depend on the body and not on its pose, for problems with joint centres among the unknowns. `pairs`
+    of joints, left and right, as of `mirrored_joints`.
+    """
 
     pairs: tuple[tuple[int, int], ...] = eqx.field(static=True)
 

@@ -1,4 +1,4 @@
-"""Motion that goes on as it came: a frame's turns against those of its neighbours."""
+"""Smooth motion: a frame's rotations compared with those of its neighbours."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -10,10 +10,11 @@ from ..energy import AbstractEnergy
 
 
 class SecondDifference(AbstractEnergy):
-    """How far the turn of every joint is from the middle of its turns in the frames `before` and `after`: the mean over joints
-    of squares, radians squared (Adaptation, eq. 4.10).
+    """Deviation of every joint's rotation from the midpoint of its rotations in the frames `before` and
+    `after`: the mean over joints of squares, radians squared (Adaptation, eq. 4.10).
 
-    For one frame between others that stay; a window of frames at once is `adapt.poses.sliding_window.smooth_poses`.
+    For one frame between fixed neighbours; `adapt.poses.sliding_window.smooth_poses` solves a window of
+    frames together.
     """
 
     before: Pose
@@ -31,11 +32,13 @@ def second_difference(
     since: Float[Array, "*frames"] | float = 1.0,
     until: Float[Array, "*frames"] | float = 1.0,
 ) -> Float[Array, "*frames J 3"]:
-    """Half the sum of the rotation vectors to the frame before and to the one after: those of eq. 4.10 from the pose
-    between the two, so that none is near half a turn however far a motion turns in all.
+    """Compute half the sum of the rotation vectors to the previous and to the next frame.
 
-    `since` and `until` are the frames from the one before and to the one after where some are missing: it is half the
-    second derivative of the parabola through the three, none of a motion that is even.
+    These are those of eq. 4.10 relative to the middle pose, so that none is near half a turn, however large
+    the total rotation of a motion.
+
+    `since` and `until` are the numbers of frames from the previous and to the next one where some are
+    missing: it is half the second derivative of the parabola through the three, zero for uniform motion.
     """
     back = rotation.conjugate(here)
     since, until = (jnp.asarray(gap, here.dtype)[..., None, None] for gap in (since, until))

@@ -1,1 +1,1 @@
-"""Which part of a body belongs to which point of a scan."""
+"""Correspondence between points of a scan and parts of a body."""

@@ -1,4 +1,4 @@
-"""Which place on a posed body belongs to which place of a scan (Adaptation, section 4.1.2)."""
+"""Matching of points on a posed body with points of a scan (Adaptation, section 4.1.2)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from .soft_assignment import SoftAssignment as SoftAssignment
 
 
 class Matching(NamedTuple):
-    """What makes a pair."""
+    """Options of matching."""
 
     #: largest angle between the two normals, degrees
     angle: float = 90.0
@@ -30,18 +30,18 @@ class Matching(NamedTuple):
     #: search from the scan to the body, and from the body to the scan
     from_scan: bool = True
     from_body: bool = True
-    #: in every triangle of the body and of the scan, or of a cloud among the points at one vertex, leave out the pair furthest
-    #: apart; means of many points are none of these
+    #: in every triangle of the body and of the scan, or among a cloud's points at one vertex, leave out the
+    #: pair with the largest distance; does not apply to means of many points
     uniform: bool = True
-    #: deviation up to which distances count squared, and beyond linearly (Charbonnier), metres
+    #: distance up to which distances count squared, and beyond linearly (Charbonnier), metres
     charbonnier: float = 0.003
-    #: squared distances along the surface count by this share of those across it: 1 is point to point, 0 point to plane; a
-    #: nearest vertex is only about the right one
+    #: weight of squared distances along the surface relative to those across it: 1 is point to point, 0 point
+    #: to plane; a nearest vertex is only approximately the correct one
     along: float = 0.05
     #: nearest vertices, nearest points of the surface, or Gaussian shares
     assignment: AbstractAssignment = NearestVertex()
-    #: the sensors, where a body may be partly outside of what they can see: vertices that are within no
-    #: sensor's angle of aperture are in no pair; none says nothing
+    #: the sensors, for a body that may be partly out of view: vertices outside every sensor's angle of
+    #: aperture are not matched; without sensors all vertices may be
     aperture: tuple[Camera, ...] = ()
 
 
@@ -54,14 +54,14 @@ def find_pairs(
     matching: Matching = Matching(),
     visible: Bool[np.ndarray, "V"] | None = None,
 ) -> Pairs:
-    """Pairs both ways: for every point of the scan a place on the body, then for every vertex a place in the scan.
+    """Match every point of a scan with a point on a body, then every vertex with a point of the scan.
 
-    **Arguments:** `vertices` and `normals` of the posed body; `visible`, which of its vertices some
-    camera sees (`visible_vertices`): the others are in no pair. It bounds the body to the cameras' pictures too;
-    `Matching.aperture` does so alone, where nothing else is known to hide the body.
+    **Arguments:** `vertices` and `normals` of the posed body; `visible`, mask of its vertices that some
+    camera sees (`visible_vertices`): the others are not matched. It also restricts the body to the cameras'
+    images; `Matching.aperture` only does that, for a body without known occlusions.
 
-    A normal of zero, which is not known, is at a right angle to all others. The number of pairs is that of
-    the scan's points, with padding (of the vertices where assignment is soft), and of the vertices.
+    A normal of zero, which is unknown, counts as perpendicular to all others. The number of pairs is that of
+    the scan's points, with padding (of the vertices for soft assignment), and of the vertices.
     """
     seen = np.ones(len(vertices), bool) if visible is None else visible
     if matching.aperture:
@@ -85,8 +85,11 @@ def find_pairs(
 
 
 def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, "V"]:
-    """Which vertices some camera's angle of aperture reaches, hidden or not (Adaptation, 4.1.2, visibility
-    constraint of a body that is partly outside; after Ye et al. 2016). A pinhole's aperture is its picture."""
+    """Find the vertices within some camera's angle of aperture, occluded or not.
+
+    This is the visibility constraint for a body partly out of view (Adaptation, 4.1.2, after Ye et al. 2016).
+    The aperture of a pinhole camera is its image.
+    """
     inside = np.zeros(len(vertices), bool)
     for camera in cameras:
         inside |= np.asarray(in_picture(camera, jnp.asarray(vertices, float)))
@@ -96,7 +99,9 @@ def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"
 def _judged(
     found: Assigned, surface: Surface, scan: Scan, width: int, cosine: float, matching: Matching
 ) -> tuple[np.ndarray, ...]:
-    """Vertices, shares, points, directions and weights of one way's pairs, the weights of bad ones zero."""
+    """Compute vertices, shares, points, directions and weights of the pairs of one direction, with weight
+    zero for rejected pairs.
+    """
     count = len(surface.vertices)
     own = _unit(np.einsum("ck,cka->ca", found.shares, surface.normals[found.vertices]))
     places = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
@@ -112,7 +117,7 @@ def _judged(
     weights = np.where(good, found.mass * _robust(apart, matching), 0.0)
     wide = ((0, 0), (0, width - found.vertices.shape[1]))
     columns = (
-        # a vertex with itself for a neighbour, whose share is none
+        # padded with a repeated vertex with share zero
         np.pad(found.vertices, wide, mode="edge"),
         np.pad(found.shares, wide),
         found.points,
@@ -131,19 +136,19 @@ def _unit(rows: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C 3"]:
 
 
 def _robust(apart: Float[np.ndarray, "C"], matching: Matching) -> Float[np.ndarray, "C"]:
-    """The weight that makes squares of distances count as Charbonnier's norm does (eq. 4.6), one at zero."""
+    """Compute the weights that turn squared distances into Charbonnier's norm (eq. 4.6), one at zero."""
     return matching.charbonnier / np.sqrt(apart**2 + matching.charbonnier**2)
 
 
 def _furthest_in(faces: Int[np.ndarray, "F 3"], apart: Float[np.ndarray, "V"]) -> Bool[np.ndarray, "V"]:
-    """The vertex of each triangle whose pair is furthest apart."""
+    """Find the vertex of each triangle with the largest distance of its pair."""
     worst = np.zeros(len(apart), bool)
     worst[faces[np.arange(len(faces)), np.argmax(apart[faces], 1)]] = True
     return worst
 
 
 def _furthest_at(rows: Int[np.ndarray, "N"], apart: Float[np.ndarray, "N"], count: int):
-    """Of three and more points at one vertex the one furthest from it."""
+    """Find the most distant of three or more points matched with one vertex."""
     largest = np.zeros(count)
     np.maximum.at(largest, rows, apart)
     many = np.bincount(rows, minlength=count) >= 3

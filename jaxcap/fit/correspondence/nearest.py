@@ -1,9 +1,9 @@
-"""For every point and every part of a body, the nearest vertex with a compatible normal.
+"""Search for the nearest vertex with a compatible normal, for every point and every part of a body.
 
-Points go in tiles of 32, vertices in blocks of 32, and a tile meets a block only where their
-boxes are within reach of each other. Within both, a loop over the block's vertices, some at a
-time, is a few elementwise passes: exact, and several times faster on a CPU than `argmin`, which
-XLA does not vectorise there.
+Points are grouped in tiles of 32, vertices in blocks of 32, and a tile is compared with a block only if their
+boxes are within reach of each other. For each such pair, a loop over the block's vertices, some at a time, is
+a few elementwise passes: exact, and several times faster on a CPU than `argmin`, which XLA does not vectorise
+there.
 """
 
 import jax
@@ -17,11 +17,11 @@ from .part_blocks import BLOCK, Parts
 
 #: Points in a tile.
 TILE = 32
-#: Pairs of a tile and a block that one step of the culled search takes.
+#: Pairs of a tile and a block in one step of the culled search.
 CHUNK = 256
 #: Vertices of a block in one elementwise pass; all of them compile far longer and run little faster.
 UNROLLED = 8
-#: Share of pairs in reach above which going through all of them, in one pass, is faster.
+#: Share of pairs in reach above which a search of all pairs in one pass is faster.
 FEW = 0.3
 
 
@@ -34,15 +34,14 @@ def nearest_vertices(
     normal_threshold: float | Float[Array, ""],
     reach: float | Float[Array, ""] = jnp.inf,
 ) -> tuple[Float[Array, "K N"], Int[Array, "K N"]]:
-    """`v_ik` of Kineben, section 3.3.1: squared distance (metres^2) and vertex.
+    """Find `v_ik` of Kineben, section 3.3.1: squared distance (metres^2) and vertex.
 
-    A vertex is compatible where `dot(n_point, n_vertex) > normal_threshold`, and with every
-    point whose normal is zero (not known). Where a part has no compatible vertex within
-    `reach` metres, the squared distance is infinite and the vertex is 0. So it is, too, for
-    padding, where `reach` is finite.
+    A vertex is compatible where `dot(n_point, n_vertex) > normal_threshold`, and with every point with zero
+    normal (unknown). Where a part has no compatible vertex within `reach` metres, the squared distance is
+    infinite and the vertex is 0. The same holds for padding, where `reach` is finite.
 
-    The result does not depend on the points' order, but the time does: a small reach is
-    faster where neighbours in the array are neighbours in space, as `spatial_order` puts them.
+    The result does not depend on the points' order, but the time does: a small reach is faster where
+    neighbours in the array are neighbours in space, as ordered by `spatial_order`.
     """
     count = len(cloud.points)
     tiles, blocks = _tiles_and_blocks(parts, vertices, normals, cloud, normal_threshold)
@@ -59,7 +58,7 @@ def nearest_vertices(
 def _tiles_and_blocks(
     parts, vertices, normals, cloud, normal_threshold
 ) -> tuple[Float[Array, "T 8 32"], Float[Array, "B 6 32"]]:
-    """Rows of a tile: position, normal, the cosine to surpass, weight; of a block: position, normal."""
+    """Arrange rows of tiles (position, normal, minimal cosine, weight) and of blocks (position, normal)."""
     limits = jnp.where(jnp.any(cloud.normals != 0, -1), normal_threshold, -jnp.inf).astype(cloud.points.dtype)
     rows = jnp.concatenate([cloud.points, cloud.normals, limits[:, None], cloud.weights[:, None]], 1)
     rows = jnp.pad(rows, ((0, -len(rows) % TILE), (0, 0)))
@@ -68,7 +67,7 @@ def _tiles_and_blocks(
 
 
 def _in_reach(tiles: Float[Array, "T 8 32"], blocks: Float[Array, "B 6 32"], reach) -> Bool[Array, "B T"]:
-    """Whether the box of a tile's points that are no padding comes within reach of a block's."""
+    """Test if the box of a tile's points without padding is within reach of a block's box."""
     real = tiles[:, 7:] > 0
     low = jnp.min(jnp.where(real, tiles[:, :3], jnp.inf), 2)
     high = jnp.max(jnp.where(real, tiles[:, :3], -jnp.inf), 2)
@@ -77,12 +76,12 @@ def _in_reach(tiles: Float[Array, "T 8 32"], blocks: Float[Array, "B 6 32"], rea
     for axis in range(3):
         gap = jnp.maximum(block_low[:, axis, None] - high[:, axis], low[:, axis] - block_high[:, axis, None])
         squared += jnp.maximum(gap, 0.0) ** 2
-    # the thousandth makes up for rounding
+    # the thousandth compensates for rounding
     return squared <= 1.001 * jnp.asarray(reach, tiles.dtype) ** 2
 
 
 def _sweep(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array, "*#pairs 6 32"]):
-    """Nearest compatible slot of a block, and its squared distance, for each point of a tile."""
+    """Find the nearest compatible slot of a block, and its squared distance, for each point of a tile."""
     x, y, z, nx, ny, nz, limit, _ = (tiles[..., i, :] for i in range(8))
     shape = jnp.broadcast_shapes(tiles.shape[:-2], blocks.shape[:-2])
     best = jnp.full((*shape, TILE), jnp.inf, tiles.dtype)
@@ -103,7 +102,7 @@ def _sweep(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array, "*#pairs 6 
 
 
 def _sweep_near(tiles, blocks, near):
-    """`_sweep` of the pairs in reach only, which are listed first; as many steps as they need."""
+    """Run `_sweep` on the pairs in reach only, which are listed first, in as many steps as needed."""
     num_tiles, total = len(tiles), near.size
     chosen = near.reshape(-1)
     place = jnp.where(chosen, jnp.cumsum(chosen.astype(jnp.int32)) - 1, total + CHUNK)
@@ -125,7 +124,7 @@ def _sweep_near(tiles, blocks, near):
 
 
 def _by_part(parts: Parts, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"], reach):
-    """The best of each part's blocks, `(K, N)`: a running minimum that every part begins anew, and ends with."""
+    """Find the best of each part's blocks, `(K, N)`, by a running minimum that restarts with every part."""
     counts = np.array(parts.blocks_of_part)
     last = np.cumsum(counts) - 1
     begins = np.isin(np.arange(parts.num_blocks), last - counts + 1)
@@ -142,17 +141,16 @@ def _by_part(parts: Parts, squared: Float[Array, "B T 32"], slot: Int[Array, "B 
     firsts = jnp.arange(parts.num_blocks, dtype=jnp.int32) * BLOCK
     _, (best, place) = lax.scan(step, start, (squared, slot, jnp.asarray(begins), firsts))
     best, place = (rows[last].reshape(len(last), -1) for rows in (best, place))
-    # also what a box let through, so that the result does not hang on the tiles
+    # excludes also pairs beyond reach within a box in reach, so that the result does not depend on the tiles
     here = jnp.isfinite(best) & (best <= jnp.asarray(reach, best.dtype) ** 2) & (counts > 0)[:, None]
     return jnp.where(here, best, jnp.inf), jnp.where(here, parts.slots.reshape(-1)[place], 0)
 
 
 def _apart(function, *arguments):
-    """`function(*arguments)`, compiled apart from what comes before and after.
+    """Compute `function(*arguments)`, compiled separately from the code before and after.
 
-    On a CPU, XLA drops optimisation barriers, and fuses long elementwise stages into one loop
-    that computes the earlier stage again for every use in the later one. It cannot see through
-    a condition on data.
+    On a CPU, XLA drops optimisation barriers, and fuses long elementwise stages into one loop that computes
+    the earlier stage again for every use in the later one. A condition on data prevents this fusion.
     """
     always = arguments[0].ravel()[0] != -jnp.inf
     shapes = jax.eval_shape(function, *arguments)

@@ -1,5 +1,6 @@
-"""Which place of a scan each place of a posed body is held against: the nearest vertex, or the nearest point
-of the surface (Adaptation, section 4.1.2)."""
+"""Matching of points on a posed body with a scan: the nearest vertex, or the nearest point of the surface
+(Adaptation, section 4.1.2).
+"""
 
 import abc
 from typing import Literal, NamedTuple
@@ -16,20 +17,22 @@ from ...observe import Scan as FileScan
 
 
 class Scan(NamedTuple):
-    """The real points of a cloud, or the vertices of a mesh, with a tree to search them, made once a frame."""
+    """The points of a cloud without padding, or the vertices of a mesh, with a search tree, made once per
+    frame.
+    """
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
     tree: KDTree
-    #: how many points the cloud has with its padding
+    #: number of points of the cloud with its padding
     padded: int
-    #: the triangles between the points; none of a cloud
+    #: the triangles of the points; none for a cloud
     faces: Int[np.ndarray, "F 3"]
 
 
 @checked
 def make_scan(cloud: Cloud) -> Scan:
-    """The points of a cloud that are there, and their tree.
+    """Make a scan from a cloud's points of positive weight, with their tree.
 
     **Raises:** `ValueError` where there is none.
     """
@@ -41,7 +44,9 @@ def make_scan(cloud: Cloud) -> Scan:
 
 
 def as_scan(frame: Scan | Cloud | FileScan) -> Scan:
-    """A frame as what pairs are found in: the points of a cloud, or of a frame as a file has it; a scan as it is."""
+    """Convert a frame to a scan: the points of a cloud, or of a frame read from a file; a scan is returned
+    unchanged.
+    """
     return frame if isinstance(frame, Scan) else make_scan(as_cloud(frame))
 
 
@@ -49,9 +54,10 @@ def as_scan(frame: Scan | Cloud | FileScan) -> Scan:
 def make_mesh_scan(
     vertices: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Scan:
-    """The surface of a scan whose points are joined by triangles; vertices in metres, normals of any length.
+    """Make the scan of a triangle mesh; vertices in metres, normals of any length.
 
-    **Raises:** `ValueError` where it has no vertices or one that is not finite, or a triangle of a vertex that is not there.
+    **Raises:** `ValueError` for a mesh without vertices or with one that is not finite, or for a triangle
+    with a missing vertex.
     """
     if not len(vertices) or not np.isfinite(vertices).all() or normals.shape != vertices.shape:
         raise ValueError(
@@ -63,46 +69,49 @@ def make_mesh_scan(
 
 
 class Surface(NamedTuple):
-    """A posed body, and which of its vertices may be in a pair."""
+    """A posed body, with a mask of the vertices that may be matched."""
 
     vertices: Float[np.ndarray, "V 3"]
-    #: unit, or zero where not known
+    #: unit, or zero where unknown
     normals: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     seen: Bool[np.ndarray, "V"]
 
 
 class Assigned(NamedTuple):
-    """Places of a body, `sum_k shares_k vertices_k`, each with the place of a scan that it is held against."""
+    """Points on a body, `sum_k shares_k vertices_k`, each with its matched point of a scan."""
 
     vertices: Int[np.ndarray, "C K"]
     #: at least zero, one in sum
     shares: Float[np.ndarray, "C K"]
     points: Float[np.ndarray, "C 3"]
-    #: the scan's there, of length one at most
+    #: the scan's normals there, of length one at most
     normals: Float[np.ndarray, "C 3"]
-    #: how many points a pair stands for; zero where there is no pair
+    #: number of points that a pair represents; zero where there is no pair
     mass: Float[np.ndarray, "C"]
-    #: one for every point of the scan, in their order; for every vertex of the body with what is nearest to it;
+    #: one for every point of the scan, in their order; for every vertex of the body with its nearest point;
     #: or for every vertex with a mean of all points that it explains
     each: Literal["point", "vertex", "mean"]
 
 
 class AbstractAssignment(eqx.Module):
-    """How pairs are formed. Both ways look no further than `reach`, metres; normals of hard pairs are
-    judged after the search, soft ones need the least `cosine` between them within it."""
+    """An assignment method. Both directions search up to `reach`, metres.
+
+    Normals of hard pairs are tested after the search; soft pairs require the least `cosine` between normals
+    within it.
+    """
 
     @abc.abstractmethod
     def from_scan(self, surface: Surface, scan: Scan, reach: float, cosine: float) -> Assigned:
-        """What of the body explains the scan's points."""
+        """Match the scan's points with points on the body."""
 
     @abc.abstractmethod
     def from_body(self, surface: Surface, scan: Scan, reach: float, cosine: float) -> Assigned:
-        """What of the scan explains the body's vertices that are seen."""
+        """Match the body's visible vertices with points of the scan."""
 
 
 class NearestVertex(AbstractAssignment):
-    """For every point of a scan the nearest vertex; for every vertex the nearest point."""
+    """The nearest vertex for every point of a scan; the nearest point for every vertex."""
 
     def from_scan(self, surface, scan, reach, cosine):
         del cosine
@@ -123,11 +132,13 @@ class NearestVertex(AbstractAssignment):
 
 
 class NearestOnSurface(AbstractAssignment):
-    """For every point of a scan the nearest point of the body's surface, exactly; for every vertex the nearest point of the
-    scan's surface where the scan is a mesh, and of a cloud the nearest of its points, whose surface is met by
-    distances that count along normals.
+    """The exact nearest point of the body's surface for every point of a scan, and the nearest point of the
+    scan for every vertex.
 
-    Of the body those triangles are searched all of whose corners are seen.
+    The latter is on the scan's surface for a mesh, and one of the points for a cloud, because distances along
+    normals measure the distance from a cloud's surface.
+
+    Only triangles of the body with all corners visible are searched.
     """
 
     def from_scan(self, surface, scan, reach, cosine):
@@ -153,7 +164,7 @@ class NearestOnSurface(AbstractAssignment):
 
 
 def nearest_points(surface: Surface, scan: Scan, reach: float) -> Assigned:
-    """Every vertex with the point of a scan nearest to it."""
+    """Match every vertex with its nearest point of a scan."""
     distances, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach, workers=-1)
     found = np.isfinite(distances) & surface.seen
     place = np.where(found, np.minimum(nearest, len(scan.points) - 1), 0)
@@ -164,7 +175,7 @@ def nearest_points(surface: Surface, scan: Scan, reach: float) -> Assigned:
 
 
 def _nothing(scan: Scan, corners: int) -> Assigned:
-    """No pair at any point."""
+    """Make an empty assignment with one row per point."""
     count = len(scan.points)
     shares = np.eye(1, corners).repeat(count, 0)
     vertices = np.zeros((count, corners), int)

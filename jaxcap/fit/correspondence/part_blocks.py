@@ -1,4 +1,4 @@
-"""The vertices of a body laid out by part, for nearest-neighbour search."""
+"""Layout of a body's vertices by part, for nearest-neighbour search."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,27 +7,26 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 
-#: Vertices in a block; parts are of very different sizes, so padding each to the largest
-#: would make six times the work.
+#: Vertices in a block; parts have very different sizes, so padding each to the largest would take six times
+#: the work.
 BLOCK = 32
 
 
 class Parts(eqx.Module):
     """A body's vertices in blocks of 32, each of one part and compact in space.
 
-    The blocks of part `k` are neighbours: `blocks_of_part[k]` of them, after those of the
-    parts before it. A part's last block repeats one of its vertices to be full. A part
-    without vertices has no block.
+    The blocks of part `k` are consecutive: `blocks_of_part[k]` of them, after those of the previous parts. A
+    part's last block is padded with one of its vertices. A part without vertices has no block.
     """
 
     #: vertex in each slot of each block
     slots: Int[Array, "B 32"]
-    #: how many blocks each part has
+    #: number of blocks of each part
     blocks_of_part: tuple[int, ...] = eqx.field(static=True)
 
     @property
     def num_parts(self) -> int:
-        """K, the number of parts, with those that have no vertex."""
+        """K, the number of parts, including those without vertices."""
         return len(self.blocks_of_part)
 
     @property
@@ -42,13 +41,13 @@ def make_parts(
     num_parts: int,
     vertices: Float[Array | np.ndarray, "W 3"] | None = None,
 ) -> Parts:
-    """The blocks of a body whose vertex `v` belongs to part `bones[v]`; made once, in NumPy.
+    """Make the blocks of a body with vertex `v` in part `bones[v]`; once, in NumPy.
 
-    **Arguments:** `bones (V,)` in `[0, num_parts)`; `vertices (V, 3)` positions, say at rest,
-    to make blocks compact, which the search is several times faster for.
+    **Arguments:** `bones (V,)` in `[0, num_parts)`; `vertices (V, 3)` positions, for example at rest, to make
+    blocks compact, which makes the search several times faster.
 
-    **Raises:** `ValueError` where a bone is out of range, there is no vertex, or `vertices`
-    are not as many.
+    **Raises:** `ValueError` where a bone is out of range, there is no vertex, or `vertices` have another
+    number.
     """
     bones = np.asarray(bones)
     if bones.size == 0:
@@ -76,9 +75,9 @@ def make_parts(
 
 
 def _split(members: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:
-    """Halve a part along its longest side until each piece fits a block (a k-d tree's leaves).
+    """Split a part along its longest side until each piece fits a block (a k-d tree's leaves).
 
-    Cuts fall on multiples of the block, so that no more blocks are made than needed.
+    Splits are at multiples of the block size, so that no more blocks are made than needed.
     """
     if len(members) <= BLOCK:
         return [members]

@@ -1,4 +1,4 @@
-"""The E-step: which part of the body each point belongs to, and which to none."""
+"""The E-step: posterior probabilities of parts and of the outlier class for each point."""
 
 import equinox as eqx
 import jax
@@ -11,16 +11,16 @@ from ...observe import Cloud
 from .nearest import nearest_vertices
 from .part_blocks import Parts
 
-#: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without
-#: which a point with no compatible vertex would have no posterior.
+#: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without which a point
+#: with no compatible vertex would have no posterior.
 EPSILON = 1e-9
 
 
 class Posterior(eqx.Module):
     """Soft assignment of N points to C candidate parts each and to the outlier class.
 
-    C is the number of parts, in their order, or fewer: then a point's candidates are its most
-    likely parts, likeliest first. A weight of zero is no correspondence, whatever its vertex.
+    C is the number of parts, in their order, or fewer: then a point's candidates are its most likely parts,
+    likeliest first. A weight of zero is no correspondence, whatever its vertex.
     """
 
     #: nearest compatible vertex of each candidate part
@@ -50,25 +50,24 @@ def posterior(
     priors: Float[Array, "K"] | None = None,
     candidates: int | None = 4,
 ) -> Posterior:
-    """Posterior of every part and of the outlier class at every point (Kineben, eqs. 20, 21).
+    """Compute the posterior of every part and of the outlier class at every point (Kineben, eqs. 20, 21).
 
-    The mixture is `p(y) = (1 - w) sum_k prior_k p_k(y) + w / V` with `w` the share `outlier`
-    (at least `EPSILON`) and `V` the `box_volume`. `p_k` is the isotropic normal density with
-    deviation `sigma` about the part's nearest vertex with a compatible normal, and zero where
-    there is none; the uniform density of eq. 20 for that case is the outlier class's, as it has
-    no vertex to pull. A part whose density falls below the outlier class's by more than the
-    precision of a number counts as zero, so that far parts need not be searched.
+    The mixture is `p(y) = (1 - w) sum_k prior_k p_k(y) + w / V` with `w` the share `outlier` (at least
+    `EPSILON`) and `V` the `box_volume`. `p_k` is the isotropic normal density with standard deviation `sigma`
+    about the part's nearest vertex with a compatible normal, and zero where there is none. The uniform
+    density of eq. 20 for that case belongs to the outlier class, as it attracts no vertex. A part with a
+    density below the outlier class's by more than the precision of a number counts as zero, so that distant
+    parts need not be searched.
 
-    A posterior is constant in its M-step, so no derivative flows through it; the slope
-    of `log_density` is that of the M-step's bound (Fisher's identity).
+    A posterior is constant in its M-step, so no derivative flows through it; the slope of `log_density` is
+    that of the M-step's bound (Fisher's identity).
 
-    **Arguments:** posed `vertices (V, 3)` in metres and unit `normals (V, 3)`; `cloud`, whose
-    points of weight zero are padding and go to the outlier class, and whose zero normals are
-    compatible with everything; `sigma` metres; `normal_threshold` the least cosine between
-    compatible normals; `outlier` in [0, 1); `box_volume` metres^3; `priors (K,)` shares of the
-    parts, sum one, uniform over the parts that have vertices where not given; `candidates` C
-    to keep of each point, `None` for all K. What is left out is the least likely and is
-    not shared out among the rest.
+    **Arguments:** posed `vertices (V, 3)` in metres and unit `normals (V, 3)`; `cloud`, with points of weight
+    zero as padding, which go to the outlier class, and zero normals compatible with all others; `sigma`
+    metres; `normal_threshold` the least cosine between compatible normals; `outlier` in [0, 1); `box_volume`
+    metres^3; `priors (K,)` shares of the parts, sum one, uniform over the parts with vertices where not
+    given; `candidates` number C kept for each point, `None` for all K. The omitted ones are the least likely,
+    and their probability is not redistributed.
     """
     vertices, normals, cloud, sigma = jax.lax.stop_gradient((vertices, normals, cloud, jnp.asarray(sigma)))
     dtype = cloud.points.dtype
@@ -79,7 +78,7 @@ def posterior(
     log_shares = jnp.log(priors.astype(dtype)) + jnp.log1p(-share)
     log_normaliser = -1.5 * jnp.log(2 * jnp.pi * sigma**2).astype(dtype)
     log_outlier = jnp.log(share) - jnp.log(jnp.asarray(box_volume, dtype))
-    # at this distance exp(-d^2 / (2 sigma^2)) has sunk below rounding, against the outlier class
+    # at this distance exp(-d^2 / (2 sigma^2)) is below rounding, relative to the outlier class
     negligible = np.log(1e-3 * np.finfo(dtype).eps)
     reach = sigma * jnp.sqrt(2 * (jnp.maximum(log_normaliser - log_outlier, 0.0) - negligible))
     squared, nearest = nearest_vertices(
@@ -107,9 +106,9 @@ def posterior(
 
 
 def _likeliest(columns, count: int):
-    """The `count` rows of largest first entry at each point, `(C, N)` each, largest first.
+    """Select the `count` rows of largest first entry at each point, `(C, N)` each, largest first.
 
-    Taking the largest away `count` times is faster on a CPU than `top_k`.
+    Removing the largest `count` times is faster on a CPU than `top_k`.
     """
     values = columns[0]
     rows = jnp.arange(values.shape[0])[:, None]
@@ -122,18 +121,18 @@ def _likeliest(columns, count: int):
 
 
 def log_likelihood(posterior: Posterior, weights: Float[Array, "N"]) -> Float[Array, ""]:
-    """Weighted log-likelihood of the cloud under the mixture that gave `posterior`."""
+    """Compute the weighted log-likelihood of the cloud under the mixture of `posterior`."""
     return jnp.sum(weights * posterior.log_density)
 
 
 def update_sigma(
     posterior: Posterior, squared_distances: Float[Array, "N C"], weights: Float[Array, "N"]
 ) -> Float[Array, ""]:
-    """The deviation of largest expected likelihood, metres: `sigma^2 = sum w p d^2 / (3 sum w p)`,
-    the second step of the conditional maximisation (Kineben, section 3.3.2).
+    """Compute the standard deviation of largest expected likelihood, metres: `sigma^2 = sum w p d^2 / (3 sum
+    w p)`.
 
-    `squared_distances (N, C)` are those after the pose has moved. Without any inlier it is
-    not finite.
+    This is the second step of the conditional maximisation (Kineben, section 3.3.2). `squared_distances (N,
+    C)` are those after the pose has moved. Without any inlier it is not finite.
     """
     share = weights[:, None] * posterior.weights
     squared = jnp.where(share > 0, squared_distances, 0.0)
@@ -141,7 +140,7 @@ def update_sigma(
 
 
 def update_priors(posterior: Posterior, weights: Float[Array, "N"], num_parts: int) -> Float[Array, "K"]:
-    """Each part's share of what is no outlier, `(K,)`: the priors of largest expected likelihood."""
+    """Compute each part's share of the inliers, `(K,)`: the priors of largest expected likelihood."""
     share = weights[:, None] * posterior.weights
     of_part = jnp.zeros(num_parts, share.dtype).at[posterior.parts].add(share)
     return of_part / jnp.sum(of_part)

@@ -1,4 +1,4 @@
-"""A scan's points shared out among a body's vertices by a mixture of Gaussians, and the other way round."""
+"""Soft assignment of a scan's points to a body's vertices by a mixture of Gaussians, and the reverse."""
 
 from typing import Literal
 
@@ -9,36 +9,38 @@ from scipy.spatial import KDTree
 
 from .nearest_assignment import AbstractAssignment, Assigned, Scan, Surface
 
-#: log of how far a density may sink below the outlier class's before it counts as zero
+#: log of the density relative to the outlier class's below which it counts as zero
 NEGLIGIBLE = np.log(1e-7)
-#: points that are shared out at once, which bounds memory
+#: points assigned at once, which bounds memory
 CHUNK = 4096
 
 
 class SoftAssignment(AbstractAssignment):
-    """Gaussian soft assignment, as in the tracker's E-step but to vertices instead of parts: a point comes from
+    """Gaussian soft assignment, as in the tracker's E-step but to vertices instead of parts.
+
+    A point comes from
 
         p(y) = (1 - w) / M sum_v N(y; x_v, sigma^2 I) + w / B,
 
-    the sum over the M vertices that are seen, those with another normal or out of reach left out (Kineben, eqs. 20
+    the sum over the M visible vertices, without those with another normal or out of reach (Kineben, eqs. 20
     and 21; Myronenko and Song 2010). `w` is the share `outlier`, `B` the volume of the box around all points.
     With `p_nv` the posterior of vertex v at point n, the M-step's sum is
 
         sum_nv p_nv |x_v - y_n|^2 = sum_v P_v |x_v - m_v|^2 + const,
         P_v = sum_n p_nv,    m_v = sum_n p_nv y_n / P_v,
 
-    so that one pair a vertex, of the posterior mean `m_v` with the mass `P_v` for a weight, has all of the scan
-    in it, in any metric that is the same for all points of a vertex. The mass may be more than one, as where a
-    scan is denser than a body; these weights are those of all points at once.
+    so that one pair per vertex, of the posterior mean `m_v` with the mass `P_v` as its weight, represents the
+    whole scan, in any metric that is the same for all points of a vertex. The mass may be more than one, as
+    where a scan is denser than a body; these weights are those of all points together.
 
-    From the body to the scan points and vertices change places: vertices are explained, with their own box, and
-    `Q_v = sum_n q_vn`, at most one, is the weight of `sum_n q_vn y_n / Q_v`.
+    From the body to the scan the roles are exchanged: vertices are explained, with their own box, and `Q_v =
+    sum_n q_vn`, at most one, is the weight of `sum_n q_vn y_n / Q_v`.
 
-    The class of outliers is what leaves points out, so that no mean is left out for being far apart. A mean lies
-    within a curved surface by about `sigma^2` times its mean curvature: lower `sigma` as poses become better.
+    The outlier class rejects points, so that no mean is left out for its distance. A mean lies within a
+    curved surface by about `sigma^2` times its mean curvature: lower `sigma` as poses improve.
 
-    Without outliers all within reach are weighed, which takes longer; and as `sigma` goes to zero, every point is
-    the nearest vertex's with a normal near its own.
+    Without outliers all points within reach are weighted, which takes longer. As `sigma` goes to zero, every
+    point is assigned to the nearest vertex with a similar normal.
     """
 
     #: standard deviation of a point from its vertex along each axis, metres
@@ -65,7 +67,7 @@ class SoftAssignment(AbstractAssignment):
         return _means(surface, scan, chosen, shares, "vertex")
 
     def _posterior(self, explained, means, reach: float, cosine: float) -> scipy.sparse.csr_array:
-        """`(N, M)` of N points that are explained by M means; each are places and normals."""
+        """Compute the posterior `(N, M)` of N points explained by M means; each are positions and normals."""
         (points, normals), (centres, centre_normals) = explained, means
         if not (len(points) and len(centres)):
             return scipy.sparse.csr_array((len(points), len(centres)))
@@ -90,11 +92,11 @@ class SoftAssignment(AbstractAssignment):
 def _shares(
     row: Int[np.ndarray, "P"], log: Float[np.ndarray, "P"], beside: float, count: int
 ) -> Float[np.ndarray, "P"]:
-    """Posteriors from the logs of densities, those of one row and the outlier class's one in sum."""
+    """Compute posteriors from log densities; those of one row and the outlier class add up to one."""
     top = np.full(count, beside)
     np.maximum.at(top, row, log)
     unscaled = np.exp(log - top[row])
-    # a row without anything, and without an outlier class, has nothing to share out
+    # a row without densities, and without an outlier class, has no posterior
     outlier = np.exp(beside - np.where(np.isfinite(top), top, 0.0))
     total = np.bincount(row, unscaled, count) + outlier
     return unscaled / total[row]
@@ -107,7 +109,7 @@ def _means(
     shares: scipy.sparse.csr_array,
     each: Literal["vertex", "mean"],
 ) -> Assigned:
-    """Every vertex with the mean of its shares `(M, N)` of a scan's points, and their mass."""
+    """Match every vertex with the mean of its shares `(M, N)` of a scan's points; the mass is their sum."""
     every = np.arange(len(surface.vertices))[:, None]
     mass, normals = np.zeros(len(every)), np.zeros((len(every), 3))
     points = surface.vertices.copy()

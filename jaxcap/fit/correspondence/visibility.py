@@ -1,4 +1,4 @@
-"""Which vertices of a surface cameras can see (Adaptation, 4.1.2, visibility constraint)."""
+"""Visibility of a surface's vertices in cameras (Adaptation, 4.1.2, visibility constraint)."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -11,9 +11,9 @@ from ...arguments import checked
 from ...geometry.camera import Camera, in_picture, project
 from ...geometry.mesh import vertex_normals
 
-#: what is nearer to a camera hides nothing, metres
+#: depth below which triangles occlude nothing, metres
 NEAR = 0.01
-#: a surface changes its depth by no more than this from pixel to pixel of the buffer, metres
+#: largest change of a surface's depth from pixel to pixel of the buffer, metres
 STEEP = 0.03
 
 
@@ -26,13 +26,13 @@ def visible_vertices(
     *,
     pixels: int = 320,
 ) -> Bool[Array, "V"]:
-    """Which vertices at least one camera sees: within its picture, turned towards it, and not hidden.
+    """Find the vertices seen by at least one camera: in its image, facing it, and not occluded.
 
-    A vertex is hidden where a depth buffer of the triangles is nearer than the surface around it by more
-    than `tolerance`, metres, at most of the pixels around, each by its share. The buffer has `pixels` rows
-    and columns, spread over the part of the picture that the surface is in: within one of them of an edge
-    that hides it a vertex may be told wrong. Triangles that reach behind the camera hide nothing. Shapes
-    are fixed, so this may be called under `jit` and `vmap`.
+    A vertex is occluded where a depth buffer of the triangles is nearer than the surface around it by more
+    than `tolerance`, metres, at most of the adjacent pixels, weighted bilinearly. The buffer has `pixels`
+    rows and columns, spread over the part of the image that contains the surface. Within one pixel of an
+    occluding edge a vertex may be classified wrongly. Triangles that extend behind the camera occlude
+    nothing. Shapes are fixed, so this may be called under `jit` and `vmap`.
     """
     cameras = [cameras] if isinstance(cameras, Camera) else list(cameras)
     normals = vertex_normals(vertices, faces)
@@ -47,14 +47,14 @@ def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: i
     turned = jnp.sum(normals * (camera.eye - vertices), -1) > 0
     places, depth = project(camera, vertices)
     front = depth > NEAR
-    # the buffer is spread over the box around what may be seen
+    # the buffer covers the box around the vertices in the image
     inside = in_picture(camera, vertices)
     first = jnp.min(jnp.where(inside[:, None], places, jnp.inf), 0)
     last = jnp.max(jnp.where(inside[:, None], places, -jnp.inf), 0)
     scale = (pixels - 1) / jnp.maximum(last - first, 1e-3)
     places = jnp.where(inside.any(), (places - first) * scale, 0.0)
     nearest = _nearest(places, jnp.where(front, 1.0 / jnp.where(front, depth, 1.0), 0.0), faces, pixels)
-    # how the inverse depth of the plane at each vertex changes from column to column and row to row
+    # slopes of the inverse depth of the plane at each vertex, by column and row
     normal = normals @ camera.rotation.T
     away = jnp.sum(normals * (vertices - camera.eye), -1)
     slopes = normal[:, :2] / (camera.focal * scale * jnp.where(turned, away, -1.0)[:, None])
@@ -64,7 +64,7 @@ def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: i
         at = corner + jnp.array(step)
         apart = at - places
         there = nearest[at[:, 1].astype(int), at[:, 0].astype(int)]
-        # of a plane that is seen from its edge the prediction is worth nothing
+        # for a plane seen edge-on the prediction is useless
         change = jnp.clip(jnp.sum(slopes * apart, -1) * depth**2, -STEEP, STEEP)
         share = jnp.prod(1 - jnp.abs(apart), -1)
         clear = clear + share * (there * (depth - change - tolerance) < 1.0)
@@ -74,11 +74,11 @@ def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: i
 def _nearest(
     places: Float[Array, "V 2"], inverse: Float[Array, "V"], faces: Int[Array, "F 3"], pixels: int
 ) -> Float[Array, "P P"]:
-    """The greatest inverse depth of all triangles at each whole row and column; zero where there is none.
+    """Compute the greatest inverse depth of all triangles at each pixel; zero where there is none.
 
-    Every triangle is tried at the pixels of a window at its corner. Windows have fixed sizes: a small one
-    for all triangles, and doubled ones for ever fewer, the largest of them in the picture. Of a mesh with
-    many triangles much larger than its mean the last ones are cut off at their windows.
+    Every triangle is tested at the pixels of a window at its corner. Windows have fixed sizes: a small one
+    for all triangles, and doubled ones for ever fewer, the largest of which cover the image. In a mesh with
+    many triangles much larger than its mean the last ones are clipped to their windows.
     """
     corners, depths = places[faces], inverse[faces]
     low = jnp.clip(jnp.ceil(corners.min(1)), 0, pixels)
@@ -87,7 +87,7 @@ def _nearest(
     extent = jnp.where(whole, jnp.max(high - low, 1) + 1, 0)
     order = jnp.argsort(-extent)
     buffer = jnp.zeros(pixels * pixels, places.dtype)
-    # as large as triangles are that cover the buffer evenly, and twice, from both sides
+    # the size of triangles that cover the buffer evenly, and twice, from both sides
     side, count = int(min(pixels, 2 + (4 * pixels * pixels / len(faces)) ** 0.5)), len(faces)
     while True:
         chosen = order[:count]
@@ -98,7 +98,7 @@ def _nearest(
 
 
 def _splat(buffer, corners, depths, low, whole, side: int, pixels: int) -> Float[Array, "Q"]:
-    """The buffer after triangles at the `side x side` pixels from `low` on."""
+    """Add triangles to the buffer at the `side x side` pixels from `low` on."""
     steps = jnp.arange(side)
     column, row = (low[:, axis, None].astype(int) + steps for axis in (0, 1))
     a, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -110,7 +110,7 @@ def _splat(buffer, corners, depths, low, whole, side: int, pixels: int) -> Float
     within = (second >= -1e-6) & (third >= -1e-6) & (second + third <= 1 + 1e-6)
     good = within & (whole & (area != 0))[:, None, None]
     good = good & (column < pixels)[:, None, :] & (row < pixels)[:, :, None]
-    # the inverse depth of a plane is linear in a picture
+    # the inverse depth of a plane is linear in image coordinates
     rises = depths - depths[:, :1]
     value = depths[:, :1, None] + second * rises[:, 1, None, None] + third * rises[:, 2, None, None]
     index = jnp.where(good, row[:, :, None] * pixels + column[:, None, :], pixels * pixels)

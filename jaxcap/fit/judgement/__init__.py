@@ -1,1 +1,1 @@
-"""Judge how well a posed body explains a cloud, by part, against what a sequence shows to be normal."""
+"""Judgement of a posed body's fit to a cloud, by part, compared with the normal values of a sequence."""

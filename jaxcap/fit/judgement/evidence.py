@@ -1,4 +1,4 @@
-"""Evidence against a pose in a cloud: points without surface, surface without points, and a body that runs through itself."""
+"""Evidence against a pose in a cloud: points without surface, surface without points, self-intersection."""
 
 from collections.abc import Sequence
 
@@ -15,45 +15,47 @@ from ...observe import Cloud
 from .inside import within_others
 from .surface import FEW, NEAREST, JudgedSurface
 
-#: points of a cloud that are looked at
+#: points sampled from a cloud
 POINTS = 1536
 #: directions from which unknown sensors may look
 DIRECTIONS = 32
 #: least cosine between a point's normal and that of the surface that explains it
 COMPATIBLE = 0.5
-#: distances, as shares of the body's size, from which on a point counts as unexplained and from which on it does so
-#: whole (4 and 8 cm of a person); a sample further from all points than the last one is empty
+#: distances, as shares of the body's size, at which a point begins to count as unexplained and at which it
+#: counts fully (4 and 8 cm of a person), and distance from all points beyond which a sample is empty
 NEAR, FAR, EMPTY = 0.023, 0.046, 0.045
-#: so many times the distance of neighbours, for a cloud spread over a person, is as good as empty
+#: a sample is empty beyond this multiple of the distance of neighbours in a cloud spread over a person
 SPARSE = 1.1
-#: side of the cells in which points are counted, as a share of the body's size, and cells along a side of the grid,
-#: which wraps around; unexplained points that are a quarter as dense as those of the surface count whole
+#: side of the cells in which points are counted, as a share of the body's size, and cells along a side of the
+#: grid, which wraps around; unexplained points a quarter as dense as those of the surface count fully
 CLUMP, CLUMPS, DENSE = 0.04, 32, 0.25
-#: least cosine between the surface and the line of sight; what lies further behind than `DEEP` in the same cell of
-#: `CELL` is hidden, as shares of the body's size
+#: least cosine between the surface and the line of sight; samples more than `DEEP` behind another in the same
+#: cell of `CELL` are occluded, as shares of the body's size
 GRAZING, CELL, DEEP = 0.6, 0.035, 0.05
-#: where sensors are not known their directions are those whose coverage, of all that is at least so little turned
-#: towards them, is within `AS_GOOD` of the best one's
+#: least cosine for the coverage of a direction; directions of unknown sensors are those with a coverage
+#: within `AS_GOOD` of the best one's
 FLAT, AS_GOOD = 0.1, 0.03
-#: in place of no points
+#: replaces a count of zero points
 TINY = 1e-9
 #: cells along a side of a depth buffer, which wraps around
 GRID = 64
 
 
 class Evidence(eqx.Module):
-    """Measurements of one frame, by the R regions of a body, and by the D directions that it may be seen from."""
+    """Measurements of one frame, by the R regions of a body, and by the D directions that it may be seen
+    from.
+    """
 
     #: share of the cloud's points that are nearest to each region and that no part explains
     unexplained: Float[Array, "*frames R"]
-    #: share of the body's area that the sensors ought to see of each region and that has no points
+    #: share of the body's area that belongs to each region, is in view of the sensors and has no points
     empty: Float[Array, "*frames R"]
-    #: share of the body's area that is of each region and lies within another part
+    #: share of the body's area that belongs to each region and lies within another part
     inside: Float[Array, "*frames R"]
-    #: points that each of the P parts that move explains, as a share of those that its area leads to expect where all is seen
-    #: alike
+    #: number of points explained by each of the P moving parts, relative to the number expected from its area
+    #: for uniform visibility
     support: Float[Array, "*frames P"]
-    #: share of the surface shown by each direction that has points
+    #: share of the surface visible from each direction that has points
     coverage: Float[Array, "*frames D"]
 
 
@@ -61,14 +63,14 @@ class Evidence(eqx.Module):
 def gather_evidence(
     surface: JudgedSurface, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
 ) -> Evidence:
-    """Measure where a pose and a cloud disagree, and where the body runs through itself.
+    """Measure the disagreement of a pose and a cloud, and the self-intersection of the body.
 
-    All is measured from a thinned cloud and the samples of the surface.
+    All measurements use a thinned cloud and the samples of the surface.
 
-    **Arguments:** `sensors` are the cameras where they are known. Otherwise `DIRECTIONS` that are spread over the
-    sphere stand for those that may be there: the array holds one for each direction that sensors look from
-    (`sensors_of`) and zero for the others. Where it is empty or zero, they are the directions of this very frame that
-    show the least empty surface.
+    **Arguments:** `sensors` are the cameras where they are known. Otherwise `DIRECTIONS` spread over the
+    sphere represent possible sensors: the array is one for each direction of a sensor (`sensors_of`) and zero
+    for the others. Where it is empty or zero, the directions of this frame that show the least empty surface
+    are used.
     """
     posed = pose_body(surface.body, pose)
     turned = jnp.einsum("sab,sb->sa", posed.transforms.rotations[surface.bones], surface.normals)
@@ -76,7 +78,7 @@ def gather_evidence(
     size = surface.size * pose.scale
     rows, weights = _some_points(cloud)
     points, point_normals = cloud.points[rows], cloud.normals[rows]
-    # about the body's middle, as differences of squares lose digits far from the origin
+    # relative to the body's centre, as differences of squares lose digits far from the origin
     middle = jnp.mean(posed.vertices, 0)
     vertices, points = posed.vertices - middle, points - middle
     squared = jnp.sum(points**2, 1)[:, None] - 2 * points @ vertices.T + jnp.sum(vertices**2, 1)
@@ -88,7 +90,7 @@ def gather_evidence(
     beyond = jnp.clip((distances - NEAR) / (FAR - NEAR), 0.0, 1.0)
     amount = weights * beyond * _clumped(points / (CLUMP * size), rows, beyond)
     count = len(surface.names)
-    # among few points gaps are wide
+    # gaps are wide between few points
     gap = jnp.maximum(EMPTY, SPARSE / jnp.sqrt(jnp.maximum(jnp.sum(cloud.weights > 0), 1))) * size
     covered = jnp.min(jnp.where(weights[:, None] > 0, near, jnp.inf), 0) <= gap**2
     if isinstance(sensors, Sequence) and len(sensors):
@@ -99,13 +101,14 @@ def gather_evidence(
         directions = jnp.asarray(_spread(DIRECTIONS), vertices.dtype)
         cosine = (normals @ directions.T).T
         clear = _unhidden_from(directions, vertices, size)
-        # at flat angles the coverage falls steeply with the angle to the next sensor
+        # at grazing angles the coverage falls steeply with the angle to the next sensor
         share = _coverage(clear & (cosine > FLAT), covered)
         there = share >= jnp.max(share) - AS_GOOD
         if len(sensors):
             there = jnp.where(jnp.any(jnp.asarray(sensors) > 0), jnp.asarray(sensors) > 0, there)
         facing = (cosine > GRAZING) & there[:, None]
-        # a sensor is only about where a direction is: what any of its neighbours cannot see may be hidden
+        # the direction of a sensor is approximate: a sample occluded from any direction nearby may be
+        # occluded
         expected = jnp.any(facing, 0) & ~jnp.any(facing & ~clear, 0)
     few = slice(None, None, FEW)
     square = FEW * surface.area * pose.scale**2
@@ -131,12 +134,12 @@ def gather_evidence(
 
 
 def _coverage(shown: Bool[Array, "D S"], covered: Bool[Array, "S"]) -> Float[Array, "D"]:
-    """Share of the samples shown by each direction that have points."""
+    """Compute the share of the samples visible from each direction that have points."""
     return jnp.sum(shown & covered, 1) / jnp.maximum(jnp.sum(shown, 1), 1)
 
 
 def _some_points(cloud: Cloud) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
-    """Rows of points at equal steps of weight, and equal weights; zero for an empty cloud."""
+    """Select rows of points at equal steps of weight, and equal weights; zero for an empty cloud."""
     passed = jnp.cumsum(cloud.weights)
     total = passed[-1]
     steps = (jnp.arange(POINTS, dtype=passed.dtype) + 0.5) / POINTS * total
@@ -148,9 +151,10 @@ def _some_points(cloud: Cloud) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
 def _clumped(
     cells: Float[Array, "N 3"], rows: Int[Array, "N"], beyond: Float[Array, "N"]
 ) -> Float[Array, "N"]:
-    """How far each point lies among others that are unexplained as well, as points of a surface do; lone ones are zero.
+    """Compute the density of each point's unexplained neighbours, relative to that of a surface; isolated
+    points are zero.
 
-    `cells` are the points in units of a cell; a point may be there several times, as `rows`, which rise, show.
+    `cells` are the points in units of a cell; a point may be repeated, as the rising `rows` show.
     """
     times = jnp.searchsorted(rows, rows, side="right") - jnp.searchsorted(rows, rows)
     column = jnp.mod(jnp.floor(cells), CLUMPS).astype(jnp.int32)
@@ -164,7 +168,7 @@ def _clumped(
 
 
 def _spread(count: int) -> Float[np.ndarray, "D 3"]:
-    """Unit directions spread evenly over the sphere (a Fibonacci lattice)."""
+    """Make unit directions spread evenly over the sphere (a Fibonacci lattice)."""
     steps = np.arange(count) + 0.5
     polar, around = np.arccos(1 - 2 * steps / count), np.pi * (1 + 5**0.5) * steps
     return np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)], 1)
@@ -173,7 +177,7 @@ def _spread(count: int) -> Float[np.ndarray, "D 3"]:
 def _unhidden_from(
     directions: Float[Array, "D 3"], vertices: Float[Array, "S 3"], size: Float[Array, ""]
 ) -> Bool[Array, "D S"]:
-    """Which samples nothing hides from a camera far off in each direction."""
+    """Find the samples that are not occluded from a distant camera in each direction."""
     helper = jnp.where(jnp.abs(directions[:, 1:2]) < 0.9, jnp.eye(3)[1], jnp.eye(3)[0])
     across = jnp.cross(helper, directions)
     across = across / jnp.linalg.norm(across, axis=1, keepdims=True)
@@ -185,11 +189,11 @@ def _unhidden_from(
 def _seen_by(
     camera: Camera, vertices: Float[Array, "S 3"], normals: Float[Array, "S 3"], size
 ) -> Bool[Array, "S"]:
-    """Which samples a camera sees."""
+    """Find the samples that a camera sees."""
     sight = camera.eye - vertices
     sight = sight / jnp.linalg.norm(sight, axis=1, keepdims=True)
     pixels, depth = project(camera, vertices)
-    # a cell is as wide as `CELL` in the depth of the body's middle
+    # a cell is as wide as `CELL` in the depth of the body's centre
     wide = CELL * size * jnp.mean(camera.focal) / jnp.maximum(jnp.median(depth), 1e-3)
     clear = _unhidden(pixels / wide, -depth, DEEP * size)
     return clear & in_picture(camera, vertices) & (jnp.sum(sight * normals, 1) > GRAZING)
@@ -198,7 +202,7 @@ def _seen_by(
 def _unhidden(
     places: Float[Array, "S 2"], nearness: Float[Array, "S"], deep: Float[Array, ""]
 ) -> Bool[Array, "S"]:
-    """Which samples have none in their cell that is nearer by more than `deep`."""
+    """Find the samples without another in their cell that is nearer by more than `deep`."""
     column, row = (jnp.mod(jnp.floor(places[:, axis]), GRID).astype(jnp.int32) for axis in (0, 1))
     cell = row * GRID + column
     nearest = jnp.full(GRID * GRID, -jnp.inf, nearness.dtype).at[cell].max(nearness)

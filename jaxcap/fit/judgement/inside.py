@@ -1,10 +1,10 @@
-"""Surface that lies within another part of the body, as legs do that were taken for each other."""
+"""Detection of surface within another part of the body, as of two confused legs."""
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-#: winding numbers from which on a sample lies within, and from which on it does so whole
+#: winding numbers at which a sample begins to count as inside, and at which it counts fully
 BEGINS, WHOLE = 0.4, 0.7
 
 
@@ -16,12 +16,14 @@ def within_others(
     apart: Float[Array, "R R"],
     nearest: Float[Array, ""] | float,
 ) -> Float[Array, "S"]:
-    """Return how far each sample of a surface lies within regions that are `apart` from its own: zero to one.
+    """Compute the degree, zero to one, to which each sample lies within regions that are `apart` from its
+    own.
 
-    That is so where the winding number of these regions is near one: the solid angle that their areas fill, seen from
-    behind, over that of the whole sphere (Jacobson et al. 2013, "Robust inside-outside segmentation using generalized
-    winding numbers"); regions may be open. **Arguments:** `points` about their middle, metres; unit `normals`; `areas` in
-    square metres; samples nearer than `nearest` metres count as so far away, as a sample stands for an area.
+    The sample is inside if the winding number of these regions is near one: the solid angle of their areas,
+    seen from behind, divided by that of the whole sphere (Jacobson et al. 2013, "Robust inside-outside
+    segmentation using generalized winding numbers"); regions may be open. **Arguments:** `points` about their
+    mean, metres; unit `normals`; `areas` in square metres; distances below `nearest` metres count as
+    `nearest`, as a sample represents an area.
     """
     of = (regions[:, None] == jnp.arange(len(apart))).astype(points.dtype)
     squared = jnp.sum(points**2, 1)[:, None] - 2 * points @ points.T + jnp.sum(points**2, 1)

@@ -1,4 +1,4 @@
-"""The surface of a body as it is judged: samples that stand for equal areas, in regions with names."""
+"""The surface of a body for judgement: samples of equal areas, in named regions."""
 
 from collections.abc import Sequence
 
@@ -14,12 +14,12 @@ from .inside import within_others
 
 #: samples of a surface, about 4 cm from each other on a person
 SAMPLES = 1536
-#: every so manieth sample is looked at for others that it lies within, and half the distance of these, as a share of the
+#: stride of the samples that are tested for self-intersection, and half their distance, as a share of the
 #: body's size
 FEW, NEAREST = 2, 0.016
-#: parts with less of the whole area are judged together with the part that they hang on
+#: parts with a smaller share of the area are judged together with their parent
 LEAST_AREA = 0.012
-#: regions of the joints of a human skeleton as a sentence names them, without their side
+#: names of the regions of human joints in sentences, without their side
 LIMBS: dict[str, tuple[str, ...]] = {
     "trunk": ("Hips", "LowerBack", "Spine", "Spine1"),
     "head": ("Neck", "Neck1", "Head"),
@@ -30,21 +30,21 @@ _SIDES = {"Left": "left", "Right": "right", "L": "left", "R": "right"}
 
 
 class JudgedSurface(eqx.Module):
-    """Samples of a body's surface with the region that each lies in; everything that judging needs of a body."""
+    """Samples of a body's surface with their regions; all data of a body for judgement."""
 
     #: the samples as vertices, without faces
     body: Body
     #: of the samples at rest, unit
     normals: Float[Array, "S 3"]
-    #: the bone that moves each sample most
+    #: the bone with the largest weight of each sample
     bones: Int[Array, "S"]
-    #: share of the surface's area that each sample stands for, one in sum
+    #: share of the surface's area that each sample represents, one in sum
     areas: Float[Array, "S"]
     #: region of each sample
     regions: Int[Array, "S"]
-    #: one for regions that do not hang together, which ought not to lie within each other, and zero for the others
+    #: one for regions that are not adjacent, which must not lie within each other, and zero for the others
     apart: Float[Array, "R R"]
-    #: how far every `FEW`th sample lies outside of the regions apart from its own at rest, from zero to one
+    #: degree, zero to one, to which every `FEW`th sample is outside the regions apart from its own at rest
     outside: Float[Array, "W"]
     #: of the surface at rest, square metres
     area: Float[Array, ""]
@@ -52,16 +52,17 @@ class JudgedSurface(eqx.Module):
     size: Float[Array, ""]
     #: of the regions, for sentences; several regions may have one name
     names: tuple[str, ...] = eqx.field(static=True)
-    #: the P joints that move regions, those above where a region begins with a fixed one
+    #: the P joints that move regions; for a region of a fixed joint its nearest ancestor that is not fixed
     joints: tuple[str, ...] = eqx.field(static=True)
-    #: number among these of each region's
+    #: index among these of each region's joint
     movers: tuple[int, ...] = eqx.field(static=True)
-    #: number among these of the joint that each hangs on, minus one for a root
+    #: index among these of each joint's nearest ancestor, minus one for a root
     above: tuple[int, ...] = eqx.field(static=True)
 
 
 def judged_surface(body: Body) -> JudgedSurface:
-    """Sample the surface of a body evenly, and divide it into regions: its parts, the smallest joined to their parents.
+    """Sample the surface of a body evenly, and divide it into regions: its parts, the smallest joined to
+    their parents.
 
     The same body always gives the same samples. Made once, in NumPy.
     """
@@ -112,14 +113,14 @@ def judged_surface(body: Body) -> JudgedSurface:
 
 
 def _mover(skeleton: Skeleton, joint: int) -> int:
-    """The joint itself, or the next one above it that is not fixed."""
+    """Find the joint itself, or its nearest ancestor that is not fixed."""
     while skeleton.kinds[joint] == "fixed" and skeleton.parents[joint] >= 0:
         joint = skeleton.parents[joint]
     return joint
 
 
 def _next_above(parents: Sequence[int], joint: int, among: Sequence[int]) -> int:
-    """Find the number in `among` of the nearest ancestor that is there, minus one where there is none."""
+    """Find the index in `among` of the nearest ancestor that it contains, minus one where there is none."""
     joint = parents[joint]
     while joint >= 0 and joint not in among:
         joint = parents[joint]
@@ -139,12 +140,12 @@ def region_name(joint: str) -> str:
 def _even_samples(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[Int[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
-    """Corners and barycentric shares of points at equal steps of area, over the triangles along Morton's curve."""
+    """Sample triangle corners and barycentric shares at equal steps of area along Morton's curve."""
     triangles = vertices[faces]
     order = np.asarray(spatial_order(triangles.mean(1)))
     passed = np.cumsum(np.linalg.norm(_area_normals(triangles), axis=1)[order])
     steps = np.searchsorted(passed, (np.arange(SAMPLES) + 0.5) / SAMPLES * passed[-1])
-    # places within the triangles by the sequence of Roberts, which leaves no gaps
+    # positions within the triangles by Roberts's sequence, which leaves no gaps
     first, second = ((np.arange(SAMPLES) * np.array([[0.7548776662], [0.5698402910]])) + 0.5) % 1.0
     outside = first + second > 1
     first, second = np.where(outside, 1 - first, first), np.where(outside, 1 - second, second)
@@ -152,15 +153,17 @@ def _even_samples(
 
 
 def _area_normals(triangles: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
-    """Normals as long as twice the areas."""
+    """Compute normals with a length of twice the area."""
     return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def _hang_together(
     parents: Sequence[int], joints: Sequence[int], names: Sequence[str]
 ) -> Bool[np.ndarray, "R R"]:
-    """Which regions, named by `joints`, hang together: each with itself and with the limb that it hangs on, as the bends of
-    skin between them may fold into each other."""
+    """Find the pairs of adjacent regions, named by `joints`: each with itself and with its parent limb.
+
+    Skin folds between adjacent regions may intersect.
+    """
     together = np.eye(len(joints), dtype=bool)
     for region, joint in enumerate(joints):
         above = _next_above(parents, joint, joints)
@@ -172,7 +175,7 @@ def _hang_together(
 
 
 def _regions(body: Body, bones: Int[np.ndarray, "S"]) -> tuple[Int[np.ndarray, "S"], list[int]]:
-    """Region of every sample, and the joint that each region is named by."""
+    """Find the region of every sample, and the joint that names each region."""
     skeleton = body.skeleton
     share = np.bincount(bones, minlength=skeleton.num_joints) / len(bones)
     into = np.arange(skeleton.num_joints)

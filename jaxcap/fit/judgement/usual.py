@@ -1,4 +1,4 @@
-"""Running statistics of the evidence in a sequence, which single wrong frames do not move."""
+"""Running statistics of the evidence in a sequence, robust to single wrong frames."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,35 +7,38 @@ from jaxtyping import Array, Float
 from .evidence import AS_GOOD, DIRECTIONS, Evidence
 from .surface import JudgedSurface
 
-#: least rate at which the running statistics follow the frames
+#: least rate of the running statistics
 RATE = 0.03
 #: deviations beyond which a frame moves the statistics no further
 CLIP = 3.0
-#: deviation before the sequence has shown its own, shares of the cloud and of the body's area; and the least one
+#: initial deviation, shares of the cloud and of the body's area; and the least one
 DEVIATION, LEAST = 0.002, 0.0005
-#: values for each region, and which of them is the area within another part
+#: number of values for each region, and the row of the area within another part
 ROWS, INSIDE = 3, 2
-#: good frames from which on the level is compared with the one at that time, so that a fault that grows slowly is seen
+#: number of good frames after which the level is compared with its value at that time, to detect slowly
+#: growing faults
 BASE = 30
 
 
 class Usual(eqx.Module):
     """Levels and deviations of the observed values (`observed`) in the good frames so far."""
 
-    #: how many frames they are of
+    #: number of frames
     frames: Float[Array, ""]
     level: Float[Array, "3 Q"]
     deviation: Float[Array, "3 Q"]
     #: the level of the first `BASE` good frames
     base: Float[Array, "3 Q"]
-    #: share of the surface shown by each direction that has points
+    #: share of the surface visible from each direction that has points
     coverage: Float[Array, "D"]
-    #: one after a frame that was not good, and zero
+    #: one after a frame that was not good, otherwise zero
     warned: Float[Array, ""]
 
 
 def nothing_usual(surface: JudgedSurface, directions: int = DIRECTIONS) -> Usual:
-    """The statistics before the first frame; `directions` is the number of cameras where these are known."""
+    """Make the statistics before the first frame; `directions` is the number of cameras where these are
+    known.
+    """
     level = jnp.zeros((ROWS, len(surface.names) + 1), surface.areas.dtype)
     none = jnp.zeros((), level.dtype)
     return Usual(
@@ -44,22 +47,24 @@ def nothing_usual(surface: JudgedSurface, directions: int = DIRECTIONS) -> Usual
 
 
 def observed(evidence: Evidence) -> Float[Array, "*frames 3 Q"]:
-    """Values that are judged, for each of the R regions and, last, for the whole body (Q = R + 1), in rows: the shares of
-    the cloud's points that are unexplained, and of the body's area that ought to be seen and is empty, and that lies within
-    another part."""
+    """Stack the judged values of each of the R regions and, last, of the whole body (Q = R + 1).
+
+    The rows are the share of the cloud's points that are unexplained, the share of the body's area that
+    should be visible and is empty, and the share of it that lies within another part.
+    """
     values = jnp.stack([evidence.unexplained, evidence.empty, evidence.inside], -2)
     return jnp.concatenate([values, jnp.sum(values, -1, keepdims=True)], -1)
 
 
 def sensors_of(usual: Usual) -> Float[Array, "D"]:
-    """Directions that the sensors of a sequence look from, one or zero; all zero as long as none has shown itself."""
+    """Find the directions of a sequence's sensors, one or zero; all zero before the first frame."""
     best = jnp.max(usual.coverage)
     return ((usual.coverage >= best - AS_GOOD) & (usual.frames > 0)).astype(usual.level.dtype)
 
 
 @eqx.filter_jit
 def renew(usual: Usual, evidence: Evidence) -> Usual:
-    """The statistics with one more frame, which was judged to be right."""
+    """Update the statistics with one more frame, which was judged to be right."""
     first = usual.frames == 0
     rate = jnp.maximum(1.0 / (usual.frames + 1.0), RATE)
     value = observed(evidence)
@@ -80,14 +85,17 @@ def renew(usual: Usual, evidence: Evidence) -> Usual:
 
 
 def warned(usual: Usual) -> Usual:
-    """The statistics after a frame that was not judged to be right: nothing is learned from it, and the next one has to be better
-    than at other times to be good."""
+    """Mark the statistics after a frame that was not judged to be right.
+
+    They are not updated from it, and the limit of a good frame is stricter for the next one.
+    """
     return eqx.tree_at(lambda u: u.warned, usual, jnp.ones_like(usual.warned))
 
 
 @eqx.filter_jit
 def usual_of(evidence: Evidence) -> Usual:
-    """The statistics of frames in any order, stacked `(F, ...)`: medians, and median absolute deviations.
+    """Compute the statistics of frames in any order, stacked `(F, ...)`: medians, and median absolute
+    deviations.
 
     More than half of the frames have to be right.
     """

@@ -1,4 +1,4 @@
-"""The verdict on a frame: good, doubtful or lost, and why, by part."""
+"""The verdict on a frame: good, doubtful or lost, with reasons by part."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,7 +9,8 @@ from .evidence import POINTS, Evidence
 from .surface import JudgedSurface
 from .usual import INSIDE, Usual, observed
 
-#: excesses over the usual at which a frame is lost, in one region and of the whole body, of the rows of `observed`
+#: excesses over the normal level at which a frame is lost, in one region and of the whole body, of the rows
+#: of `observed`
 LIMITS = ((0.005, 0.012), (0.016, 0.03), (0.02, 0.03))
 #: the rows in words, for a limb
 WORDS = (
@@ -17,46 +18,46 @@ WORDS = (
     "{} where a camera sees nothing",
     "{} within another part of the body",
 )
-#: what is added to the limits for each unit of the usual level: where much is unexplained more of it changes
+#: increase of the limits per unit of the normal level: a higher level varies more
 RELATIVE = 0.25
-#: standard deviations of a share of so many points that are added to the limits (Poisson)
+#: standard deviations of a share of the sampled points that are added to the limits (Poisson)
 SAMPLING = 3.0
-#: deviations of the good frames that an excess has to surpass, too
+#: multiple of the good frames' deviations that an excess has to exceed, too
 DEVIATIONS = 5.0
-#: times of the limits that they are at most in a sequence that varies much, and of which an excess over the sequence's
-#: beginning (`Usual.base`) is held against them
+#: largest factor on the limits in a sequence that varies much, and factor on the limits of an excess over the
+#: sequence's beginning (`Usual.base`)
 WIDEST = 2.0
-#: parts with so much less of the points than their share of the surface are not seen; next to one that is not seen a part
-#: needs more, as points of what lies before it are taken for its own
+#: share of the expected points below which a part is unseen; a part adjacent to an unseen one needs more, as
+#: points of an occluder may be assigned to it
 UNSEEN, UNSEEN_ADJACENT = 0.3, 0.5
-#: share of the limits from which on a frame is doubtful; and after a frame that was not good, as a fault at the limit does
-#: not go away where noise has it below for a frame
+#: share of the limits at which a frame is doubtful; and the same after a frame that was not good, so that
+#: noise does not hide a persistent fault for a frame
 DOUBT, STILL = 0.7, 0.6
-#: limits of a first frame, of which nothing is usual, are so many times as wide before it is lost
+#: factor on the limits at which a first frame, without normal values, is lost
 FIRST = 10.0
 
 
 class Judgement(eqx.Module):
-    """A frame compared with the sequence's usual ones: shares of the limits at which a frame is lost."""
+    """A frame compared with a sequence's normal values: shares of the limits at which a frame is lost."""
 
     #: of each row of `observed`, by region and, last, of the whole body
     shares: Float[Array | np.ndarray, "3 Q"]
-    #: one, or more for a first frame, for which nothing is usual
+    #: one, or more for a first frame without normal values
     tolerance: Float[Array | np.ndarray, ""]
-    #: share of a limit from which on the frame is doubtful
+    #: share of a limit at which the frame is doubtful
     doubt: Float[Array | np.ndarray, ""]
-    #: points of each part, as a share of those that its area leads to expect
+    #: number of points of each part, relative to the number expected from its area
     support: Float[Array | np.ndarray, "P"]
     #: of the regions
     names: tuple[str, ...] = eqx.field(static=True)
     #: of the parts, by the joints that move them
     parts: tuple[str, ...] = eqx.field(static=True)
-    #: number of the part that each hangs on, minus one for the root
+    #: index of each part's parent, minus one for the root
     above: tuple[int, ...] = eqx.field(static=True)
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Name the parts of the body that no sensor shows, by their joints: their pose is a guess, whatever the verdict."""
+        """The unobserved parts of the body, by their joints: their pose is a guess, whatever the verdict."""
         support = np.asarray(self.support)
         hidden, sparse = ~(support >= UNSEEN), ~(support >= UNSEEN_ADJACENT)
         links = [[part, above] for part, above in enumerate(self.above) if above >= 0]
@@ -67,7 +68,7 @@ class Judgement(eqx.Module):
 
     @property
     def worst(self) -> float:
-        """The largest share of a limit, infinite where there is none."""
+        """The largest share of a limit, infinite where it is not finite."""
         worst = float(np.max(np.asarray(self.shares)))
         return worst if np.isfinite(worst) else np.inf
 
@@ -80,12 +81,12 @@ class Judgement(eqx.Module):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What is wrong and where, without a full stop, the worst first; empty where the verdict is good."""
+        """The faults and their parts, without a full stop, worst first; empty where the verdict is good."""
         found: dict[str, float] = {}
         doubt = float(self.doubt)
         for row, what in zip(np.asarray(self.shares, float), WORDS, strict=True):
             regions = row[:-1]
-            # a whole body over its limit is named by the regions with most of it
+            # a whole body over its limit is named by the regions with the largest shares
             named = (regions >= doubt) | ((row[-1] >= doubt) & (regions >= 0.5 * regions.max()))
             for region in np.flatnonzero(named | ~np.isfinite(regions)):
                 reason = what.format(self.names[region])
@@ -95,14 +96,14 @@ class Judgement(eqx.Module):
 
 @eqx.filter_jit
 def judge_evidence(surface: JudgedSurface, usual: Usual, evidence: Evidence) -> Judgement:
-    """Compare the evidence of a frame with what is usual.
+    """Compare the evidence of a frame with the normal values.
 
-    Before the first frame nothing is usual (`nothing_usual`): absolute limits then make a frame doubtful, and `FIRST`
-    times wider ones lost, as clothes leave as much unexplained as a limb that lies a little wrong. A fault that grows so slowly
-    that it becomes usual is seen against the level of the first frames.
+    Before the first frame there are none (`nothing_usual`). Absolute limits then make a frame doubtful, and
+    `FIRST` times wider ones lost, because clothes leave as much unexplained as a slightly wrong limb. A fault
+    that grows slowly enough to become normal is detected by comparison with the level of the first frames.
     """
     plain = jnp.asarray([[row[0]] * len(surface.names) + [row[1]] for row in LIMITS], usual.level.dtype)
-    # no body runs through itself, however often it did
+    # self-intersection is never normal, however frequent
     level, base = usual.level.at[INSIDE].set(0.0), usual.base.at[INSIDE].set(0.0)
     limits = _limits(plain, usual.level)
     limits = jnp.clip(DEVIATIONS * usual.deviation, limits, WIDEST * limits)
@@ -117,6 +118,6 @@ def judge_evidence(surface: JudgedSurface, usual: Usual, evidence: Evidence) -> 
 
 
 def _limits(plain: Float[Array, "3 Q"], level: Float[Array, "3 Q"]) -> Float[Array, "3 Q"]:
-    """Limits of excesses over a level, which has its own share of chance."""
+    """Compute limits of excesses over a level, including its sampling error."""
     chance = SAMPLING * jnp.sqrt(jnp.maximum(level, 0.0) / POINTS)
     return plain + jnp.maximum(RELATIVE * level, chance)

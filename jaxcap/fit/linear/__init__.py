@@ -1,1 +1,1 @@
-"""Linear operators with structure, and solvers of their systems."""
+"""Structured linear operators and solvers for their systems."""

@@ -1,13 +1,14 @@
 """Normal equations of many frames that share some unknowns.
 
-Every frame has its own unknowns `x_f`, all share `s`. Without what frames have to do with each other the equations are
+Every frame has its own unknowns `x_f`; all frames share `s`. Without coupling between frames the equations
+are
 
     [ A_1           B_1 ] [x_1]   [g_1]
     [      A_2      B_2 ] [x_2] = [g_2]
     [ B_1^T  B_2^T  C   ] [ s ]   [ h ]
 
-and the frames are eliminated by the Schur complement `C - sum_f B_f^T A_f^-1 B_f`. Where neighbouring frames meet, `A` is
-block-banded, and the same holds with its factor.
+and the frames are eliminated by the Schur complement `C - sum_f B_f^T A_f^-1 B_f`. If neighbouring frames are
+coupled, `A` is block-banded, and the same elimination holds with its factor.
 """
 
 from functools import partial
@@ -21,12 +22,12 @@ from .block_banded import BandedFactor, BlockBanded, frames_before
 from .cholesky import CholeskyFactor, factorise
 from .structured import AbstractFactor, AbstractStructured
 
-#: what is unknown: the numbers of each frame, and those that all share
+#: the unknowns of each frame, and those shared by all frames
 Unknowns = tuple[Float[Array, "F D"], Float[Array, "S"]]
 
 
 class BlockArrow(AbstractStructured):
-    """A symmetric matrix over `(x (F, D), s (S,))`; S may be zero."""
+    """A symmetric block-arrow matrix over `(x (F, D), s (S,))`; S may be zero."""
 
     frames: BlockBanded
     coupling: Float[Array, "F D S"]
@@ -60,14 +61,14 @@ class BlockArrow(AbstractStructured):
         return BlockArrow(self.frames.add_diagonal(x), self.coupling, self.shared + jnp.diag(s))
 
     def turned(self, turn: Float[Array, "F D D"]) -> "BlockArrow":
-        """Write the equations of other numbers `y` of the frames, of which `x = turn @ y`."""
+        """Change the variables of the frames to `y` with `x = turn @ y`."""
         before = frames_before(turn, self.frames.blocks.shape[1])
         product = partial(jnp.einsum, precision="highest")
         blocks = product("fai,fwab,fwbj->fwij", turn, self.frames.blocks, before)
         return BlockArrow(BlockBanded(blocks), product("fai,fas->fis", turn, self.coupling), self.shared)
 
     def rescaled(self, x: Float[Array, "F D"], s: Float[Array, "S"]) -> "BlockArrow":
-        """Write the equations of numbers in other units, so many of these numbers each."""
+        """Rescale the variables of the frames by `x` and the shared ones by `s`."""
         before = frames_before(x, self.frames.blocks.shape[1])
         blocks = self.frames.blocks * x[:, None, :, None] * before[:, :, None, :]
         coupling = self.coupling * x[:, :, None] * s
@@ -89,7 +90,7 @@ class ArrowFactor(AbstractFactor):
     shared: CholeskyFactor
 
     def solve(self, side: Unknowns, equalities: Equalities | None = None) -> Unknowns:
-        """Solve for all unknowns; with equalities, for the least of `y^T A y / 2 - side^T y` that keeps them."""
+        """Solve for all unknowns; with equalities, minimise `y^T A y / 2 - side^T y` subject to them."""
         with jax.default_matmul_precision("highest"):
             known = self.frames.forward(side[0][:, :, None])[:, :, 0]
             s = self.shared.solve(side[1] - jnp.einsum("fds,fd->s", self.columns, known))

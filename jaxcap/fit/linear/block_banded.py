@@ -1,7 +1,7 @@
-"""Normal equations of many frames in which only near ones meet.
+"""Normal equations in which each frame is coupled only to nearby frames.
 
-Rows that each touch `W + 1` successive frames leave equations whose blocks are zero further than `W` from the diagonal; with
-`W = 2`, as of second differences,
+Rows that each depend on `W + 1` successive frames give equations whose blocks are zero further than `W` from
+the diagonal. With `W = 2`, as for second differences,
 
     [ A_00  A_10^T A_20^T               ] [x_0]   [b_0]
     [ A_10  A_11   A_21^T A_31^T        ] [x_1]   [b_1]
@@ -9,8 +9,9 @@ Rows that each touch `W + 1` successive frames leave equations whose blocks are 
     [       A_31   A_32   A_33   A_43^T ] [x_3]   [b_3]
     [              A_42   A_43   A_44   ] [x_4]   [b_4]
 
-Cholesky's factor has the same band, and is found frame by frame (Golub and Van Loan, *Matrix Computations*, 4.3):
-time and memory grow with the number of frames, not with its cube and square. With `W = 0` every frame is alone.
+The Cholesky factor has the same band and is computed frame by frame (Golub and Van Loan, *Matrix
+Computations*, 4.3). Time and memory are linear in the number of frames, not cubic and quadratic. With `W = 0`
+the frames are independent.
 """
 
 from functools import partial
@@ -30,8 +31,8 @@ _einsum = partial(jnp.einsum, precision="highest")
 class BlockBanded(AbstractStructured):
     """A symmetric block-banded matrix over `x (F, D)`.
 
-    `blocks[f, w]`, with `B = W + 1` of them a frame, is by the numbers of frame `f` and of the frame `w` before it. What would lie
-    before the first frame is not read.
+    `blocks[f, w]`, with `B = W + 1` blocks per frame, couples frame `f` (rows) to frame `f - w` (columns).
+    Blocks before the first frame are ignored.
     """
 
     blocks: Float[Array, "F B D D"]
@@ -62,8 +63,11 @@ class BlockBanded(AbstractStructured):
         return BlockBanded(self.blocks.at[:, 0].add(amounts[:, :, None] * one))
 
     def factorise(self) -> "BandedFactor":
-        """Factor frame after frame: batches of small factors stall on a CPU. The blocks on the factor's diagonal are
-        inverted, which makes all else products, of which there are many and which all devices are fast at."""
+        """Factorise frame by frame, because batches of small factors are slow on a CPU.
+
+        The diagonal blocks of the factor are inverted, so that every other operation is a matrix product,
+        which all devices compute fast.
+        """
         frames, width, dofs, _ = self.blocks.shape
         scale = unit_scale(self.diagonal())
         even = self.blocks * scale[:, None, :, None] * frames_before(scale, width)[:, :, None, :]
@@ -73,7 +77,7 @@ class BlockBanded(AbstractStructured):
         even = even.at[:, 0].add(rounding(dofs, even.dtype) * one)
 
         def row(above, blocks):
-            """A row of the factor by those of the `W` frames before it, the nearest first."""
+            """Compute a row of the factor from the rows of the `W` previous frames, the nearest first."""
             found = [jnp.zeros_like(blocks[0])] * width
             for w in range(width - 1, 0, -1):
                 left = blocks[w] - sum(found[v] @ above[w - 1, v - w].T for v in range(w + 1, width))
@@ -83,15 +87,16 @@ class BlockBanded(AbstractStructured):
             whole = jnp.stack(found)
             return jnp.concatenate([whole[None], above])[: width - 1], whole
 
-        # no frame is before the first; a factor of one there leaves its zeros as they are
+        # there is no frame before the first; an identity factor there leaves the zeros unchanged
         none = jnp.zeros((width - 1, width, dofs, dofs), even.dtype).at[:, 0].set(one)
         with jax.default_matmul_precision("highest"):
             return BandedFactor(jax.lax.scan(row, none, even)[1], scale)
 
 
 class BandedFactor(AbstractFactor):
-    """The Cholesky factor's band `L`, with the inverses of its blocks on the diagonal, of equations brought to a unit
-    diagonal by `scale`."""
+    """The banded Cholesky factor `L` of equations scaled to a unit diagonal by `scale`, with inverted
+    diagonal blocks.
+    """
 
     blocks: Float[Array, "F B D D"]
     scale: Float[Array, "F D"]
@@ -102,7 +107,7 @@ class BandedFactor(AbstractFactor):
         return self.backward(self.forward(side[:, :, None]))[:, :, 0]
 
     def forward(self, sides: Float[Array, "F D K"]) -> Float[Array, "F D K"]:
-        """Compute `L^-1 S b`, from the first frame on."""
+        """Compute `L^-1 S b`, from the first frame to the last."""
         sides = self.scale[:, :, None] * sides
         if self.blocks.shape[1] == 1:
             return _einsum("fij,fjk->fik", self.blocks[:, 0], sides)
@@ -117,8 +122,11 @@ class BandedFactor(AbstractFactor):
         return jax.lax.scan(one, none, (self.blocks, sides))[1]
 
     def backward(self, sides: Float[Array, "F D K"]) -> Float[Array, "F D K"]:
-        """Compute `S L^-T b`, from the last frame on. What a frame that is found takes from the sides of those before it
-        is carried along, the nearest first."""
+        """Compute `S L^-T b`, from the last frame to the first.
+
+        The updates of a solved frame to the right sides of earlier frames are carried along, the nearest
+        first.
+        """
         if self.blocks.shape[1] == 1:
             return self.scale[:, :, None] * _einsum("fij,fik->fjk", self.blocks[:, 0], sides)
 
@@ -133,16 +141,21 @@ class BandedFactor(AbstractFactor):
         return self.scale[:, :, None] * jax.lax.scan(one, none, (self.blocks, sides), reverse=True)[1]
 
     def diagonal_inverse(self) -> Float[Array, "F D D"]:
-        """Compute the blocks on the diagonal of the inverse, in time linear in the number of frames: from the last frame on, each by
-        those within the band after it (Takahashi, Fagan and Chin 1973)."""
+        """Compute the diagonal blocks of the inverse, in time linear in the number of frames.
+
+        The recursion runs from the last frame to the first, each from the later frames in its band
+        (Takahashi, Fagan and Chin 1973).
+        """
         frames, width, dofs, _ = self.blocks.shape
         reach = width - 1
-        # what is below each block of the factor's diagonal: of the frame w later, L_{f+w, f}
+        # the blocks below each diagonal block of the factor: of the frame w later, L_{f+w, f}
         below = [jnp.roll(self.blocks[:, w], -w, 0).at[frames - w :].set(0.0) for w in range(1, width)]
         below = jnp.stack(below, 1) if reach else jnp.zeros((frames, 0, dofs, dofs), self.blocks.dtype)
 
         def one(later, row):
-            """Inverse blocks of the `W` frames after this one with each other, `later (W, W, D, D)`."""
+            """Compute one diagonal block of the inverse from `later (W, W, D, D)`, those among the next `W`
+            frames.
+            """
             corner, under = row
             slopes = _einsum("wij,jk->wik", under, corner)
             across = -_einsum("vwij,wjk->vik", later, slopes)
@@ -157,5 +170,5 @@ class BandedFactor(AbstractFactor):
 
 
 def frames_before(each: Shaped[Array, "F *D"], width: int) -> Shaped[Array, "F B *D"]:
-    """Gather what the frame itself has, the one before it, and so on; those before the first have the last ones'."""
+    """Stack the values of each frame with those of the frames before it, cyclically at the start."""
     return jnp.stack([jnp.roll(each, w, 0) for w in range(width)], 1)

@@ -1,4 +1,4 @@
-"""Approximate inverses of symmetric matrices that are known by their products and by bounds of their eigenvalues."""
+"""Approximate inverses of symmetric matrices given by their products and bounds of their eigenvalues."""
 
 from collections.abc import Callable
 
@@ -14,10 +14,12 @@ def chebyshev(
     high: float | Float[Array, ""],
     steps: int,
 ) -> Array:
-    """Solve `A x = side` roughly, by Chebyshev's iteration from zero: linear and symmetric in the right side, so that it may be
-    a preconditioner of conjugate gradients.
+    """Solve `A x = side` approximately by Chebyshev's iteration from zero.
 
-    **Arguments:** `low` and `high` bound the eigenvalues of `A`, above zero. **Source:** Golub and Varga 1961.
+    The result is linear and symmetric in the right side, so that it can precondition conjugate gradients.
+
+    **Arguments:** `low` and `high` bound the eigenvalues of `A`, above zero. **Source:** Golub and Varga
+    1961.
     """
     middle, radius = (high + low) / 2, (high - low) / 2
 

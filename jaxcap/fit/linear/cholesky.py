@@ -1,4 +1,4 @@
-"""Cholesky factors of equations that are first brought to a unit diagonal."""
+"""Cholesky factors of equations that are first scaled to a unit diagonal."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,13 +7,13 @@ from jaxtyping import Array, Float
 
 
 class CholeskyFactor(eqx.Module):
-    """A factor `L` of `S A S = L L^T`, with `S` diagonal so that metres and radians are on one scale."""
+    """A factor `L` of `S A S = L L^T`, with diagonal `S`, so that metres and radians have one scale."""
 
     lower: Float[Array, "N N"]
     scale: Float[Array, "N"]
 
     def solve(self, side: Float[Array, "N *K"]) -> Float[Array, "N *K"]:
-        """Solve `A x = side`; not numbers where `A` was not positive definite."""
+        """Solve `A x = side`; NaN where `A` is not positive definite."""
         if side.shape[0] == 0:
             return side
         scale = self.scale.reshape(-1, *[1] * (side.ndim - 1))
@@ -22,9 +22,9 @@ class CholeskyFactor(eqx.Module):
 
 
 def factorise(matrix: Float[Array, "N N"], ridge: float | None = None) -> CholeskyFactor:
-    """Factor a symmetric matrix, given back on its unit diagonal what rounding may take, or `ridge`.
+    """Factorise a symmetric matrix, with `ridge` or a bound of the rounding error added to its unit diagonal.
 
-    A row of zeros gets a scale of one, so that an unknown of which nothing is told stays where it is.
+    A row of zeros has the scale one, so that an unknown without data does not move.
     """
     size, dtype = len(matrix), matrix.dtype
     scale = unit_scale(jnp.diagonal(matrix))
@@ -36,11 +36,11 @@ def factorise(matrix: Float[Array, "N N"], ridge: float | None = None) -> Choles
 
 
 def unit_scale(diagonal: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    """Compute the scale that brings a diagonal to one; one where the diagonal is not positive."""
+    """Compute the scale that makes a diagonal one; one where the diagonal is not positive."""
     positive = diagonal > 0
     return jnp.where(positive, 1.0 / jnp.sqrt(jnp.where(positive, diagonal, 1.0)), 1.0)
 
 
 def rounding(size: int, dtype) -> float:
-    """Bound what rounding may take from a unit diagonal of so many equations."""
+    """Bound the rounding error of a unit diagonal of `size` equations."""
     return max(size, 10) * float(jnp.finfo(dtype).eps)

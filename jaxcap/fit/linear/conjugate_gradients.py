@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients for symmetric systems that are known by their products."""
+"""Preconditioned conjugate gradients for symmetric systems given by their matrix-vector products."""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,14 +18,18 @@ def conjugate_gradients(
     project: Callable[[PyTree], PyTree] | None = None,
     unsolved: float | None = None,
 ) -> PyTree:
-    """Solve `A x = side` for a symmetric positive definite `A`, from zero, until the residual is a share `tolerance` of the
-    right side in the Euclidean norm.
+    """Solve `A x = side` for a symmetric positive definite `A` by preconditioned conjugate gradients, from
+    zero.
 
-    `project` leaves of a right side what the system can meet, where it is one within constraints. It ends before where a direction has no positive curvature, as `A` is not positive definite then, and keeps what it has. The result is not a number
-    where the residual is still above a share `unsolved`, if given, in the norm of the preconditioner.
+    The iteration ends when the Euclidean norm of the residual is `tolerance` times that of the right side. It
+    ends earlier, with the current iterate, at a direction without positive curvature, as `A` is then not
+    positive definite. `project` projects the right side onto the constraints of a constrained system. The
+    result is NaN where the residual exceeds the share `unsolved`, if given, in the norm of the
+    preconditioner.
 
-    Differentiable in both modes by what `product` and `side` depend on: a derivative is one more solve. JAX's own `cg` cannot be
-    transposed where only the right side is unknown, as in the derivative of a minimum.
+    Differentiable in both modes by the dependencies of `product` and `side`: a derivative is one more solve.
+    JAX's own `cg` cannot be transposed where only the right side is unknown, as in the derivative of a
+    minimum.
     """
     solve = partial(
         _iterate,
@@ -39,7 +43,7 @@ def conjugate_gradients(
 
 
 def _iterate(product, side, *, precondition, tolerance, max_steps, project, unsolved):
-    """Iterate as Hestenes and Stiefel (1952) do."""
+    """Iterate as in Hestenes and Stiefel (1952)."""
     side = side if project is None else project(side)
     whole = _dot(side, side)
 
@@ -64,7 +68,7 @@ def _iterate(product, side, *, precondition, tolerance, max_steps, project, unso
     x, _, slope, *_ = jax.lax.while_loop(unfinished, step, start)
     if unsolved is None:
         return x
-    # written so that numbers that are none count as unsolved
+    # written so that NaN counts as unsolved
     solved = jnp.abs(slope) <= unsolved**2 * start[2]
     return jax.tree.map(lambda leaf: jnp.where(solved, leaf, jnp.nan), x)
 

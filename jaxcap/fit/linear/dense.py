@@ -1,4 +1,4 @@
-"""A symmetric matrix without structure."""
+"""Symmetric matrices without structure."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from .structured import AbstractFactor, AbstractStructured
 
 
 class Dense(AbstractStructured):
-    """All of a symmetric positive semidefinite matrix over `x (D,)`."""
+    """A dense symmetric positive semidefinite matrix over `x (D,)`."""
 
     matrix: Float[Array, "D D"]
 
@@ -33,7 +33,8 @@ class Dense(AbstractStructured):
         return Dense(self.matrix + jnp.diag(amounts))
 
     def factorise(self) -> "DenseFactor":
-        # little, as equations without structure come damped: a ridge moves what is hardly held
+        # a small ridge, as equations without structure are damped already, and a ridge moves weakly
+        # determined unknowns
         return DenseFactor(factorise(self.matrix, 10 * float(jnp.finfo(self.matrix.dtype).eps)))
 
     def as_matrix(self) -> Float[Array, "D D"]:
@@ -41,7 +42,7 @@ class Dense(AbstractStructured):
 
 
 class DenseFactor(AbstractFactor):
-    """The Cholesky factor of all of the matrix."""
+    """The Cholesky factor of the whole matrix."""
 
     factor: CholeskyFactor
 

@@ -1,4 +1,4 @@
-"""Computations in float64, whatever the precision of the program around them."""
+"""Computation in float64, independent of the precision of the surrounding program."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -11,10 +11,10 @@ Result = TypeVar("Result")
 
 
 def in_double(function: Callable[..., Result], *arguments: Any) -> Result:
-    """Call a function with all numbers of its arguments in float64, and bring what it returns back to the precision of these
-    arguments: what many frames tell of unknowns that they share is a difference of large numbers.
+    """Call a function in float64 and cast its result back to the precision of its arguments.
 
-    Under `jit` and its kin as well as outside of them, and whether or not the program has `jax_enable_x64`.
+    Information of many frames on shared unknowns is a difference of large numbers, which needs float64. Works
+    inside and outside of `jit` and other transformations, with or without `jax_enable_x64`.
     """
     arrays = [leaf for leaf in jax.tree.leaves(arguments) if eqx.is_inexact_array(leaf)]
     dtype = jnp.result_type(*arrays) if arrays else jnp.result_type(float)

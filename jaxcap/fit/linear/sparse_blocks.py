@@ -1,7 +1,7 @@
 """Symmetric matrices of 3 x 3 blocks over vertices, and such matrices with a dense border.
 
-Vertices that share a pair or an edge meet, and few others, so that the blocks are listed. Conjugate gradients solve by products, with
-the blocks on the diagonal as preconditioner.
+Only vertices that share a pair or an edge are coupled, so that the blocks are stored as a list. Systems are
+solved by conjugate gradients, with the diagonal blocks as preconditioner.
 """
 
 import equinox as eqx
@@ -13,18 +13,18 @@ from ..solvers.equalities import Equalities
 from .conjugate_gradients import conjugate_gradients
 from .structured import AbstractFactor, AbstractStructured
 
-#: steps of conjugate gradients at most
+#: largest number of steps of conjugate gradients
 STEPS = 2000
 
 
 class SparseBlocks(AbstractStructured):
-    """A symmetric matrix over `e (V, 3)` by its blocks: those of each vertex, and those of couples of two."""
+    """A symmetric matrix over `e (V, 3)`: the diagonal blocks of vertices and the blocks of coupled pairs."""
 
     own: Float[Array, "V 3 3"]
-    #: each once; the block of a couple is by the numbers of its first vertex and of its second
+    #: each pair once; its block has the first vertex's rows and the second vertex's columns
     couples: Int[Array, "E 2"]
     across: Float[Array, "E 3 3"]
-    #: the share of the right side at which conjugate gradients end
+    #: relative residual at which conjugate gradients end
     tolerance: Float[Array, ""]
 
     def mv(self, vector: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
@@ -62,7 +62,7 @@ class SparseBlocks(AbstractStructured):
 
 
 class SparseFactor(AbstractFactor):
-    """The matrix with the inverses of its blocks on the diagonal."""
+    """The matrix with the inverses of its diagonal blocks."""
 
     matrix: SparseBlocks
     inverses: Float[Array, "V 3 3"]
@@ -80,9 +80,11 @@ class SparseFactor(AbstractFactor):
 
 
 class Bordered(AbstractStructured):
-    """A symmetric matrix over `(x (F, D), s (S,), e (V, 3))`: an arrow over `(x, s)`, blocks over `e`, and all that couples them.
+    """A symmetric matrix over `(x (F, D), s (S,), e (V, 3))`: an arrow over `(x, s)`, blocks over `e`, and
+    their coupling.
 
-    The arrow is eliminated. What is left on the vertices is never formed: its products need one solution of the arrow each.
+    The arrow is eliminated. The Schur complement of the vertices is never formed: each of its products needs
+    one solve with the arrow.
     """
 
     arrow: AbstractStructured
@@ -141,7 +143,7 @@ class BorderedFactor(AbstractFactor):
 
     def solve(self, side, equalities: Equalities | None = None):
         x, s, e = side
-        # equations are kept by any solution for (x, s); those of its products are of zero
+        # any solution for (x, s) satisfies the equalities; those of the products are homogeneous
         still = None if equalities is None else Equalities(equalities.rows, jnp.zeros_like(equalities.values))
 
         def product(e):

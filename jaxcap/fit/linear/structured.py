@@ -1,6 +1,6 @@
-"""Matrices of normal equations that know their structure, and the solver that asks them for it.
+"""Structured matrices of normal equations, and their solver.
 
-They are operators of lineax, so that optimistix's descents and searches take them as the Hessian of
+They are lineax operators, so that optimistix's descents and searches accept them as the Hessian of
 `optx.FunctionInfo.EvalGradHessian`.
 """
 
@@ -20,12 +20,14 @@ Structured = TypeVar("Structured", bound="AbstractStructured")
 
 
 class AbstractFactor(eqx.Module):
-    """A matrix made ready for solving."""
+    """A factorised matrix."""
 
     @abc.abstractmethod
     def solve(self, side: Any, equalities: Equalities | None = None) -> Any:
-        """Solve `A x = side`, or with equations find the least of `x^T A x / 2 - side^T x` that keeps them; not numbers where
-        `A` is not positive definite."""
+        """Solve `A x = side`; with equalities, minimise `x^T A x / 2 - side^T x` subject to them.
+
+        The result is NaN where `A` is not positive definite.
+        """
 
 
 class AbstractStructured(lx.AbstractLinearOperator):
@@ -33,7 +35,7 @@ class AbstractStructured(lx.AbstractLinearOperator):
 
     @abc.abstractmethod
     def diagonal(self) -> PyTree[Array]:
-        """Its diagonal, in the shape of the unknowns."""
+        """Get the diagonal, in the shape of the unknowns."""
 
     @abc.abstractmethod
     def add_diagonal(self: Structured, amounts: PyTree[Array]) -> Structured:
@@ -41,24 +43,28 @@ class AbstractStructured(lx.AbstractLinearOperator):
 
     @abc.abstractmethod
     def magnitudes(self, x: PyTree[Array]) -> PyTree[Array]:
-        """Compute `|A| x`, of which the rounding errors of a product are a share."""
+        """Compute `|A| x`, the scale of the rounding errors of a product."""
 
     @abc.abstractmethod
     def among(self: Structured, free: PyTree[Array]) -> Structured:
-        """Keep rows and columns of free unknowns, and put those of the identity in place of the others: they are masked,
-        not removed, so that shapes stay."""
+        """Keep the rows and columns of free unknowns, and replace the others by those of the identity.
+
+        They are masked, not removed, so that shapes stay constant.
+        """
 
     @abc.abstractmethod
     def factorise(self) -> AbstractFactor:
-        """Factor the matrix in time linear in the number of frames."""
+        """Factorise the matrix in time linear in the number of frames."""
 
     def solve(self, side: PyTree[Array]) -> PyTree[Array]:
-        """Solve `A x = side`, differentiably in both modes: a derivative is one more substitution with the same factor."""
+        """Solve `A x = side`, differentiably in both modes: a derivative is one more substitution with the
+        same factor.
+        """
         factor = jax.lax.stop_gradient(self).factorise()
         return jax.lax.custom_linear_solve(self.mv, side, lambda _, b: factor.solve(b), symmetric=True)
 
     def as_matrix(self) -> Float[Array, "N N"]:
-        """Write out all of the matrix, for tests and small problems."""
+        """Write out the whole matrix, for tests and small problems."""
         zero = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), self.in_structure())
         flat, unravel = ravel_pytree(zero)
         columns = jax.vmap(lambda x: ravel_pytree(self.mv(unravel(x)))[0])(
@@ -74,8 +80,10 @@ class AbstractStructured(lx.AbstractLinearOperator):
 
 
 def damped(matrix: Structured, share: Float[Array, ""]) -> Structured:
-    """Damp after Marquardt: every diagonal grows by a share of it, and none is left far below the largest of its own block,
-    so that unknowns without data stay still."""
+    """Damp a matrix after Marquardt: add a share of each diagonal entry to it.
+
+    A floor relative to the largest entry of the same block keeps unknowns without data still.
+    """
 
     def raised(diagonal):
         if diagonal.shape[-1] == 0:

@@ -1,1 +1,1 @@
-"""Many frames and what they share as one least-squares problem."""
+"""Many frames and their shared unknowns as one least-squares problem."""

@@ -1,4 +1,4 @@
-"""Whether a problem of a sequence can be solved at all, before the first step, and in words why not."""
+"""Checks before the first step that a problem of a sequence can be solved, with explanatory errors."""
 
 from typing import Any
 
@@ -14,15 +14,15 @@ from ...errors import InputError
 from .problem import SequenceEstimate, SequenceProblem
 from .unknowns import AbstractUnknown
 
-#: fields of unknowns that are numbers of joints or of vertices
+#: fields of unknowns that are indices of joints or of vertices
 _NUMBERS = {"joints": "joints", "bones": "joints", "vertices": "vertices"}
 
 
 def check_sequence(problem: SequenceProblem, poses: Pose) -> None:
     """Check that a problem can be solved from a start.
 
-    **Raises:** `InputError` for frames that do not go together, unknowns that do not fit the body or that nothing depends on, bounds that
-    cross, and energies that cannot be evaluated.
+    **Raises:** `InputError` for inconsistent frames, unknowns that do not fit the body or that no energy
+    depends on, crossed bounds, and energies that cannot be evaluated.
     """
     _check_unknowns(problem)
     _check_frames(problem, poses)
@@ -105,7 +105,7 @@ def _check_constraints(problem: SequenceProblem) -> None:
 
 
 def _check_seen(problem: SequenceProblem, start: SequenceEstimate) -> None:
-    """Check that every shared unknown has a part in the energy."""
+    """Check that the energy depends on every shared unknown."""
     shapes = jax.eval_shape(lambda: start)
     traced = jax.make_jaxpr(lambda values: problem.value(SequenceEstimate(start.poses, values)))(
         shapes.values

@@ -15,7 +15,7 @@ from ...energy.stacked import AbstractNeighbourEnergy
 class WindowEquations(eqx.Module):
     """Normal equations of the K windows of one energy, of `n` frames each."""
 
-    #: `|r|^2 / 2`, `J^T r` and `J^T J` of what is shared
+    #: `|r|^2 / 2`, `J^T r` and `J^T J` of the shared unknowns
     total: tuple[Float[Array, ""], Float[Array, "S"], Float[Array, "S S"]]
     blocks: Float[Array, "K n n D D"]
     coupling: Float[Array, "K n D S"]
@@ -36,7 +36,7 @@ def window_equations(
     poses: Pose,
     times: Float[Array, "F"],
 ) -> WindowEquations:
-    """Linearise every window by the tangents of its poses and the `count` numbers that are shared."""
+    """Linearise every window by the tangents of its poses and the `count` shared unknowns."""
     body = body_at(jnp.zeros(count, times.dtype))
     number, dofs, dtype = term.frames, body.skeleton.num_dofs, body.vertices.dtype
 

@@ -1,4 +1,4 @@
-"""Many frames and what they share as one least-squares problem, linearised frame by frame."""
+"""Many frames and their shared unknowns as one least-squares problem, linearised frame by frame."""
 
 from functools import partial
 from typing import Any
@@ -26,7 +26,7 @@ from ..solvers.problem import AbstractProblem
 from .neighbours import window_equations, window_residuals
 from .unknowns import AbstractUnknown, make_body, split_tangent
 
-#: steps that bring mirrored bones to one length
+#: iterations that make mirrored bones equally long
 EQUALISING = 8
 
 
@@ -37,24 +37,26 @@ class SequenceEstimate(eqx.Module):
     values: dict[str, Any]
 
 
-#: tangents of all frames `(F, D)`, and of what they share `(S,)`
+#: tangents of all frames `(F, D)`, and of the shared unknowns `(S,)`
 SequenceTangent = tuple[Float[Array, "F D"], Float[Array, "S"]]
 
 
 class SequenceProblem(AbstractProblem[SequenceEstimate]):
-    """Find the poses of F frames, and what they share, that make a sum of energies least.
+    """The problem of finding the poses of F frames, and their shared unknowns, that minimise a sum of
+    energies.
 
-    - `frames` is summed over all frames. Terms within `Stacked` have data of their own for each frame, terms within
-      `WeighedFrames` a weight; any other term is the same in every frame.
+    - `frames` is summed over all frames. Terms within `Stacked` have separate data for each frame, terms
+      within `WeighedFrames` a weight; any other term is the same in every frame.
     - `between` are energies of successive frames, `times (F,)` apart.
     - `shared` are energies of the body itself, evaluated at its rest pose, and of the shared values.
-    - `unknowns` by name: what changes `body` in all frames at once. Without any, only poses are unknown.
-    - `boxes` are hard: poses stay within. Their tangents are then numbers of the boxes' charts.
+    - `unknowns` by name: parameters that change `body` in all frames at once. Without any, only poses are
+      unknown.
+    - `boxes` are hard: poses stay within. Their tangents are then coordinates of the boxes' charts.
     - `held` frames keep their poses.
-    - `mirrored`: pairs of joints whose bones are equally long, kept exactly to first order.
+    - `mirrored`: pairs of joints with bones of equal length, kept exactly to first order.
 
-    Normal equations are block-arrow, and block-banded among the frames where these meet: time and memory grow with the
-    number of frames. Nothing of the size frames by rows by unknowns is kept.
+    Normal equations are block-arrow, and block-banded among coupled frames: time and memory are linear in the
+    number of frames. No array of the size frames by rows by unknowns is stored.
     """
 
     body: Body
@@ -76,17 +78,17 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
 
     @property
     def num_shared(self) -> int:
-        """S, how many numbers the frames share."""
+        """S, the number of shared scalar unknowns."""
         return sum(unknown.size(self.body) for unknown in self.unknowns.values())
 
     def body_at(self, values: dict[str, Any], d: Float[Array, "S"] | None = None) -> Body:
-        """Make the body of shared values, moved along a tangent where one is given."""
+        """Make the body of shared values, moved along a tangent if given."""
         if d is not None:
             values = self._moved(values, d)
         return make_body(self.body, self.unknowns, values)
 
     def start(self, poses: Pose) -> SequenceEstimate:
-        """Start from poses, projected onto what the joints' kinds and the boxes allow, and the body as it is."""
+        """Make the start from poses, projected onto joints' types and boxes, and the unchanged body."""
 
         def allowed(pose: Pose) -> Pose:
             pose = project(self.body.skeleton, pose)
@@ -96,7 +98,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return SequenceEstimate(jax.vmap(allowed)(poses), values)
 
     def retract(self, y: SequenceEstimate, d: SequenceTangent) -> SequenceEstimate:
-        # kinds and axes of joints are those of the body, whatever is shared
+        # types and axes of joints are those of the body, for all shared values
         skeleton = self.body.skeleton
         if self.boxes is None:
             poses = jax.vmap(retract, (None, 0, 0))(skeleton, y.poses, d[0])
@@ -105,7 +107,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             poses = move(self.boxes, skeleton, y.poses, self.charts(y.poses), d[0])
         held = self.held
         if held is not None:
-            # to the last bit
+            # exactly, to the last bit
             poses = jax.tree.map(
                 lambda new, old: jnp.where(held.reshape(-1, *[1] * (new.ndim - 1)), old, new), poses, y.poses
             )
@@ -118,7 +120,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return jnp.broadcast_to(own, (self.num_frames, len(own))), shared
 
     def value(self, y: SequenceEstimate) -> Float[Array, ""]:
-        """Compute `|r|^2 / 2`, frame after frame."""
+        """Compute `|r|^2 / 2`, frame by frame."""
         body = self.body_at(y.values)
         own, same = split_frames(self.frames)
 
@@ -127,7 +129,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             r = join_frame(arrays, same).residual(pose_body(body, pose))
             return total + 0.5 * (r @ r), None
 
-        # made again in reverse mode: what all frames leave is too much to keep
+        # recomputed in reverse mode: the intermediate arrays of all frames need too much memory
         zero = jnp.zeros((), body.vertices.dtype)
         total, _ = jax.lax.scan(jax.checkpoint(of_frame), zero, (y.poses, own))
         for term in self.between:
@@ -137,7 +139,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return total
 
     def residual(self, y: SequenceEstimate) -> Float[Array, "R"]:
-        """Write out all residuals: of the frames, between them, and of what is shared."""
+        """Compute all residuals: of the frames, between them, and of the shared values."""
         body = self.body_at(y.values)
         own, same = split_frames(self.frames)
         rows = [
@@ -150,7 +152,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return jnp.concatenate([r.reshape(-1) for r in rows] + self._shared_residuals(y.values))
 
     def linearise(self, y: SequenceEstimate):
-        """Write out the residual and a dense Jacobian by `[x, s]`: for small problems and checks."""
+        """Compute the residual and a dense Jacobian by `[x, s]`, for small problems and checks."""
         frames, dofs = self.num_frames, self.body.skeleton.num_dofs
 
         def moved(d):
@@ -215,7 +217,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return {name: unknown.retract(values[name], parts[name]) for name, unknown in self.unknowns.items()}
 
     def body_tangent(self, values: dict[str, Any]) -> BodyTangent | None:
-        """Differentiate the body by what is shared."""
+        """Differentiate the body by the shared unknowns."""
         if not self.num_shared:
             return None
         return body_tangent(partial(self.body_at, values), self.body_at(values), self.num_shared)
@@ -226,8 +228,9 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return jax.vmap(box_chart, (None, None, 0))(self.boxes, self.body.skeleton, poses)
 
     def within(self, y: SequenceEstimate) -> SequenceEstimate:
-        """Bring shared values that are out of their unknowns' bounds to the nearest that are not, and bones that are to be equally long
-        to one length, by the least change."""
+        """Clip shared values to the bounds of their unknowns, and make mirrored bones equally long by the
+        least change.
+        """
 
         def inside(name: str, value: Any) -> Any:
             ends = self.unknowns[name].bounds(value)
@@ -265,7 +268,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         return None if low is None and equalities is None else Constraints(low, high, equalities)
 
     def _equalities(self, values: dict[str, Any]) -> tuple[Float[Array, "C S"], Float[Array, "C"]]:
-        """Linearise the differences of mirrored bones' lengths, and what these lack of zero."""
+        """Linearise the length differences of mirrored bones; the values are their negative residuals."""
         body, tangent = self.body_at(values), self.body_tangent(values)
         assert tangent is not None
         differences, by_centre = length_differences(body.skeleton, self.mirrored)

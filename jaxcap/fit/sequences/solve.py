@@ -1,4 +1,4 @@
-"""Solve for all frames of a sequence and what they share, and differentiate through the solution."""
+"""Joint solution of all frames of a sequence and their shared unknowns, with derivatives."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ from .problem import SequenceEstimate, SequenceProblem
 
 
 class SequenceSolution(eqx.Module):
-    """The outcome of `solve_sequence`."""
+    """The result of `solve_sequence`."""
 
     body: Body
     poses: Pose
@@ -29,9 +29,10 @@ class SequenceSolution(eqx.Module):
     #: `|r|^2` after each step, NaN beyond the last
     history: Float[Array, "H"]
     num_steps: Int[Array, ""]
-    #: `RESULTS.successful`, or why the solver stopped before it converged
+    #: `RESULTS.successful`, or the reason for stopping before convergence
     result: optx.RESULTS
-    #: whether the solver converged and hardly anything is left to gain, so that derivatives by the implicit function theorem hold
+    #: true if the solver converged and almost nothing is left to gain, so that derivatives by the implicit
+    #: function theorem hold
     trustworthy: Bool[Array, ""]
 
 
@@ -42,18 +43,19 @@ def solve_sequence(
     solver: AnySolver | None = None,
     max_steps: int = 64,
 ) -> SequenceSolution:
-    """Find the poses of all frames, and the shared unknowns, that make the energies of a problem least.
+    """Find the poses of all frames, and the shared unknowns, that minimise the energies of a problem.
 
-    **Arguments:** `start` poses stacked over frames, from which shared unknowns start at the body as it is, or an estimate;
-    `solver` is `LevenbergMarquardt()` where not given, or any of optimistix's; `max_steps` bounds its steps.
+    **Arguments:** `start` poses stacked over frames, with shared unknowns starting at the unchanged body, or
+    an estimate; `solver` is `LevenbergMarquardt()` where not given, or any of optimistix's; `max_steps`
+    bounds its steps.
 
-    `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to every array of the problem: data,
-    weights, priors and the body. Nothing is raised where the solver fails: see `SequenceSolution.result`, and `trustworthy`
-    before a derivative is used.
+    `jax.grad` and `jax.jvp` differentiate the solution by the implicit function theorem, by every array of
+    the problem: data, weights, priors and the body. A failing solver raises nothing: see
+    `SequenceSolution.result`, and `trustworthy` before a derivative is used.
 
-    **Raises:** `InputError` for frames that do not go together, and for energies whose arrays do not fit the body.
+    **Raises:** `InputError` for inconsistent frames, and for energies with arrays that do not fit the body.
     """
-    # data may be of another precision than the body
+    # data may have another precision than the body
     dtype = problem.body.vertices.dtype
     problem, start = jax.tree.map(
         lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, (problem, start)
@@ -78,5 +80,5 @@ def solve_sequence(
 
 
 def _onto(problem: SequenceProblem, y: SequenceEstimate) -> SequenceEstimate:
-    """Onto the manifold that the joints' own axes span, which may be parameters."""
+    """Project onto the manifold of the joints' own axes, which may be parameters."""
     return SequenceEstimate(problem.start(y.poses).poses, y.values)

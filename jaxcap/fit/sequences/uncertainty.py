@@ -1,4 +1,6 @@
-"""How well the data hold the poses of a sequence and what its frames share: blocks of the covariance, and what nothing shows."""
+"""Uncertainty of the poses of a sequence and of its shared unknowns: blocks of the covariance, and
+unobservable directions.
+"""
 
 from typing import Any
 
@@ -17,28 +19,30 @@ from ..solvers.implicit import free_numbers
 from .problem import SequenceEstimate, SequenceProblem
 from .solve import SequenceSolution
 
-#: a number is not shown where its variance, on a unit diagonal, is above such a share of the largest that rounding lets be told
+#: a coordinate is unobservable if its variance, on a unit diagonal, is above this share of the largest
+#: resolvable one
 SHOWN = 0.02
 
 
 class SequenceUncertainty(eqx.Module):
-    """What the normal equations tell at a solution, by the tangents of poses and of what is shared.
+    """First-order uncertainty from the normal equations at a solution, in tangents of poses and of shared
+    unknowns.
 
-    A number that the data do not show has an infinite variance, and covariances with it are not numbers. What is held, or
-    pressed against a bound, has a variance of zero.
+    An unobservable coordinate has an infinite variance, and its covariances are NaN. A fixed coordinate, or
+    one pressed against a bound, has a variance of zero.
     """
 
     #: covariance of each frame's pose, metres and radians squared
     poses: Float[Array, "F D D"]
-    #: covariance of what is shared, in the order of the unknowns' names
+    #: covariance of the shared unknowns, in the order of their names
     shared: Float[Array, "S S"]
-    #: columns are directions of what is shared, on a unit diagonal
+    #: columns are directions of the shared unknowns, on a unit diagonal
     directions: Float[Array, "S S"]
-    #: which of these the energies do not hold
+    #: mask of those that the energies do not determine
     unobservable: Bool[Array, "S"]
-    #: which numbers of each frame's pose no energy holds
+    #: mask of the coordinates of each frame's pose that no energy determines
     still: Bool[Array, "F D"]
-    #: whether the solution had converged, without which all this holds nearby only
+    #: true if the solution had converged; otherwise the results hold only nearby
     trustworthy: Bool[Array, ""]
     names: tuple[str, ...] = eqx.field(static=True)
 
@@ -50,14 +54,16 @@ def sequence_uncertainty(
     variance: float | Float[Array, ""] | None = None,
     tolerance: float | None = None,
 ) -> SequenceUncertainty:
-    """Compute the first-order uncertainty of a solved sequence: the blocks on the diagonal of `variance (J^T J)^-1`, without
-    forming the rest of it, within the problem's bounds and equations.
+    """Compute the first-order uncertainty of a solved sequence, within the problem's bounds and equalities.
 
-    **Arguments:** `variance` is that of one component of the residual; where not given it is estimated as `|r|^2 / (R - N)`. A direction of
-    what is shared counts as unobservable where its curvature, the poses being free, is below `tolerance` times the largest on a unit
-    diagonal; where not given that is what rounding leaves of zero. Numbers that such a direction touches have an infinite variance.
+    These are the diagonal blocks of `variance (J^T J)^-1`; the rest of it is not formed.
 
-    **Raises:** `InputError` for a solution whose energy is not finite.
+    **Arguments:** `variance` is that of one component of the residual; where not given it is estimated as
+    `|r|^2 / (R - N)`. A direction of the shared unknowns counts as unobservable where its curvature, with
+    free poses, is below `tolerance` times the largest on a unit diagonal; where not given that is the
+    rounding error of zero. Coordinates with a part in such a direction have an infinite variance.
+
+    **Raises:** `InputError` for a solution with an energy that is not finite.
     """
     if not isinstance(solution.energy, Tracer) and not np.isfinite(solution.energy):
         raise InputError(
@@ -88,7 +94,7 @@ def _blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
     units = problem.scales()
     free = free_numbers(info)
     arrow = arrow.among(free)
-    # on a unit diagonal, what nothing holds is held by as much as rounding lets be told
+    # on a unit diagonal, undetermined coordinates get the smallest resolvable curvature
     x, s = (_unit_scale(part, tolerance) for part in arrow.diagonal())
     arrow = arrow.rescaled(x, s)
     arrow = arrow.add_diagonal((jnp.full_like(x, tolerance), jnp.zeros_like(s)))
@@ -115,13 +121,15 @@ def _blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
 
 
 def _unit_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:
-    """Return what brings a diagonal to one, but for curvatures that are no more than the rounding of the largest."""
+    """Compute the scale to a unit diagonal, except for curvatures below the rounding error of the largest."""
     largest = jnp.max(diagonal, initial=0.0)
     return unit_scale(jnp.where(diagonal > tolerance**2 * largest, diagonal, largest))
 
 
 def _within(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):
-    """Find curvatures and directions of a matrix on what equations leave free; the directions that they fix are marked."""
+    """Find curvatures and directions of a matrix in the null space of equalities; the directions fixed by
+    them are marked.
+    """
     size = matrix.shape[0]
     if len(rows) == 0:
         return *jnp.linalg.eigh(matrix), jnp.zeros(size, bool)
@@ -129,14 +137,14 @@ def _within(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):
     across = jnp.where((lengths > size * jnp.finfo(lengths.dtype).eps * lengths[0])[:, None], across, 0.0)
     fixing = across.T @ across
     project = jnp.eye(size, dtype=matrix.dtype) - fixing
-    # no curvature on a unit diagonal is so large
+    # larger than any curvature on a unit diagonal
     beyond = 4.0 * size
     values, directions = jnp.linalg.eigh(project @ matrix @ project + beyond * fixing)
     return values, directions, values > beyond / 2
 
 
 def _told(covariance: Float[Array, "*F N N"], free: Bool[Array, "*F N"], tolerance):
-    """Write infinite variances where numbers are not shown, and zero where they are not free."""
+    """Set infinite variances for unobservable coordinates, and zero for those that are not free."""
     variances = jnp.diagonal(covariance, axis1=-2, axis2=-1)
     unseen = free & (variances > SHOWN / tolerance)
     eye = jnp.eye(free.shape[-1], dtype=bool)
@@ -151,8 +159,11 @@ def _outer(scale: Float[Array, "*F N"]) -> Float[Array, "*F N N"]:
 
 @checked
 def describe_sequence(problem: SequenceProblem, result: SequenceUncertainty) -> list[str]:
-    """Write a line for each direction of what is shared that nothing shows, for each number of a pose that no energy
-    holds, with the frames, and where the solution had not converged."""
+    """Describe the unobservable parts of a solution, a line each.
+
+    A line for each unobservable direction of the shared unknowns, for each coordinate of a pose that no
+    energy determines, with the frames, and for a solution that had not converged.
+    """
     lines = []
     if not result.trustworthy:
         lines.append("The solver had not converged; deviations hold where it has.")

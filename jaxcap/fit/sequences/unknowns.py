@@ -1,4 +1,4 @@
-"""What the frames of a sequence may share as unknowns, and how each makes the body that they pose."""
+"""Unknowns that the frames of a sequence may share, and the body of their values."""
 
 import abc
 from collections.abc import Sequence
@@ -21,10 +21,10 @@ Value = TypeVar("Value")
 
 
 class AbstractUnknown(eqx.Module, Generic[Value]):
-    """An unknown that all frames share: a value of its own, and the body that follows from it.
+    """An unknown shared by all frames: its value, and the body of that value.
 
-    Tangents `d (N,)` are flat arrays, by metres, radians or shares of one, whatever `scales` brings to one measure. `apply` may
-    change any array of a body: which ones it does is found from it.
+    Tangents `d (N,)` are flat arrays, in metres, radians or shares of one; `scales` brings them to one
+    measure. `apply` may change any array of a body; the changed arrays are detected automatically.
     """
 
     def __check_init__(self):
@@ -32,11 +32,11 @@ class AbstractUnknown(eqx.Module, Generic[Value]):
 
     @abc.abstractmethod
     def size(self, body: Body) -> int:
-        """Count the numbers N of a tangent."""
+        """Count the components N of a tangent."""
 
     @abc.abstractmethod
     def start(self, body: Body) -> Value:
-        """Make the value that leaves a body as it is."""
+        """Make the value that leaves a body unchanged."""
 
     @abc.abstractmethod
     def apply(self, body: Body, value: Value) -> Body:
@@ -47,12 +47,12 @@ class AbstractUnknown(eqx.Module, Generic[Value]):
         """Move a value along a tangent."""
 
     def bounds(self, value: Value) -> tuple[Float[Array, "N"], Float[Array, "N"]] | None:
-        """Bound a tangent at a value from below and above; None where nothing bounds it."""
+        """Compute lower and upper bounds of a tangent at a value; None if there are none."""
         del value
         return None
 
     def scales(self, body: Body) -> Float[Array, "N"]:
-        """Bring the numbers of a tangent to one measure; see `AbstractProblem.scales`."""
+        """Compute the scales of a tangent's components; see `AbstractProblem.scales`."""
         return jnp.ones(self.size(body), body.vertices.dtype)
 
 
@@ -99,7 +99,7 @@ class Size(AbstractUnknown[Float[Array, ""]]):
 
 
 class JointCentres(AbstractUnknown[Float[Array, "C 3"]]):
-    """The rest centres of some joints; its value is their shifts, metres. The surface stays."""
+    """The rest centres of some joints; the value is their displacement, metres. The surface stays."""
 
     joints: tuple[int, ...] = eqx.field(static=True)
 
@@ -118,8 +118,11 @@ class JointCentres(AbstractUnknown[Float[Array, "C 3"]]):
 
 
 class JointOrientations(AbstractUnknown[Float[Array, "C 4"]]):
-    """The orientations of some joints, where twist ends and swing begins; its value is quaternions by which they turn, on
-    the right. A roll about a twist axis changes nothing, so that tangents are two numbers a joint, radians."""
+    """The orientations of some joints, which separate twist from swing; the value is quaternions that rotate
+    them on the right.
+
+    A roll about a twist axis has no effect, so that tangents are two numbers per joint, radians.
+    """
 
     joints: tuple[int, ...] = eqx.field(static=True)
 
@@ -141,7 +144,7 @@ class JointOrientations(AbstractUnknown[Float[Array, "C 4"]]):
 
 
 class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
-    """Amounts of modes of a shape space: joints and surface together (`Modes`), within bounds."""
+    """Coefficients of the modes of a shape space, of joints and surface together (`Modes`), within bounds."""
 
     modes: Modes
     lowest: Float[Array, "K"] | None = None
@@ -168,8 +171,10 @@ class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
 
 
 class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):
-    """The rest places of some vertices, such as markers on bones; its value is their shifts, metres. The equations are
-    dense in them: not for whole surfaces."""
+    """The rest positions of some vertices, such as markers on bones; the value is their displacement, metres.
+
+    The equations are dense in them: not for whole surfaces.
+    """
 
     vertices: tuple[int, ...] = eqx.field(static=True)
 
@@ -188,8 +193,11 @@ class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):
 
 
 class SkinningWeights(AbstractUnknown[Float[Array, "C K"]]):
-    """The skinning weights of some vertices for some bones, at least zero and together as much as at the start; its value is
-    these weights, and the last of the bones has what the others leave."""
+    """The skinning weights of some vertices for some bones, at least zero and with the same sum as at the
+    start.
+
+    The value is these weights; the last of the bones has the remainder.
+    """
 
     vertices: tuple[int, ...] = eqx.field(static=True)
     bones: tuple[int, ...] = eqx.field(static=True)
@@ -229,7 +237,7 @@ class SkinningWeights(AbstractUnknown[Float[Array, "C K"]]):
 
 
 def make_body(body: Body, unknowns: dict[str, AbstractUnknown], values: dict) -> Body:
-    """Apply all unknowns, one after the other in the order of their names."""
+    """Apply all unknowns in the order of their names."""
     for name in sorted(unknowns):
         body = unknowns[name].apply(body, values[name])
     return body
@@ -238,7 +246,7 @@ def make_body(body: Body, unknowns: dict[str, AbstractUnknown], values: dict) ->
 def split_tangent(
     body: Body, unknowns: dict[str, AbstractUnknown], d: Float[Array, "S"]
 ) -> dict[str, Float[Array, "N"]]:
-    """Cut a tangent of all unknowns into those of each."""
+    """Split a tangent of all unknowns by unknown."""
     names = sorted(unknowns)
     ends = _ends(body, [unknowns[name] for name in names])
     return dict(zip(names, jnp.split(d, ends[:-1]) if names else [], strict=True))

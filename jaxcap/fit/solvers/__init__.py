@@ -1,1 +1,1 @@
-"""Minimise sums of squares on manifolds."""
+"""Least-squares solvers on manifolds."""

@@ -1,5 +1,6 @@
-"""Least squares within bounds: what violates its bound is fixed there, and the rest is solved again
-(Adaptation, 4.1.4)."""
+"""Least squares within bounds: violating unknowns are fixed at their bound and the rest is solved again
+(Adaptation, 4.1.4).
+"""
 
 from typing import NamedTuple
 
@@ -11,18 +12,18 @@ from ..linear.dense import Dense
 from ..linear.structured import AbstractStructured
 from .equalities import Equalities
 
-#: how often at most the rest is solved
+#: largest number of rounds
 ROUNDS = 12
-#: rounds in which numbers at a bound may leave it again; afterwards they only gather there, which ends
+#: rounds in which unknowns may leave a bound again; afterwards they only accumulate there, which terminates
 RELEASES = 8
-#: a slope counts from so many roundings of what it is the sum of
+#: a slope counts if it exceeds this many roundings of its largest terms
 ROUNDINGS = 16
 
 
 class _Round(NamedTuple):
-    """Which numbers are fixed: -1 at the lower bound, 1 at the upper, 0 free."""
+    """The active bounds: -1 at the lower bound, 1 at the upper, 0 free."""
 
-    #: in the round that is done, and in the next
+    #: in the finished round, and in the next
     at: PyTree[Int[Array, "..."]]
     after: PyTree[Int[Array, "..."]]
     count: Int[Array, ""]
@@ -36,19 +37,21 @@ def solve_boxed(
     high: PyTree[Array],
     equalities: Equalities | None = None,
 ) -> PyTree[Array]:
-    """The `x` in `[low, high]` that makes `x^T A x / 2 - b^T x` least, with `A` positive definite; for normal
-    equations `A = J^T J` and `b = J^T r`. All but a structured matrix are pytrees like the unknowns.
+    """Minimise `x^T A x / 2 - b^T x` subject to `low <= x <= high`, with `A` positive definite.
 
-    The system is solved; what violates a bound is fixed there; rows and columns of the fixed are taken
-    out of `A`, and `b` is less what they account for (Adaptation, 4.1.4). The thesis does it once. As two numbers
-    that are fixed together may be one too many, a fixed one that the slope draws inwards is let go, and
-    it goes on until nothing changes. Then the solution is exact; a few rounds do. Where it has not come
-    to rest after `RELEASES` rounds nothing is let go any more, and the solution is within its bounds all the same.
+    For normal equations `A = J^T J` and `b = J^T r`. Except for a structured matrix, all arguments are
+    pytrees like the unknowns.
 
-    With `equalities` of what is shared, which then has no bounds, the least among those that keep them.
+    Solve the system, fix unknowns that violate a bound there, remove their rows and columns from `A`, and
+    subtract their contribution from `b` (Adaptation, 4.1.4). The thesis does this once. Here an unknown whose
+    slope points inwards is released again, because two unknowns fixed together may be one too many. The
+    rounds go on until nothing changes; then the solution is exact. A few rounds suffice. After `RELEASES`
+    rounds nothing is released, and the solution is within its bounds in any case.
 
-    Bounds may be infinite; with all of them infinite the first round is the last. Differentiable by all arguments: those
-    that are fixed are held to be the same nearby, and the last solution is differentiated alone.
+    With `equalities` on the shared unknowns, which then have no bounds, the minimum is subject to them.
+
+    Bounds may be infinite; if all of them are, the first round is the last. Differentiable by all arguments:
+    the set of fixed unknowns is treated as constant, and only the last solution is differentiated.
     """
     system = matrix if isinstance(matrix, AbstractStructured) else Dense(matrix)
     low, high = (jax.tree.map(lambda end, b: end.astype(b.dtype), ends, side) for ends in (low, high))
@@ -87,7 +90,7 @@ def _solve_free(
     high: PyTree,
     equalities: Equalities | None,
 ) -> PyTree:
-    """The free numbers by what is left of the system, the fixed ones at their bound."""
+    """Solve for the free unknowns, with the fixed ones at their bound."""
     free = jax.tree.map(lambda a: a == 0, at)
     fixed = jax.tree.map(
         lambda a, least, most: jnp.where(a == 0, 0.0, jnp.where(a < 0, least, most)), at, low, high
@@ -99,7 +102,7 @@ def _solve_free(
 
 
 def _drawn_inwards(system: AbstractStructured, side: PyTree, step: PyTree, at: PyTree) -> PyTree:
-    """Which of the fixed numbers would make the sum less by leaving their bound inwards."""
+    """Find the fixed unknowns that would lower the objective by moving inwards from their bound."""
     largest = system.magnitudes(jax.tree.map(jnp.abs, step))
 
     def drawn(image, b, size, a):

@@ -1,4 +1,4 @@
-"""Damped Newton steps on normal equations that know their structure, within bounds and linear equations."""
+"""Damped Newton steps on structured normal equations, within bounds and linear equalities."""
 
 from typing import Any, cast
 
@@ -15,8 +15,11 @@ from .equalities import Equalities
 
 
 class Constraints(eqx.Module):
-    """What a step from the point of linearisation has to keep, by scaled tangents: bounds on each number, which may be
-    infinite, and linear equations of what is shared, which then has no bounds."""
+    """Constraints on a step from the point of linearisation, in scaled tangents.
+
+    Bounds on each unknown, which may be infinite, and linear equalities of the shared unknowns, which then
+    have no bounds.
+    """
 
     low: PyTree[Array] | None = None
     high: PyTree[Array] | None = None
@@ -24,7 +27,7 @@ class Constraints(eqx.Module):
 
 
 class ConstrainedInfo(optx.FunctionInfo.EvalGradHessian):
-    """Value, gradient and structured Hessian with the constraints on a step."""
+    """Value, gradient and structured Hessian, with the constraints on a step."""
 
     constraints: Constraints | None = None
 
@@ -32,7 +35,7 @@ class ConstrainedInfo(optx.FunctionInfo.EvalGradHessian):
 def dense_information(
     residual: Float[Array, "R"], jacobian: Float[Array, "R D"], scales: Float[Array, "D"]
 ) -> ConstrainedInfo:
-    """Make the value, gradient and Hessian of Gauss-Newton of all rows, by scaled tangents."""
+    """Compute value, gradient and Gauss-Newton Hessian from all rows, in scaled tangents."""
     scaled = jacobian * scales
     hessian = Dense(scaled.T @ scaled)
     return ConstrainedInfo(0.5 * (residual @ residual), scaled.T @ residual, hessian)  # pyright: ignore[reportCallIssue]
@@ -41,8 +44,8 @@ def dense_information(
 class NormalDescent(optx.AbstractDescent):
     """Steps of `(H + D / step_size) d = -g`, the damped Newton step of optimistix on normal equations.
 
-    `D` is the identity, or with `relative` the diagonal of `H` (Marquardt 1963), which asks for no common measure of the
-    unknowns.  `ConstrainedInfo` brings bounds or linear equations; its solution is exact for the damped
+    `D` is the identity, or with `relative` the diagonal of `H` (Marquardt 1963), which needs no common scale
+    of the unknowns. `ConstrainedInfo` adds bounds or linear equalities; the solution is exact for the damped
     equations.
     """
 

@@ -1,4 +1,4 @@
-"""Linear equations that a least-squares step keeps exactly."""
+"""Linear equalities that a least-squares step satisfies exactly."""
 
 from collections.abc import Callable
 
@@ -8,22 +8,27 @@ from jaxtyping import Array, Float
 
 
 class Equalities(eqx.Module):
-    """Linear equations `rows s = values` of the shared unknowns, or of all of them where nothing is shared; they may depend
-    on each other."""
+    """Linear equalities `rows s = values` of the shared unknowns, or of all unknowns if none are shared.
+
+    They may be linearly dependent.
+    """
 
     rows: Float[Array, "C S"]
     values: Float[Array, "C"]
 
     def least_change(self) -> Float[Array, "S"]:
-        """Find the shortest `s` that keeps them."""
+        """Find the shortest `s` that satisfies them."""
         return jnp.linalg.lstsq(self.rows, self.values)[0]
 
 
 def keep_equalities(
     solve: Callable[[Array], Array], free: Float[Array, "S"], equalities: Equalities | None
 ) -> Float[Array, "S"]:
-    """Move the unconstrained solution `free` of `A s = side` to the least of `s^T A s / 2 - side^T s` that keeps equations,
-    where `solve` solves with `A`."""
+    """Correct the unconstrained solution `free` of `A s = side` to minimise `s^T A s / 2 - side^T s` subject
+    to equalities.
+
+    `solve` solves systems of `A`.
+    """
     if equalities is None or len(equalities.rows) == 0:
         return free
     rows = equalities.rows

@@ -1,4 +1,4 @@
-"""A problem in one chart about a point, for solvers that know nothing of manifolds."""
+"""A problem in one chart about a point, for solvers without manifolds."""
 
 from typing import Any
 
@@ -15,8 +15,8 @@ from .problem import AbstractProblem
 class FlatProblem(eqx.Module):
     """A problem as functions of a flat array `d (N,)`, in scaled tangents about `centre`, where `d` is zero.
 
-    Far from zero a chart is curved, so that solvers converge slowly there: solve, take `recentred(d)`, and solve again from
-    zero.
+    Far from zero a chart is curved, so that solvers converge slowly there: solve, take `recentred(d)`, and
+    solve again from zero.
     """
 
     problem: AbstractProblem
@@ -24,11 +24,11 @@ class FlatProblem(eqx.Module):
 
     @property
     def start(self) -> Float[Array, "N"]:
-        """The centre itself."""
+        """The coordinates of the centre: zeros."""
         return jnp.zeros_like(ravel_pytree(self.problem.scales())[0])
 
     def back(self, d: Float[Array, "N"]) -> Any:
-        """Find the point that numbers of the chart stand for."""
+        """Map chart coordinates to the point of the manifold."""
         scales = self.problem.scales()
         tangent = ravel_pytree(scales)[1](d)
         return self.problem.retract(self.centre, jax.tree.map(jnp.multiply, scales, tangent))
@@ -38,7 +38,7 @@ class FlatProblem(eqx.Module):
         return self.problem.value(self.back(d))
 
     def residual(self, d: Float[Array, "N"]) -> Float[Array, "R"]:
-        """Write out all residuals."""
+        """Compute all residuals."""
         problem: Any = self.problem
         return problem.residual(self.back(d))
 
@@ -49,6 +49,8 @@ class FlatProblem(eqx.Module):
 
 @checked
 def flat_problem(problem: AbstractProblem, start: Any) -> FlatProblem:
-    """Make a problem flat about a start, such as for jaxopt and optax, which minimise `flat.value` from `flat.start`; `flat.back` leads
-    from their result to poses. See `FlatProblem`."""
+    """Make a problem flat about a start, for solvers such as those of jaxopt and optax.
+
+    They minimise `flat.value` from `flat.start`; `flat.back` maps their result to poses. See `FlatProblem`.
+    """
     return FlatProblem(problem, start)

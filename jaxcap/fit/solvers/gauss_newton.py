@@ -16,23 +16,23 @@ from .problem import AbstractProblem
 
 
 class GaussNewtonState(eqx.Module):
-    """What a step hands to the next; `history` holds the energy after each step, NaN beyond."""
+    """The state between steps; `history` is the energy after each step, NaN beyond the last."""
 
     energy: Float[Array, ""]
     num_steps: Int[Array, ""]
     terminate: Bool[Array, ""]
-    #: whether the last step's equations could be solved
+    #: true if the equations of the last step could be solved
     solved: Bool[Array, ""]
     history: Float[Array, "H"]
 
 
 class GaussNewton(AbstractManifoldSolver):
-    """Kineben's own solver: `d* = -(J^T J + damping I)^-1 J^T r`, then `d*`, `d*/2`, `d*/4`
-    and so on, until the energy falls (Kineben, eq. 5 and algorithm 1).
+    """Kineben's own solver: `d* = -(J^T J + damping I)^-1 J^T r`, then `d*`, `d*/2`, `d*/4` and so on, until
+    the energy falls (Kineben, eq. 5 and algorithm 1).
 
-    The paper's loop never ends where no step helps; here `max_halvings` ends it, and the
-    solver stops there. `damping` is the small constant of the paper on the diagonal; where it is
-    too small for the equations to be solved, the result is `RESULTS.singular`.
+    The paper's loop never ends if no step helps; here `max_halvings` ends it, and the solver stops. `damping`
+    is the small constant of the paper on the diagonal. If it is too small for the equations to be solved, the
+    result is `RESULTS.singular`.
     """
 
     rtol: float = 1e-5
@@ -61,7 +61,7 @@ class GaussNewton(AbstractManifoldSolver):
 
         def too_high(carry):
             _, energy, halvings = carry
-            # written so that an energy that is not a number counts as too high
+            # written so that a NaN energy counts as too high
             return ~(energy < state.energy) & (halvings < self.max_halvings)
 
         def halve(carry):
@@ -97,14 +97,14 @@ class GaussNewton(AbstractManifoldSolver):
 
 
 def energy_of(problem: AbstractProblem, y) -> Float[Array, ""]:
-    """`|r|^2` at `y`."""
+    """Compute `|r|^2` at `y`."""
     return 2.0 * problem.value(y)
 
 
 def damped_step(
     residual: Float[Array, "R"], jacobian: Float[Array, "R D"], damping: Float[Array, "D"]
 ) -> Float[Array, "D"]:
-    """`-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5); no step at all where that fails."""
+    """Compute `-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5); zero where that fails."""
     step, solved = try_damped_step(residual, jacobian, damping)
     return jnp.where(solved, step, 0.0)
 
@@ -112,10 +112,10 @@ def damped_step(
 def try_damped_step(
     residual: Float[Array, "R"], jacobian: Float[Array, "R D"], damping: Float[Array, "D"]
 ) -> tuple[Float[Array, "D"], Bool[Array, ""]]:
-    """The step of `damped_step` and whether all its numbers are finite, for those who can do something about it.
+    """Compute the step of `damped_step`, and whether it is finite.
 
-    The matrix is first brought to a unit diagonal, so that float32 loses nothing to units; what
-    rounding may take from a zero curvature is given back. Where rounding takes more, the step is not a number.
+    The matrix is first scaled to a unit diagonal, so that float32 loses no digits to units, and a bound of
+    the rounding error is added to the diagonal. If rounding errors exceed it, the step is NaN.
     """
     with jax.default_matmul_precision("highest"):
         normal, side = jacobian.T @ jacobian + jnp.diag(damping), jacobian.T @ residual

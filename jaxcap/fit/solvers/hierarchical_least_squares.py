@@ -1,5 +1,6 @@
-"""One step of a hierarchy of least squares: each level in the null space of those above, and
-inequalities among the rows of the upper ones."""
+"""One step of hierarchical least squares: each level in the null space of those above, with inequalities
+among the rows of the upper levels.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,22 +11,23 @@ import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float
 
-#: longest step that a level asks for, in scaled units: radians, and `LEVER` metres
+#: longest step of a level, in scaled units: radians, and `LEVER` metres
 REACH = 1.0
-#: choices of which inequalities hold, in one step
+#: largest number of active-set iterations in one step
 PASSES = 10
 
 
 class Rows(NamedTuple):
-    """A linear system `residual + jacobian d = 0`, by scaled tangents."""
+    """A linear system `residual + jacobian d = 0`, in scaled tangents."""
 
     residual: Float[Array, "R"]
     jacobian: Float[Array, "R D"]
 
 
 class _Choice(NamedTuple):
-    """The upper rows that stand at a bound or within, and what is known of each: beyond its
-    bound it is `value + slope d`, of the sign `side`."""
+    """The active set of the upper rows, and their linearisation `value + slope d` beyond the bound, of the
+    sign `side`.
+    """
 
     held: Bool[Array, "R"]
     value: Float[Array, "R"]
@@ -34,20 +36,23 @@ class _Choice(NamedTuple):
 
 
 class Damping(NamedTuple):
-    """What is added to the curvatures of levels: a constant to all of them, and to those below
-    the first a share of their stiffest, where their own curvature is too small a part of the whole."""
+    """The damping added to the curvatures of levels.
+
+    A constant for all levels. For levels below the first also a share of their stiffest curvature, where
+    their own curvature is too small a part of the whole.
+    """
 
     constant: Float[Array, ""]
     share: Float[Array, ""]
 
 
 def descend(levels: list[Rows], damping: Damping) -> Float[Array, "D"]:
-    """The step of all levels, highest first (Baerlocher and Boulic 2004),
+    """Compute the step of all levels, highest first (Baerlocher and Boulic 2004),
 
         d <- d - (J N)^+ (r + J d),    N <- N - (J N)^+ (J N).
 
-    Pseudo-inverses come from the eigenvectors of `N J^T J N`. The projector takes all of the
-    range that rounding leaves; the step is damped, so that no level asks for more than `REACH`.
+    Pseudo-inverses are computed from the eigenvectors of `N J^T J N`. The projector uses the whole range
+    above rounding; the step is damped, so that no level moves further than `REACH`.
     """
     size, dtype = levels[0].jacobian.shape[1], levels[0].jacobian.dtype
     d, free = jnp.zeros(size, dtype), jnp.eye(size, dtype=dtype)
@@ -56,11 +61,11 @@ def descend(levels: list[Rows], damping: Damping) -> Float[Array, "D"]:
         stiffest = jnp.linalg.norm(normal)
         values, vectors = jnp.linalg.eigh(free @ normal @ free)
         held = values > size * jnp.finfo(dtype).eps * stiffest
-        # eigenvectors of small values reach out of the free space by rounding
+        # eigenvectors of small values leave the free space by rounding
         vectors = jnp.where(held, free @ vectors, 0.0)
         gradient = vectors.T @ (jacobian.T @ (residual + jacobian @ d))
         values = jnp.where(held, values, 1.0)
-        # with damping l^2 a step is at most c / 2 l long, c the length of what can be bettered
+        # with damping l^2 a step is at most c / 2 l long, where c is the length of the reducible residual
         limit = jnp.sum(gradient**2 / values) / (2 * REACH) ** 2
         added = damping.constant + (damping.share * stiffest if number else 0.0)
         d = d - vectors @ (gradient / (values + added + limit))
@@ -71,18 +76,16 @@ def descend(levels: list[Rows], damping: Damping) -> Float[Array, "D"]:
 def constrained(
     levels: list[Rows], upper: Callable[[Float[Array, "D"]], Rows], damping: Damping
 ) -> tuple[Float[Array, "D"], list[Rows]]:
-    """The step of all levels that leads over no bound of an upper one, and the rows that it
-    took for equations.
+    """Compute the step of all levels that crosses no bound of an upper level, and the rows used as equations.
 
-    **Arguments:** `upper(d)` linearises all levels but the last after a step `d`, one below the
-    other. A row is an inequality where it is zero on one side of the pose or on both: it holds
-    where the step would pass its bound, and is let go where the step without it would lead back
-    inside (a primal-dual active set, Hintermueller and others 2003, with multipliers of all lower
-    levels in turn, Escande and others 2014).
+    **Arguments:** `upper(d)` linearises all levels but the last after a step `d`, concatenated. A row is an
+    inequality if it is zero on one side of the pose or on both. It is active if the step would cross its
+    bound, and is released if the step without it would lead back inside (a primal-dual active set,
+    Hintermueller and others 2003, with multipliers of all lower levels in turn, Escande and others 2014).
     """
     here = _stacked(levels[:-1])
     size, tolerance = here.jacobian.shape[1], jnp.sqrt(jnp.finfo(here.residual.dtype).eps)
-    # a step along which no row of one or of a few numbers stands still
+    # a step along which no row of one or a few unknowns is stationary
     probe = 100 * tolerance * (1.5 + jnp.cos(jnp.arange(size, dtype=here.residual.dtype)))
     ahead, behind = (Rows(*side) for side in zip(*jax.vmap(upper)(jnp.stack([probe, -probe])), strict=True))
     near = jnp.abs(here.residual) <= tolerance * _norms(here.jacobian)
@@ -120,9 +123,9 @@ def constrained(
         d = descend(rows, damping)
         there = upper(d)
         over = loose & ~choice.held & (jnp.abs(there.residual) > tolerance * _norms(there.jacobian))
-        # a bound that was not near, or the other one of two, is known from where it is passed
+        # a bound that was not near, or the other one of two, is linearised beyond where it is crossed
         new = over & (~(choice.slope != 0).any(1) | (jnp.sign(there.residual) != choice.side))
-        # in the end nothing is let go, so that no choice goes round in a circle
+        # in later passes nothing is released, so that no active set can cycle
         back = loose & choice.held & _leads_back(rows, d, choice.side) & (passes < PASSES // 2)
         choice = _Choice(
             (choice.held & ~back) | over,
@@ -138,8 +141,11 @@ def constrained(
 
 
 def _leads_back(levels: list[Rows], d: Float[Array, "D"], side: Float[Array, "R"]) -> Bool[Array, "R"]:
-    """Which upper rows keep the step from going inside: by what other rows of their own level
-    do to them, and else by the first lower level that feels them (its multipliers)."""
+    """Find the active upper rows that keep the step from going inside.
+
+    They are found from the effect of other rows of their own level, and otherwise by the first lower level
+    that acts on them (its multipliers).
+    """
     upper = _stacked(levels[:-1])
     tolerance = jnp.sqrt(jnp.finfo(d.dtype).eps)
     floor = tolerance * _norms(upper.jacobian)

@@ -1,4 +1,4 @@
-"""Minima that are differentiable by all that their problem is made of, through the same structured factors."""
+"""Minima that are differentiable by all arrays of their problem, with the same structured factors."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,11 +16,12 @@ from .equalities import Equalities
 from .minimise import AnySolver, Minimum, minimise
 from .problem import AbstractProblem
 
-#: steps of conjugate gradients for a derivative at most, and the share of the right side at which they end, not below so many roundings
+#: of the conjugate gradients for a derivative: largest number of steps, relative residual at the end, and its
+#: lower limit in roundings
 DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE, DERIVATIVE_ROUNDINGS = 200, 1e-12, 10
-#: the share of each curvature that is added to it is such a power of the precision
+#: the share of each curvature added to it, as a power of the precision
 LITTLE = 0.7
-#: the share of the energy that a Newton step may still gain at a solution whose derivative is trusted
+#: the largest share of the energy that a Newton step may still gain at a solution with a trusted derivative
 STATIONARY = 1e-6
 
 
@@ -33,16 +34,19 @@ def implicit_minimum(
 ) -> Minimum:
     """Minimise a problem, with derivatives by every array of it (`jax.grad`, `jax.jvp`), not by the start.
 
-    **Arguments:** as of `minimise`; `onto(problem, y)` finds the point of the manifold next to `y`, where what the manifold is made of,
-    such as axes of joints, is itself differentiated.
+    **Arguments:** as of `minimise`; `onto(problem, y)` projects `y` onto the manifold, for the case that
+    parameters of the manifold, such as joint axes, are themselves differentiated.
     """
     y, rest = _minimum(problem, start, solver, max_steps, onto)
     return eqx.tree_at(lambda m: m.y, rest, y, is_leaf=lambda x: x is None)
 
 
 def is_trustworthy(problem: AbstractProblem, found: Minimum) -> Bool[Array, ""]:
-    """Tell whether a minimum converged and what a Newton step within the constraints would still gain is a small share of its energy, so
-    that derivatives by the implicit function theorem hold."""
+    """Test if derivatives by the implicit function theorem hold at a minimum.
+
+    The solver has converged, and a Newton step within the constraints would gain only a small share of the
+    energy.
+    """
     arrays, rest = eqx.partition((problem, found.y), eqx.is_array)
     info = _information(*eqx.combine(jax.lax.stop_gradient(arrays), rest))
     inside = _inside(info)
@@ -52,7 +56,7 @@ def is_trustworthy(problem: AbstractProblem, found: Minimum) -> Bool[Array, ""]:
 
 
 def _is_within(info: ConstrainedInfo) -> Bool[Array, ""]:
-    """Tell whether a point keeps its bounds, but for rounding."""
+    """Test if a point is within its bounds, up to rounding."""
     constraints = info.constraints
     if constraints is None or constraints.low is None:
         return jnp.array(True)
@@ -65,31 +69,36 @@ def _is_within(info: ConstrainedInfo) -> Bool[Array, ""]:
 
 
 def _room(end: Float[Array, "..."]) -> float:
-    """How near to a bound counts as at it."""
+    """Compute the distance from a bound within which an unknown counts as at the bound."""
     return 1e3 * float(jnp.finfo(end.dtype).eps)
 
 
 class _Inside(eqx.Module):
-    """Equations within constraints: numbers that are pressed against their bound stay, and steps keep linear equations."""
+    """Equations within constraints: unknowns pressed against a bound stay, and steps satisfy linear
+    equalities.
+    """
 
     factor: Any
-    #: what the factor has more on its diagonal, so that rounding moves nothing far along directions that nothing holds
+    #: the amount added to the diagonal of the factor, so that rounding moves little along undetermined
+    #: directions
     little: Any
     free: Any
     rows: Float[Array, "C S"] | None
 
     def project(self, x: Any) -> Any:
-        """The part of a gradient that is within."""
+        """Project a gradient onto the constraints."""
         x = jax.tree.map(lambda free, leaf: jnp.where(free, leaf, 0.0), self.free, x)
         if self.rows is None:
             return x
         leaves, structure = jax.tree.flatten(x)
-        # equations are of what is shared, the last leaf
+        # equalities concern the shared unknowns, the last leaf
         leaves[-1] = leaves[-1] - self.rows.T @ jnp.linalg.lstsq(self.rows.T, leaves[-1])[0]
         return jax.tree.unflatten(structure, leaves)
 
     def solve(self, side: Any, values: Float[Array, "C"] | None = None) -> Any:
-        """The least of `x^T A x / 2 - side^T x` among the free numbers where the rows make `values`, zero where not given."""
+        """Minimise `x^T A x / 2 - side^T x` over the free unknowns subject to `rows x = values`, zero if not
+        given.
+        """
         if self.rows is None:
             return self.project(self.factor.solve(self.project(side)))
         values = jnp.zeros(len(self.rows), self.rows.dtype) if values is None else values
@@ -109,7 +118,7 @@ def _inside(info: ConstrainedInfo) -> _Inside:
 
 
 def free_numbers(info: ConstrainedInfo) -> Any:
-    """Tell which numbers are not pressed against a bound."""
+    """Find the unknowns that are not pressed against a bound."""
     constraints = info.constraints
     if constraints is None or constraints.low is None:
         return jax.tree.map(lambda leaf: jnp.ones(leaf.shape, bool), info.grad)
@@ -144,11 +153,14 @@ def _descend(problem, start, solver, max_steps):
 
 @_minimum.def_jvp
 def _implicit(primals, tangents):
-    """At a minimum the gradient `g(d; p)` of the Lagrangian by the tangent vanishes for every value of the parameters `p`, so that
-    `d' = -(dg/dd)^-1 (dg/dp) p'`, with the whole Hessian: conjugate gradients on its products, with the factor of the
-    Gauss-Newton equations as preconditioner. Directions that nothing holds have no part in it; where there is no such derivative
-    it is not a number. Equations that are kept stay so to first order, and the gradients are projected
-    onto what they leave free (Gould, Hribar and Nocedal 2001)."""
+    """Differentiate a minimum by the implicit function theorem.
+
+    The gradient `g(d; p)` of the Lagrangian by the tangent vanishes there for every value of the parameters
+    `p`, so that `d' = -(dg/dd)^-1 (dg/dp) p'`, with the whole Hessian. Conjugate gradients solve it by
+    products, with the factor of the Gauss-Newton equations as preconditioner. Undetermined directions have no
+    part in it; where no such derivative exists, it is NaN. Equalities stay satisfied to first order, and
+    gradients are projected onto their null space (Gould, Hribar and Nocedal 2001).
+    """
     problem, start, solver, max_steps, onto = primals
     y, rest = _minimum(problem, start, solver, max_steps, onto)
     scales = problem.scales()
@@ -172,7 +184,7 @@ def _implicit(primals, tangents):
 
     def of_parameters(function, none):
         _, change = eqx.filter_jvp(lambda p: function(p, zero), (problem,), (tangents[0],))
-        # nothing at all is known of what does not depend on the parameters
+        # JAX returns None for a result that does not depend on the parameters
         return jax.tree.map(lambda none, part: none if part is None else part, none, change, is_leaf=_is_none)
 
     def curvature(d):
@@ -181,7 +193,7 @@ def _implicit(primals, tangents):
 
     side, first = jax.tree.map(jnp.negative, of_parameters(gradient, zero)), zero
     if inside.rows is not None:
-        # the shortest step that keeps the equations as they change, and then what is left to do within them
+        # the step that follows the equalities as they change, and then the remaining step in their null space
         first = inside.solve(zero, -of_parameters(violation, jnp.zeros(len(inside.rows), inside.rows.dtype)))
         side = jax.tree.map(jnp.subtract, side, curvature(first))
     eps = float(jnp.finfo(info.as_min().dtype).eps)
@@ -200,7 +212,7 @@ def _implicit(primals, tangents):
 
 
 def _multipliers(info: ConstrainedInfo, rows: Float[Array, "C S"]) -> Float[Array, "C"]:
-    """The multipliers of equations, which may depend on each other, where `g + rows^T multipliers = 0`."""
+    """Compute the multipliers of equalities, which may be dependent, with `g + rows^T multipliers = 0`."""
     slope = info.grad[-1] if isinstance(info.grad, tuple) else info.grad
     return -jnp.linalg.lstsq(rows.T, slope)[0]
 

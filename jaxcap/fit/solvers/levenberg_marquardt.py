@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a manifold, put together from optimistix's parts."""
+"""Levenberg-Marquardt on a manifold, composed of optimistix's parts."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,25 +15,25 @@ from .descent import NormalDescent
 from .minimise import HISTORY, AbstractManifoldSolver
 from .problem import AbstractNestedProblem, AbstractProblem
 
-#: changes of the energy count from so many roundings of it
+#: changes of the energy count if they exceed this many roundings of it
 ROUNDINGS = 4
-#: a step may gain next to nothing: such a power of the precision, as a share of the energy
+#: a gain counts as nothing below this power of the precision, as a share of the energy
 GAIN = 0.75
 
 
 class SolverState(eqx.Module):
-    """What a step hands to the next; `history` holds the energy after each step, NaN beyond."""
+    """The state between steps; `history` is the energy after each step, NaN beyond the last."""
 
-    #: of optimistix, with the Jacobian or the Hessian at the point that was linearised last
+    #: optimistix's function information, with the Jacobian or the Hessian at the last point of linearisation
     info: Any
-    #: whether the unknowns have moved since
+    #: true if the unknowns have moved since
     moved: Bool[Array, ""]
     search_state: PyTree
     #: one over the damping
     step_size: Float[Array, ""]
-    #: the length of the last step whose effect on the energy rounding hid, infinite after any other
+    #: length of the last step if its effect on the energy was below rounding, otherwise infinite
     taken: Float[Array, ""]
-    #: the length of the last step that was taken, infinite before any
+    #: length of the last accepted step, infinite before any
     length: Float[Array, ""]
     terminate: Bool[Array, ""]
     num_steps: Int[Array, ""]
@@ -42,23 +42,25 @@ class SolverState(eqx.Module):
 
 
 class LevenbergMarquardt(AbstractManifoldSolver):
-    """Damped Gauss-Newton steps inside a classical trust region, on a manifold.
+    """Damped Gauss-Newton steps in a classical trust region, on a manifold.
 
-    optimistix's own solver adds a step to the unknown. This one takes an `AbstractProblem`
-    as `args`, linearises `d -> r(retract(y, d))` at `d = 0`, and composes the same search
-    with a descent, so that no chart is ever left. A step is tried by its energy alone; only where it was taken is
-    the problem linearised anew.
+    optimistix's own solver adds a step to the unknown. This one takes an `AbstractProblem` as `args`,
+    linearises `d -> r(retract(y, d))` at `d = 0`, and composes the same search with a descent, so that
+    iterates stay on the manifold. A step is judged by its energy alone; the problem is linearised again only
+    after an accepted step.
 
-    A problem brings its unknowns to one measure (`AbstractProblem.scales`), for the damping is isotropic; with `relative`
-    it is a share of each curvature. `damping` is that of the first step. Equations are solved by `NormalDescent`: Cholesky, by the problem's
-    structure, on a unit diagonal, 5 to 9 times faster here than QR. `linear_solver=lx.QR()` takes that in its place, where a problem of one
-    frame is ill-conditioned. Where equations cannot be solved, the damping is raised as after a step that does not help.
+    A problem scales its unknowns to one measure (`AbstractProblem.scales`), because the damping is isotropic;
+    with `relative` it is a share of each curvature. `damping` is that of the first step. `NormalDescent`
+    solves the equations by structured Cholesky on a unit diagonal, 5 to 9 times faster here than QR.
+    `linear_solver=lx.QR()` replaces it for an ill-conditioned problem of one frame. If equations cannot be
+    solved, the damping is raised as after a rejected step.
 
-    Of several `lengths` of each step the best is taken: the search along a step of Adaptation, 4.1.4.
+    Of several `lengths` of each step the best is taken: the line search of Adaptation, 4.1.4.
 
-    The energy near a minimum is flat, so that rounding hides what steps of less than about the root of the precision change.
-    Steps go on there, with the same damping, as long as each is shorter than the one before. With `rtol=0` the solver so comes
-    as near to the minimum as its gradient can be computed, which derivatives of the solution need.
+    The energy near a minimum is flat, so that rounding hides the effect of steps shorter than about the root
+    of the precision. Steps go on there, with the same damping, as long as each is shorter than the one
+    before. With `rtol=0` the solver therefore comes as near to the minimum as its gradient can be computed,
+    which derivatives of the solution need.
     """
 
     rtol: float
@@ -122,19 +124,19 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         )
         before, after = info.as_min(), there.as_min()
         change, length = jnp.abs(before - after), self.norm(step)
-        # the energy cannot tell here whether a step helps
+        # here the change of the energy is below rounding
         eps = jnp.finfo(before.dtype).eps
         hidden = change <= ROUNDINGS * eps * jnp.abs(before)
         shorter = length < state.taken
         accept = jnp.where(hidden, shorter, accept)
         search_state = where(hidden, state.search_state, search_state)
         step_size = jnp.where(hidden, state.step_size, step_size)
-        # a step that is not a number is not small, and the search refuses it; a small one that was refused ends nothing, but where
-        # it would have gained next to nothing
+        # a NaN step is not small, and the search rejects it; a rejected small step ends the iteration only if
+        # its predicted gain is negligible
         nothing = jnp.abs(info.compute_grad_dot(step)) <= eps**GAIN * jnp.abs(before)
         small = (length < self.atol) & (accept | nothing)
         flat = change < self.rtol * jnp.abs(before)
-        # there is no damping beyond this; one that was too little for a factor will not be enough
+        # the largest damping; if a smaller one was too little for a factor, this one is too
         most = state.step_size <= jnp.finfo(step_size.dtype).eps
         state = SolverState(
             info=info,
@@ -166,7 +168,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         return optx.FunctionInfo.ResidualJac(residual, rows)  # pyright: ignore[reportCallIssue]
 
     def _try(self, problem: AbstractProblem, y: Any, whole: PyTree) -> tuple[PyTree, Any, Any]:
-        """The best length of a step, where it leads, and the energy there."""
+        """Find the best length of a step, its end point, and the energy there."""
 
         def of(length):
             step = jax.tree.map(lambda leaf: length * leaf, whole)
@@ -195,8 +197,11 @@ class LevenbergMarquardt(AbstractManifoldSolver):
 
 
 def _outcome(value: Float[Array, ""], solvable: Bool[Array, ""], able: Bool[Array, ""]) -> optx.RESULTS:
-    """What ends the solver: numbers that are not finite, equations that no damping makes solvable, or an energy that falls
-    along no step, however short."""
+    """Determine the result of the solver.
+
+    It fails for an energy that is not finite, for equations that no damping makes solvable, and if the energy
+    falls along no step, however short.
+    """
     kinds: Any = optx.RESULTS
     result = kinds.where(able, kinds.successful, kinds.nonlinear_divergence)
     result = kinds.where(solvable, result, kinds.singular)
@@ -204,7 +209,7 @@ def _outcome(value: Float[Array, ""], solvable: Bool[Array, ""], able: Bool[Arra
 
 
 def _if(condition: Bool[Array, ""], function: Callable, argument: PyTree, otherwise: PyTree) -> PyTree:
-    """`function(argument)` where a condition holds, and then only is it evaluated."""
+    """Evaluate `function(argument)` only if a condition holds."""
     arrays, rest = eqx.partition(otherwise, eqx.is_array)
     found = jax.lax.cond(
         condition, lambda x: eqx.filter(function(x), eqx.is_array), lambda _: arrays, argument
@@ -213,7 +218,7 @@ def _if(condition: Bool[Array, ""], function: Callable, argument: PyTree, otherw
 
 
 def where(condition: Bool[Array, ""], a: PyTree, b: PyTree) -> PyTree:
-    """`a` or `b`, leaf by leaf."""
+    """Select `a` or `b`, leaf by leaf."""
     arrays_a, rest = eqx.partition(a, eqx.is_array)
     arrays_b, _ = eqx.partition(b, eqx.is_array)
     return eqx.combine(jax.tree.map(lambda x, z: jnp.where(condition, x, z), arrays_a, arrays_b), rest)

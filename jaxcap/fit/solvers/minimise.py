@@ -1,4 +1,4 @@
-"""Minimise a sum of squares over a manifold with any of the solvers here."""
+"""Minimisation of a sum of squares over a manifold with any of the solvers here."""
 
 import abc
 from typing import Any
@@ -14,45 +14,45 @@ from ...errors import InputError
 from .flat import flat_problem
 from .problem import AbstractProblem
 
-#: how many energies a solver keeps where nobody says how many steps it may take
+#: length of the energy history if the number of steps is not given
 HISTORY = 256
-#: charts that solvers which know no manifold work in, one after the other
+#: number of successive charts for solvers without manifolds
 CHARTS = 4
 
 
 class AbstractManifoldSolver(optx.AbstractLeastSquaresSolver):
     """A least-squares solver that moves by `AbstractProblem.retract`.
 
-    It takes an `AbstractProblem` as `args`, ignores `fn`, and leaves the energy after each step in
-    `stats["history"]`, one for each step that it may take, NaN beyond the last. optimistix's own solvers add a step
-    to the unknown, which leaves the manifold.
+    It takes an `AbstractProblem` as `args`, ignores `fn`, and stores the energy after each step in
+    `stats["history"]`, one for each allowed step, NaN beyond the last. optimistix's own solvers add a step to
+    the unknown, which leaves the manifold.
     """
 
     @property
     @abc.abstractmethod
     def needs_rows(self) -> bool:
-        """Whether it works on all rows of the Jacobian, and so keeps no constraints."""
+        """True if the solver needs all rows of the Jacobian, and so ignores constraints."""
 
     def __check_init__(self):
         check_fields(self)
 
 
 class Minimum(eqx.Module):
-    """Where a solver ended."""
+    """The result of a solver."""
 
     y: Any
-    #: `|r|^2` after each step, NaN beyond the last; of solvers in charts, after each of these
+    #: `|r|^2` after each step, NaN beyond the last; of solvers in charts, after each chart
     history: Float[Array, "H"]
     num_steps: Int[Array, ""]
-    #: `RESULTS.successful`, or why the solver stopped before it converged
+    #: `RESULTS.successful`, or the reason for stopping before convergence
     result: optx.RESULTS
-    #: what the solver would damp its next step by; one where it does not damp
+    #: the damping of the next step; one if the solver has none
     damping: Float[Array, ""]
-    #: the largest number of the last step that was taken, infinite where none was
+    #: largest absolute component of the last accepted step, infinite if there was none
     length: Float[Array, ""]
 
 
-#: a solver of optimistix: one of these, or one that adds steps to a flat array
+#: a solver of this package, or a solver of optimistix that adds steps to a flat array
 AnySolver = AbstractManifoldSolver | optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
 
@@ -63,17 +63,19 @@ def minimise(
     max_steps: int,
     damping: float | Float[Array, ""] | None = None,
 ) -> Minimum:
-    """Minimise `|r|^2` from a start near the minimum. Derivatives through it are not defined; those of the minimum are
-    the callers' to define.
+    """Minimise `|r|^2` from a start near the minimum.
 
-    **Arguments:** `solver`, one of this package or any of optimistix's, which works in charts that are centred anew `CHARTS` times, with as many steps in each;
-    `damping` of the first step, in place of the solver's own: that of an earlier `Minimum` goes on from there.
+    Derivatives through it are undefined; callers define those of the minimum.
 
-    **Raises:** `InputError` for something else, for a solver that needs all rows of the Jacobian where a problem has none, and for one that
-    keeps no constraints where a problem has some.
+    **Arguments:** `solver`, one of this package or any of optimistix's, which works in `CHARTS` successive
+    charts, each centred at the last result; the steps are shared among them. `damping` of the first step, in
+    place of the solver's own: pass that of an earlier `Minimum` to continue from there.
+
+    **Raises:** `InputError` for another type of solver, for a solver that needs all rows of the Jacobian
+    where a problem has none, and for one that ignores constraints where a problem has some.
     """
     _check_solver(problem, solver)
-    # sums of squares are differences of large numbers, on which accelerators otherwise save digits
+    # sums of squares are differences of large numbers, for which accelerators otherwise use fewer digits
     with jax.default_matmul_precision("highest"):
         if not isinstance(solver, AbstractManifoldSolver):
             return _minimise_flat(problem, start, solver, max_steps)
@@ -137,8 +139,10 @@ def _minimise_flat(problem: AbstractProblem, start: Any, solver: Any, max_steps:
 def take_step(
     problem: AbstractProblem, y: Any, descent: optx.AbstractDescent, damping: float | Float[Array, ""]
 ) -> Any:
-    """Take one damped step from `y`, whatever it is worth; none where its equations cannot be solved. Differentiable by every array
-    of the problem."""
+    """Take one damped step from `y` without testing its energy; none if its equations cannot be solved.
+
+    Differentiable by every array of the problem.
+    """
     with jax.default_matmul_precision("highest"):
         info = problem.information(y)
     zero = jax.tree.map(jnp.zeros_like, problem.scales())

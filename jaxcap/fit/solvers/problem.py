@@ -1,4 +1,4 @@
-"""Sums of squares over a manifold, as the solvers see them."""
+"""Sums of squares over a manifold: the interface of the solvers."""
 
 import abc
 from typing import Any, Generic, TypeVar
@@ -9,15 +9,15 @@ from jaxtyping import Array, Float
 from .descent import ConstrainedInfo
 
 Unknown = TypeVar("Unknown")
-#: what `retract` takes: an array `(D,)`, or a pytree of arrays
+#: the argument of `retract`: an array `(D,)`, or a pytree of arrays
 Tangent = Any
 
 
 class AbstractProblem(eqx.Module, Generic[Unknown]):
-    """A sum of squares over a manifold, for the solvers of this wing.
+    """A sum of squares over a manifold, for the solvers of this package.
 
-    A solver sees a point of the manifold only through these verbs: tangents `d` are flat arrays, or pytrees of
-    arrays where the unknowns have a structure, and `y + d` is `retract(y, d)`.
+    A solver uses a point of the manifold only through these methods. Tangents `d` are flat arrays, or pytrees
+    of arrays where the unknowns have a structure, and `y + d` is `retract(y, d)`.
     """
 
     @abc.abstractmethod
@@ -26,8 +26,11 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
 
     @abc.abstractmethod
     def information(self, y: Unknown) -> ConstrainedInfo:
-        """Linearise at `y` by scaled tangents, as optimistix's searches and descents take it: value, gradient and a structured
-        Hessian (`optx.FunctionInfo.EvalGradHessian`), with constraints on a step."""
+        """Linearise at `y` in scaled tangents, for optimistix's searches and descents.
+
+        Value, gradient and a structured Hessian (`optx.FunctionInfo.EvalGradHessian`), with constraints on a
+        step.
+        """
 
     @abc.abstractmethod
     def retract(self, y: Unknown, d: Tangent) -> Unknown:
@@ -35,18 +38,22 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
 
     @abc.abstractmethod
     def scales(self) -> Tangent:
-        """How much of each number of a tangent counts as one unit: brings metres and
-        radians to one measure, for dampings that are isotropic."""
+        """Compute the unit of each component of a tangent, which scales metres and radians to one measure for
+        isotropic damping.
+        """
 
     def constraint(self) -> str | None:
-        """Name what a step has to keep, for a sentence that refuses solvers that would not; None where steps are free."""
+        """Name the constraint on steps, for the error message of solvers that ignore it; None where steps are
+        free.
+        """
         return None
 
 
 class AbstractNestedProblem(AbstractProblem[Unknown]):
-    """A problem some of whose unknowns are cheap to improve by themselves, such as poses where what frames share is given.
+    """A problem in which some unknowns are cheap to improve separately, such as poses for given shared
+    parameters.
 
-    A solver does so after each step that it tries, before it judges the step by its energy.
+    A solver does so after each trial step, before it judges the step by its energy.
     """
 
     @abc.abstractmethod
@@ -59,11 +66,11 @@ class AbstractDenseProblem(AbstractProblem[Unknown]):
 
     @abc.abstractmethod
     def residual(self, y: Unknown) -> Float[Array, "R"]:
-        """The residual at `y`; what is minimised is the sum of its squares."""
+        """Compute the residual at `y`; the objective is the sum of its squares."""
 
     @abc.abstractmethod
     def linearise(self, y: Unknown) -> tuple[Float[Array, "R"], Float[Array, "R D"]]:
-        """The residual at `y`, and its Jacobian by `d` of `residual(retract(y, d))` at 0."""
+        """Compute the residual at `y`, and its Jacobian by `d` of `residual(retract(y, d))` at 0."""
 
     def value(self, y: Unknown):
         r = self.residual(y)

@@ -1,1 +1,1 @@
-"""Track a body through clouds by expectation maximisation."""
+"""Tracking of a body through clouds by expectation maximisation."""

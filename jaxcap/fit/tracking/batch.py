@@ -1,4 +1,4 @@
-"""Many clouds at once, as pure functions of arrays."""
+"""Tracking and fitting of many clouds at once, as pure functions of arrays."""
 
 from collections.abc import Sequence
 
@@ -19,8 +19,11 @@ from .track_frame import Tracker, TrackState, check_sigma, start_state, track_fr
 def scan_track(
     tracker: Tracker, state: TrackState, clouds: Cloud | Sequence[Cloud | Scan]
 ) -> tuple[TrackState, tuple[Pose, FrameStatistics]]:
-    """Track clouds stacked over frames `(F, N, ...)` in one `lax.scan`: pure, for use under
-    `jit` and for batches. Nothing is searched for; judge the statistics."""
+    """Track clouds stacked over frames `(F, N, ...)` in one `lax.scan`: pure, for use under `jit` and for
+    batches.
+
+    Lost frames are not searched for; judge the statistics.
+    """
 
     clouds = clouds if isinstance(clouds, Cloud) else stack_clouds(clouds)
 
@@ -42,9 +45,9 @@ def fit_batch(
 ) -> tuple[Pose, FrameStatistics]:
     """Fit many independent clouds `(B, N, ...)`, also a list of them, or sequences `(B, F, N, ...)` at once.
 
-    **Arguments:** `starts` poses stacked over B, or as a motion; `sigma` metres to start with;
-    `batch_size` how many go side by side in a vectorised loop, one after the other where not
-    given, which is the fastest on a CPU.
+    **Arguments:** `starts` poses stacked over B, or as a motion; `sigma` initial standard deviation, metres;
+    `batch_size` number of clouds in a vectorised loop, one after the other where not given, which is the
+    fastest on a CPU.
 
     Returns poses and statistics, stacked as the clouds are.
     """

@@ -1,4 +1,4 @@
-"""Whether a cloud can be fitted by a body at all, before an hour is spent on it."""
+"""Early checks that a cloud can be fitted by a body."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,7 +7,7 @@ from ...body.body import Body
 from ...errors import InputError
 from ...observe import Cloud
 
-#: metres in one unit, of those in which files come
+#: metres per unit, for common units of files
 _UNITS = {
     "millimetres (mm)": 1e-3,
     "centimetres (cm)": 1e-2,
@@ -15,26 +15,26 @@ _UNITS = {
     "inches (in)": 0.0254,
     "feet (ft)": 0.3048,
 }
-#: a cloud so many times as large as its body is in another unit; outliers and floors reach far
+#: size of a cloud relative to its body beyond which its unit is wrong; outliers and floors extend far
 LARGEST, SMALLEST = 8.0, 0.02
-#: in a unit that it may be in it is of such a part of the body's size
+#: size of a cloud relative to its body within which a unit is plausible
 PART, WHOLE = 0.25, 1.35
 
 
 def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
-    """That a cloud of one frame has more numbers than the pose and about the size of the body.
+    """Check that a cloud of one frame has more coordinates than the pose and about the size of the body.
 
-    The size is the longest side of the box that holds all but one point in twenty at each
-    end, so that a few outliers do not count.
+    The size is the longest side of the box between the 5 % and 95 % quantiles, so that a few outliers do not
+    count.
 
-    **Raises:** `InputError` with one sentence: fewer points than the pose has parameters, or an
-    extent that points to another unit, which is named.
+    **Raises:** `InputError` with one sentence: fewer points than the pose has parameters, or an extent that
+    points to another unit, which is named.
     """
     check_extent(body, np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], name)
 
 
 def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> None:
-    """`check_cloud` of points that are in no cloud yet, metres."""
+    """Check points that are in no cloud yet as `check_cloud` does, metres."""
     dofs = body.skeleton.num_dofs
     if len(points) < dofs:
         raise InputError(
@@ -46,7 +46,7 @@ def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> Non
     if SMALLEST * height <= extent <= LARGEST * height:
         return
     shares = {unit: extent * size / height for unit, size in _UNITS.items()}
-    # centimetres and inches are too near to each other for people of whom only a part is seen
+    # centimetres and inches are too similar for partly visible people
     likely = [unit for unit, share in shares.items() if PART < share < WHOLE]
     if not likely:
         # with a floor or a room around it

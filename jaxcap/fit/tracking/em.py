@@ -20,23 +20,23 @@ from ..solvers.minimise import take_step
 
 
 class Mixture(eqx.Module):
-    """What the mixture model takes for given."""
+    """Parameters of the mixture model."""
 
-    #: least cosine between a point's normal and that of the vertex it may belong to
+    #: least cosine between a point's normal and that of a matched vertex
     normal_threshold: Float[Array, ""]
     #: share of points that no part explains
     outlier: Float[Array, ""]
-    #: deviations below this are not believed, metres
+    #: lower bound of the standard deviation, metres
     smallest_sigma: Float[Array, ""]
-    #: weight of the distance along the surface against the one across it; 1 is Kineben's
-    #: point-to-point distance, 0 lets points slide freely
+    #: weight of the distance along the surface relative to the one across it; 1 is Kineben's point-to-point
+    #: distance, 0 lets points slide freely
     tangential: Float[Array, ""]
     #: constant on the diagonal of the normal equations, per metre and radian squared
     damping: Float[Array, ""]
-    #: most likely parts that a point may pull at; on a skinned surface the next part over moves
-    #: almost alike, so that one is enough
+    #: number of most likely parts that a point may match; on a skinned surface adjacent parts move almost
+    #: alike, so that one is enough
     candidates: int = eqx.field(static=True, default=1)
-    #: whether the parts' prior shares are estimated too, or uniform
+    #: estimate the parts' prior shares too, or keep them uniform
     estimate_priors: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
@@ -53,7 +53,7 @@ def make_mixture(
     candidates: int = 1,
     estimate_priors: bool = False,
 ) -> Mixture:
-    """A `Mixture` of plain numbers.
+    """Make a `Mixture` from plain numbers.
 
     **Raises:** `InputError` for one that is out of its range.
     """
@@ -76,29 +76,29 @@ def make_mixture(
 
 
 class Estimate(eqx.Module):
-    """What expectation maximisation estimates."""
+    """The estimates of expectation maximisation."""
 
     pose: Pose
-    #: deviation of the points from the surface, metres
+    #: standard deviation of the points from the surface, metres
     sigma: Float[Array, ""]
     #: prior share of each part
     priors: Float[Array, "K"]
 
 
 class FrameStatistics(eqx.Module):
-    """How well an estimate explains a cloud."""
+    """Statistics of an estimate's fit to a cloud."""
 
     #: mean log-likelihood of a point, per metre^3
     log_likelihood: Float[Array, ""]
     #: share of points that no part explains
     outlier_share: Float[Array, ""]
-    #: mean distance between the points that are explained and their vertices, metres
+    #: mean distance of the explained points from their vertices, metres
     mean_distance: Float[Array, ""]
     sigma: Float[Array, ""]
 
 
 def uniform_priors(parts: Parts, dtype=None) -> Float[Array, "K"]:
-    """The same prior for every part that has vertices (Kineben, eq. 19)."""
+    """Make uniform priors over the parts that have vertices (Kineben, eq. 19)."""
     present = jnp.array([float(count > 0) for count in parts.blocks_of_part], dtype)
     return present / jnp.sum(present)
 
@@ -106,25 +106,25 @@ def uniform_priors(parts: Parts, dtype=None) -> Float[Array, "K"]:
 def data_energy(
     found: Posterior, posed: Posed, cloud: Cloud, sigma: Float[Array, ""], tangential: Float[Array, ""]
 ) -> AbstractEnergy:
-    """The expected negative log-likelihood, twice (Kineben, eq. 29): `sum p d^2 / sigma^2`.
+    """Compute twice the expected negative log-likelihood (Kineben, eq. 29): `sum p d^2 / sigma^2`.
 
-    The distance across the surface counts whole, the one along it by `tangential`: a point's
-    nearest vertex is only about its own place on the surface. The second is summed into the
-    moments of each part, whose points move with the part's bone; the first is not, for there
-    the blend of bones in the skin shows.
+    The distance across the surface counts fully, the one along it by `tangential`, because a point's nearest
+    vertex is only near its own position on the surface. The second is summed into the moments of each part,
+    whose points move with the part's bone. The first is not, because it depends on the blend of bones in the
+    skin.
     """
     weights = (cloud.weights[:, None] * found.weights / sigma**2).reshape(-1)
     vertices, bones = found.vertices.reshape(-1), found.parts.reshape(-1)
     points = jnp.repeat(cloud.points, found.weights.shape[1], axis=0)
     r, t = posed.transforms.rotations[bones], posed.transforms.translations[bones]
-    # a similarity's inverse: its rotation block is a rotation times the scale
+    # the inverse of a similarity: its rotation block is a rotation times the scale
     rest = jnp.einsum("cba,cb->ca", r, posed.vertices[vertices] - t) / posed.pose.scale**2
     across = PointToPlane(vertices, points, posed.normals[vertices], (1.0 - tangential) * weights)
     return Sum((across, rigid_moments(bones, rest, points, tangential * weights, len(posed.joints))))
 
 
 def expectation(body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume, estimate: Estimate):
-    """The E-step at an estimate: `(posed, posterior)`."""
+    """Compute the E-step at an estimate: `(posed, posterior)`."""
     posed = pose_body(body, estimate.pose)
     found = posterior(
         parts,
@@ -150,8 +150,11 @@ def em_step(
     volume: Float[Array, ""],
     estimate: Estimate,
 ) -> tuple[Estimate, FrameStatistics]:
-    """E-step, one Gauss-Newton step on the pose, then the deviation and, where asked, the
-    parts' shares (Kineben, section 3.3.2). The statistics are those of the E-step."""
+    """Compute the E-step, one Gauss-Newton step on the pose, then the standard deviation and, optionally, the
+    parts' shares (Kineben, section 3.3.2).
+
+    The statistics are those of the E-step.
+    """
     posed, found = expectation(body, parts, mixture, cloud, volume, estimate)
     data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential)
     energy = Sum(terms_of(data) + terms_of(prior))
@@ -171,7 +174,7 @@ def em_step(
 def frame_statistics(
     body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume: Float[Array, ""], estimate: Estimate
 ) -> FrameStatistics:
-    """How well an estimate explains its cloud."""
+    """Compute the statistics of an estimate's fit to its cloud."""
     _, found = expectation(body, parts, mixture, cloud, volume, estimate)
     return _statistics(found, cloud, estimate.sigma)
 
@@ -189,7 +192,7 @@ def _statistics(found: Posterior, cloud: Cloud, sigma: Float[Array, ""]) -> Fram
 
 
 def box_volume(cloud: Cloud) -> Float[Array, ""]:
-    """Volume of the box around a cloud, metres^3: the support of the outlier class."""
+    """Compute the volume of the box around a cloud, metres^3: the support of the outlier class."""
     real = (cloud.weights > 0)[:, None]
     highest = jnp.max(jnp.where(real, cloud.points, -jnp.inf), 0)
     lowest = jnp.min(jnp.where(real, cloud.points, jnp.inf), 0)

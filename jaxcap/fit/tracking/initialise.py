@@ -1,4 +1,4 @@
-"""Find a pose from nothing: many starts side by side, the best go on."""
+"""Global initialisation of a pose: many starts at once, of which the best are refined."""
 
 import logging
 
@@ -28,19 +28,21 @@ _LOG = logging.getLogger(__name__)
 #: sigma falls from the size of a trunk to that of a wrist, metres
 COARSE = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
 FINE = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
-#: deviation at which starts are compared, metres
+#: standard deviation at which starts are compared, metres
 JUDGE = 0.02
-#: size of the body and of the cloud with which starts are searched, and of the cloud for refining
+#: numbers of vertices and points in the coarse search, and number of points in the refinement
 COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
 
 
 def anneal(
     tracker: Tracker, cloud: Cloud, start: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Estimate, Float[Array, ""]]:
-    """Expectation maximisation with a given deviation at every step, which falls: wide, it
-    pulls a body from afar, narrow, it fits it (deterministic annealing, Ueda and Nakano 1998).
+    """Fit a pose by expectation maximisation with a given, falling standard deviation at every step.
 
-    Returns the estimate and its mean log-likelihood at a deviation common to all starts.
+    Large deviations attract a distant body, small ones fit it (deterministic annealing, Ueda and Nakano
+    1998).
+
+    Returns the estimate and its mean log-likelihood at a standard deviation common to all starts.
     """
     prior = Sum((RestPrior(tracker.rest_deviations), *tracker.terms))
     volume = box_volume(cloud)
@@ -61,7 +63,7 @@ def anneal(
 def anneal_each(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Pose, Float[Array, "P"]]:
-    """`anneal` from each of P stacked starts; poses and scores in their order."""
+    """Run `anneal` from each of P stacked starts; poses and scores in their order."""
 
     def one(start):
         estimate, score = anneal(tracker, cloud, start, sigmas)
@@ -74,22 +76,25 @@ def anneal_each(
 def anneal_all(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Pose, Float[Array, "P"]]:
-    """`anneal_each`, best first."""
+    """Run `anneal_each` and sort the results, best first."""
     poses, scores = anneal_each(tracker, cloud, starts, sigmas)
     order = jnp.argsort(-scores)
     return jax.tree.map(lambda leaf: leaf[order], poses), scores[order]
 
 
 def turned_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]) -> Pose:
-    """A pose turned about the vertical `up` in `count` equal steps and moved so that the middles
-    of surface and cloud meet; `(count, ...)`. The middle is a median, which outliers do not move."""
+    """Rotate a pose about the vertical `up` in `count` equal steps and align the centres of surface and
+    cloud; `(count, ...)`.
+
+    The centre is a median, which is robust to outliers.
+    """
     skeleton = tracker.body.skeleton
     posed = pose_body(tracker.body, pose)
     middle = jnp.median(posed.vertices, 0)
     points = jnp.where((cloud.weights > 0)[:, None], cloud.points, jnp.nan)
     target = jnp.nanmedian(points, 0)
     angles = jnp.linspace(0.0, 2 * jnp.pi, count, endpoint=False).astype(middle.dtype)
-    # a root that only slides has its turns in the first joint below it
+    # a root that only translates has its rotations in the first joint below it
     turner = next((j for j, kind in enumerate(skeleton.kinds) if kind in ("ball", "free")), None)
     mover = next((j for j, kind in enumerate(skeleton.kinds) if kind in ("translate", "free")), None)
 
@@ -110,8 +115,9 @@ def turned_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Fl
 def perturbed_starts(
     skeleton: Skeleton, poses: Pose, count: int, deviations: Float[Array, "D"], key: PRNGKeyArray
 ) -> Pose:
-    """`count` random neighbours of each of P stacked poses, and the poses themselves;
-    `(P * (count + 1), ...)`."""
+    """Sample `count` random neighbours of each of P stacked poses, and keep the poses themselves; `(P *
+    (count + 1), ...)`.
+    """
     num = poses.rotations.shape[0]
     steps = deviations * jax.random.normal(key, (count, num, skeleton.num_dofs), poses.rotations.dtype)
     return _neighbours(skeleton, poses, steps)
@@ -120,8 +126,10 @@ def perturbed_starts(
 def subtree_starts(
     skeleton: Skeleton, poses: Pose, count: int, deviations: Float[Array, "D"], key: PRNGKeyArray
 ) -> Pose:
-    """As `perturbed_starts`, but each neighbour turns one random joint and all that hangs on
-    it: a limb that was lost finds its place while the rest of the body stays."""
+    """Sample neighbours as `perturbed_starts` does, but each moves one random joint and its descendants.
+
+    A lost limb is found again while the rest of the body stays.
+    """
     num = poses.rotations.shape[0]
     which, how = jax.random.split(key)
     below_root = np.array(skeleton.parents) >= 0
@@ -144,8 +152,10 @@ def _neighbours(skeleton: Skeleton, poses: Pose, steps: Float[Array, "C P D"]) -
 
 
 def coarse_tracker(tracker: Tracker) -> Tracker:
-    """The same tracker with fewer vertices, for searches. Of its further terms only those over
-    joints go with it: vertices have other numbers on the coarse body."""
+    """Reduce a tracker to fewer vertices, for searches.
+
+    Of its further terms only those over joints are kept: vertices have other indices on the coarse body.
+    """
     body = reduce_body(tracker.body, COARSE_VERTICES)
     over_joints = tuple(t for t in tracker.terms if isinstance(bare(t), JointLimits | PosePrior | RestPrior))
     parts = make_parts(body.skin.parts(), body.skeleton.num_joints, body.vertices)
@@ -166,13 +176,14 @@ def initialise(
     key: PRNGKeyArray | None = None,
     starts: Pose | None = None,
 ) -> tuple[Pose, Float[Array, ""]]:
-    """The pose of a body in a cloud, with no start: orientation about `up` and place unknown. Stacked `starts` replace
-    those at rest.
+    """Find the pose of a body in a cloud without a start: orientation about `up` and position are unknown.
 
-    Starts in all directions are annealed with a coarse body and few points; the best `keep`
-    and `neighbours` random neighbours of each are annealed again, then in `rounds` the best
-    with single limbs moved, and last so with the whole body and more points, which show hands
-    and feet. Returns the best of all and its mean log-likelihood.
+    Stacked `starts` replace those at rest.
+
+    Starts in all directions are annealed with a coarse body and few points. The best `keep` and `neighbours`
+    random neighbours of each are annealed again, then in `rounds` the best with single limbs moved. In the
+    end the same is done with the whole body and more points, which resolve hands and feet. Returns the best
+    of all and its mean log-likelihood.
 
     **Raises:** `InputError` where `up` has no direction, or where nothing is to be tried or kept.
     """
@@ -207,9 +218,11 @@ def initialise(
 def refine(
     tracker: Tracker, cloud: Cloud, poses: Pose, count: int, key: PRNGKeyArray
 ) -> tuple[Pose, Float[Array, ""]]:
-    """The best of stacked poses and `count` neighbours of each with single limbs moved, by the
-    whole body and `FINE_POINTS` points: what a coarse search cannot tell apart, such as a
-    hand and the same hand turned over."""
+    """Refine stacked poses and `count` neighbours of each with single limbs moved, and return the best.
+
+    The whole body and `FINE_POINTS` points distinguish poses that a coarse search cannot, such as a hand and
+    the same hand turned over.
+    """
     skeleton = tracker.body.skeleton
     near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
     _LOG.info("searching near the best pose with the whole body")

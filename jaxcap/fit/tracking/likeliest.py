@@ -1,4 +1,4 @@
-"""Compare poses of one frame by one likelihood, and keep the best."""
+"""Comparison of poses of one frame by one likelihood, to keep the best."""
 
 from collections.abc import Iterable
 
@@ -14,11 +14,12 @@ from .em import Estimate, FrameStatistics, box_volume, frame_statistics, uniform
 from .recover import next_frame, settled
 from .track_frame import Tracker, TrackState, start_state
 
-#: deviation at which poses are compared, metres
+#: standard deviation at which poses are compared, metres
 COMPARED = 0.02
-#: a pose whose mean log-likelihood is lower than the best by more than this is not worth improving
+#: a pose with a mean log-likelihood below the best by more than this is not improved
 HOPELESS = 0.3
-#: metres: a pose that is not likelier than another and as near to it leads to the same one; bones turn at so many from a joint
+#: metres: a less likely pose within this distance of another leads to the same one; distance from a joint at
+#: which rotations are measured
 NEAR, AROUND = 0.01, 0.1
 
 _change = eqx.filter_jit(difference)
@@ -26,7 +27,9 @@ _change = eqx.filter_jit(difference)
 
 @eqx.filter_jit
 def _apart(skeleton: Skeleton, one: Pose, other: Pose) -> Float[Array, ""]:
-    """The largest distance between what moves with a bone in two poses, at a joint or `AROUND` it, metres."""
+    """Compute the largest distance between two poses of a bone's points, at its joint and `AROUND` it,
+    metres.
+    """
     here, there = (forward_kinematics(skeleton, pose) for pose in (one, other))
     moved = joint_positions(skeleton, here) - joint_positions(skeleton, there)
     turned = AROUND * jnp.linalg.norm(here.rotations - there.rotations, axis=1)
@@ -35,19 +38,21 @@ def _apart(skeleton: Skeleton, one: Pose, other: Pose) -> Float[Array, ""]:
 
 @eqx.filter_jit
 def log_likelihood(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""]:
-    """Evaluate a pose by the mean log-likelihood of a cloud's points, at a deviation that is the same for all poses."""
+    """Evaluate a pose by the mean log-likelihood of a cloud's points, at a standard deviation that is the
+    same for all poses.
+    """
     sigma = jnp.asarray(COMPARED, pose.rotations.dtype)
     estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
     volume = box_volume(cloud)
     found = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
-    # a pose that is no number explains nothing
+    # a NaN pose explains nothing
     return jnp.where(jnp.isfinite(found.log_likelihood), found.log_likelihood, -jnp.inf)
 
 
 def improve(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:
-    """Track a frame from a pose that is near, by the tracker's own steps; never to a less likely pose.
+    """Track a frame from a nearby pose, by the tracker's own steps; never to a less likely pose.
 
-    Returns what `track_frame` does, and the log-likelihood of the pose.
+    Returns the result of `track_frame`, and the log-likelihood of the pose.
     """
     state, statistics = next_frame(tracker, settled(tracker, start_state(tracker, pose), 0.0), cloud)
     state = settled(tracker, state)
@@ -66,12 +71,12 @@ def likeliest(
     cloud: Cloud,
     worth: float = 0.0,
 ) -> tuple[TrackState, FrameStatistics]:
-    """Choose between what a frame was tracked to and some other `poses`, as they are and improved.
+    """Choose between the tracked pose of a frame and some other `poses`, unchanged and improved.
 
-    **Arguments:** `before` is the pose of the frame before, from which the body has moved; `worth` the mean log-likelihood
-    by which another pose has to be better.
+    **Arguments:** `before` is the pose of the previous frame, from which the body has moved; `worth` the mean
+    log-likelihood by which another pose has to be better.
 
-    The state and the statistics are the same objects where none is.
+    The state and the statistics are the same objects if no other pose is better.
     """
     skeleton = tracker.body.skeleton
     best = float(log_likelihood(tracker, state.estimate.pose, cloud)) + worth
@@ -89,6 +94,6 @@ def likeliest(
 
 
 def likelier_pose(tracker: Tracker, one: Pose, other: Pose, cloud: Cloud) -> Pose:
-    """Choose between two poses of a frame; the first where they are equal."""
+    """Choose the likelier of two poses of a frame; the first where they are equal."""
     likelihoods = [float(log_likelihood(tracker, pose, cloud)) for pose in (one, other)]
     return one if likelihoods[0] >= likelihoods[1] else other

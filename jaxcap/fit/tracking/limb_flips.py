@@ -1,5 +1,6 @@
-"""Ends of limbs that lie the wrong way up: a hand is much like the same hand turned over, and a tracker does not
-come from the one to the other by small steps."""
+"""Correction of flipped limb ends: a hand resembles the same hand turned over, and small steps do not lead
+from one to the other.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,15 +18,15 @@ from ...observe import Cloud, thin_cloud
 from .initialise import FINE_POINTS, anneal_each
 from .track_frame import Tracker
 
-#: deviations that fall from half the width of a hand, metres: wider ones turn a hand back to where it was
+#: standard deviations that fall from half the width of a hand, metres: larger ones flip a hand back
 SIGMAS = (0.03, 0.025, 0.02, 0.02, 0.02, 0.015, 0.015, 0.015)
-#: log-likelihood by which an end has to be better turned over: seven times as likely. One that comes back by itself gains
+#: gain of log-likelihood required of a flip: seven times as likely. A flip that is undone by annealing gains
 #: by rounding only
 WORTH = 2.0
 
 
 class Turn(NamedTuple):
-    """Half a turn of a joint by which an end of a limb is turned over, `wxyz` in the axes of the world at rest."""
+    """A half turn of a joint that flips a limb end, `wxyz` in the axes of the world at rest."""
 
     end: int
     joint: int
@@ -34,12 +35,12 @@ class Turn(NamedTuple):
 
 @checked
 def turn_over(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Pose]) -> list[Pose]:
-    """Poses of some frames of one sequence, with every end of a limb turned over where the clouds of all of them
-    together are likelier then; the same poses where none is.
+    """Flip limb ends where that makes the clouds of all given frames together likelier; otherwise return the
+    same poses.
 
-    An end is turned by half a turn about the line from its joint to the middle of its surface, or with the bone above it
-    about that, and all is annealed from there, as in a search. One frame may be mistaken where few points are on a hand;
-    whether it is over is the same in all.
+    An end is rotated by half a turn about the line from its joint to the centre of its surface, or together
+    with the bone above it about that bone, and annealed from there, as in a search. One frame may be
+    ambiguous if few points are on a hand; the flip is the same in all frames of one sequence.
     """
     turns, sigmas = half_turns(tracker.body), jnp.asarray(SIGMAS, poses[0].rotations.dtype)
     few = [thin_cloud(cloud, FINE_POINTS) for cloud in clouds]
@@ -49,7 +50,7 @@ def turn_over(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Pose]) 
         means = anneal_each(tracker, cloud, _turned(pose, turns, alone), sigmas)[1]
         likelihoods += float(cloud.weights.sum()) * np.asarray(means, float)
     gains = likelihoods[1:] - likelihoods[0]
-    # of the ways to turn an end the best one
+    # the best of the flips of each end
     better = np.array(
         [
             gain > WORTH
@@ -60,7 +61,7 @@ def turn_over(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Pose]) 
     )
     if not better.any():
         return list(poses)
-    # all that are better by themselves at once, in every row, as that is compiled
+    # all flips that are better separately together, in every row, as that shape is compiled already
     both = np.tile(better, (len(alone), 1))
     return [
         jax.tree.map(lambda leaf: leaf[0], anneal_each(tracker, cloud, _turned(pose, turns, both), sigmas)[0])
@@ -69,7 +70,7 @@ def turn_over(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Pose]) 
 
 
 def limb_ends(body: Body) -> tuple[int, ...]:
-    """Joints that turn freely, below which none turns, and which have a surface."""
+    """Find ball joints with a surface and without a rotating joint below them."""
     skeleton = body.skeleton
     turning = np.array([kind not in ("fixed", "translate") for kind in skeleton.kinds])
     parts = np.asarray(body.skin.parts())
@@ -83,7 +84,7 @@ def limb_ends(body: Body) -> tuple[int, ...]:
 
 
 def half_turns(body: Body) -> tuple[Turn, ...]:
-    """The ways to turn each end over: by itself, and with the bone above it where that turns freely."""
+    """List the flips of each end: alone, and with the bone above it if that is a ball joint."""
     skeleton, parts = body.skeleton, np.asarray(body.skin.parts())
     vertices, centres = np.asarray(body.vertices, float), np.asarray(skeleton.centres, float)
     turns = []
@@ -96,12 +97,12 @@ def half_turns(body: Body) -> tuple[Turn, ...]:
 
 
 def _half(along: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
-    """Half a turn about a line."""
+    """Make half a turn about a line."""
     return np.append(0.0, along / max(np.linalg.norm(along), 1e-9))
 
 
 def _turned(pose: Pose, turns: Sequence[Turn], which: Bool[np.ndarray, "P T"]) -> Pose:
-    """A pose for each row of `which`, with these turns."""
+    """Apply the flips of each row of `which` to a pose."""
     count = len(which)
     rotations = jnp.tile(pose.rotations, (count, 1, 1))
     for number, way in enumerate(turns):

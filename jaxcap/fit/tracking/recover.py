@@ -1,4 +1,4 @@
-"""Judge tracked frames, and search for those that their predecessor did not lead to."""
+"""Judgement of tracked frames, and search for frames that tracking has lost."""
 
 import equinox as eqx
 import jax
@@ -25,32 +25,32 @@ from .initialise import (
 )
 from .track_frame import Tracker, TrackState, start_state, track_frame
 
-#: deviation at the end of a first frame, metres, and rounds to get there
+#: standard deviation at the end of a first frame, metres, and number of rounds to reach it
 FIRST_SIGMA, FIRST_ROUNDS = 0.02, 6
-#: frames from one search that has not helped to the next one, which double from the first number to the second
+#: pause in frames after a search without success, which doubles from the first number to the second
 PATIENCE, LONGEST = 2.0, 128.0
-#: where so many of the points are outliers the body is not in the cloud, and the next frame starts at the last good pose
+#: share of outliers above which the body is not in the cloud, and the next frame starts at the last good pose
 GONE = 0.5
-#: directions in which a body that jumped is looked for
+#: number of directions in the search for a body that jumped
 TURNS = 4
 
 next_frame = eqx.filter_jit(track_frame)
 
 
 class Patience(eqx.Module):
-    """When a frame is searched for again, after searches that have not helped."""
+    """The pause between searches, after searches without success."""
 
     #: frames until the next search is allowed
     wait: float = 0.0
-    #: how many they were after the last search
+    #: length of the pause after the last search
     pause: float = 0.0
 
     def after(self, good: bool) -> "Patience":
-        """One frame later; good frames shorten the pauses again."""
+        """Advance by one frame; good frames shorten the pauses again."""
         return Patience(max(self.wait - 1.0, 0.0), 0.5 * self.pause if good else self.pause)
 
     def after_failure(self) -> "Patience":
-        """Double the pause after a search that has not helped."""
+        """Double the pause after a search without success."""
         pause = min(max(2.0 * self.pause, PATIENCE), LONGEST)
         return Patience(pause, pause)
 
@@ -60,18 +60,18 @@ class TrackedFrame(eqx.Module):
 
     pose: Pose
     statistics: FrameStatistics
-    #: the body does not explain the frame, and its pose is not to be trusted
+    #: the body does not explain the frame, and its pose is unreliable
     lost: bool
-    #: what is wrong, by part, compared with the frames before
+    #: faults by part, compared with the previous frames
     judgement: Judgement
-    #: what the next frame starts from, with the four fields below; all that is needed to go on after a stop
+    #: start of the next frame; with the four fields below it is sufficient to resume after a stop
     state: TrackState
-    #: pose of the last frame that was not lost, this one among them
+    #: pose of the last frame that was not lost, including this one
     trusted: Pose
-    #: what the good frames so far show to be normal
+    #: normal values, from the good frames so far
     usual: Usual
     patience: Patience
-    #: searches so far, this frame's included
+    #: number of searches so far, including this frame's
     searches: float
 
     @property
@@ -81,12 +81,16 @@ class TrackedFrame(eqx.Module):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What is wrong and where, such as "unexplained points near the left leg"; empty for a good frame."""
+        """The faults and their parts, such as "unexplained points near the left leg"; empty if the frame is
+        good.
+        """
         return reasons_of(self.lost, self.judgement)
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Parts without points, by their joints: their pose is a guess, also in a good frame. None are named of a lost frame."""
+        """Parts without points, by their joints: their pose is a guess, also in a good frame. Empty for a
+        lost frame.
+        """
         return unseen_of(self.lost, self.judgement)
 
 
@@ -96,14 +100,14 @@ def verdict_of(lost: bool, judgement: Judgement) -> str:
 
 
 def reasons_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
-    """Say what is wrong with a frame and where; a lost frame always has a reason."""
+    """List the faults of a frame and their parts; a lost frame always has a reason."""
     if lost and not judgement.reasons:
         return ("no finite pose",)
     return judgement.reasons
 
 
 def unseen_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
-    """Name the parts of the body that no points show; none of a lost frame."""
+    """List the unobserved parts of the body; none for a lost frame."""
     return () if lost else judgement.unseen
 
 
@@ -112,8 +116,8 @@ def first_frame(
 ) -> TrackedFrame:
     """Track the first frame from a pose near it.
 
-    The deviation falls from `sigma`, over frames that all see the same cloud: the function that tracks is compiled
-    anyway. Nothing is known yet of what is usual, and limits are absolute.
+    The standard deviation falls from `sigma`, over repeated tracking of the same cloud, which uses the
+    function that is compiled anyway. No normal values are known yet, and limits are absolute.
     """
     last = min(sigma, FIRST_SIGMA)
     state = start_state(tracker, pose, sigma)
@@ -134,10 +138,10 @@ def judge(
     patience: Patience,
     searches: float = 0.0,
 ) -> TrackedFrame:
-    """Compare a frame with what is `usual`, and learn from it where it is good.
+    """Compare a frame with the normal values `usual`, and update these if it is good.
 
-    Frames that are doubtful would make their faults usual, one after the other. The first that is not lost has nothing to
-    be compared with, and is learned from.
+    Doubtful frames would gradually make their faults normal. The first frame that is not lost has nothing to
+    be compared with, and updates them.
     """
     pose = state.estimate.pose
     judgement, renewed = _compare(surface, usual, pose, cloud)
@@ -154,7 +158,9 @@ def _compare(surface: JudgedSurface, usual: Usual, pose: Pose, cloud: Cloud) -> 
 
 
 def conclude(tracker: Tracker, frame: TrackedFrame, before: Pose) -> TrackedFrame:
-    """Settle what the next frame starts from: the last trusted pose, `before`, where the body is not in the cloud at all."""
+    """Determine the start of the next frame: the last trusted pose, `before`, if the body is not in the
+    cloud.
+    """
     patience = frame.patience.after(frame.verdict == "good")
     pose, state = frame.pose, frame.state
     if frame.lost:
@@ -169,12 +175,12 @@ def conclude(tracker: Tracker, frame: TrackedFrame, before: Pose) -> TrackedFram
 
 
 def wanted(frame: TrackedFrame) -> bool:
-    """Whether a frame is to be searched for: it is not good, and no search has just failed."""
+    """Decide if a frame is to be searched for: it is not good, and no search has just failed."""
     return frame.verdict != "good" and frame.patience.wait <= 0
 
 
 def better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
-    """Choose between two poses of one frame: `found` where it is likelier and leaves less that is wrong."""
+    """Choose between two poses of one frame: `found` if it is likelier and its worst fault is smaller."""
     likelier = not float(frame.statistics.log_likelihood) > float(found.statistics.log_likelihood)
     return found if likelier and found.judgement.worst < frame.judgement.worst else frame
 
@@ -190,11 +196,12 @@ def recover(
     key: PRNGKeyArray,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
 ) -> TrackedFrame:
-    """Search for a frame, which was compared with `usual`, from many starts (Kineben, section 6, "global refinement").
+    """Search for a frame, which was compared with `usual`, from many starts (Kineben, section 6, "global
+    refinement").
 
-    Starts are neighbours of the frame's own pose and of the last trusted one, `before`, whole and limb by limb, and the latter
-    moved to the cloud's middle and turned about `up`, for a body that jumped. The pose that is found is taken where
-    it is likelier and leaves less that is wrong.
+    Starts are neighbours of the frame's own pose and of the last trusted one, `before`, whole and limb by
+    limb, and the latter moved to the cloud's centre and rotated about `up`, for a body that jumped. The
+    result is used if it is likelier and its worst fault is smaller.
     """
     failed = eqx.tree_at(
         lambda f: (f.patience, f.searches), frame, (frame.patience.after_failure(), frame.searches + 1.0)
@@ -220,7 +227,7 @@ def recover(
     found = judge(surface, cloud, settled(tracker, state), statistics, usual, patience, frame.searches + 1.0)
     if better(found, frame) is frame:
         return failed
-    # a better pose that is not good either is searched for no sooner
+    # a better pose that is not good either keeps the pause
     return found if found.verdict == "good" else eqx.tree_at(lambda f: f.patience, found, failed.patience)
 
 
@@ -237,8 +244,7 @@ def _join(*stacks: Pose) -> Pose:
 
 
 def settled(tracker: Tracker, state: TrackState, sigma: float | None = None) -> TrackState:
-    """The same state with nothing known of how the body moves, and with a deviation that the
-    next frame is to start with."""
+    """Reset the velocity of a state and optionally set the initial standard deviation of the next frame."""
     estimate = state.estimate
     if sigma is not None:
         level = jnp.asarray(sigma, estimate.sigma.dtype) / tracker.sigma_growth

@@ -1,4 +1,4 @@
-"""Track whole sequences, as a stream or at once."""
+"""Tracking of whole sequences, as a stream or at once."""
 
 import logging
 import warnings
@@ -37,9 +37,9 @@ from .recover import (
 from .track_frame import Tracker, check_sigma, make_tracker
 
 _LOG = logging.getLogger(__name__)
-#: frames and reasons named in a sentence
+#: largest numbers of frames and reasons named in a sentence
 NAMED, REASONS = 20, 4
-#: whether the pose of a first frame is searched for: where the start does not explain the cloud, always, never
+#: search for the pose of a first frame: if the start does not explain the cloud, always, never
 FirstSearch = Literal["auto"] | bool
 
 
@@ -48,9 +48,9 @@ class Search(NamedTuple):
 
     #: number of the frame
     frame: int
-    #: what is wrong, as in `TrackedFrame.reasons`; empty where the search was asked for
+    #: the faults, as in `TrackedFrame.reasons`; empty for a requested search
     reasons: tuple[str, ...]
-    #: how many searches there were before it
+    #: number of earlier searches
     before: int
 
 
@@ -68,23 +68,23 @@ def track_frames(
     known: Callable[[int], Sequence[Pose]] | None = None,
     worth: float = 0.0,
 ) -> Iterator[TrackedFrame]:
-    """Track a stream of clouds; yields a frame as soon as it is done.
+    """Track a stream of clouds; yield each frame as soon as it is done.
 
-    **Arguments:** `start` is the pose to begin at, rest where not given, or the last `TrackedFrame` of a run that was
-    stopped; `search`, whether the first pose is found by `initialise`: where `start` does not explain the first cloud
-    ("auto"), always or never; `sigma` metres is the deviation that the first frame starts with (Kineben's sigma0);
-    `up` is the vertical of the scene; `first` is the number of the first cloud, so that a run that goes on searches as
-    it would have; `announce` is called before every search; `known(number)` gives other poses that a
-    frame may be in: the frame keeps the likeliest, and leaves the tracked pose only for one whose mean log-likelihood
-    is better by more than `worth`.
+    **Arguments:** `start` is the pose to begin at, rest where not given, or the last `TrackedFrame` of an
+    interrupted run; `search`: find the first pose by `initialise` if `start` does not explain the first cloud
+    ("auto"), always or never; `sigma` metres is the initial standard deviation of the first frame (Kineben's
+    sigma0); `up` is the vertical of the scene; `first` is the number of the first cloud, so that a resumed
+    run searches as an uninterrupted one; `announce` is called before every search; `known(number)` gives
+    other candidate poses of a frame: the frame keeps the likeliest, and leaves the tracked pose only for one
+    with a mean log-likelihood better by more than `worth`.
 
-    A frame is judged by the points that no part explains and by the surface that has no points where a sensor looks,
-    against what the frames before it show to be normal. One that is not good is searched for from many starts; after a
-    search that has not helped the next one waits, twice as long each time. A frame that nothing explains is `lost`,
-    and tracking goes on.
+    A frame is judged by the points that no part explains and by the surface without points in view of a
+    sensor, compared with the normal values of the previous frames. A frame that is not good is searched for
+    from many starts; after a search without success the next one waits, twice as long each time. A frame that
+    nothing explains is `lost`, and tracking goes on.
 
-    **Raises:** `InputError` for a `sigma` or an `up` that cannot be, and, when it is its turn, for a cloud with fewer points
-    than the pose has parameters, or in another unit.
+    **Raises:** `InputError` for an invalid `sigma` or `up`, and, when its turn comes, for a cloud with fewer
+    points than the pose has parameters, or in another unit.
     """
     check_sigma("track_frames", sigma)
     check_direction("track_frames", up=up)
@@ -103,7 +103,7 @@ def _frames(
     known: Callable[[int], Sequence[Pose]] | None,
     worth: float,
 ) -> Iterator[TrackedFrame]:
-    """`track_frames`, once its numbers are checked."""
+    """Track as `track_frames` does, after its checks."""
     coarse, surface = None, judged_surface(tracker.body)
     frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
 
@@ -135,7 +135,7 @@ def _frames(
         else:
             before, trusted, usual = frame.state.estimate.pose, frame.trusted, frame.usual
             state, statistics = next_frame(tracker, frame.state, cloud)
-            # a lost frame may have led away
+            # a lost frame may have led away from the correct pose
             others = [*([trusted] if frame.lost else []), *(known(number) if known is not None else [])]
             if others:
                 state, statistics = likeliest(tracker, state, statistics, others, before, cloud, worth)
@@ -147,7 +147,7 @@ def _frames(
                 key = jax.random.key(number)
                 found = recover(tracker, surface, coarse, frame, usual, trusted, cloud, key, up)
                 if known is not None and found.pose is not frame.pose:
-                    # what a search ends with may be worse than what it began with
+                    # the end of a search may be worse than its start
                     likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
                     found = found if likelier is found.pose else frame
                 frame = found
@@ -168,15 +168,16 @@ def track(
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     terms: OwnTerms = (),
 ) -> Motion:
-    """The motion of a body through a sequence of clouds (Kineben, section 3.3).
+    """Track a body through a sequence of clouds and return its motion (Kineben, section 3.3).
 
-    **Arguments:** `clouds` from `make_cloud`, one a frame, or stacked over frames; `start` a pose near that of the
-    first frame; `rate` frames a second; `tracker` for other settings than the usual, made of the same body; `search`,
-    `sigma` and `up` as in `track_frames`; `terms`, further energies in units of a log-likelihood, such as `make_floor(body)`, where no tracker is given. Frames that are lost or doubtful are named in a warning, with what is wrong
-    in them, and parts of the body that no points show; `track_frames` gives the verdict on each frame.
+    **Arguments:** `clouds` from `make_cloud`, one per frame, or stacked over frames; `start` a pose near that
+    of the first frame; `rate` frames per second; `tracker` for other settings than the default, made of the
+    same body; `search`, `sigma` and `up` as in `track_frames`; `terms`, further energies in units of a
+    log-likelihood, such as `make_floor(body)`, where no tracker is given. A warning names lost or doubtful
+    frames, with their faults, and parts of the body without points; `track_frames` gives the verdict on each
+    frame.
 
-    **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in
-    another unit.
+    **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in another unit.
     """
     if tracker is not None and terms != ():
         raise InputError(
@@ -186,7 +187,7 @@ def track(
     tracker = make_tracker(body, terms=terms) if tracker is None else tracker
     poses, verdicts, unseen = [], [], []
     for frame in track_frames(tracker, clouds, start, search=search, sigma=sigma, up=up):
-        # copies in NumPy: an array of JAX takes a kilobyte beside its numbers
+        # copies in NumPy: a JAX array has an overhead of a kilobyte
         poses.append(jax.tree.map(np.array, frame.pose))
         verdicts.append((frame.verdict, frame.reasons))
         unseen.append(frame.unseen)
@@ -196,7 +197,7 @@ def track(
 
 
 def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
-    """Say which frames are lost and which are doubtful, and why; without full stops.
+    """Describe the lost and the doubtful frames, with reasons; without full stops.
 
     **Arguments:** `verdict` and `reasons` of every `TrackedFrame`.
     """
@@ -220,7 +221,7 @@ def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str
 
 
 def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
-    """Say which parts of the body are without points, and in how many frames; without a full stop.
+    """Describe the parts of the body without points, with numbers of frames; without a full stop.
 
     **Arguments:** `unseen` of every `TrackedFrame`.
     """
@@ -236,7 +237,7 @@ def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _each(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
-    """The frames, also of scans as files have them, and of one cloud that is stacked over them."""
+    """Iterate over frames, also of scans as read from files, and of one cloud stacked over frames."""
     if isinstance(clouds, (Cloud, Scan)):
         return iter(CloudFrames(clouds))  # pyright: ignore[reportArgumentType] - a scan is refused there
     return (as_cloud(cloud, number) for number, cloud in enumerate(clouds))

@@ -1,4 +1,4 @@
-"""Follow a body through a sequence of clouds, each frame from the one before."""
+"""Tracking of a body through a sequence of clouds, each frame from the previous one."""
 
 import equinox as eqx
 import jax
@@ -17,28 +17,29 @@ from ...values import as_number, check_at_least, check_deviations, check_positiv
 from ..correspondence.part_blocks import Parts, make_parts
 from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, make_mixture, uniform_priors
 
-#: metres that points are off at the start at most: more is in another unit
+#: largest initial standard deviation in metres: larger ones are in another unit
 WIDEST = 5.0
 
 
 class Tracker(eqx.Module):
-    """All that stays the same from frame to frame."""
+    """The constants of a tracked sequence."""
 
     body: Body
     parts: Parts
     mixture: Mixture
-    #: deviations of a pose from the one that its forerunners predict, metres and radians
+    #: standard deviations of a pose from its prediction, metres and radians
     motion_deviations: Float[Array, "D"]
-    #: deviations of joints from rest in their own frames, which hold what a cloud does not show
+    #: standard deviations of joints from rest in their own frames, for coordinates that a cloud does not
+    #: determine
     rest_deviations: Float[Array, "J 3"]
-    #: share of the last change that a frame is predicted to go on with
+    #: share of the last change in the prediction of a frame
     momentum: Float[Array, ""]
     #: factor on the last frame's sigma at the start of a frame, and its least value in metres
     sigma_growth: Float[Array, ""]
     sigma_start: Float[Array, ""]
     #: further terms, such as `JointLimits`
     terms: tuple[AbstractEnergy, ...]
-    #: steps of expectation maximisation on a frame
+    #: steps of expectation maximisation per frame
     iterations: int = eqx.field(static=True)
 
     def __check_init__(self):
@@ -46,7 +47,7 @@ class Tracker(eqx.Module):
 
 
 class TrackState(eqx.Module):
-    """What one frame hands to the next."""
+    """The state passed from frame to frame."""
 
     estimate: Estimate
     #: change of the pose over the last frame
@@ -66,11 +67,11 @@ def make_tracker(
     sigma_start: float = 0.015,
     iterations: int = 3,
 ) -> Tracker:
-    """A `Tracker` for a body.
+    """Make a `Tracker` for a body.
 
-    **Arguments:** `motion_deviation` in metres for the root and radians for joints, how far
-    a frame strays from its prediction; `rest_deviation` in radians, how far joints stray from
-    rest whose anatomy is not known (`body.people.anatomy`); `terms` are further energies, in units of a log-likelihood.
+    **Arguments:** `motion_deviation` standard deviations of a frame from its prediction, metres for the root
+    and radians for joints; `rest_deviation` in radians, standard deviation from rest of joints without known
+    anatomy (`body.people.anatomy`); `terms` are further energies, in units of a log-likelihood.
 
     **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
     """
@@ -97,7 +98,7 @@ def make_tracker(
 
 
 def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
-    """Check that a deviation to start with is in metres: above 0, and none that is wider than what is fitted.
+    """Check that an initial standard deviation is in metres: above 0 and at most `WIDEST`.
 
     **Raises:** `InputError`.
     """
@@ -107,7 +108,7 @@ def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
 
 @checked
 def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 0.05) -> TrackState:
-    """The state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
+    """Make the state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
     check_sigma("start_state", sigma)
     estimate = Estimate(
         pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts, pose.rotations.dtype)
@@ -117,9 +118,9 @@ def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 
 
 @checked
 def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
-    """One frame: predict, a few steps of expectation maximisation, and how well it went.
+    """Track one frame: predict it, take a few steps of expectation maximisation, and compute statistics.
 
-    Pure, and of the form that `jax.lax.scan` takes once `tracker` is bound.
+    Pure, and of the form of a `jax.lax.scan` step once `tracker` is bound.
     """
     skeleton, before = tracker.body.skeleton, state.estimate
     predicted = retract(skeleton, before.pose, tracker.momentum * state.change)
