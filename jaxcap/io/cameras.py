@@ -38,11 +38,11 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
 @checked
 @reads("a calibration of cameras")
 def read_cameras(path: str | Path) -> list[Camera]:
-    """Read camera calibrations: `{"cameras": [{"rotation", "translation", "focal", "principal_point",
-    "width", "height"}, ...]}`.
+    """Read camera calibrations from JSON.
 
-    Transforms are from the world to the camera, in metres and pixels; see `Camera`. A single focal length
-    applies to both axes.
+    The format is `{"cameras": [{"rotation", "translation", "focal", "principal_point", "width", "height"},
+    ...]}`. Transforms are from the world to the camera, in metres and pixels; see `Camera`. A single focal
+    length applies to both axes.
 
     **Raises:** `InputError` if there is no such file, it is not JSON, or it has no cameras; also if a camera
     lacks a key, or has numbers that are not finite, an invalid rotation or an invalid image size. The message

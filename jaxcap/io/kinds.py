@@ -157,8 +157,7 @@ def kind_of_arrays(names: Iterable[str], form: str = "") -> str:
 
 
 def wrong_kind(path: str | Path, wanted: str, suffixes: Sequence[str]) -> InputError:
-    """Return the error for a file that is not `wanted`, as in "a motion", which is read from files with these
-    suffixes.
+    """Return the error for a file that is not `wanted`, as in "a motion", for readers of some suffixes.
 
     The message gives the actual type of the file, if it is known, and advice.
     """

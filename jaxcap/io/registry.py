@@ -125,10 +125,9 @@ def write_motion(
 
 
 def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> None:
-    """Write a body with linear blend skinning as `.glb`, `.usda`, `.usdc` or `.usdz`, with an optional motion
-    as animation.
+    """Write a body with linear blend skinning as `.glb`, `.usda`, `.usdc` or `.usdz`.
 
-    Convert other bodies by `jaxcap.linearise` first.
+    An optional motion becomes its animation. Convert other bodies by `jaxcap.linearise` first.
 
     **Raises:** `InputError` as `write_gltf` and `write_usd` do.
     """
@@ -137,10 +136,9 @@ def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> No
 
 @checked
 def read_skinned(path: str | Path) -> tuple[Body, Motion | None]:
-    """Read a body with linear blend skinning, and its motion if there is one, from a skinned `.glb`, `.gltf`
-    or USD.
+    """Read a body with linear blend skinning, and its motion if there is one.
 
-    Clips are selected as in `read_motion`.
+    Formats are skinned `.glb`, `.gltf` and USD; clips are selected as in `read_motion`.
 
     **Raises:** `InputError` as `read_gltf_body` and `read_usd_body` do.
     """
@@ -154,9 +152,7 @@ def is_skinned(path: str | Path) -> bool:
 
 
 def is_rigged(path: str | Path) -> bool:
-    """Check that a file is an unskinned mesh that forms a body with the files of its name (`.skl`, `.vj`),
-    for `read_body`.
-    """
+    """Check that a file is an unskinned mesh with a skeleton and parts of the same name, for `read_body`."""
     return suffix_of(path) in SUFFIXES and not is_skinned(path) and bones_beside(path) is not None
 
 
@@ -166,8 +162,9 @@ def clips_in(path: str | Path) -> tuple[str, ...]:
 
 
 def clip_sentence(path: str | Path) -> str | None:
-    """Return a sentence on the clip that is read if a file has several and `path` names none; None if there
-    is no choice.
+    """Return a sentence on the clip that is read by default; None if there is no choice.
+
+    There is a choice if a file has several clips and `path` names none.
     """
     clips = clips_in(path)
     if len(clips) < 2 or split_clip(path)[1] is not None:
@@ -184,11 +181,11 @@ def read_body(
     parts: str | Path | None = None,
     unit: str | float = "m",
 ) -> Body:
-    """Read a body from one `.npz`, skinned `.glb`, `.gltf` or USD, or from a mesh with a skeleton (`.skl`)
-    and parts (`.vj`).
+    """Read a body from one file, or from a mesh with a skeleton (`.skl`) and parts (`.vj`).
 
-    The vertices of such a mesh move rigidly with their bones (Kineben, section 4.2). Files in the folder of
-    the mesh that have its name are found without being given. `unit` is that of mesh and skeleton.
+    One file is an `.npz` or a skinned `.glb`, `.gltf` or USD. The vertices of a mesh with parts move rigidly
+    with their bones (Kineben, section 4.2). Files in the folder of the mesh that have its name are found
+    without being given. `unit` is that of mesh and skeleton.
 
     **Raises:** `InputError` if a file is invalid or missing, if the mesh cannot be a body surface, or if it
     does not have the size of a body.
@@ -247,16 +244,18 @@ def read_markers(
 
 
 def read_marker_file(path: str | Path, unit: str | float | None = None) -> MarkerFile:
-    """Read all subjects of a marker file, whatever their size, and its metadata; `unit` and other errors as
-    in `read_markers`.
+    """Read all subjects of a marker file, whatever their size, and its metadata.
+
+    `unit` and other errors are as in `read_markers`.
     """
     return _of(MARKER_READERS, path, "a file of markers")(Path(path), unit)
 
 
 @checked
 def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | None = None) -> None:
-    """Write markers or joint centres as `.c3d`, `.trc` or `.csv`; the default `unit` is millimetres, and
-    metres for `.csv`.
+    """Write markers or joint centres as `.c3d`, `.trc` or `.csv`.
+
+    The default `unit` is millimetres, and metres for `.csv`.
 
     **Raises:** `InputError` if the suffix is unknown, the format cannot represent the markers, or the file
     cannot be written.
@@ -312,8 +311,9 @@ def _read_acclaim(path: Path) -> tuple[Skeleton, Motion]:
 
 
 def _asf_of(path: Path) -> Path:
-    """Find the skeleton in the same folder with the longest name that begins the motion's name: `02.asf` for
-    `02_05.amc`.
+    """Find the skeleton of a motion in the same folder: the longest name that begins the motion's name.
+
+    An example is `02.asf` for `02_05.amc`.
     """
     folder = path.parent
     fits = [asf for asf in folder.glob("*.asf") if path.stem.startswith(asf.stem)] if folder.is_dir() else []

@@ -41,9 +41,7 @@ def unit_scale(unit: str | float) -> float:
 
 
 def likely_units(length: float, size: tuple[float, float] = BODY) -> list[str]:
-    """Return the units in which a length would lie within a `size` in metres, the likeliest for a person
-    first.
-    """
+    """Return the units in which a length would lie within a `size` in metres, the likeliest first."""
     likely = [
         unit for unit in ("m", "mm", "cm", "in", "dm", "ft") if size[0] <= length * UNITS[unit] <= size[1]
     ]
@@ -83,8 +81,9 @@ def numbered_lines(text: str, comment: str = "#") -> Iterator[tuple[int, str]]:
 
 
 def parse_floats(words: list[str], where: str, what: str) -> list[float]:
-    """Parse `words` as finite floats; `where` is `path:line` and `what` names the numbers in errors. Raises
-    `InputError`.
+    """Parse `words` as finite floats; `where` is `path:line` and `what` names the numbers in errors.
+
+    Raises `InputError`.
     """
     numbers = []
     for word in words:
@@ -119,8 +118,9 @@ def float_table(words: list[str]) -> Float[np.ndarray, "N"] | None:
 
 
 def parse_int(word: str, where: str, what: str) -> int:
-    """Parse an integer of at most 18 digits; `where` is `path:line` and `what` names it in errors. Raises
-    `InputError`.
+    """Parse an integer of at most 18 digits; `where` is `path:line` and `what` names it in errors.
+
+    Raises `InputError`.
     """
     try:
         number = int("" if "_" in word else word)

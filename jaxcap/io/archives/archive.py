@@ -37,8 +37,9 @@ def array_names(path: str | Path) -> list[str]:
 
 
 def kind_of(path: str | Path) -> str:
-    """Return the format name of an `.npz` file, empty if it has none. Raises `InputError` if it is not an
-    `.npz` file.
+    """Return the format name of an `.npz` file, empty if it has none.
+
+    Raises `InputError` if it is not an `.npz` file.
     """
     return str(load_arrays(path, lambda name: name == "format").get("format", ""))
 
@@ -114,8 +115,9 @@ def open_archive(path: str | Path) -> Iterator[Archive]:
 
 
 def _members(file: zipfile.ZipFile, path: str | Path) -> dict[str, zipfile.ZipInfo]:
-    """Return the members of an archive by array name. Raises `InputError` for too many, or for duplicate
-    names.
+    """Return the members of an archive by array name.
+
+    Raises `InputError` for too many, or for duplicate names.
     """
     found: dict[str, zipfile.ZipInfo] = {}
     members = file.infolist()

@@ -146,10 +146,10 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
 def read_records(
     path: str | Path, after: int = 0, columns: slice = slice(None)
 ) -> Float[np.ndarray, "N columns"]:
-    """Read the valid records after the first `after`, or some of their columns, also while another program
-    writes the journal.
+    """Read the valid records after the first `after`, or some of their columns.
 
-    An incomplete record is skipped. Raises `InputError` if the file is no journal.
+    Another program may write the journal at the same time; an incomplete record is skipped. Raises
+    `InputError` if the file is no journal.
     """
     with _opened(Path(path)) as (file, there, start):
         width = int(str(there["width"]))

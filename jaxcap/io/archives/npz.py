@@ -60,8 +60,9 @@ def limits_in(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
-    """Convert a body to named arrays; `path` is for messages, as in `body_of`. Raises `InputError` for an
-    unknown skin.
+    """Convert a body to named arrays; `path` is for messages, as in `body_of`.
+
+    Raises `InputError` for an unknown skin.
     """
     kind = next((name for name, (cls, _) in SKINS.items() if type(body.skin) is cls), None)
     if kind is None:
@@ -257,7 +258,10 @@ def skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
 
 
 def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
-    """Build the skeleton from the arrays of `skeleton_arrays`. Raises `InputError` if they are inconsistent."""
+    """Build the skeleton from the arrays of `skeleton_arrays`.
+
+    Raises `InputError` if they are inconsistent.
+    """
     names = get_array(arrays, "names", path, (None,), "text").tolist()
     count = len(names)
     parents = get_array(arrays, "parents", path, (count,), "whole").tolist()

@@ -109,8 +109,9 @@ def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
 
 
 def shape_counts(path: str | Path) -> tuple[int, int] | None:
-    """Return the numbers of meshes and vertices of a shape prior; None if there is none. Errors as in
-    `load_prior`.
+    """Return the numbers of meshes and vertices of a shape prior; None if there is none.
+
+    Errors as in `load_prior`.
     """
     arrays = _arrays(path)
     if "shape.vectors" not in arrays:
@@ -143,8 +144,9 @@ def prior_arrays(prior: PairPrior, boxes: PoseBoxes | None = None) -> dict[str, 
 
 
 def shape_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
-    """Convert a shape prior to named float32 arrays; its Laplacian is recomputed from the body for which it
-    is read.
+    """Convert a shape prior to named float32 arrays.
+
+    Its Laplacian is recomputed from the body for which it is read.
     """
     arrays = {"shape.edges": neighbours_in(shape).astype(np.int32)}
     numbers = {"vectors": shape.vectors}

@@ -141,8 +141,9 @@ def _surface(blob: Blob, body: Body) -> "pygltflib.Primitive":
 
 
 def _animations(blob: Blob, skeleton: Skeleton, motion: Motion) -> "list[pygltflib.Animation]":
-    """Build one animation with a channel for every node property that leaves its rest value; empty if all are
-    at rest.
+    """Build one animation with a channel for every node property that leaves its rest value.
+
+    Empty if all are at rest.
     """
     import pygltflib
 

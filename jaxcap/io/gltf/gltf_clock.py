@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 #: frames a second if keys lie on no grid; and the largest rate of a grid
 PLAIN, FASTEST = 30.0, 480.0
-#: largest offset of a key from the grid, in steps; seconds below which keys coincide; subdivisions that are tried
+#: largest offset of a key in steps; seconds below which keys coincide; subdivisions that are tried
 OFF, SAME, PARTS = 0.05, 1e-4, 6
 
 
@@ -19,10 +19,10 @@ def first_and_last(keys: Sequence[Float[np.ndarray, "_"]]) -> tuple[float, float
 
 
 def frames_of(keys: Sequence[Float[np.ndarray, "_"]], rate: float | None, path: Path) -> int:
-    """Count the frames from the first key to the last, at a rate or on the coarsest grid that contains all
-    keys.
+    """Count the frames from the first key to the last.
 
-    Warns if keys lie on no grid; the rate is then `PLAIN` frames a second.
+    Frames are at `rate`, or on the coarsest grid that contains all keys. Warns if keys lie on no grid; the
+    rate is then `PLAIN` frames a second.
     """
     first, last = first_and_last(keys)
     if rate is not None:
@@ -39,8 +39,9 @@ def frames_of(keys: Sequence[Float[np.ndarray, "_"]], rate: float | None, path: 
 
 
 def grid_steps(times: Float[np.ndarray, "K"]) -> int | None:
-    """Find the least number of equal steps between the first and last time for which every time is a step;
-    None if none fits.
+    """Find the least number of equal steps from the first time to the last that contains all times.
+
+    None if no grid fits.
     """
     gaps = np.diff(times)
     gaps = gaps[gaps > SAME]

@@ -1,6 +1,4 @@
-"""The contents of a glTF 2.0 file (`.glb`, `.gltf`): its arrays, and the static and animated transforms of
-its nodes.
-"""
+"""The contents of a glTF 2.0 file (`.glb`, `.gltf`): its arrays, and its node transforms over time."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -55,8 +53,9 @@ class GltfFile:
         self.above = tree(self.nodes)
 
     def spend(self, numbers: int, what: str) -> None:
-        """Count numbers that are computed from the file. Raises `InputError` if their memory exceeds the
-        limit for its size.
+        """Count numbers that are computed from the file.
+
+        Raises `InputError` if their memory exceeds the limit for its size.
         """
         self._room -= 8 * numbers
         if self._room < 0:
@@ -132,8 +131,9 @@ class GltfFile:
         }
 
     def animation(self, rate: float | None) -> tuple[np.ndarray, dict[int, Stand]]:
-        """Sample the selected animation; return the times and the local transforms of the animated nodes,
-        `(F, ...)`.
+        """Sample the selected animation.
+
+        Return the times and the local transforms of the animated nodes, `(F, ...)`.
 
         Raises `InputError`.
         """
@@ -168,8 +168,9 @@ class GltfFile:
     def world(
         self, moving: Mapping[int, Stand], wanted: Iterable[int]
     ) -> dict[int, Float[np.ndarray, "F 4 4"]]:
-        """Compute the transforms of `wanted` nodes into the world, with one frame if nothing above is
-        animated.
+        """Compute the transforms of `wanted` nodes into the world.
+
+        There is one frame for a node with no animation on it or above it. Raises `InputError`.
         """
         done: dict[int, np.ndarray] = {}
         for number in wanted:
@@ -236,9 +237,7 @@ class GltfFile:
 
 
 def _spline(times: Float[np.ndarray, "K"], keys: Float[np.ndarray, "K 3 N"]) -> PPoly:
-    """Build the cubic spline through keys, each with an in-tangent, a value, and an out-tangent (glTF 2.0,
-    appendix C.5).
-    """
+    """Build the cubic spline through keys with in-tangent, value, out-tangent (glTF 2.0, appendix C.5)."""
     long = np.diff(times)[:, None]
     (begin, out), (into, end) = keys[:-1, 1:].swapaxes(0, 1), keys[1:, :2].swapaxes(0, 1)
     mean = (end - begin) / long

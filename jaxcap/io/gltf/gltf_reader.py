@@ -25,15 +25,15 @@ _HINGES = ("revolute", "universal")
 def read_gltf(
     path: str | Path, rate: float | None = None, clip: str | None = None
 ) -> tuple[Skeleton, Motion | None]:
-    """Read the joints of a file's first skin, and an animation as their motion: the one named `clip`, or the
-    first.
+    """Read the joints of a file's first skin, and an animation as their motion.
 
-    The rest pose is given by the inverse bind matrices, in metres, upright after the transforms above the
-    roots; the joints' frames there are their orientations. Kinds and axes are those that `write_gltf` stores;
-    otherwise roots are free and other joints are ball joints. Times are sampled at `rate`, from the first key
-    of any node to the last. Without `rate` the coarsest rate that contains all keys is used, and 30 frames a
-    second with a warning if there is none. Other figures in the file are left out with a warning. Scale may
-    change above the roots only and must be uniform.
+    The animation is the one named `clip`, or the first. The rest pose is given by the inverse bind matrices,
+    in metres, upright after the transforms above the roots; the joints' frames there are their orientations.
+    Kinds and axes are those that `write_gltf` stores; otherwise roots are free and other joints are ball
+    joints. Times are sampled at `rate`, from the first key of any node to the last. Without `rate` the
+    coarsest rate that contains all keys is used, and 30 frames a second with a warning if there is none.
+    Other figures in the file are left out with a warning. Scale may change above the roots only and must be
+    uniform.
 
     **Raises:** `InputError` if the file is incomplete, has no skin or no such clip, or has content that a
     `Skeleton` and its `Pose` cannot represent: sheared, sparse or compressed transforms.
@@ -73,7 +73,7 @@ def _bind(file: GltfFile) -> Bound:
     inverse = inverse_binds(file, 0)
     nodes = [file.nodes[joint] for joint in joints]
     for joint in joints:
-        # only checked: rest is the bind pose, but the node's own transform is needed as soon as something moves
+        # a check: rest is the bind pose, but the node's own transform matters once something moves
         file.still(joint)
     axes, kinds = np.tile(np.eye(3)[:2], (len(joints), 1, 1)), []
     for number, node in enumerate(nodes):
@@ -91,8 +91,9 @@ def _bind(file: GltfFile) -> Bound:
 
 
 def _notes(node: Part) -> tuple[str | None, np.ndarray | None]:
-    """Read the kind and the axes that `write_gltf` stores for a joint; None if they are missing or belong to
-    other programs.
+    """Read the kind and the axes that `write_gltf` stores for a joint.
+
+    None if they are missing or belong to other programs.
     """
     note = node.content.get("extras")
     if not isinstance(note, dict):

@@ -58,8 +58,9 @@ def tree(nodes: Sequence[Part]) -> dict[int, int]:
 
 
 def check_scene(path: Path) -> None:
-    """Check the assumptions of a general scene reader: a tree, counts that fit the file size, a limited
-    number of meshes.
+    """Check the assumptions of a general scene reader.
+
+    Nodes must form a tree, counts must fit the file size, and the number of meshes is limited.
 
     **Raises:** `InputError` with the path in the JSON.
     """

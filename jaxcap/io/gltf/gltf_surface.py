@@ -17,8 +17,9 @@ _TRIANGLES, _POINTS = 4, 0
 
 
 def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
-    """Read the meshes of all skins that share joints with the first; the nodes `joints` are the columns of
-    the weights.
+    """Read the meshes of all skins that share joints with the first.
+
+    The nodes `joints` are the columns of the weights.
 
     **Raises:** `InputError` if there is none, one is not made of triangles, or a vertex follows no joint.
     """
@@ -75,8 +76,9 @@ def left_out(file: GltfFile, joints: Sequence[int], surface: bool) -> dict[str, 
 
 
 def skin_joints(file: GltfFile, skin: int) -> list[int]:
-    """Return the nodes that are the joints of a skin. Raises `InputError` if there are none, or for
-    duplicates.
+    """Return the nodes that are the joints of a skin.
+
+    Raises `InputError` if there are none, or for duplicates.
     """
     joints = file.skins[skin].indices("joints", len(file.nodes))
     if not joints or len(set(joints)) < len(joints):
@@ -85,8 +87,9 @@ def skin_joints(file: GltfFile, skin: int) -> list[int]:
 
 
 def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
-    """Read the transforms from the space of the surface into the frames of a skin's joints. Raises
-    `InputError`.
+    """Read the transforms from the space of the surface into the frames of a skin's joints.
+
+    Raises `InputError`.
     """
     part, count = file.skins[skin], len(skin_joints(file, skin))
     if "inverseBindMatrices" not in part:

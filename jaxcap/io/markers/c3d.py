@@ -150,7 +150,7 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
 
 
 def point_kinds(labels: list[str], group: dict[str, list[str]]) -> list[str]:
-    """Classify points: "" for a marker, otherwise the type, such as `angles` or `forces`."""
+    """Assign a type to each point: "" for a marker, otherwise such as `angles` or `forces`."""
     named: dict[str, str] = {}
     groups = [*KINDS, *(word.strip().upper() for word in _strings(group, "TYPE_GROUPS"))]
     for kind in dict.fromkeys(groups):
@@ -171,8 +171,9 @@ def _by_name(label: str) -> str:
 
 
 def _segment_axes(labels: list[str]) -> set[str]:
-    """Find the points of segments of Plug-in Gait, four for each: PELO, its origin, and PELP, PELA, PELL on
-    its axes.
+    """Find the points of Plug-in Gait segments, four for each, such as PELO, PELP, PELA and PELL.
+
+    The first is the segment's origin, and the others are on its axes.
     """
     there = set(labels)
     stems = {label[:3] for label in there if len(label) == 4 and label.endswith("O")}

@@ -29,8 +29,9 @@ class Loaded(NamedTuple):
 
 
 def load_c3d(path: Path) -> Loaded:
-    """Read a C3D file by ezc3d in a new process of the same Python, which imports ezc3d and NumPy only (0.2
-    s).
+    """Read a C3D file by ezc3d in a new process of the same Python (0.2 s).
+
+    The process imports ezc3d and NumPy only.
 
     **Raises:** `InputError` if ezc3d rejects the file, crashes, or takes too long or too much memory, or if
     there is no Python to start.

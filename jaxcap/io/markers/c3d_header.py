@@ -11,8 +11,9 @@ _INTEL, _DEC, _MIPS = 84, 85, 86
 
 
 def read_header(path: Path) -> tuple[int, int]:
-    """Read the first frame and the frame count of the header; ezc3d reports only the number of frames that it
-    found.
+    """Read the first frame and the frame count of the header.
+
+    Ezc3d reports only the number of frames that it found.
 
     **Raises:** `InputError` if there is no such file, it is no C3D file, or its header is damaged or cut
     short.

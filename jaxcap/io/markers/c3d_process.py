@@ -12,7 +12,7 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
-#: limits of bytes and of seconds of CPU: a constant and a part for each byte, about ten times the use of valid files
+#: limits of bytes and of CPU seconds: a constant and a part per byte, about ten times the use of valid files
 MEMORY, MEMORY_PER_BYTE = 512 << 20, 100
 SECONDS, SECONDS_PER_BYTE = 10, 2e-6
 

@@ -117,8 +117,7 @@ def pick_subject(
 
 
 def frame_size(frames: MarkerFrames) -> float:
-    """Compute the median over frames of the longest side of the bounding box of all visible markers, in
-    metres.
+    """Compute the median over frames of the longest side of the markers' bounding box, in metres.
 
     NaN if no frame shows two markers.
     """

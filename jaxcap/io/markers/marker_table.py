@@ -96,8 +96,9 @@ def read_marker_table(
 
 
 def write_marker_table(path: str | Path, frames: MarkerFrames, unit: str | float = "m") -> None:
-    """Write markers or joint centres as CSV with columns `time, LKNE.x, LKNE.y, LKNE.z, ...`; a gap is three
-    empty cells.
+    """Write markers or joint centres as CSV with columns `time, LKNE.x, LKNE.y, LKNE.z, ...`.
+
+    A gap is three empty cells.
 
     A single frame, which does not determine the rate, gets a line `# rate: 120` above.
 

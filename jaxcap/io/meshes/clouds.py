@@ -25,10 +25,10 @@ Load = Callable[[int], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
 
 
 class Scans(Sequence):
-    """A sequence of clouds that are loaded on demand: points, normals or None, and triangles (`NO_FACES` for
-    a cloud).
+    """A sequence of clouds that are loaded on demand.
 
-    `names` and `len` load nothing.
+    An element has points, normals or None, and triangles (`NO_FACES` for a cloud). `names` and `len` load
+    nothing.
     """
 
     def __init__(self, names: Sequence[str], load: Load):

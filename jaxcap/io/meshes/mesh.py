@@ -74,8 +74,9 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
 
 @checked
 def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
-    """Write a mesh, or points without faces, in the format of the path's suffix; the order of vertices is
-    kept.
+    """Write a mesh, or points without faces, in the format of the path's suffix.
+
+    The order of vertices is kept.
 
     Normals are kept in `.ply`, and those of a mesh in `.glb`.
 

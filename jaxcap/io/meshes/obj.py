@@ -1,4 +1,7 @@
-"""Wavefront `.obj`: vertices in the order of the file with their colours, and faces; other lines are skipped."""
+"""Wavefront `.obj`: vertices in the order of the file with their colours, and faces.
+
+Other lines are skipped.
+"""
 
 from pathlib import Path
 
@@ -58,8 +61,9 @@ def write_obj(
     faces: Int[np.ndarray, "F 3"],
     colours: UInt8[np.ndarray, "V _"] | None = None,
 ) -> None:
-    """Write a mesh in its vertex order and unit; red, green and blue of `colours` follow each position, from
-    0 to 1.
+    """Write a mesh in its vertex order and unit.
+
+    Red, green and blue of `colours` follow each position, from 0 to 1.
 
     Most programs read colours in this form.
 

@@ -14,9 +14,9 @@ _CORNERS = ("vertex_indices", "vertex_index")
 
 
 def check_ply(path: Path) -> None:
-    """Check that all elements are present, that numbers fit their types, and that faces refer to existing
-    vertices.
+    """Check the data of a PLY file against its header.
 
+    All elements must be present, numbers must fit their types, and faces must refer to existing vertices.
     Raises `InputError`, with the line in a text file.
     """
     data = path.read_bytes()

@@ -1,5 +1,4 @@
-"""Motions as `.npz` in the format of AMASS (Mahmood et al., ICCV 2019): joint rotation vectors and a root
-translation.
+"""Motions as `.npz` in the format of AMASS (Mahmood et al., ICCV 2019).
 
 `poses (F, 3 J)` are rotation vectors of joints, parents first, each in the axes of the world at rest. `trans
 (F, 3)` moves the root, which rotates about its rest centre: x' = R (x - c) + c + trans for points that follow

@@ -45,8 +45,9 @@ def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
 
 
 def _regular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray] | None:
-    """Parse a file with one order of bones in all frames to values by bone, `(F, dofs)`; None for any other
-    file.
+    """Parse a file with one order of bones in all frames to values by bone, `(F, dofs)`.
+
+    None for any other file.
     """
     lines = len(counts) + 1
     first = [line.split() for _, line in rows[:lines]]

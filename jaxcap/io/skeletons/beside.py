@@ -1,6 +1,4 @@
-"""The files that make a mesh of the same name a body: its skeleton (`.skl`) and the joint of each vertex
-(`.vj`).
-"""
+"""The files that make a mesh a body: its skeleton (`.skl`) and the joint of each vertex (`.vj`)."""
 
 from pathlib import Path
 from typing import NamedTuple

@@ -97,8 +97,7 @@ class BvhWriter:
         scale: float = 1.0,
         frames: int | None = None,
     ) -> "BvhWriter":
-        """Continue after the last complete frame of a file with the same arguments, or after its first
-        `frames` frames.
+        """Continue a file with the same arguments after its last complete frame, or after its first `frames`.
 
         An incomplete frame is dropped.
 
@@ -156,8 +155,9 @@ class BvhWriter:
         scales: Float[np.ndarray, "F"],
         count: bool = True,
     ) -> None:
-        """Append the arrays of some frames as `write` does; without `count` the number of frames is written
-        at the end only.
+        """Append the arrays of some frames as `write` does.
+
+        Without `count` the number of frames is written at the end only.
         """
         self._check(translations, scales)
         turned = np.asarray(rotations, float)[:, self._order]
@@ -299,9 +299,7 @@ def _euler(r: np.ndarray, previous: np.ndarray) -> np.ndarray:
 
 
 def _triples(r: np.ndarray, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
-    """Iterate over frames and yield both solutions for the angles, `(2, J, 3)`, from the first two angles of
-    one.
-    """
+    """Yield both solutions for the angles of each frame, `(2, J, 3)`, from the first two angles of one."""
     # from the rotation that remains after Z, so that the product is exact even if a is ill-conditioned
     c = np.arctan2(
         np.cos(a) * r[..., 0, 2] + np.sin(a) * r[..., 1, 2],

@@ -89,8 +89,9 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
 
 
 def _check_tree(above: dict[str, str], lines: dict[str, str]) -> None:
-    """Check that every joint descends from a root, which has the parent `NULL`. Raises `InputError` with the
-    line.
+    """Check that every joint descends from a root, which has the parent `NULL`.
+
+    Raises `InputError` with the line.
     """
     rooted: set[str] = set()
     for name in above:

@@ -1,5 +1,4 @@
-"""Shared parts of the formats of skinned, animated bodies: local frames of joints, and influences of
-vertices.
+"""Shared parts of the formats of skinned, animated bodies: local joint frames, and vertex influences.
 
 In all of them a joint has its own frame: at rest it has the position of the joint's centre and the joint's
 orientation, so its x axis is the twist axis. A frame is relative to its parent's, a root's to the world.
@@ -39,8 +38,9 @@ def check_skin(path: Path, body: Body, what: str) -> None:
 
 
 def check_motion(path: Path, skeleton: Skeleton, motion: Motion | None) -> None:
-    """Check that a motion, if given, has the skeleton's joints, has frames, and is finite. Raises
-    `InputError`.
+    """Check that a motion, if given, has the skeleton's joints, has frames, and is finite.
+
+    Raises `InputError`.
     """
     if motion is None:
         return
@@ -64,11 +64,10 @@ def rest_frames(skeleton: Skeleton) -> LocalFrames:
 
 
 def moving_frames(skeleton: Skeleton, motion: Motion) -> LocalFrames:
-    """Compute the local frame of every joint in every frame of a motion, `(F, J, ...)`, without the poses'
-    scale.
+    """Compute the local frame of every joint in every frame of a motion, `(F, J, ...)`.
 
-    The signs of quaternions are continuous from the rest pose on, as programs interpolate the components of
-    keys.
+    The poses' scale is not included. The signs of quaternions are continuous from the rest pose on, as
+    programs interpolate the components of keys.
     """
     steps, frames, above = _frames(skeleton)
     moves = np.asarray(motion.poses.translations, float)
@@ -83,7 +82,7 @@ def moving_frames(skeleton: Skeleton, motion: Motion) -> LocalFrames:
 
 
 def bind_frames(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:
-    """Return the transforms from the joints' frames into the world at rest, as matrices for column vectors."""
+    """Return the transforms from the joints' frames into the world at rest, for column vectors."""
     frames = np.tile(np.eye(4), (skeleton.num_joints, 1, 1))
     frames[:, :3, :3] = Rotation.from_quat(
         np.asarray(skeleton.orientations, float), scalar_first=True
@@ -110,9 +109,7 @@ def influences(
 
 
 def _frames(skeleton: Skeleton) -> tuple[Float[np.ndarray, "J 3"], Rotation, Rotation]:
-    """Return for each joint the offset from its parent, its frame, and its parent's frame, in the world at
-    rest.
-    """
+    """Return each joint's offset from its parent, its frame, and its parent's frame, in the world at rest."""
     parents, centres = np.array(skeleton.parents), np.array(skeleton.centres, float)
     frames = np.asarray(skeleton.orientations, float)
     above = np.where(parents[:, None] < 0, [1.0, 0, 0, 0], frames[parents])

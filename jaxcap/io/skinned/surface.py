@@ -18,8 +18,9 @@ class Surface(NamedTuple):
 
 
 def as_shares(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray, "V J"]:
-    """Normalise weights to a sum of one. Raises `InputError` for a vertex without any; `where` names its
-    mesh.
+    """Normalise weights to a sum of one.
+
+    Raises `InputError` for a vertex without any; `where` names its mesh.
     """
     total = weights.sum(1)
     if not (total > 0).all():

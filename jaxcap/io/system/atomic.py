@@ -35,7 +35,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         while True:
             # file systems limit the length of names, so only the beginning is repeated
             folder = tempfile.mkdtemp(_ENDING, f".{path.name[:64]}.", path.parent)
-            # the lock tells `remove_unfinished` that the folder is in use
+            # the lock shows `remove_unfinished` that the folder is in use
             lock = lock_folder(folder)
             if os.path.isdir(folder):
                 break

@@ -12,11 +12,11 @@ from ...errors import InputError
 
 
 def read_inside(path: str | Path, uri: str) -> bytes:
-    """Read the data at a URI that the file `path` contains: a `data:` URI, or a file in the folder of `path`
-    or below it.
+    """Read the data at a URI that the file `path` contains.
 
-    A name may be percent-encoded. Symbolic links are resolved first, so neither they nor `..` lead out of the
-    folder. If `path` is a link, the folder of its target is allowed as well.
+    It is a `data:` URI, or a file in the folder of `path` or below it. A name may be percent-encoded.
+    Symbolic links are resolved first, so neither they nor `..` lead out of the folder. If `path` is a link,
+    the folder of its target is allowed as well.
 
     **Raises:** `InputError` if the URI has another scheme, is absolute, or leads out of the folder, or if
     there is no such file.
@@ -44,8 +44,9 @@ def read_inside(path: str | Path, uri: str) -> bytes:
 
 
 def is_inside(path: str | Path, other: str | Path) -> bool:
-    """Check that another file, with links resolved, is in or below the folder of `path` or of the target of
-    `path`.
+    """Check that another file is in or below the folder of `path`, or of the target of `path`.
+
+    Links are resolved first.
     """
     found = Path(other).resolve()
     return any(found.is_relative_to(folder.resolve()) for folder in _folders(Path(path)))

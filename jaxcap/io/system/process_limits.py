@@ -1,5 +1,4 @@
-"""Limits of memory and time that a program sets for itself before it reads a file by a library that may
-crash.
+"""Limits of memory and time that a program sets for itself before it reads a possibly damaged file.
 
 Run by path, as these programs import nothing of jaxcap.
 """

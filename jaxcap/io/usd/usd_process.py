@@ -1,9 +1,8 @@
-"""Open a USD file and read all of its contents, as a separate program: `python -I -S usd_process.py FILE
-FOLDERS...`.
+"""Open a USD file and read all of its contents, as a separate program.
 
-OpenUSD is C++ and crashes on some damaged files. So `usd_child.py` starts this file, which imports nothing of
-jaxcap, and the reader continues only if this program succeeds. The reader reports the errors of OpenUSD.
-`FOLDERS` are those of OpenUSD.
+It is run as `python -I -S usd_process.py FILE FOLDERS...`. OpenUSD is C++ and crashes on some damaged files.
+So `usd_child.py` starts this file, which imports nothing of jaxcap, and the reader continues only if this
+program succeeds. The reader reports the errors of OpenUSD. `FOLDERS` are those of OpenUSD.
 """
 
 # pxr fills its modules as it is imported and has no stubs
@@ -57,8 +56,9 @@ def _inside(Sdf: Any, path: str, first: Any) -> bool:
 
 
 def _touch(Usd: Any, UsdSkel: Any, Tf: Any, stage: Any) -> None:
-    """Read every attribute at every time, and the skinning of surfaces; an error of one does not stop the
-    rest.
+    """Read every attribute at every time, and the skinning of surfaces.
+
+    An error of one does not stop the rest.
     """
     predicate, cache = Usd.TraverseInstanceProxies(), UsdSkel.Cache()
     for prim in Usd.PrimRange.Stage(stage, predicate):

@@ -1,4 +1,4 @@
-"""Bodies with their motions from USD (`.usd`, `.usda`, `.usdc`, `.usdz`), by OpenUSD's own library, the extra `usd`."""
+"""Bodies with their motions from USD (`.usd`, `.usda`, `.usdc`, `.usdz`), by OpenUSD, the extra `usd`."""
 
 # pxr fills its modules as it is imported and has no stubs
 # pyright: reportAttributeAccessIssue=false
@@ -36,12 +36,12 @@ SUFFIXES = (".usd", *WRITTEN)
 
 @reads("a USD file")
 def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
-    """Read the body of a file's first skeleton, with linear blend skinning, and its animation at the file's
-    frame rate.
+    """Read the body of a file's first skeleton, with linear blend skinning, and its animation.
 
-    The rest pose is given by the bind transforms, in metres, y up; the joints' frames there are their
-    orientations. Roots are free and other joints are ball joints, as UsdSkel has no joint types. Blend
-    shapes, meshes that follow no joint and other figures are left out with a warning.
+    Frames are at the file's own rate. The rest pose is given by the bind transforms, in metres, y up; the
+    joints' frames there are their orientations. Roots are free and other joints are ball joints, as UsdSkel
+    has no joint types. Blend shapes, meshes that follow no joint and other figures are left out with a
+    warning.
 
     **Raises:** `InputError` if usd-core is not installed, if the file is incomplete or has no skinned
     skeleton, or if it has content that a `Skeleton` and its `Pose` cannot represent: joints that are sheared
@@ -87,8 +87,9 @@ def _check_layers(path: Path) -> None:
 
 
 class _Skinned:
-    """The first skeleton of a stage that moves a surface. Matrices act on columns, although those of USD act
-    on rows.
+    """The first skeleton of a stage that moves a surface.
+
+    Matrices act on columns, although those of USD act on rows.
     """
 
     def __init__(self, path: Path, stage: "Usd.Stage"):
@@ -198,8 +199,9 @@ class _Skinned:
         return np.stack(frames), rate
 
     def spend(self, numbers: float | int, what: str) -> None:
-        """Count numbers that are computed from the file. Raises `InputError` if their memory exceeds the
-        limit for its size.
+        """Count numbers that are computed from the file.
+
+        Raises `InputError` if their memory exceeds the limit for its size.
         """
         self.room -= 8 * numbers
         if not self.room >= 0:

@@ -34,7 +34,7 @@ def check_turns(path: Path, prim: "Usd.Prim") -> None:
 def _check(path: Path, prim: "Usd.Prim", attribute: Any) -> None:
     for time in attribute.GetTimeSamples() or (None,):
         turns = _numbers(attribute.Get() if time is None else attribute.Get(time))
-        # what is not finite is told of the transforms that are made of it
+        # numbers that are not finite are reported for the transforms that are computed from them
         short = np.linalg.norm(turns, axis=1) <= LEAST
         if short.any():
             row = int(short.argmax())
