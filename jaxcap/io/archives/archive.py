@@ -108,7 +108,7 @@ def open_archive(path: str | Path) -> Iterator[Archive]:
         raise InputError(f"{path}: there is no such file; check the path.") from None
     except (IsADirectoryError, PermissionError) as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
-    except Exception as error:  # whatever a damaged file makes of zipfile and zlib
+    except Exception as error:  # any error of zipfile and zlib on a damaged file
         raise InputError(
             f"{path}: this is not a whole .npz file ({type(error).__name__}); copy or write it again."
         ) from None
@@ -167,7 +167,7 @@ def _parse_head(stream: Any) -> _Head:
         raise ValueError(f"version {version}")
     try:
         shape, by_columns, dtype = readers[version](stream)
-    except Exception as error:  # a head is a literal of Python, and may be any
+    except Exception as error:  # a header is an arbitrary Python literal
         raise ValueError("no head") from error
     if not all(isinstance(length, int) and 0 <= length < 2**40 for length in shape) or len(shape) > 16:
         raise ValueError(f"shape {shape}")

@@ -21,7 +21,7 @@ from ..text import check_rate, parse_floats, read_text, shortened, unit_scale
 from .marker_file import MarkerFile, clear_of_zero, make_file, regular_rows
 from .trc import read_places
 
-#: a label, a separator, and an axis with an optional unit; blanks are collapsed, and names are short, as the time of a
+#: a label, a separator, and an axis with an optional unit; blanks are collapsed, and names are limited, as the time of a
 #: search grows with their length
 _COLUMN = re.compile(r"(?P<label>.*\S) ?[._:/|\- ] ?\(?(?P<axis>[xyzXYZ])\)?( ?[\[(]\w+[\])])?")
 LONGEST_NAME = 200

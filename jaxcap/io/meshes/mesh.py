@@ -222,7 +222,7 @@ def _read_trimesh(path: Path):
         loaded = load_by_trimesh(path)
     except InputError:
         raise
-    except Exception as error:  # whatever a damaged file makes of a reader
+    except Exception as error:  # any error of a reader on a damaged file
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:120].rstrip(". ")
         raise InputError(
             f"{path}: this is not a whole {path.suffix} file ({reason}); write it again."
