@@ -1,4 +1,4 @@
-"""Calibrations of cameras as `.json`, one object a camera."""
+"""Camera calibrations as `.json`, one object for each camera."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,18 +14,18 @@ from .table import write_json
 from .text import LARGEST, read_json, shortened
 
 KIND = "jaxcap cameras"
-#: numbers of each camera and the shapes they come in
+#: arrays of each camera, with their shapes
 _ARRAYS = {"rotation": (3, 3), "translation": (3,), "focal": (2,), "principal_point": (2,)}
 _SIZES = ("width", "height")
-#: how far a rotation may be from one, where a file rounds its numbers
+#: largest error of a rotation matrix, as files round their numbers
 ROUNDED = 1e-4
 
 
 @checked
 def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
-    """Write calibrations for `read_cameras`; metres and pixels.
+    """Write camera calibrations for `read_cameras`, in metres and pixels.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     rows = [
         {name: np.asarray(getattr(camera, name), float).tolist() for name in _ARRAYS}
@@ -38,13 +38,15 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
 @checked
 @reads("a calibration of cameras")
 def read_cameras(path: str | Path) -> list[Camera]:
-    """The cameras of a calibration: `{"cameras": [{"rotation", "translation", "focal", "principal_point",
-    "width", "height"}, ...]}`, from the world to the camera, metres and pixels; see `Camera`.
+    """Read camera calibrations from JSON.
 
-    A focal length that is one number holds across and down.
+    The format is `{"cameras": [{"rotation", "translation", "focal", "principal_point", "width", "height"},
+    ...]}`. Transforms are from the world to the camera, in metres and pixels; see `Camera`. A single focal
+    length applies to both axes.
 
-    **Raises:** `InputError` where there is no such file, it is not JSON, has no cameras, or where one, by
-    its number, lacks a key or has numbers that are not finite, no rotation, or no picture.
+    **Raises:** `InputError` if there is no such file, it is not JSON, or it has no cameras; also if a camera
+    lacks a key, or has numbers that are not finite, an invalid rotation or an invalid image size. The message
+    gives the number of the camera.
     """
     check_kind(path, "cameras", (".json",))
     content = read_json(path)

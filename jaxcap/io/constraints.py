@@ -10,8 +10,9 @@
      ]
     }
 
-Targets are in metres. `weight` is 1 and `pinned` false where they are left out; `orientation`, a quaternion `w, x, y, z`,
-is for joints. `vertices` is how many the body has, as their numbers mean nothing on another one; it may be left out.
+Targets are in metres. The default of `weight` is 1, that of `pinned` is false. `orientation`, a quaternion
+`w, x, y, z`, is for joints. `vertices` is the number of vertices of the body, as vertex indices are valid for
+that body only; it may be omitted.
 """
 
 import json
@@ -37,7 +38,7 @@ _FIELDS = ("vertex", "joint", "target", "weight", "pinned", "orientation")
 def write_constraints(path: str | Path, constraints: Sequence[Constraint], body: Body) -> None:
     """Write constraints of a body, every number to the last bit.
 
-    **Raises:** `InputError` where they are not of this body, or the file cannot be written.
+    **Raises:** `InputError` if they do not belong to this body, or the file cannot be written.
     """
     _check(constraints, body, path)
     rows = ",\n".join(f"  {json.dumps(_row(constraint))}" for constraint in constraints)
@@ -48,10 +49,11 @@ def write_constraints(path: str | Path, constraints: Sequence[Constraint], body:
 @checked
 @reads("constraints")
 def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
-    """Constraints that `write_constraints` or a person wrote.
+    """Read constraints that `write_constraints` or a person wrote.
 
-    **Raises:** `InputError` where the file is not one, is damaged, is of a body with another number of vertices, names
-    a vertex or a joint that this one does not have, or says something else that is wrong: which row, and what.
+    **Raises:** `InputError` if the file has another format or is damaged, if its body has another number of
+    vertices, or if a constraint names a vertex or joint that this body lacks or has another error. The
+    message gives the row and the error.
     """
     check_kind(path, "constraints", (".json",))
     content = read_json(path)

@@ -1,4 +1,4 @@
-"""Files of other programs that are not read, and how each becomes one that is."""
+"""File formats of other programs that are not read, with the conversion to a format that is."""
 
 _BLENDER = "open it in Blender and export it by File > Export > glTF 2.0 as .glb"
 _IMPORT = "export .glb from Blender (File > Import > {}, then File > Export > glTF 2.0, with its animation)"
@@ -7,9 +7,9 @@ _UNPACK = "unpack it and give the files in it"
 _EXPORT = "export its markers as .c3d, or its skeleton as .bvh, from the program that recorded it"
 _VIDEO = "no pose is read from pictures; give clouds, meshes, depth as clouds, or markers"
 
-#: pictures and pages, which this program writes and never reads
+#: images and pages, which are written but never read
 PICTURES = (".png", ".jpg", ".jpeg", ".svg", ".html", ".pdf", ".gif", ".webp", ".tif", ".tiff", ".bmp")
-#: suffixes that are read, or other programs', and what is written in place of each
+#: suffix -> the format to write instead
 INSTEAD: dict[str, str] = {
     ".gltf": ".glb, which is the same in one file",
     ".usd": ".usda as text or .usdc packed, which are the same",
@@ -19,7 +19,7 @@ INSTEAD: dict[str, str] = {
     ".amc": ".bvh, which holds a motion with its skeleton",
     ".asf": ".skl, which holds a skeleton",
 }
-#: suffix -> what it is, and what to do
+#: suffix -> name of the format, and advice
 FOREIGN: dict[str, tuple[str, str]] = {
     ".fbx": ("an FBX file", _IMPORT.format("FBX")),
     ".blend": ("a Blender file", _BLENDER),

@@ -1,4 +1,4 @@
-"""Which kind of content a file or folder holds, and sentences for files that are of another kind than was asked for."""
+"""Detection of the content type of a file or folder, and errors for files of the wrong type."""
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +14,7 @@ from .skeletons.beside import bones_beside
 from .skinned.clip import split_clip
 from .text import read_json, shortened
 
-#: what each kind is called in a sentence
+#: the name of each type in a sentence
 WORDS = {
     "body": "a body",
     "motion": "a motion",
@@ -54,7 +54,7 @@ WORDS = {
     "folder": "a folder",
     "picture": "a picture or a page",
 }
-#: several of a kind
+#: the plurals of `WORDS`
 MANY = {
     "body": "bodies",
     "motion": "motions",
@@ -94,9 +94,9 @@ MANY = {
     "folder": "folders",
     "picture": "pictures or pages",
 }
-#: by the format's name in an `.npz`
+#: names of formats in an `.npz`
 _FORMATS = ("body", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
-#: what a file of arrays may end in
+#: suffixes of files of arrays
 _ARCHIVES = (".npz", ".partial")
 _SUFFIXES = {
     ".bvh": "bvh",
@@ -116,9 +116,10 @@ _SUFFIXES = {
 
 
 def identify(path: str | Path) -> str | None:
-    """Return the kind of a file or folder, one of `WORDS`, by its suffix, its first bytes, and the names in it.
+    """Return the content type of a file or folder, a key of `WORDS`.
 
-    None where it is of no kind that is known, or is not there. Nothing is checked further than that.
+    The type follows from the suffix, the first bytes and the names inside; nothing else is checked. None if
+    the type is unknown or the file does not exist.
     """
     path = split_clip(path)[0]
     suffix = path.suffix.lower()
@@ -139,12 +140,12 @@ def identify(path: str | Path) -> str | None:
 
 
 def kind_of_arrays(names: Iterable[str], form: str = "") -> str:
-    """Return the kind of an `.npz` by the names of its arrays and the name of its format."""
+    """Return the content type of an `.npz` from the names of its arrays and of its format."""
     there = set(names)
     if form.removeprefix("jaxcap ") in _FORMATS:
         return form.removeprefix("jaxcap ")
     if "skin" in there:
-        # of a body without the name of its format
+        # a body without the name of its format
         return "arrays"
     if "poses" in there and {"trans", "mocap_framerate", "mocap_frame_rate"} & there:
         return "amass"
@@ -156,8 +157,10 @@ def kind_of_arrays(names: Iterable[str], form: str = "") -> str:
 
 
 def wrong_kind(path: str | Path, wanted: str, suffixes: Sequence[str]) -> InputError:
-    """Say that a file is not `wanted`, as in "a motion", which is read from files with these suffixes: what it is in
-    place of that, where this can be told, and what to do."""
+    """Return the error for a file that is not `wanted`, as in "a motion", for readers of some suffixes.
+
+    The message gives the actual type of the file, if it is known, and advice.
+    """
     path = split_clip(path)[0]
     suffix, known = path.suffix.lower(), ", ".join(suffixes)
     if path.is_dir():
@@ -182,15 +185,17 @@ def wrong_kind(path: str | Path, wanted: str, suffixes: Sequence[str]) -> InputE
 
 
 def check_kind(path: str | Path, kind: str, suffixes: Sequence[str]) -> None:
-    """Check that a file is not clearly of another kind than one of `WORDS`, for formats that are read whatever their name
-    is. Raises `InputError`."""
+    """Check that a file is not clearly of another type than `kind`, a key of `WORDS`.
+
+    This is for formats that are read under any file name. Raises `InputError`.
+    """
     path = Path(path)
     if path.is_dir() or path.suffix.lower() in FOREIGN or identify(path) not in (kind, "text", "json", None):
         raise wrong_kind(path, WORDS[kind], suffixes)
 
 
 def check_npz(path: str | Path, wanted: str) -> None:
-    """Check that a file is not clearly something else than an `.npz`. Raises `InputError`."""
+    """Check that a file is not clearly another type of file than an `.npz`. Raises `InputError`."""
     path = Path(path)
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in FOREIGN or (suffix not in _ARCHIVES and identify(path) is not None):
@@ -198,7 +203,10 @@ def check_npz(path: str | Path, wanted: str) -> None:
 
 
 def wrong_arrays(path: str | Path, lacking: str) -> InputError:
-    """Say what an `.npz` is and holds, what it is not or has not, as in "not a body", and what to do."""
+    """Return the error for an `.npz` with the wrong content; `lacking` is the fault, as in "not a body".
+
+    The message gives the type and the arrays of the file, and advice.
+    """
     names = array_names(path)
     kind = kind_of_arrays(names, kind_of(path))
     there = ", ".join(map(shortened, names[:8])) + (", ..." if len(names) > 8 else "")
@@ -208,12 +216,12 @@ def wrong_arrays(path: str | Path, lacking: str) -> InputError:
 
 
 def what_for(path: str | Path) -> str:
-    """Say where to find what a file is for."""
+    """Return a sentence on how to find the purpose of a file."""
     return f"`jaxcap info {shlex.quote(str(path))}` says what it is for"
 
 
 def _inside(folder: Path, suffixes: Sequence[str]) -> str:
-    """What to give in place of a folder."""
+    """Return advice for a user who gave a folder instead of a file."""
     fits = sorted({p.suffix.lower() for p in folder.iterdir() if p.suffix.lower() in suffixes})
     if fits:
         return f"name the files in it, as in {shlex.quote(str(folder))}/*{fits[0]}"
@@ -228,7 +236,7 @@ def _npz(path: Path) -> str:
 
 
 def kind_of_json(content: Any) -> str:
-    """Return the kind of what a JSON file holds."""
+    """Return the content type of the data of a JSON file."""
     if not isinstance(content, Mapping):
         return "json"
     formats = {"jaxcap constraints": "constraints", "jaxcap joint names": "joint names"}

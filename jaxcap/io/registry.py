@@ -1,4 +1,4 @@
-"""Which reader and writer belongs to which suffix: one table for each thing that is read.
+"""Tables of readers and writers by file suffix.
 
 A new format is one line here.
 """
@@ -61,9 +61,9 @@ MOTION_WRITERS: dict[str, Callable[[Path, Skeleton, Motion, Any], None]] = {
     ".bvh": write_bvh,
     ".npz": lambda path, skeleton, motion, unit: save_motion(path, motion, skeleton),
 }
-#: what an `.npz` may be in another manner than our own
+#: other conventions of an `.npz` than our own
 MANNERS: dict[str, Callable[[Path, Skeleton, Motion], None]] = {"amass": write_amass}
-#: of bodies that blend linearly, with the motion where there is one
+#: writers of bodies with linear blend skinning, with an optional motion
 BODY_WRITERS: dict[str, Callable[[Path, Body, Motion | None], None]] = {
     ".glb": write_gltf,
     **dict.fromkeys(USD_SUFFIXES, write_usd),
@@ -72,9 +72,9 @@ SKINNED_READERS: dict[str, Callable[[Path], tuple[Body, Motion | None]]] = {
     **dict.fromkeys(GLTF_READ, lambda path: read_gltf_body(split_clip(path)[0], clip=split_clip(path)[1])),
     **dict.fromkeys(USD_READ, read_usd_body),
 }
-#: of all files that can be a body; meshes with a skeleton
+#: suffixes of all body files, with those of meshes that need a skeleton
 BODY_SUFFIXES = (".npz", *dict.fromkeys((*SKINNED_READERS, *SUFFIXES)))
-#: these say their unit themselves where `unit` is None
+#: these files give their unit themselves if `unit` is None
 MARKER_READERS: dict[str, Callable[[Path, Any], MarkerFile]] = {
     ".c3d": read_c3d,
     ".trc": read_trc,
@@ -85,17 +85,18 @@ MARKER_WRITERS: dict[str, Callable[[Path, MarkerFrames, Any], None]] = {
     ".trc": write_trc,
     ".csv": write_marker_table,
 }
-#: the unit of a format's files where the caller says none; the others say it themselves
+#: default unit of a format; the default of the others is metres
 DEFAULT_UNITS = {".bvh": "cm"}
 
 
 def read_skeleton(path: str | Path, unit: str | float | None = None) -> Skeleton:
-    """A skeleton from `.skl`, `.bvh`, `.asf`, `.amc` with its `.asf`, a body or motion `.npz`, a skinned `.glb`, `.gltf` or USD, or
-    the `.skl` beside a mesh that is a body.
+    """Read a skeleton.
 
-    `unit` is that of the file's lengths where the format does not say it: metres if not
-    given, centimetres in BVH. Raises `InputError` where the suffix is unknown or the file is
-    wrong.
+    Formats are `.skl`, `.bvh`, `.asf`, `.amc` with its `.asf`, a body or motion `.npz`, a skinned `.glb`,
+    `.gltf` or USD, and a mesh with an `.skl` in its folder (`is_rigged`). `unit` is that of the file's
+    lengths if the format does not specify it; the default is metres, and centimetres for BVH.
+
+    **Raises:** `InputError` if the suffix is unknown or the file is invalid.
     """
     beside = bones_beside(path) if is_rigged(path) else None
     path = path if beside is None else beside.skeleton
@@ -108,10 +109,10 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, unit: str | float | Non
 
 
 def read_motion(path: str | Path, unit: str | float | None = None) -> tuple[Skeleton, Motion]:
-    """A motion with its skeleton from `.bvh`, `.npz` (ours, or in AMASS's manner with a skeleton), `.glb`, `.gltf`, USD, or
-    `.amc` with the `.asf` in its folder; `unit` and errors as in `read_skeleton`.
+    """Read a motion with its skeleton; `unit` and errors as in `read_skeleton`.
 
-    `character.glb:Walk` is the clip `Walk` of a file with several; without a name it is the first.
+    Formats are `.bvh`, `.npz` (ours, or AMASS with a skeleton), `.glb`, `.gltf`, USD, and `.amc` with the
+    `.asf` in its folder. `character.glb:Walk` selects the clip `Walk`; without a name the first clip is read.
     """
     return _of(MOTION_READERS, path, "a motion")(Path(path), _unit(path, unit))
 
@@ -124,8 +125,9 @@ def write_motion(
 
 
 def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> None:
-    """Write a body that blends linearly as `.glb`, `.usda`, `.usdc` or `.usdz`, with a motion as its animation where there
-    is one; other bodies become so by `jaxcap.linearise`.
+    """Write a body with linear blend skinning as `.glb`, `.usda`, `.usdc` or `.usdz`.
+
+    An optional motion becomes its animation. Convert other bodies by `jaxcap.linearise` first.
 
     **Raises:** `InputError` as `write_gltf` and `write_usd` do.
     """
@@ -134,8 +136,9 @@ def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> No
 
 @checked
 def read_skinned(path: str | Path) -> tuple[Body, Motion | None]:
-    """A body that blends linearly, with its motion where there is one, from a skinned `.glb`, `.gltf` or USD; clips as in
-    `read_motion`.
+    """Read a body with linear blend skinning, and its motion if there is one.
+
+    Formats are skinned `.glb`, `.gltf` and USD; clips are selected as in `read_motion`.
 
     **Raises:** `InputError` as `read_gltf_body` and `read_usd_body` do.
     """
@@ -143,23 +146,26 @@ def read_skinned(path: str | Path) -> tuple[Body, Motion | None]:
 
 
 def is_skinned(path: str | Path) -> bool:
-    """Whether `read_skinned` has something to read: a `.glb` or `.gltf` may be a mesh alone."""
+    """Check that a file has a skin for `read_skinned`: a `.glb` or `.gltf` may be a mesh only."""
     file, suffix = split_clip(path)[0], suffix_of(path)
     return suffix in SKINNED_READERS and (suffix not in GLTF_READ or has_skin(file))
 
 
 def is_rigged(path: str | Path) -> bool:
-    """Whether a file is a mesh with the files beside it that make it a body, for `read_body`; what is skinned is none."""
+    """Check that a file is an unskinned mesh with a skeleton and parts of the same name, for `read_body`."""
     return suffix_of(path) in SUFFIXES and not is_skinned(path) and bones_beside(path) is not None
 
 
 def clips_in(path: str | Path) -> tuple[str, ...]:
-    """Return the names of the clips that a file holds, of which `path:NAME` chooses one; none of other formats."""
+    """Return the names of the clips in a file, which `path:NAME` selects; empty for other formats."""
     return clips_of(split_clip(path)[0]) if suffix_of(path) in GLTF_READ else ()
 
 
 def clip_sentence(path: str | Path) -> str | None:
-    """Say which clip of a file is taken where it has several and `path` names none; None where there is no choice."""
+    """Return a sentence on the clip that is read by default; None if there is no choice.
+
+    There is a choice if a file has several clips and `path` names none.
+    """
     clips = clips_in(path)
     if len(clips) < 2 or split_clip(path)[1] is not None:
         return None
@@ -175,12 +181,14 @@ def read_body(
     parts: str | Path | None = None,
     unit: str | float = "m",
 ) -> Body:
-    """A body from one `.npz`, skinned `.glb`, `.gltf` or USD, or from a mesh with a skeleton (`.skl`) and parts (`.vj`),
-    whose vertices then move rigidly with their bones (Kineben, section 4.2); files of the mesh's own name beside it need
-    not be given.
+    """Read a body from one file, or from a mesh with a skeleton (`.skl`) and parts (`.vj`).
 
-    `unit` is that of mesh and skeleton. A mesh that cannot be a body's surface, or has no
-    body's size, is an `InputError`, as is any file that is wrong or missing.
+    One file is an `.npz` or a skinned `.glb`, `.gltf` or USD. The vertices of a mesh with parts move rigidly
+    with their bones (Kineben, section 4.2). Files in the folder of the mesh that have its name are found
+    without being given. `unit` is that of mesh and skeleton.
+
+    **Raises:** `InputError` if a file is invalid or missing, if the mesh cannot be a body surface, or if it
+    does not have the size of a body.
     """
     file, suffix = split_clip(path)[0], suffix_of(path)
     if suffix == ".npz":
@@ -192,7 +200,7 @@ def read_body(
     if skeleton is None and parts is None and (beside := bones_beside(file)):
         skeleton, parts = beside
     if skeleton is None and file.is_file() and suffix in GLTF_READ:
-        # whatever else is wrong with it comes first
+        # errors of the file itself come first
         read_document(file)
         raise no_skin(file)
     if skeleton is None or parts is None:
@@ -216,16 +224,17 @@ def read_markers(
     subject: str | None = None,
     size: tuple[float, float] = SIZE,
 ) -> MarkerFrames:
-    """Trajectories of markers from `.c3d`, `.trc` or `.csv`, gaps as not seen.
+    """Read marker trajectories from `.c3d`, `.trc` or `.csv`; gaps are not visible.
 
-    **Arguments:** `unit` of the file's lengths, in place of what the file says itself; where neither
-    says it, C3D and TRC are in millimetres and CSV is in metres. `subject`, whose markers are read, by the
-    prefix of their labels (`Anna:LKNE`), where there is more than one. `size`, metres between which the
-    longest side of the markers of a frame has to be.
+    **Arguments:** `unit` of the file's lengths, which overrides that of the file; if neither is given, C3D
+    and TRC are in millimetres and CSV is in metres. `subject` whose markers are read, by the prefix of their
+    labels (`Anna:LKNE`), if there is more than one. `size`, lower and upper bound in metres of the longest
+    side of the markers of a frame.
 
-    **Raises:** `InputError` with one sentence where the suffix is unknown, the file is wrong, damaged or
-    cut short, it has no markers or no frames or none that is seen, it has several subjects and none is
-    chosen, or the markers have another size, as in a wrong unit, which it then names.
+    **Raises:** `InputError` with one sentence if the suffix is unknown, if the file is invalid, damaged or
+    cut short, if it has no markers, no frames or no visible marker, or if it has several subjects and none is
+    selected; also if the markers have another size, as with a wrong unit. The message then names the likely
+    unit.
     """
     path = Path(path)
     file = read_marker_file(path, unit)
@@ -235,17 +244,20 @@ def read_markers(
 
 
 def read_marker_file(path: str | Path, unit: str | float | None = None) -> MarkerFile:
-    """All subjects of a file of markers, whatever their size, and what else the file says of them; `unit`
-    and other errors as in `read_markers`."""
+    """Read all subjects of a marker file, whatever their size, and its metadata.
+
+    `unit` and other errors are as in `read_markers`.
+    """
     return _of(MARKER_READERS, path, "a file of markers")(Path(path), unit)
 
 
 @checked
 def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | None = None) -> None:
-    """Write markers, or joint centres, as `.c3d`, `.trc` or `.csv`; `unit` is millimetres in the first two
-    and metres in the third where not given.
+    """Write markers or joint centres as `.c3d`, `.trc` or `.csv`.
 
-    **Raises:** `InputError` where the suffix is unknown, the format cannot hold the markers, or the file
+    The default `unit` is millimetres, and metres for `.csv`.
+
+    **Raises:** `InputError` if the suffix is unknown, the format cannot represent the markers, or the file
     cannot be written.
     """
     suffix = Path(path).suffix.lower()
@@ -254,7 +266,10 @@ def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | No
 
 
 def _of(table: dict[str, Any], path: str | Path, what: str, done: str = "") -> Any:
-    """The entry of a suffix; `what` is read, as in "a motion", or `done` with it, as in "motions are not written"."""
+    """Return the table entry of a suffix.
+
+    For errors, `what` is read, as in "a motion", or `done` to it, as in "motions are not written".
+    """
     suffix = suffix_of(path)
     if suffix not in table:
         if not done:
@@ -296,7 +311,10 @@ def _read_acclaim(path: Path) -> tuple[Skeleton, Motion]:
 
 
 def _asf_of(path: Path) -> Path:
-    """The skeleton in the same folder whose name a motion's begins with: `02_05.amc` goes with `02.asf`."""
+    """Find the skeleton of a motion in the same folder: the longest name that begins the motion's name.
+
+    An example is `02.asf` for `02_05.amc`.
+    """
     folder = path.parent
     fits = [asf for asf in folder.glob("*.asf") if path.stem.startswith(asf.stem)] if folder.is_dir() else []
     if not fits:

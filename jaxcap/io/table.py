@@ -1,4 +1,4 @@
-"""Tables and reports for other programs: CSV and JSON, which appear whole or not at all."""
+"""Tables and reports for other programs: CSV and JSON, written atomically."""
 
 import csv
 import io
@@ -10,7 +10,7 @@ from .system.atomic import write_text
 
 
 def write_csv(path: str | Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """Rows of equal keys, with a head. Raises `InputError` where the file cannot be written."""
+    """Write rows of equal keys as CSV with a header. Raises `InputError` if the file cannot be written."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()
@@ -19,9 +19,9 @@ def write_csv(path: str | Path, rows: Sequence[Mapping[str, object]]) -> None:
 
 
 def write_json(path: str | Path, content: Mapping[str, object]) -> None:
-    """Anything that JSON can say, a line for each row of a table; a number that is not finite becomes null.
+    """Write data as JSON, with one line for each row of a table; numbers that are not finite become null.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     entries = (f"{json.dumps(str(name))}: {_written(value)}" for name, value in content.items())
     write_text(path, "{\n " + ",\n ".join(entries) + "\n}\n")

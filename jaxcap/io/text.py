@@ -1,4 +1,4 @@
-"""What the readers of text formats share: lines with their numbers, floats, JSON, clean errors."""
+"""Shared parts of the readers of text formats: numbered lines, numbers, JSON, clear errors."""
 
 import json
 import math
@@ -11,21 +11,21 @@ from jaxtyping import Float
 
 from ..errors import InputError
 
-#: the largest length, angle or time that is read; its square is a number in single precision too
+#: the largest length, angle or time that is read; its square is finite in single precision too
 LARGEST = 1e15
-#: frames a second between which a rate has to be
+#: lower and upper bound of frame rates, frames a second
 RATES = (1e-6, 1e6)
 
-#: metres in one unit of each name
+#: metres in one unit
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-#: the longest side of a body, from and to, and about, metres
+#: bounds of the longest side of a body, and its usual value, metres
 BODY, USUAL = (0.3, 3.0), 1.7
 
 
 def unit_scale(unit: str | float) -> float:
-    """Metres in one `unit`, which is one of `UNITS` or that number itself, as text too.
+    """Return the metres in one `unit`: a key of `UNITS`, or that number itself, also as text.
 
-    **Raises:** `InputError` for anything else.
+    **Raises:** `InputError` for any other value.
     """
     if unit in UNITS:
         return UNITS[str(unit)]
@@ -41,7 +41,7 @@ def unit_scale(unit: str | float) -> float:
 
 
 def likely_units(length: float, size: tuple[float, float] = BODY) -> list[str]:
-    """Find the units in which a length in a file would be of a `size` in metres, the likeliest for a person first."""
+    """Return the units in which a length would lie within a `size` in metres, the likeliest first."""
     likely = [
         unit for unit in ("m", "mm", "cm", "in", "dm", "ft") if size[0] <= length * UNITS[unit] <= size[1]
     ]
@@ -49,11 +49,11 @@ def likely_units(length: float, size: tuple[float, float] = BODY) -> list[str]:
 
 
 def read_text(path: str | Path) -> str:
-    """A text file's content; any line ending, a byte order mark, and bytes that are not
-    UTF-8 (taken as Latin-1) are fine.
+    """Read a text file with any line ending, with or without a byte order mark.
 
-    **Raises:** `InputError` where there is no such file, it is a folder, cannot be read, or
-    is binary.
+    Bytes that are not UTF-8 are read as Latin-1.
+
+    **Raises:** `InputError` if there is no such file, it is a folder, it cannot be read, or it is binary.
     """
     path = Path(path)
     try:
@@ -73,7 +73,7 @@ def read_text(path: str | Path) -> str:
 
 
 def numbered_lines(text: str, comment: str = "#") -> Iterator[tuple[int, str]]:
-    """`(line number, line)` of all lines that hold more than blanks and a comment."""
+    """Iterate over `(line number, line)` of all lines that are not blank after comments are removed."""
     for number, line in enumerate(text.splitlines(), 1):
         line = line.split(comment, 1)[0].strip()
         if line:
@@ -81,11 +81,14 @@ def numbered_lines(text: str, comment: str = "#") -> Iterator[tuple[int, str]]:
 
 
 def parse_floats(words: list[str], where: str, what: str) -> list[float]:
-    """Finite floats of `words`; `where` is `path:line` and `what` names them in the error."""
+    """Parse `words` as finite floats; `where` is `path:line` and `what` names the numbers in errors.
+
+    Raises `InputError`.
+    """
     numbers = []
     for word in words:
         try:
-            # Python takes 1_000 for a number; no program writes one so
+            # Python accepts 1_000, but no program writes numbers in this form
             numbers.append(float("" if "_" in word else word))
         except ValueError:
             raise InputError(
@@ -103,8 +106,8 @@ def parse_floats(words: list[str], where: str, what: str) -> list[float]:
 
 
 def float_table(words: list[str]) -> Float[np.ndarray, "N"] | None:
-    """Many words at once as numbers that `parse_floats` takes; None where it does not take one of them."""
-    # one long word would make an array of as long ones
+    """Parse many words at once as `parse_floats` does; None if one of them is invalid."""
+    # one long word would make the whole array that wide
     if any(len(word) > 60 or "_" in word for word in words):
         return None
     try:
@@ -115,7 +118,10 @@ def float_table(words: list[str]) -> Float[np.ndarray, "N"] | None:
 
 
 def parse_int(word: str, where: str, what: str) -> int:
-    """A whole number of at most 18 digits; `where` is `path:line` and `what` names it in the error."""
+    """Parse an integer of at most 18 digits; `where` is `path:line` and `what` names it in errors.
+
+    Raises `InputError`.
+    """
     try:
         number = int("" if "_" in word else word)
     except ValueError:
@@ -130,12 +136,12 @@ def parse_int(word: str, where: str, what: str) -> int:
 
 
 def shortened(word: str) -> str:
-    """A word as a message quotes it: without its middle where it is long."""
+    """Shorten a long word for a message by removing its middle."""
     return word if len(word) <= 60 else f"{word[:40]}...{word[-10:]}"
 
 
 def check_rate(rate: float, where: str) -> float:
-    """A rate of frames that motions can have. Raises `InputError`, which begins with `where`."""
+    """Check a frame rate and return it. Raises `InputError`, which begins with `where`."""
     if not RATES[0] <= rate <= RATES[1]:
         raise InputError(
             f"{where}: {rate} frames a second cannot be a rate; give a number above zero, from {RATES[0]:g} to {RATES[1]:g}."
@@ -144,16 +150,16 @@ def check_rate(rate: float, where: str) -> float:
 
 
 def read_json(path: str | Path) -> Any:
-    """The content of a JSON file.
+    """Read a JSON file.
 
-    **Raises:** `InputError` with file and line where there is no such file or it is not JSON, and where it is nested too
-    deeply or has numbers of too many digits. NaN and infinities are left to the caller.
+    **Raises:** `InputError` with file and line if there is no such file or it is not JSON; also if it is
+    nested too deeply or has numbers of too many digits. The caller checks for NaN and infinity.
     """
     return parse_json(read_text(path), path)
 
 
 def parse_json(text: str | bytes, where: str | Path) -> Any:
-    """The content of a JSON text; `where` begins the message. Errors as in `read_json`."""
+    """Parse JSON text; `where` begins the message. Errors as in `read_json`."""
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
@@ -169,7 +175,7 @@ def parse_json(text: str | bytes, where: str | Path) -> Any:
 
 
 class Words:
-    """The words of a file one by one, each with its line, for grammars without lines."""
+    """A sequence of the words of a file, each with its line, for grammars that do not depend on lines."""
 
     def __init__(self, path: str | Path):
         self.path, self._at = path, 0
@@ -179,7 +185,7 @@ class Words:
 
     @property
     def left(self) -> int:
-        """How many words have not been taken."""
+        """The number of words that are not yet taken."""
         return len(self._words) - self._at
 
     @property
@@ -188,18 +194,18 @@ class Words:
         return f"{self.path}:{self._words[max(self._at - 1, 0)][0] if self._words else 1}"
 
     def take(self, what: str) -> str:
-        """The next word; the end of the file is an error that says `what` belongs there."""
+        """Return the next word; `what` names it in the error at the end of the file."""
         if not self.left:
             raise InputError(f"{self.where}: the file ends where {what} belongs; it is cut short.")
         self._at += 1
         return self._words[self._at - 1][1]
 
     def floats(self, count: int, what: str) -> list[float]:
-        """The next `count` words as finite numbers."""
+        """Return the next `count` words as finite numbers."""
         return [parse_floats([self.take(f"a number of {what}")], self.where, what)[0] for _ in range(count)]
 
     def header(self, keyword: str) -> int:
-        """The keyword that a file begins with, and the number behind it."""
+        """Read the keyword that begins a file and return the number after it."""
         word = self.take(keyword)
         if word.upper() != keyword:
             raise InputError(

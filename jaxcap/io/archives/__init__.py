@@ -1,1 +1,1 @@
-"""Our own files: arrays that are checked and never pickled."""
+"""Our own file formats: arrays that are checked and never pickled."""

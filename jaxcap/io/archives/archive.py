@@ -1,4 +1,4 @@
-"""The arrays of `.npz` files: checked before they take memory, and never pickled."""
+"""The arrays of `.npz` files: checked before memory is allocated, and never pickled."""
 
 import contextlib
 import math
@@ -12,18 +12,18 @@ import numpy as np
 
 from ...errors import InputError
 
-#: what arrays may take, in bytes at 8 for a number, as all become double precision somewhere, or in the sizes of the file
+#: limits of all arrays: bytes, at 8 a number as all become double precision, or multiples of the file size
 ROOM, PACKED = 2**27, 64
-#: arrays in one file
+#: largest number of arrays in one file
 MOST = 4096
-#: length of an axis of an array without elements
+#: largest length of an axis of an array without elements
 LONGEST = 1_000_000
 _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
 _READ = 2**20
 
 
 class _Head(NamedTuple):
-    """What the first bytes of an array say of it."""
+    """The header of an array."""
 
     shape: tuple[int, ...]
     by_columns: bool
@@ -31,41 +31,43 @@ class _Head(NamedTuple):
 
 
 def array_names(path: str | Path) -> list[str]:
-    """Return the names of the arrays of an `.npz` file. Raises `InputError` where it is not one."""
+    """Return the names of the arrays of an `.npz` file. Raises `InputError` if it is not one."""
     with open_archive(path) as archive:
         return list(archive.members)
 
 
 def kind_of(path: str | Path) -> str:
-    """Return the format that an `.npz` file says it has; none is empty. Raises `InputError` where it is not an `.npz`
-    file."""
+    """Return the format name of an `.npz` file, empty if it has none.
+
+    Raises `InputError` if it is not an `.npz` file.
+    """
     return str(load_arrays(path, lambda name: name == "format").get("format", ""))
 
 
 def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
-    """Read the arrays of any `.npz` file whose names are `wanted`, all where not given.
+    """Read the arrays of any `.npz` file with `wanted` names, all by default.
 
-    **Raises:** `InputError` where the file is not one, and as `Archive.load` does.
+    **Raises:** `InputError` if the file is not one, and as `Archive.load` does.
     """
     with open_archive(path) as archive:
         return archive.load(wanted)
 
 
 class Archive(NamedTuple):
-    """Hold an open `.npz` file; its arrays are read on demand."""
+    """An open `.npz` file; its arrays are read on demand."""
 
     path: str | Path
     file: zipfile.ZipFile
-    #: by the names of their arrays
+    #: by array name
     members: dict[str, zipfile.ZipInfo]
 
     def load(self, wanted: Callable[[str], bool]) -> dict[str, np.ndarray]:
-        """Read the arrays whose names are `wanted`.
+        """Read the arrays with `wanted` names.
 
-        The heads of these are checked before one is inflated, and the others are not looked at.
+        Their headers are checked before the first array is inflated; the other arrays are not read.
 
-        **Raises:** `InputError` where the file is damaged, and where a wanted array holds pickled objects or something
-        else than numbers and text, or the arrays inflate beyond what a file of its size can hold.
+        **Raises:** `InputError` if the file is damaged, if a wanted array holds pickled objects or other data
+        than numbers and text, or if the arrays inflate beyond the limit for the size of the file.
         """
         path, file = self.path, self.file
         chosen = {name: info for name, info in self.members.items() if wanted(name)}
@@ -85,9 +87,9 @@ class Archive(NamedTuple):
 
 @contextlib.contextmanager
 def open_archive(path: str | Path) -> Iterator[Archive]:
-    """Open an `.npz` file; every error of the library that reads it becomes one of the file.
+    """Open an `.npz` file; every exception of the library that reads it becomes an `InputError`.
 
-    **Raises:** `InputError` where the file is not one or cannot be read.
+    **Raises:** `InputError` if the file is not one or cannot be read.
     """
     try:
         with open(path, "rb") as raw:
@@ -106,14 +108,17 @@ def open_archive(path: str | Path) -> Iterator[Archive]:
         raise InputError(f"{path}: there is no such file; check the path.") from None
     except (IsADirectoryError, PermissionError) as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
-    except Exception as error:  # whatever a damaged file makes of zipfile and zlib
+    except Exception as error:  # any error of zipfile and zlib on a damaged file
         raise InputError(
             f"{path}: this is not a whole .npz file ({type(error).__name__}); copy or write it again."
         ) from None
 
 
 def _members(file: zipfile.ZipFile, path: str | Path) -> dict[str, zipfile.ZipInfo]:
-    """The members of an archive by the names of their arrays. Raises `InputError` for too many, or one name twice."""
+    """Return the members of an archive by array name.
+
+    Raises `InputError` for too many, or for duplicate names.
+    """
     found: dict[str, zipfile.ZipInfo] = {}
     members = file.infolist()
     if len(members) > MOST:
@@ -127,7 +132,7 @@ def _members(file: zipfile.ZipFile, path: str | Path) -> dict[str, zipfile.ZipIn
 
 
 def _head(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _Head:
-    """What an array says of itself, which has to be what the archive says of it. Raises `InputError`."""
+    """Read the header of an array and check it against the archive. Raises `InputError`."""
     if info.flag_bits & 1:
         raise InputError(f"{where} is encrypted; write the file without a password.")
     if info.compress_type not in _METHODS:
@@ -155,14 +160,14 @@ def _head(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _Head:
 
 
 def _parse_head(stream: Any) -> _Head:
-    """The head of an array. Raises `ValueError` where it is none."""
+    """Parse the header of an array. Raises `ValueError` if it is invalid."""
     version = np.lib.format.read_magic(stream)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
         raise ValueError(f"version {version}")
     try:
         shape, by_columns, dtype = readers[version](stream)
-    except Exception as error:  # a head is a literal of Python, and may be any
+    except Exception as error:  # a header is an arbitrary Python literal
         raise ValueError("no head") from error
     if not all(isinstance(length, int) and 0 <= length < 2**40 for length in shape) or len(shape) > 16:
         raise ValueError(f"shape {shape}")
@@ -170,7 +175,7 @@ def _parse_head(stream: Any) -> _Head:
 
 
 def _numbers(file: zipfile.ZipFile, info: zipfile.ZipInfo, head: _Head, where: str) -> np.ndarray:
-    """The elements of an array, in the machine's order of bytes. Raises `InputError` for text that is none."""
+    """Read the elements of an array in native byte order. Raises `InputError` for invalid text."""
     data = bytearray(math.prod(head.shape) * head.dtype.itemsize)
     with file.open(info) as stream:
         _parse_head(stream)

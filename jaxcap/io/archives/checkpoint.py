@@ -1,4 +1,4 @@
-"""How far the learning of a body has come, in one file that is replaced as a whole after every round."""
+"""The progress of the learning of a body, in one file that is replaced atomically after every round."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ KIND = "jaxcap checkpoint"
 
 
 class Checkpoint(NamedTuple):
-    """All that a run needs to go on, to the last bit."""
+    """The complete state from which a run continues, to the last bit."""
 
     body: Body
     #: poses of the training meshes
@@ -31,8 +31,10 @@ class Checkpoint(NamedTuple):
 
 
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint, header: Mapping[str, object]) -> None:
-    """Write a checkpoint in place of the one before; `header` is what the run was begun with, as JSON
-    can say it. Raises `InputError` where it cannot be written."""
+    """Write a checkpoint and replace the previous one; `header` holds the settings of the run, as JSON data.
+
+    **Raises:** `InputError` if it cannot be written.
+    """
     steps = [step for step, _ in checkpoint.history]
     arrays = {
         "header": np.array(json.dumps(header)),
@@ -47,10 +49,10 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint, header: Mapping[st
 
 @reads("a checkpoint")
 def load_checkpoint(path: str | Path, header: Mapping[str, object], needs: Sequence[str] = ()) -> Checkpoint:
-    """The checkpoint of a run that was begun with the same `header`.
+    """Read the checkpoint of a run that was started with the same `header`.
 
-    **Raises:** `InputError` where the file is none, is damaged, lacks one of the further arrays that the
-    run `needs`, or was begun with another header: the first difference is told.
+    **Raises:** `InputError` if the file is no checkpoint, is damaged, lacks one of the further arrays that
+    the run `needs`, or has another header; the message gives the first difference.
     """
     path = Path(path)
     arrays = load_kind(path, KIND)
@@ -69,9 +71,9 @@ def load_checkpoint(path: str | Path, header: Mapping[str, object], needs: Seque
 
 @reads("a checkpoint")
 def load_progress(path: str | Path) -> tuple[Body, Motion]:
-    """The body and the poses of a run that is not over, whichever run it is.
+    """Read the body and the poses of any unfinished run.
 
-    **Raises:** `InputError` where the file is no checkpoint or is damaged.
+    **Raises:** `InputError` if the file is no checkpoint or is damaged.
     """
     arrays = load_kind(path, KIND, wanted=lambda name: name.startswith(("body.", "motion.")))
     return body_of(_group(arrays, "body."), path), motion_of(_group(arrays, "motion."), path)

@@ -1,12 +1,12 @@
-"""An append-only file of records of one size, so that a run that was killed can go on.
+"""An append-only file of records of fixed size, from which a killed run can continue.
 
     8 bytes     JAXCAPJ1
     4 bytes     length of the header, little endian
-    header      JSON: what the run was begun with, and the number of floats in a record
-    records     float64 little endian, each with a CRC-32 behind it
+    header      JSON: the settings of the run, and the number of floats in a record
+    records     float64 little endian, each followed by a CRC-32
 
-A record that was torn by the end of the program is told by its length or its sum, and is
-written anew. Records are read in blocks: memory does not grow with their number.
+A record that was torn by the end of the program is detected by its length or its checksum, and is written
+again. Records are read in blocks: memory does not grow with their number.
 """
 
 import json
@@ -27,16 +27,16 @@ from ..system.atomic import FULL, replacing
 from ..text import parse_json
 
 MAGIC = b"JAXCAPJ1"
-#: numbers of a record
+#: largest number of floats in a record
 WIDEST = 1_000_000
 #: bytes of records that are read at once
 BLOCK = 1 << 22
 
 
 class Journal:
-    """Records of `width` floats at the end of a file. Make one by `begin_journal` or `resume_journal`.
+    """Records of `width` floats at the end of a file. Create one by `begin_journal` or `resume_journal`.
 
-    `count` is the number of records in the file, `last` the last one of those that were there at the start.
+    `count` is the number of records in the file, `last` the last record that was there at the start.
     """
 
     def __init__(
@@ -48,16 +48,16 @@ class Journal:
         last: Float[np.ndarray, "width"] | None = None,
     ):
         self.path, self.width, self.count, self.last = path, width, count, last
-        # without a buffer: what cannot be written must not be tried once more when the file is closed
+        # unbuffered: data that could not be written must not be written again on close
         self._file = open(path, "r+b", buffering=0)  # noqa: SIM115 - closed by `close`
         end = start + _size(width) * count
         self._file.truncate(end)
         self._file.seek(end)
 
     def append(self, record: Float[np.ndarray, "width"]) -> None:
-        """Write one record and hand it to the operating system: it outlives this program.
+        """Write one record and pass it to the operating system, so that it outlives this program.
 
-        **Raises:** `InputError` where the disk is full: the records before this one are in the file.
+        **Raises:** `InputError` if the disk is full; the earlier records stay in the file.
         """
         data = np.asarray(record, "<f8").tobytes()
         if len(data) != 8 * self.width:
@@ -74,7 +74,7 @@ class Journal:
         self.count += 1
 
     def read(self, columns: slice = slice(None)) -> Float[np.ndarray, "N columns"]:
-        """Some columns of all records, those of this run included."""
+        """Read some columns of all records, with those of this run."""
         return read_records(self.path, columns=columns)
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ class Journal:
 
 
 def begin_journal(path: str | Path, header: Mapping[str, object], width: int) -> Journal:
-    """A new journal, in place of one that is there. Raises `InputError` where it cannot be written."""
+    """Create a journal and replace an existing one. Raises `InputError` if it cannot be written."""
     path = Path(path)
     text = json.dumps({"width": width, **header}).encode()
     data = MAGIC + struct.pack("<I", len(text)) + text
@@ -102,18 +102,19 @@ def begin_journal(path: str | Path, header: Mapping[str, object], width: int) ->
 
 
 def read_header(path: str | Path) -> dict[str, object]:
-    """Read the header that a journal was begun with. Raises `InputError` where the file is no journal."""
+    """Read the header of a journal. Raises `InputError` if the file is no journal."""
     with _opened(Path(path)) as (_, header, _):
         return header
 
 
 def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -> Journal:
-    """Open a journal of records of `width` numbers behind its last whole one.
+    """Open a journal of records of `width` numbers after its last valid record.
 
-    A torn last record is written anew. Where one in front of others is damaged, a warning says so, and a copy is kept.
+    A torn last record is written again. If a record before others is damaged, a warning is given and a copy
+    is kept.
 
-    **Raises:** `InputError` where the file is no journal, or was begun with another `header`, of which the first difference
-    is named, or by another version whose records are of other numbers.
+    **Raises:** `InputError` if the file is no journal, if it has another `header` (the message gives the
+    first difference), or if another version wrote it with records of another width.
     """
     path = Path(path)
     with _opened(path) as (file, there, start):
@@ -129,7 +130,7 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
             count, last = count + len(block), block[-1].copy()
         file.seek(0, 2)
         behind = (file.tell() - start) // _size(width) - count
-    # the last record may be torn by the end of the program; one in front of others was damaged since
+    # the end of the program may tear the last record; damage before other records happened later
     if behind > 1:
         kept = path.with_name(f"{path.name}.damaged")
         with replacing(kept) as temporary:
@@ -145,8 +146,11 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
 def read_records(
     path: str | Path, after: int = 0, columns: slice = slice(None)
 ) -> Float[np.ndarray, "N columns"]:
-    """Read the whole records behind the first `after`, or some columns of them, also while another program writes the
-    journal: a record that is half written is left out. Raises `InputError` where the file is no journal."""
+    """Read the valid records after the first `after`, or some of their columns.
+
+    Another program may write the journal at the same time; an incomplete record is skipped. Raises
+    `InputError` if the file is no journal.
+    """
     with _opened(Path(path)) as (file, there, start):
         width = int(str(there["width"]))
         file.seek(start + _size(width) * after)
@@ -155,11 +159,11 @@ def read_records(
 
 
 def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str, object]) -> None:
-    """That what a file was begun with is what a run is to go on with.
+    """Check that a file has the `header` of the run that is to continue.
 
-    **Raises:** `InputError` that tells the first difference.
+    **Raises:** `InputError` with the first difference.
     """
-    # as JSON has it: tuples are lists there
+    # a JSON round trip, as tuples become lists
     now = json.loads(json.dumps(header))
     for name in [*now, *there]:
         if there.get(name) != now.get(name):
@@ -170,12 +174,12 @@ def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str,
 
 
 def _size(width: int) -> int:
-    """The bytes of a record with its sum."""
+    """Return the bytes of a record with its checksum."""
     return 8 * width + 4
 
 
 def _blocks(file: BinaryIO, width: int) -> Iterator[Float[np.ndarray, "N width"]]:
-    """The records from where the file stands, up to the first that is torn."""
+    """Iterate over blocks of records from the current position to the first torn record."""
     size = _size(width)
     record = np.dtype([("numbers", "<f8", (width,)), ("sum", "<u4")])
     while data := file.read(max(BLOCK // size, 1) * size):
@@ -192,7 +196,7 @@ def _blocks(file: BinaryIO, width: int) -> Iterator[Float[np.ndarray, "N width"]
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[BinaryIO, dict[str, object], int]]:
-    """A journal that is open where its records start, its header, and this place."""
+    """Open a journal; yield the file at its first record, the header, and this position."""
     try:
         file = open(path, "rb")  # noqa: SIM115 - closed below
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Joint limits in files: learned surfaces as `.npz`, and those of other programs."""
+"""Joint limits in files: learned surfaces as `.npz`, and limits in the formats of other programs."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +21,7 @@ from .npz import LEAST, get_array, load_kind, save_arrays
 
 #: the format's name in the file
 KIND = "jaxcap limits"
-#: a surface's arrays: how many axes of each are free, and what follows
+#: arrays of a surface, with their shapes; None is any length
 _ARRAYS: dict[str, tuple[int | None, ...]] = {
     "keys": (None, 3),
     "reach": (),
@@ -37,7 +37,7 @@ _ARRAYS: dict[str, tuple[int | None, ...]] = {
 
 @checked
 def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
-    """Write learned limits. Raises `InputError` where the file cannot be written."""
+    """Write learned limits. Raises `InputError` if the file cannot be written."""
     arrays: dict[str, np.ndarray] = {"joints": np.array([s.joint for s in limits.surfaces], dtype=str)}
     for number, surface in enumerate(limits.surfaces):
         start = f"{number}."
@@ -54,7 +54,7 @@ def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
 def load_limits(path: str | Path) -> SurfaceLimits:
     """Read limits that `save_limits` wrote.
 
-    **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
+    **Raises:** `InputError` if the file has another format, is damaged, or is inconsistent.
     """
     arrays = load_kind(path, KIND)
     joints = get_array(arrays, "joints", path, (None,), "text").tolist()
@@ -64,10 +64,10 @@ def load_limits(path: str | Path) -> SurfaceLimits:
 @checked
 @reads("limits of joints")
 def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
-    """Limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
+    """Read joint limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
 
-    **Raises:** `InputError` where the suffix is unknown, the file is wrong, or the limits are of
-    joints that the skeleton lacks.
+    **Raises:** `InputError` if the suffix is unknown, the file is invalid, or the limits are for joints that
+    the skeleton lacks.
     """
     path = Path(path)
     suffix = path.suffix.lower()

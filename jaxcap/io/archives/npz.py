@@ -22,16 +22,16 @@ from .archive import open_archive
 
 VERSION = 1
 
-#: a quaternion that is no longer is no rotation
+#: smallest norm of a quaternion that is a valid rotation
 LEAST = 1e-6
-#: by how much the weights of a vertex may miss one
+#: largest error of the sum of a vertex's weights
 SHARE = 1e-3
-#: frames that are named of each verdict
+#: number of frames that a warning lists for each verdict
 NAMED = 10
 _SKELETON = ("names", "parents", "kinds", "centres", "orientations", "axes")
-#: what the arrays beside a body are called in front
+#: prefix of the arrays of limits in a body file
 LIMITS = "limits."
-#: skins by the name that a file gives them, with their arrays
+#: skins by their name in files, with their arrays
 SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
     "rigid": (RigidSkin, ("bones",)),
     "linear": (LinearSkin, ("weights",)),
@@ -42,26 +42,28 @@ SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
 
 @checked
 def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | None = None) -> None:
-    """Write a body, with joint limits as any arrays by name; load them with `load_limits`.
+    """Write a body with joint limits, which are any named arrays; read these by `load_limits`.
 
-    **Raises:** `InputError` where the file cannot be written or the skin has no name in
-    `SKINS`.
+    **Raises:** `InputError` if the file cannot be written or the skin has no name in `SKINS`.
     """
     save_arrays(path, "jaxcap body", {**body_arrays(body, path), **beside_body(limits or {})})
 
 
 def beside_body(limits: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What a body's file says beside the body, by the names it has there."""
+    """Add the prefix of body files to the names of limits."""
     return {f"{LIMITS}{name}": values for name, values in limits.items()}
 
 
 def limits_in(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What `beside_body` named, by its own names."""
+    """Select the limits among the arrays of a body file, and remove their prefix."""
     return {name.removeprefix(LIMITS): a for name, a in arrays.items() if name.startswith(LIMITS)}
 
 
 def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
-    """What a file says of a body; `path` is for messages, as in `body_of`."""
+    """Convert a body to named arrays; `path` is for messages, as in `body_of`.
+
+    Raises `InputError` for an unknown skin.
+    """
     kind = next((name for name, (cls, _) in SKINS.items() if type(body.skin) is cls), None)
     if kind is None:
         raise InputError(
@@ -81,13 +83,13 @@ def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
 def load_body(path: str | Path) -> Body:
     """Read a body that `save_body` wrote.
 
-    **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
+    **Raises:** `InputError` if the file has another format, is damaged, or is inconsistent.
     """
     return body_of(load_kind(path, "jaxcap body", wanted=lambda name: not name.startswith(LIMITS)), path)
 
 
 def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
-    """The body of arrays that `body_arrays` made. Raises `InputError` where they do not fit together."""
+    """Build the body from the arrays of `body_arrays`. Raises `InputError` if they are inconsistent."""
     kind = str(get_array(arrays, "skin", path, (), "text"))
     if kind not in SKINS:
         raise InputError(
@@ -122,7 +124,10 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
 
 
 def _check_shares(weights: np.ndarray, path: str | Path, rest: bool) -> None:
-    """That weights are shares of whole vertices, whose `rest` may follow the base. Raises `InputError`."""
+    """Check that weights are at least zero and add up to one for each vertex; with `rest`, to at most one.
+
+    The base bone takes the rest. Raises `InputError`.
+    """
     if (weights < -SHARE).any():
         vertex, bone = divmod(int(weights.argmin()), weights.shape[1])
         raise InputError(
@@ -139,7 +144,7 @@ def _check_shares(weights: np.ndarray, path: str | Path, rest: bool) -> None:
 
 
 def load_limits(path: str | Path) -> dict[str, np.ndarray]:
-    """The joint limits of a body file, by the names they were saved under; none is `{}`."""
+    """Read the joint limits of a body file, by the names they were saved under; `{}` if there are none."""
     return limits_in(load_kind(path, "jaxcap body", wanted=lambda name: name.startswith(LIMITS)))
 
 
@@ -147,11 +152,12 @@ def load_limits(path: str | Path) -> dict[str, np.ndarray]:
 def save_motion(
     path: str | Path, motion: Motion, skeleton: Skeleton | None = None, verdicts: Sequence[str] = ()
 ) -> None:
-    """Write a motion; with its skeleton, the file says whose it is.
+    """Write a motion, with its skeleton if given.
 
-    **Arguments:** `verdicts` are those of tracked frames, `good`, `doubtful` or `lost`, of which who reads the file is told.
+    **Arguments:** `verdicts` of tracked frames, `good`, `doubtful` or `lost`; readers of the file are warned
+    of these.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     names = {} if skeleton is None else skeleton_arrays(skeleton)
     told = {"verdicts": np.array(verdicts, dtype=str)} if len(verdicts) else {}
@@ -159,7 +165,7 @@ def save_motion(
 
 
 def motion_arrays(motion: Motion) -> dict[str, Any]:
-    """What a file says of a motion."""
+    """Convert a motion to named arrays."""
     poses = motion.poses
     arrays = {"translations": poses.translations, "rotations": poses.rotations, "scale": poses.scale}
     return {**arrays, "rate": np.array(motion.rate, float)}
@@ -170,10 +176,10 @@ def motion_arrays(motion: Motion) -> dict[str, Any]:
 def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     """Read a motion that `save_motion` wrote.
 
-    Warns of frames that the tracker which made the motion called doubtful or lost.
+    Warns of frames with the tracker's verdict doubtful or lost.
 
-    **Raises:** `InputError` where the file is not one or is damaged, or where `skeleton` is
-    given and has other joints, or stands otherwise at rest (`rest_difference`), where rotations mean something else.
+    **Raises:** `InputError` if the file has another format or is damaged; also if `skeleton` is given and has
+    other joints or another rest pose (`rest_difference`), for which rotations have another meaning.
     """
     arrays = load_kind(path, "jaxcap motion")
     motion = motion_of(arrays, path)
@@ -211,7 +217,7 @@ def _tell_verdicts(verdicts: np.ndarray, path: str | Path) -> None:
 
 
 def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
-    """The motion of arrays that `motion_arrays` made. Raises `InputError` where they do not fit together."""
+    """Build the motion from the arrays of `motion_arrays`. Raises `InputError` if they are inconsistent."""
     rotations = get_array(arrays, "rotations", path, (None, None, 4), rows="frame")
     frames, joints = rotations.shape[:2]
     translations = get_array(arrays, "translations", path, (frames, joints, 3), rows="frame")
@@ -234,13 +240,13 @@ def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
 
 @reads("a skeleton")
 def load_skeleton(path: str | Path) -> Skeleton:
-    """The skeleton in a body or subject file, or in a motion file that was written with one."""
+    """Read the skeleton of a body or subject file, or of a motion file that was written with one."""
     kinds = ("jaxcap body", "jaxcap motion", "jaxcap subject")
     return skeleton_of(load_kind(path, *kinds, wanted=lambda name: name in _SKELETON), path)
 
 
 def skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
-    """What a file says of a skeleton."""
+    """Convert a skeleton to named arrays."""
     return {
         "names": np.array(skeleton.names, dtype=str),
         "parents": np.array(skeleton.parents, dtype=np.int64),
@@ -252,7 +258,10 @@ def skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
 
 
 def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
-    """The skeleton of arrays that `skeleton_arrays` made. Raises `InputError` where they do not fit together."""
+    """Build the skeleton from the arrays of `skeleton_arrays`.
+
+    Raises `InputError` if they are inconsistent.
+    """
     names = get_array(arrays, "names", path, (None,), "text").tolist()
     count = len(names)
     parents = get_array(arrays, "parents", path, (count,), "whole").tolist()
@@ -269,14 +278,16 @@ def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
         raise InputError(f"{path}: {sentence_of(error)}") from None
     if checked.names != tuple(names):
         raise InputError(f"{path}: a joint stands before its parent; this file was not written by save_body.")
-    # the arrays as they are, so that a body comes back to the last bit
+    # the arrays unchanged, so that a body is restored to the last bit
     centres, orientations, axes = (jnp.asarray(numbers[name]) for name in shapes)
     return Skeleton(checked.names, checked.parents, checked.kinds, centres, orientations, axes)
 
 
 def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
-    """Write arrays under the name of a format, for `load_kind`. Raises `InputError` where the file
-    cannot be written or something is not an array of numbers or text."""
+    """Write arrays with the name of a format, for `load_kind`.
+
+    **Raises:** `InputError` if the file cannot be written, or a value is not an array of numbers or text.
+    """
     plain = {name: np.asarray(values) for name, values in arrays.items()}
     for name, values in plain.items():
         if values.dtype == object:
@@ -289,9 +300,9 @@ def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
 def load_kind(
     path: str | Path, *kinds: str, wanted: Callable[[str], bool] = lambda name: True
 ) -> dict[str, np.ndarray]:
-    """Read the arrays that are `wanted` of a file of one of some formats, and its `format` and `version`.
+    """Read the `wanted` arrays of a file of one of some formats, with its `format` and `version`.
 
-    **Raises:** `InputError` where it is another format, or of another version.
+    **Raises:** `InputError` if it has another format or version.
     """
     check_npz(path, WORDS[kinds[0].removeprefix("jaxcap ")])
     with open_archive(path) as archive:
@@ -306,7 +317,7 @@ def load_kind(
         return marks | archive.load(lambda name: name not in marks and wanted(name))
 
 
-#: what arrays hold: their types, and words for these
+#: types of the contents of arrays, and their names
 _CONTENTS = {
     "numbers": ("fiu", "numbers"),
     "whole": ("iu", "whole numbers"),
@@ -322,10 +333,11 @@ def get_array(
     holds: Literal["numbers", "whole", "text"] = "numbers",
     rows: str = "row",
 ) -> np.ndarray:
-    """Get an array of a `shape`, in which None is any length.
+    """Return an array after a check of its `shape`, in which None is any length, and of its contents.
 
-    Numbers have to be finite, and small enough for a length or an angle; `rows` is what the first axis counts, for the
-    message. **Raises:** `InputError` where the array is missing or is another.
+    Numbers have to be finite, and at most `LARGEST`. `rows` names the elements of the first axis in messages.
+
+    **Raises:** `InputError` if the array is missing or invalid.
     """
     if name not in arrays:
         raise InputError(f"{path}: the array '{name}' is missing; this file is not whole.")
@@ -337,7 +349,7 @@ def get_array(
         wanted = " x ".join("any" if n is None else str(n) for n in shape) or "a single value"
         raise InputError(f"{path}: the array '{name}' has the shape {values.shape}; it must be {wanted}.")
     types, words = _CONTENTS[holds]
-    # an array without elements may be of any type
+    # an array without elements may have any type
     if values.dtype.kind not in types and values.size:
         raise InputError(
             f"{path}: the array '{name}' holds other than {words} ({values.dtype}); write it again."
@@ -349,7 +361,7 @@ def get_array(
 
 
 def _check_finite(values: np.ndarray, name: str, path: str | Path, rows: str) -> None:
-    """That an array holds finite numbers. Raises `InputError`."""
+    """Check that an array holds finite numbers. Raises `InputError`."""
     sizes = np.abs(np.atleast_1d(values).astype(float))
     wrong = ~(sizes <= LARGEST)
     if wrong.any():

@@ -1,4 +1,4 @@
-"""Priors of poses and of shape in files: by themselves, or in the file of the body that they are of."""
+"""Priors of pose and shape in files: on their own, or in the file of their body."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,18 +21,18 @@ from ..system.door import reads
 from .archive import load_arrays
 from .npz import LEAST, LIMITS, get_array, limits_in, load_kind, save_arrays, save_body
 
-#: the format's name in a file of its own
+#: the format's name in a separate file
 KIND = "jaxcap prior"
 
 
 class Priors(NamedTuple):
-    """What a file knows of a body beforehand."""
+    """The priors of a body in a file."""
 
-    #: which poses are likely
+    #: the probability of poses
     prior: PairPrior
-    #: how far joints turn; None where the file does not say
+    #: joint ranges; None if the file has none
     boxes: PoseBoxes | None
-    #: the shape that its meshes show; None where there were none
+    #: the shape distribution of its meshes; None if there were none
     shape: ShapePrior | None
 
 
@@ -45,11 +45,12 @@ def save_prior(
     limits: Mapping[str, np.ndarray] | None = None,
     shape: ShapePrior | None = None,
 ) -> None:
-    """Write a prior, and boxes and what is known of `shape` where given; with a body, into a file of the body,
-    which `load_body` reads, beside what other `limits` it is to carry.
+    """Write a pose prior, with boxes and a `shape` prior if given.
 
-    **Raises:** `InputError` where the file cannot be written, or a prior is of another skeleton or another
-    surface than the body's.
+    With a body, they are written into a body file, which `load_body` reads, together with other `limits`.
+
+    **Raises:** `InputError` if the file cannot be written, or a prior belongs to another skeleton or surface
+    than the body's.
     """
     arrays = prior_arrays(prior, boxes) | ({} if shape is None else shape_arrays(shape))
     if body is None:
@@ -64,10 +65,10 @@ def save_prior(
 @checked
 @reads("a prior")
 def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
-    """All that a file knows of the poses and the shape of `body`, read once; without `shape`, of its poses alone.
+    """Read the pose and shape priors of `body` at once; without `shape`, the pose priors only.
 
-    **Raises:** `InputError` where the file holds no pose prior, is damaged or does not fit together, or is of another
-    skeleton than the body's, or its shape of another surface.
+    **Raises:** `InputError` if the file has no pose prior, is damaged or inconsistent, or belongs to another
+    skeleton than the body's, or its shape to another surface.
     """
     arrays = _arrays(path)
     prior, boxes = _prior(arrays, path, body.skeleton), _boxes(arrays, path, body.skeleton)
@@ -75,7 +76,7 @@ def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
 
 
 def carries_prior(path: str | Path) -> bool:
-    """Whether the file of a body has a pose prior in it. Raises `InputError` where it is no whole `.npz`."""
+    """Check that a body file contains a pose prior. Raises `InputError` if it is no complete `.npz`."""
     name = f"{LIMITS}prior.weights"
     return name in load_arrays(path, lambda there: there == name)
 
@@ -83,32 +84,35 @@ def carries_prior(path: str | Path) -> bool:
 @checked
 @reads("a prior")
 def load_prior(path: str | Path, skeleton: Skeleton | None = None) -> PairPrior:
-    """Read a prior from a file of its own or from that of a body.
+    """Read a pose prior from a separate file or from a body file.
 
-    **Raises:** `InputError` where the file holds none, is damaged or does not fit together, or where
-    `skeleton` is given and the prior is of another.
+    **Raises:** `InputError` if the file has none, is damaged or inconsistent, or if `skeleton` is given and
+    the prior belongs to another one.
     """
     return _prior(_arrays(path), path, skeleton)
 
 
 @reads("a prior")
 def load_boxes(path: str | Path, skeleton: Skeleton | None = None) -> PoseBoxes | None:
-    """The boxes beside a prior; None where there are none. Errors as in `load_prior`."""
+    """Read the boxes of a prior file; None if there are none. Errors as in `load_prior`."""
     return _boxes(_arrays(path), path, skeleton)
 
 
 @reads("a prior")
 def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
-    """The shape beside a prior, in the numbers of `body`, of which it must be; None where there is none.
+    """Read the shape prior of `body`, in the dtype of its vertices; None if there is none.
 
-    **Raises:** `InputError` where the file is damaged, or the prior is of another number of vertices or of
-    joints, or of other triangles, than the body's.
+    **Raises:** `InputError` if the file is damaged, or the prior has another number of vertices or joints, or
+    other triangles, than the body.
     """
     return _shape(_arrays(path), path, body)
 
 
 def shape_counts(path: str | Path) -> tuple[int, int] | None:
-    """Of how many meshes and vertices a file knows the shape; None where of none. Errors as in `load_prior`."""
+    """Return the numbers of meshes and vertices of a shape prior; None if there is none.
+
+    Errors as in `load_prior`.
+    """
     arrays = _arrays(path)
     if "shape.vectors" not in arrays:
         return None
@@ -117,7 +121,7 @@ def shape_counts(path: str | Path) -> tuple[int, int] | None:
 
 
 def check_fit(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
-    """Raises `InputError` where a prior is of another skeleton."""
+    """Check that a prior belongs to a skeleton. Raises `InputError`."""
     reason = misfit(prior, skeleton)
     if reason is not None:
         raise InputError(
@@ -127,7 +131,7 @@ def check_fit(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
 
 
 def prior_arrays(prior: PairPrior, boxes: PoseBoxes | None = None) -> dict[str, np.ndarray]:
-    """What a file says of a prior; peaks are found again when it is read."""
+    """Convert a prior to named arrays; its peaks are recomputed when it is read."""
     arrays = {"prior.pairs": np.array(prior.pairs, dtype=str)}
     arrays |= {
         f"prior.{name}": np.asarray(getattr(prior, name))
@@ -140,7 +144,10 @@ def prior_arrays(prior: PairPrior, boxes: PoseBoxes | None = None) -> dict[str, 
 
 
 def shape_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
-    """What a file says of a shape prior, in float32; its Laplacian is that of the body it is read for."""
+    """Convert a shape prior to named float32 arrays.
+
+    Its Laplacian is recomputed from the body for which it is read.
+    """
     arrays = {"shape.edges": neighbours_in(shape).astype(np.int32)}
     numbers = {"vectors": shape.vectors}
     numbers |= {
@@ -208,7 +215,7 @@ def _shape(arrays: Mapping[str, np.ndarray], path: str | Path, body: Body) -> Sh
 def _turns(
     arrays: Mapping[str, np.ndarray], name: str, path: str | Path, shape: tuple[int, ...]
 ) -> np.ndarray:
-    """Quaternions, which have a length. Raises `InputError`."""
+    """Return an array of quaternions after a check that none is zero. Raises `InputError`."""
     turns = get_array(arrays, name, path, shape)
     if not (np.linalg.norm(turns, axis=-1) > LEAST).all():
         raise InputError(f"{path}: the array '{name}' has quaternions of no length; learn the prior again.")
@@ -216,7 +223,7 @@ def _turns(
 
 
 def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, path: str | Path) -> None:
-    """Raises `InputError` where a shape prior is of other vertices, or other neighbours among them."""
+    """Check that a shape prior has the vertices and edges of a body. Raises `InputError`."""
     if vertices != len(body.vertices):
         raise InputError(
             f"{path}: this shape prior is of {vertices} vertices and the body has {len(body.vertices)}; learn one from "
@@ -233,6 +240,6 @@ def _of_prior(name: str) -> bool:
 
 
 def _arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """What a file says beside a body, or by itself."""
+    """Read the arrays of priors from a separate file or from a body file."""
     arrays = load_kind(path, KIND, "jaxcap body", wanted=_of_prior)
     return arrays if str(arrays["format"]) == KIND else limits_in(arrays)

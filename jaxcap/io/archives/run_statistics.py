@@ -1,4 +1,4 @@
-"""What a run says of each of its frames, in the `statistics.json` of its folder."""
+"""The statistics of each frame of a run, in the `statistics.json` of its folder."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from ..text import LARGEST, read_json
 
 
 class RunStatistics(NamedTuple):
-    """By frame."""
+    """Statistics by frame."""
 
     #: standard deviation of the tracker's mixture, metres
     sigmas: tuple[float, ...]
@@ -21,7 +21,7 @@ class RunStatistics(NamedTuple):
 def read_statistics(path: str | Path) -> RunStatistics:
     """Read the statistics of a run.
 
-    **Raises:** `InputError` where the file is not one: no list of frames, or one without its numbers.
+    **Raises:** `InputError` if the file has no list of frames, or a frame lacks its numbers.
     """
     content = read_json(path)
     rows = content.get("frames") if isinstance(content, dict) else None

@@ -7,24 +7,24 @@ import numpy as np
 if TYPE_CHECKING:
     import pygltflib
 
-#: what glTF calls the types of numbers, and the shapes of their elements
+#: glTF codes of number types, and names of element shapes
 _COMPONENTS = {np.dtype("u1"): 5121, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125, np.dtype("<f4"): 5126}
 _TYPES = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-#: what a view is bound to when drawn
+#: targets of buffer views, for rendering
 VERTICES, INDICES = 34962, 34963
 
 
 class Blob:
-    """Arrays packed into one buffer; `add` gives the index of an array's accessor in `document`."""
+    """Arrays packed into one buffer; `add` returns the index of an array's accessor in `document`."""
 
     def __init__(self, document: "pygltflib.GLTF2"):
         self.document = document
         self.data = bytearray()
 
     def add(self, array: np.ndarray, target: int | None = None, bounds: bool = False) -> int:
-        """Pack an array `(N, ...)` of `u1`, `u2`, `u4` or `f4`; matrices go by columns.
+        """Pack an array `(N, ...)` of `u1`, `u2`, `u4` or `f4`; matrices are stored by columns.
 
-        `bounds` writes its least and largest numbers, which glTF asks of positions and times.
+        `bounds` adds its minimum and maximum, which glTF requires for positions and times.
         """
         import pygltflib
 
@@ -49,7 +49,7 @@ class Blob:
         return len(self.document.accessors) - 1
 
     def file(self) -> bytes:
-        """The whole `.glb` file of the document and its data."""
+        """Return the complete `.glb` file with the document and its data."""
         import pygltflib
 
         self.data += b"\0" * (-len(self.data) % 4)

@@ -1,9 +1,9 @@
 """Skinned, animated bodies as binary glTF 2.0 (`.glb`), which most 3D programs open.
 
-Every joint is a node in its own frame: at rest it stands at the joint's centre, turned by the
-joint's orientation, so its x axis is the twist axis. Above the roots is one node that carries
-the scale of the poses. glTF skins by linear blending (Khronos, glTF 2.0, section 3.7.3), as
-`LinearSkin` does; other skins are made linear first, by `jaxcap.linearise`.
+Every joint is a node with its own frame: at rest it has the position of the joint's centre and the joint's
+orientation, so its x axis is the twist axis. One node above the roots carries the scale of the poses. glTF
+uses linear blend skinning (Khronos, glTF 2.0, section 3.7.3), as `LinearSkin` does; convert other skins by
+`jaxcap.linearise` first.
 """
 
 from pathlib import Path
@@ -33,20 +33,20 @@ from .glb import INDICES, VERTICES, Blob
 if TYPE_CHECKING:
     import pygltflib
 
-#: a channel is written where a number leaves its rest by more than single precision shows
+#: a channel is written if a number differs from its rest value by more than single precision resolves
 _STILL = 1e-7
 
 
 @checked
 def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> None:
-    """Write a body, with a motion as its animation where there is one, in metres, y up.
+    """Write a body, with an optional motion as its animation, in metres, y up.
 
-    Every influence is kept, by fours in `JOINTS_0`, `JOINTS_1`, ...; the strongest come first.
-    Some programs read the first four only: `limit_influences` makes a body that needs no more.
-    Kinds and axes of joints stand in the nodes' extras, so that `read_gltf` gives the skeleton back.
+    All influences are kept, in sets of four in `JOINTS_0`, `JOINTS_1`, ...; the strongest come first. Some
+    programs read the first four only: `limit_influences` makes a body with at most four. Kinds and axes of
+    joints are in the nodes' extras, so that `read_gltf` restores the skeleton.
 
-    **Raises:** `InputError` where the suffix is not `.glb`, the skin does not blend linearly,
-    the motion has other joints or no frames, or the file cannot be written.
+    **Raises:** `InputError` if the suffix is not `.glb`, the skin is not linear, the motion has other joints
+    or no frames, or the file cannot be written.
     """
     import pygltflib
 
@@ -61,10 +61,10 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
     top, surface = body.skeleton.num_joints, body.skeleton.num_joints + 1
     document.nodes = _joint_nodes(body.skeleton)
     document.nodes.append(pygltflib.Node(name=_free_name("Armature", body.skeleton), children=roots))
-    # beside the armature, because a skinned mesh does not follow its own node
+    # outside the armature, because a skinned mesh does not follow its own node
     document.nodes.append(pygltflib.Node(name=_free_name("Body", body.skeleton), mesh=0, skin=0))
     document.meshes = [pygltflib.Mesh(name="Body", primitives=[_surface(blob, body)])]
-    # glTF's own default is a mirror of metal
+    # the default material of glTF is a metallic mirror
     look = pygltflib.PbrMetallicRoughness(
         baseColorFactor=[0.8, 0.8, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.8
     )
@@ -107,7 +107,7 @@ def _joint_nodes(skeleton: Skeleton) -> "list[pygltflib.Node]":
 
 
 def _inverse_bind(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:
-    """From the world at rest into each joint's frame."""
+    """Return the transforms from the world at rest into the joints' frames."""
     bind = bind_frames(skeleton)
     inverse = np.tile(np.eye(4), (len(bind), 1, 1))
     inverse[:, :3, :3] = bind[:, :3, :3].swapaxes(1, 2)
@@ -120,7 +120,7 @@ def _surface(blob: Blob, body: Body) -> "pygltflib.Primitive":
 
     vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
     normals = vertex_normals(vertices, faces)
-    # a vertex of no face has no normal, and glTF wants one of unit length
+    # a vertex of no face has no normal, and glTF requires unit length
     normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 1.0, 0.0]
     attributes = pygltflib.Attributes(
         POSITION=blob.add(vertices.astype("<f4"), VERTICES, bounds=True),
@@ -141,8 +141,10 @@ def _surface(blob: Blob, body: Body) -> "pygltflib.Primitive":
 
 
 def _animations(blob: Blob, skeleton: Skeleton, motion: Motion) -> "list[pygltflib.Animation]":
-    """One animation with a channel for every node's property that leaves its rest; none where
-    all is at rest."""
+    """Build one animation with a channel for every node property that leaves its rest value.
+
+    Empty if all are at rest.
+    """
     import pygltflib
 
     animation = pygltflib.Animation(name="Motion")

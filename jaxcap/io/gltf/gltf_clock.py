@@ -1,4 +1,4 @@
-"""The times at which the animation of a glTF file is sampled: from its first key to its last, on the grid of its keys."""
+"""The sampling times of a glTF animation: from the first key to the last, on the grid of the keys."""
 
 import warnings
 from collections.abc import Sequence
@@ -7,21 +7,22 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-#: frames a second where keys lie on no grid; and the most that a grid of keys is taken to have
+#: frames a second if keys lie on no grid; and the largest rate of a grid
 PLAIN, FASTEST = 30.0, 480.0
-#: share of a step that keys may lie off the grid, seconds below which they are one, and parts that a step is tried in
+#: largest offset of a key in steps; seconds below which keys coincide; subdivisions that are tried
 OFF, SAME, PARTS = 0.05, 1e-4, 6
 
 
 def first_and_last(keys: Sequence[Float[np.ndarray, "_"]]) -> tuple[float, float]:
-    """The least and the largest time of keys."""
+    """Return the first and the last time of all keys."""
     return min(float(times[0]) for times in keys), max(float(times[-1]) for times in keys)
 
 
 def frames_of(keys: Sequence[Float[np.ndarray, "_"]], rate: float | None, path: Path) -> int:
-    """Count the frames from the first key to the last at a rate, or on the coarsest grid that has all keys.
+    """Count the frames from the first key to the last.
 
-    Warns where keys lie on no grid, and `PLAIN` frames a second are taken.
+    Frames are at `rate`, or on the coarsest grid that contains all keys. Warns if keys lie on no grid; the
+    rate is then `PLAIN` frames a second.
     """
     first, last = first_and_last(keys)
     if rate is not None:
@@ -38,13 +39,16 @@ def frames_of(keys: Sequence[Float[np.ndarray, "_"]], rate: float | None, path: 
 
 
 def grid_steps(times: Float[np.ndarray, "K"]) -> int | None:
-    """The least number of even steps from the first time to the last such that each lies on one; None where there is none."""
+    """Find the least number of equal steps from the first time to the last that contains all times.
+
+    None if no grid fits.
+    """
     gaps = np.diff(times)
     gaps = gaps[gaps > SAME]
     if not len(gaps):
         return 0
     span = float(times[-1] - times[0])
-    # neighbouring gaps of one step each, together, know it better than any of them
+    # the mean of several one-step gaps is more precise than each of them
     least = float(gaps[gaps < 1.5 * gaps.min()].mean())
     for steps in (len(gaps), *(round(span * part / least) for part in range(1, PARTS + 1))):
         places = (times - times[0]) * (steps / span)

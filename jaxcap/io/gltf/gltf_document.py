@@ -1,4 +1,4 @@
-"""The JSON and the buffers of a glTF 2.0 file, binary (`.glb`) or text (`.gltf`) with files next to it."""
+"""The JSON and the buffers of a glTF 2.0 file, binary (`.glb`) or text (`.gltf`) with external files."""
 
 import shlex
 import struct
@@ -12,22 +12,21 @@ from ..text import parse_json, read_json
 from .gltf_parts import Part
 from .gltf_scene import chunks
 
-#: both forms of the format
+#: suffixes of both forms
 SUFFIXES = (".glb", ".gltf")
-#: files and pieces with numbers
+#: largest number of buffers
 MOST_BUFFERS = 1000
 
 
 def read_head(path: str | Path) -> dict[str, Any]:
-    """Read the JSON of a file without its buffers; empty where it is not a glTF file that can be read."""
+    """Read the JSON of a file without its buffers; empty if it is not a readable glTF file."""
     try:
         with Path(path).open("rb") as stream:
             if Path(path).suffix.lower() == ".gltf":
                 head = parse_json(stream.read(), path)
             else:
                 magic, _, _, length, _ = struct.unpack("<4s4I", stream.read(20))
-                # of another kind of file nothing is read
-                # and never more than is there
+                # read nothing of other file types, and never more than the file's size
                 length = min(length, Path(path).stat().st_size)
                 head = parse_json(stream.read(length), path) if magic == b"glTF" else {}
     except (OSError, ValueError, struct.error):
@@ -36,20 +35,20 @@ def read_head(path: str | Path) -> dict[str, Any]:
 
 
 def has_skin(path: str | Path) -> bool:
-    """Whether this is a `.glb` or `.gltf` with joints that move a surface."""
+    """Check that a file is a `.glb` or `.gltf` with joints that move a surface."""
     head = read_head(path)
     nodes = head.get("nodes")
     return bool(head.get("skins")) and any("skin" in node for node in _dicts(nodes))
 
 
 def clips_of(path: str | Path) -> tuple[str, ...]:
-    """Return the names of the animations in a `.glb` or `.gltf`; none where it cannot be read."""
+    """Return the names of the animations in a `.glb` or `.gltf`; empty if it cannot be read."""
     names = [one.get("name") for one in _dicts(read_head(path).get("animations"))]
     return clip_names([name if isinstance(name, str) else None for name in names])
 
 
 def no_skin(path: str | Path) -> InputError:
-    """Say that a file, glTF or USD, has no joints that move its surface, and what to do."""
+    """Return the error for a glTF or USD file without a skin, with advice."""
     rig = f"rig it with `jaxcap rig {shlex.quote(str(path))} -o body.npz`"
     if Path(path).suffix.lower() not in SUFFIXES:
         rig = "export its mesh as .glb and rig that with `jaxcap rig`"
@@ -59,11 +58,12 @@ def no_skin(path: str | Path) -> InputError:
 
 
 def read_document(path: Path) -> tuple[Part, list[bytes | None]]:
-    """Read a whole file: its content, and the bytes of each buffer, None where the file has none for it.
+    """Read a complete file: its JSON, and the bytes of each buffer, None for a buffer without data.
 
-    Buffers are the file's own, data URIs, or files in the same folder or below.
+    Buffers are in the file itself, in data URIs, or in files in the same folder or below.
 
-    **Raises:** `InputError` where the file is not whole, or a buffer is missing, cut short or elsewhere.
+    **Raises:** `InputError` if the file is incomplete, or a buffer is missing, cut short or outside the
+    folder.
     """
     if path.suffix.lower() == ".gltf":
         root, own = Part(read_json(path), str(path)), None

@@ -1,4 +1,4 @@
-"""What lies in a glTF 2.0 file (`.glb`, `.gltf`): its arrays of numbers, and how its nodes stand and move."""
+"""The contents of a glTF 2.0 file (`.glb`, `.gltf`): its arrays, and its node transforms over time."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -18,21 +18,21 @@ from .gltf_document import no_skin, read_document
 from .gltf_parts import Part
 from .gltf_scene import WIDTHS, tree
 
-#: what glTF calls the types of numbers
+#: NumPy types by glTF code
 _NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-#: where a node stands when nothing is said
+#: default transform of a node
 _REST = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1]}
-#: extensions of which a reader of shapes needs to know nothing
+#: extensions that do not affect geometry
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lights_")
 
-#: translation `(F, 3)`, rotation (xyzw) and scale of a node, one frame where it does not move
+#: translation `(F, 3)`, rotation (xyzw) and scale of a node; one frame if it is static
 Stand = dict[str, np.ndarray]
 
 
 class GltfFile:
-    """A whole file that has a skin; `clip` names one of its animations, the first where it is None.
+    """A complete file with a skin; `clip` names one of its animations, the first if None.
 
-    **Raises:** `InputError` where it is not one, or is packed in a way that is not read.
+    **Raises:** `InputError` if the file is not complete, has no skin, or uses an unsupported compression.
     """
 
     def __init__(self, path: str | Path, clip: str | None = None):
@@ -47,13 +47,16 @@ class GltfFile:
         self.meshes, self.animations = root.parts("meshes"), root.parts("animations")
         self._accessors, self._views = root.parts("accessors"), root.parts("bufferViews")
         self._room = max(ROOM, PACKED * sum(len(buffer or b"") for buffer in self.buffers))
-        #: which animation
+        #: index of the selected animation
         self.clip = clip_number(clip_names([one.word("name") for one in self.animations]), clip, path)
-        #: the node above each that has one
+        #: the parent of each node that has one
         self.above = tree(self.nodes)
 
     def spend(self, numbers: int, what: str) -> None:
-        """Count numbers that are made of the file. Raises `InputError` where they are more than it can be meant for."""
+        """Count numbers that are computed from the file.
+
+        Raises `InputError` if their memory exceeds the limit for its size.
+        """
         self._room -= 8 * numbers
         if self._room < 0:
             raise InputError(
@@ -62,9 +65,10 @@ class GltfFile:
             )
 
     def array(self, index: int | None, width: int, what: str) -> Float[np.ndarray, "N W"]:
-        """The numbers of an accessor of elements of a `width`, a row an element; integers that stand for shares as these.
+        """Read the elements of an accessor as rows of a `width`; normalised integers become fractions.
 
-        **Raises:** `InputError` where there is none, it leads out of the file, or is of another width; `what` it is for.
+        **Raises:** `InputError` if there is none, it points outside of the file, or it has another width;
+        `what` names its purpose.
         """
         if index is None:
             raise InputError(f"{self.path}: {what} has no numbers; export it with them.")
@@ -104,7 +108,7 @@ class GltfFile:
         return rows
 
     def still(self, number: int) -> Stand:
-        """How a node stands without animation, `(1, ...)`. Raises `InputError`."""
+        """Return the local transform of a node without animation, `(1, ...)`. Raises `InputError`."""
         node = self.nodes[number]
         matrix = node.numbers("matrix", 16)
         if matrix is None:
@@ -127,7 +131,12 @@ class GltfFile:
         }
 
     def animation(self, rate: float | None) -> tuple[np.ndarray, dict[int, Stand]]:
-        """Times of the chosen animation, and of the nodes that it moves how they stand at these, `(F, ...)`."""
+        """Sample the selected animation.
+
+        Return the times and the local transforms of the animated nodes, `(F, ...)`.
+
+        Raises `InputError`.
+        """
         animation = self.animations[self.clip]
         samplers = animation.parts("samplers")
         keys = [self._times(sampler) for sampler in samplers]
@@ -141,7 +150,7 @@ class GltfFile:
             if place is None:
                 raise channel.wrong("sampler", "the number of one")
             used.append((name, node, place))
-        # an animation of shapes alone lasts as long as these
+        # an animation of shape keys alone lasts as long as their keys
         times = [keys[place] for _, _, place in used] or keys
         if not times:
             raise InputError(f"{animation.where} has no samplers; export it with keys.")
@@ -159,7 +168,10 @@ class GltfFile:
     def world(
         self, moving: Mapping[int, Stand], wanted: Iterable[int]
     ) -> dict[int, Float[np.ndarray, "F 4 4"]]:
-        """Transforms of `wanted` nodes into the world, one frame where nothing above moves."""
+        """Compute the transforms of `wanted` nodes into the world.
+
+        There is one frame for a node with no animation on it or above it. Raises `InputError`.
+        """
         done: dict[int, np.ndarray] = {}
         for number in wanted:
             chain = [number]
@@ -180,7 +192,7 @@ class GltfFile:
         return done
 
     def _times(self, sampler: Part) -> Float[np.ndarray, "K"]:
-        """The times of keys, which rise."""
+        """Read the times of keys, which must increase. Raises `InputError`."""
         times = self.array(sampler.index("input", len(self._accessors)), 1, f"{sampler.where}.input")[:, 0]
         if not len(times) or (np.diff(times) <= 0).any():
             raise InputError(f"{sampler.where}: its times do not rise; export the animation again.")
@@ -189,7 +201,7 @@ class GltfFile:
     def _sampled(
         self, sampler: Part, times: Float[np.ndarray, "K"], name: str, clock: Float[np.ndarray, "F"]
     ) -> Float[np.ndarray, "F N"]:
-        """What a node's `name` is at all times of the clock."""
+        """Sample the property `name` of a node at all times of the clock."""
         how = sampler.word("interpolation", "LINEAR")
         where, place = f"{sampler.where}.output", sampler.index("output", len(self._accessors))
         numbers, of_each = self.array(place, len(_REST[name]), where), 3 if how == "CUBICSPLINE" else 1
@@ -216,7 +228,7 @@ class GltfFile:
         return np.stack([np.interp(inside, times, column) for column in numbers.T], 1)
 
     def _check_turns(self, quaternions: Float[np.ndarray, "N 4"], where: str) -> None:
-        """That quaternions have a length. Raises `InputError`."""
+        """Check that no quaternion is zero. Raises `InputError`."""
         long = np.linalg.norm(quaternions, axis=1)
         if not (long > LEAST).all():
             raise InputError(
@@ -225,7 +237,7 @@ class GltfFile:
 
 
 def _spline(times: Float[np.ndarray, "K"], keys: Float[np.ndarray, "K 3 N"]) -> PPoly:
-    """The cubic through keys, each of a slope before it, a value, and a slope behind it (glTF 2.0, appendix C.5)."""
+    """Build the cubic spline through keys with in-tangent, value, out-tangent (glTF 2.0, appendix C.5)."""
     long = np.diff(times)[:, None]
     (begin, out), (into, end) = keys[:-1, 1:].swapaxes(0, 1), keys[1:, :2].swapaxes(0, 1)
     mean = (end - begin) / long

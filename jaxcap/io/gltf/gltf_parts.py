@@ -1,4 +1,4 @@
-"""The JSON of a glTF file, in which nothing is taken for granted: every value is checked as it is asked for."""
+"""Validated access to the JSON of a glTF file: every value is checked when it is read."""
 
 from typing import Any
 
@@ -10,10 +10,10 @@ from ..text import LARGEST, shortened
 
 
 class Part:
-    """An object of the JSON, with its place for messages, such as `a.glb: nodes[3]`.
+    """A JSON object with its path for messages, such as `a.glb: nodes[3]`.
 
-    All methods raise `InputError` where a value is another than they are asked for; None and empty lists stand for
-    values that are not there.
+    All methods raise `InputError` if a value has the wrong type; they return None or an empty list for
+    missing values.
     """
 
     def __init__(self, content: Any, where: str):
@@ -26,11 +26,11 @@ class Part:
         return self.content.get(name) is not None
 
     def part(self, name: str) -> "Part":
-        """An object; an empty one where it is not there."""
+        """Get an object; an empty one if it is missing."""
         return Part(self.content.get(name) or {}, self._at(name))
 
     def parts(self, name: str) -> list["Part"]:
-        """A list of objects."""
+        """Get a list of objects."""
         return [Part(value, f"{self._at(name)}[{number}]") for number, value in enumerate(self.values(name))]
 
     def values(self, name: str) -> list[Any]:
@@ -46,28 +46,28 @@ class Part:
         return default if value is None else value
 
     def whole(self, name: str, default: int = 0) -> int:
-        """A whole number of at least zero."""
+        """Get a non-negative integer."""
         value = self.content.get(name, default)
         if not _is_index(value):
             raise self.wrong(name, "a whole number of at least 0")
         return value
 
     def index(self, name: str, count: int) -> int | None:
-        """The number of one of `count` things."""
+        """Get an index below `count`."""
         value = self.content.get(name)
         if value is not None and not (_is_index(value) and value < count):
             raise self.wrong(name, f"a number below {count}")
         return value
 
     def indices(self, name: str, count: int) -> list[int]:
-        """A list of the numbers of some of `count` things."""
+        """Get a list of indices below `count`."""
         values = self.values(name)
         if not all(_is_index(value) and value < count for value in values):
             raise self.wrong(name, f"a list of numbers below {count}")
         return values
 
     def numbers(self, name: str, count: int) -> Float[np.ndarray, "N"] | None:
-        """So many finite numbers."""
+        """Get a list of `count` finite numbers."""
         values = self.content.get(name)
         if values is None:
             return None
@@ -77,13 +77,13 @@ class Part:
         return np.array(values, float)
 
     def wrong(self, name: str, wanted: str) -> InputError:
-        """The error that a value is not what it should be."""
+        """Return the error for a value of the wrong type."""
         return InputError(
             f"{self.where}: '{name}' is {_quoted(self.content.get(name))}; it must be {wanted}."
         )
 
     def _at(self, name: str) -> str:
-        # the file's name ends with a colon, and a place in it goes on with a full stop
+        # the file's name ends with a colon, and a path in it continues with a full stop
         return f"{self.where}.{name}" if ": " in self.where else f"{self.where}: {name}"
 
 

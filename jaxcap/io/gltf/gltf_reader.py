@@ -1,4 +1,4 @@
-"""Bodies, skeletons and motions from glTF 2.0 (`.glb`, `.gltf`), whichever program wrote them."""
+"""Bodies, skeletons and motions from glTF 2.0 files (`.glb`, `.gltf`) of any program."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,17 +25,18 @@ _HINGES = ("revolute", "universal")
 def read_gltf(
     path: str | Path, rate: float | None = None, clip: str | None = None
 ) -> tuple[Skeleton, Motion | None]:
-    """The joints of a file's first skin, and an animation as their motion: the one called `clip`, or the first.
+    """Read the joints of a file's first skin, and an animation as their motion.
 
-    Rest is where the inverse bind matrices have the joints, in metres and as upright as what stands above the roots
-    makes it; the joints' frames there are their orientations. Kinds and axes are those that `write_gltf` notes, else
-    roots are free and other joints turn freely. Times are sampled at `rate`, from the first key of any node to the last; where
-    it is not given, at the coarsest rate that has all keys, and with a warning at 30 frames a second where none has. Other
-    figures of the file are left out with a warning.
-    Scale may change above the roots alone and be the same along all axes.
+    The animation is the one named `clip`, or the first. The rest pose is given by the inverse bind matrices,
+    in metres, upright after the transforms above the roots; the joints' frames there are their orientations.
+    Kinds and axes are those that `write_gltf` stores; otherwise roots are free and other joints are ball
+    joints. Times are sampled at `rate`, from the first key of any node to the last. Without `rate` the
+    coarsest rate that contains all keys is used, and 30 frames a second with a warning if there is none.
+    Other figures in the file are left out with a warning. Scale may change above the roots only and must be
+    uniform.
 
-    **Raises:** `InputError` where the file is not a whole one, has no skin or no such clip, or has what a
-    `Skeleton` and its `Pose` cannot hold: sheared, sparse or compressed transforms.
+    **Raises:** `InputError` if the file is incomplete, has no skin or no such clip, or has content that a
+    `Skeleton` and its `Pose` cannot represent: sheared, sparse or compressed transforms.
     """
     file = GltfFile(path, clip)
     bound = _bind(file)
@@ -47,13 +48,15 @@ def read_gltf(
 def read_gltf_body(
     path: str | Path, rate: float | None = None, clip: str | None = None
 ) -> tuple[Body, Motion | None]:
-    """The body of a file's first skin, which blends linearly, and an animation; skeleton and `clip` as in `read_gltf`.
+    """Read the body of a file's first skin, with linear blend skinning, and an animation.
 
-    All meshes that this skin moves are the surface, or those of other skins of the same joints. Vertices that were split along
-    the seams of textures are one again. Shape keys (morph targets), meshes that hang on a joint without a skin, and those of a
-    second figure, whose skin has no joint of the first one, are left out with a warning.
+    Skeleton and `clip` are as in `read_gltf`. The surface consists of all meshes of this skin and of other
+    skins that share joints with it. Vertices that were split along texture seams are merged. Shape keys
+    (morph targets), meshes that are attached to a joint without a skin, and those of a second figure, whose
+    skin has no joint of the first one, are left out with a warning.
 
-    **Raises:** `InputError` as `read_gltf`, and where the surface is no triangles, or a vertex follows no joint.
+    **Raises:** `InputError` as `read_gltf`, and if the surface is not made of triangles, or a vertex follows
+    no joint.
     """
     file = GltfFile(path, clip)
     bound = _bind(file)
@@ -63,14 +66,14 @@ def read_gltf_body(
 
 
 def _bind(file: GltfFile) -> Bound:
-    """The skeleton of the first skin, at rest."""
+    """Build the skeleton of the first skin, at rest."""
     joints = skin_joints(file, 0)
     place = {joint: number for number, joint in enumerate(joints)}
     parents = _parents(file, place)
     inverse = inverse_binds(file, 0)
     nodes = [file.nodes[joint] for joint in joints]
     for joint in joints:
-        # rest is where it is bound, and where it stands counts as soon as something moves
+        # a check: rest is the bind pose, but the node's own transform matters once something moves
         file.still(joint)
     axes, kinds = np.tile(np.eye(3)[:2], (len(joints), 1, 1)), []
     for number, node in enumerate(nodes):
@@ -88,7 +91,10 @@ def _bind(file: GltfFile) -> Bound:
 
 
 def _notes(node: Part) -> tuple[str | None, np.ndarray | None]:
-    """The kind and the axes that `write_gltf` notes of a joint; None where they are not there, or other programs' own."""
+    """Read the kind and the axes that `write_gltf` stores for a joint.
+
+    None if they are missing or belong to other programs.
+    """
     note = node.content.get("extras")
     if not isinstance(note, dict):
         return None, None
@@ -98,14 +104,14 @@ def _notes(node: Part) -> tuple[str | None, np.ndarray | None]:
     except (KeyError, TypeError, ValueError, OverflowError):
         axes = None
     kind = note.get("kind")
-    # a hinge without its axes could turn about any
+    # the axis of a hinge is needed
     known = isinstance(kind, str) and kind in KINDS and (axes is not None or kind not in _HINGES)
     return (kind if known else None), axes
 
 
 def _parents(file: GltfFile, place: Mapping[int, int]) -> list[int]:
-    """For each joint the next one above, whatever nodes stand between; -1 for a root."""
-    # of every node the joint that it is, or hangs on
+    """Return the nearest joint above each joint, past any other nodes; -1 for a root."""
+    # for each node: the joint that it is or descends from
     nearest: dict[int, int] = dict(place)
     parents = []
     for joint in place:

@@ -1,4 +1,4 @@
-"""The build of a glTF file: its chunks, the tree of its nodes, and whether it is as large as it says."""
+"""The structure of a glTF file: its chunks, its node tree, and checks of its announced sizes."""
 
 import struct
 from collections.abc import Sequence
@@ -9,15 +9,15 @@ from ..archives.archive import PACKED, ROOM
 from ..text import parse_json, read_json
 from .gltf_parts import Part
 
-#: how many numbers an element of each type has
+#: numbers in an element of each type
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-#: meshes, each counted as often as a node shows it, that a reader of scenes joins in seconds
+#: largest number of mesh instances, which a scene reader joins in seconds
 MOST_MESHES = 2000
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
 
 def chunks(path: Path) -> tuple[bytes, bytes]:
-    """The JSON and the numbers of a binary file. Raises `InputError` where it is not a whole one."""
+    """Read the JSON and the binary chunk of a binary file. Raises `InputError` if it is incomplete."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the path.")
     data = path.read_bytes()
@@ -36,7 +36,7 @@ def chunks(path: Path) -> tuple[bytes, bytes]:
 
 
 def tree(nodes: Sequence[Part]) -> dict[int, int]:
-    """The node above each that has one. Raises `InputError` where nodes are no tree."""
+    """Return the parent of each node that has one. Raises `InputError` if nodes form no tree."""
     above: dict[int, int] = {}
     for number, node in enumerate(nodes):
         for child in node.indices("children", len(nodes)):
@@ -58,9 +58,11 @@ def tree(nodes: Sequence[Part]) -> dict[int, int]:
 
 
 def check_scene(path: Path) -> None:
-    """Check what a general reader of scenes takes for granted: a tree, counts that the file can hold, and not too many meshes.
+    """Check the assumptions of a general scene reader.
 
-    **Raises:** `InputError` with the place in the file.
+    Nodes must form a tree, counts must fit the file size, and the number of meshes is limited.
+
+    **Raises:** `InputError` with the path in the JSON.
     """
     binary = path.suffix.lower() == ".glb"
     root = Part(parse_json(chunks(path)[0], path) if binary else read_json(path), str(path))

@@ -1,4 +1,4 @@
-"""The surface that a skin of a glTF file moves, and which joints each vertex follows."""
+"""The surface that a skin of a glTF file moves, with the skinning weights of its vertices."""
 
 from collections.abc import Sequence
 
@@ -12,14 +12,16 @@ from ..skinned.surface import Surface, as_shares, joined, sewn
 from .gltf_file import GltfFile
 from .gltf_parts import Part
 
-#: triangles, and points where there are no faces
+#: modes: triangles, and points for meshes without faces
 _TRIANGLES, _POINTS = 4, 0
 
 
 def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
-    """The meshes of all skins that share joints with the first, whose nodes `joints` are columns of weights.
+    """Read the meshes of all skins that share joints with the first.
 
-    **Raises:** `InputError` where there is none, one is not of triangles, or a vertex follows no joint.
+    The nodes `joints` are the columns of the weights.
+
+    **Raises:** `InputError` if there is none, one is not made of triangles, or a vertex follows no joint.
     """
     parts: list[Surface] = []
     skins = {skin: skin_joints(file, skin) for skin in sharing(file, joints)}
@@ -36,14 +38,14 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
 
 
 def sharing(file: GltfFile, joints: Sequence[int]) -> tuple[int, ...]:
-    """The skins in use that have one of some joints. Raises `InputError`."""
+    """Find the skins in use that have at least one of some joints. Raises `InputError`."""
     wanted = set(joints)
     used = dict.fromkeys(skin for _, _, skin in skinned(file))
     return tuple(skin for skin in used if not wanted.isdisjoint(skin_joints(file, skin)))
 
 
 def skinned(file: GltfFile) -> list[tuple[Part, int, int]]:
-    """The nodes with a mesh and a skin, and the numbers of these. Raises `InputError`."""
+    """Return the nodes with a mesh and a skin, and the indices of both. Raises `InputError`."""
     found = [
         (node, node.index("mesh", len(file.meshes)), node.index("skin", len(file.skins)))
         for node in file.nodes
@@ -52,7 +54,10 @@ def skinned(file: GltfFile) -> list[tuple[Part, int, int]]:
 
 
 def left_out(file: GltfFile, joints: Sequence[int], surface: bool) -> dict[str, list[str]]:
-    """What is not read of a file beside the figure of some joints, by kind; that of its `surface` where it is read."""
+    """List the names of contents, by type, that are not read with the figure of `joints`.
+
+    `surface` is true if the surface of the figure is read.
+    """
 
     def name(node: Part, mesh: int) -> str:
         return node.word("name") or file.meshes[mesh].word("name") or f"mesh {mesh}"
@@ -71,7 +76,10 @@ def left_out(file: GltfFile, joints: Sequence[int], surface: bool) -> dict[str, 
 
 
 def skin_joints(file: GltfFile, skin: int) -> list[int]:
-    """The nodes that are the joints of a skin. Raises `InputError` where there are none, or one twice."""
+    """Return the nodes that are the joints of a skin.
+
+    Raises `InputError` if there are none, or for duplicates.
+    """
     joints = file.skins[skin].indices("joints", len(file.nodes))
     if not joints or len(set(joints)) < len(joints):
         raise file.skins[skin].wrong("joints", "a list of nodes, each of them once")
@@ -79,7 +87,10 @@ def skin_joints(file: GltfFile, skin: int) -> list[int]:
 
 
 def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
-    """From the space of the surface into the frame of each joint of a skin."""
+    """Read the transforms from the space of the surface into the frames of a skin's joints.
+
+    Raises `InputError`.
+    """
     part, count = file.skins[skin], len(skin_joints(file, skin))
     if "inverseBindMatrices" not in part:
         return np.tile(np.eye(4), (count, 1, 1))
@@ -91,7 +102,7 @@ def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
 
 
 def _between_skins(file: GltfFile, skin: int, joints: Sequence[int]) -> Float[np.ndarray, "4 4"]:
-    """From the space in which a skin was bound to that of the first, by a joint of both."""
+    """Compute the transform from the bind space of a skin to that of the first, by a joint of both."""
     if skin == 0 or any("inverseBindMatrices" not in file.skins[number] for number in (0, skin)):
         return np.eye(4)
     shared = next(joint for joint in skin_joints(file, skin) if joint in joints)
@@ -145,5 +156,5 @@ def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[
 
 
 def _attribute(file: GltfFile, names: Part, name: str, width: int) -> Float[np.ndarray, "V W"]:
-    """The numbers of an attribute of all vertices."""
+    """Read an attribute of all vertices."""
     return file.array(names.whole(name) if name in names else None, width, f"{names.where}.{name}")

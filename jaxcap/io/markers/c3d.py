@@ -1,9 +1,8 @@
 """C3D, the files of optical motion capture (c3d.org), by ezc3d.
 
-Trajectories of markers share their table with whatever a capture program computed: angles, forces,
-moments, powers, axes of segments. Those are told apart by the lists in the POINT group
-(`POINT:ANGLES`, ...; `POINT:TYPE_GROUPS` names more of them) and, where a program left these out, by
-the names that Plug-in Gait gives to its outputs.
+Marker trajectories share their table with computed quantities: angles, forces, moments, powers, segment axes.
+These are identified by the lists in the POINT group (`POINT:ANGLES`, ...; `POINT:TYPE_GROUPS` names more of
+them) and, if a program omitted these, by the names of Plug-in Gait outputs.
 """
 
 import re
@@ -19,7 +18,7 @@ from .c3d_child import load_c3d
 from .c3d_header import announced_size, read_header
 from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file
 
-#: lists in the POINT group of what is no marker
+#: lists in the POINT group of points that are no markers
 KINDS = (
     "ANGLES",
     "FORCES",
@@ -35,7 +34,7 @@ KINDS = (
     "VELOCITIES",
     "ACCELERATIONS",
 )
-#: names of model outputs by how they end
+#: patterns of the names of model outputs
 _OUTPUTS = {
     "angles": r".*Angles?",
     "forces": r".*(Force|GRF|GroundReactionForce)",
@@ -43,18 +42,17 @@ _OUTPUTS = {
     "powers": r".*Power",
     "model outputs": r"CentreOf(Mass|MassFloor|Pressure)|CenterOf(Mass|MassFloor|Pressure)",
 }
-#: frames that the header's 16 bits count
+#: largest number of frames in the header's 16 bits
 LONGEST = 65535
 
 
 def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
-    """The markers of a C3D file; not seen is what has a negative residual, NaN, or zeros for a place.
+    """Read the markers of a C3D file; a negative residual, NaN, or a position of zeros marks a gap.
 
-    **Arguments:** `unit` of lengths, in place of what `POINT:UNITS` says, or millimetres where it says
-    none.
+    **Arguments:** `unit` of lengths, which overrides `POINT:UNITS`; the default without both is millimetres.
 
-    **Raises:** `InputError` where there is no such file, it is no C3D file or cut short, or it holds no
-    markers or no frames.
+    **Raises:** `InputError` if there is no such file, it is no C3D file or cut short, or it has no markers or
+    no frames.
     """
     path = Path(path)
     first, declared = read_header(path)
@@ -95,9 +93,9 @@ def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     return make_file(
         path,
         places,
-        # a point without a label is called by its place in the file
+        # a point without a label is named by its index in the file
         [labels[i] or f"*{i + 1}" for i in markers],
-        # the rate is stored in four bytes
+        # the rate is stored in single precision
         float(f"{rate:.7g}"),
         file_unit(said) if unit is None else unit,
         first_frame=first,
@@ -107,7 +105,7 @@ def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
 
 
 def _check_finite(path: Path, places: np.ndarray, labels: list[str]) -> None:
-    """Raises `InputError` where a coordinate is infinite; NaN is a gap."""
+    """Check that no coordinate is infinite; NaN is a gap. Raises `InputError`."""
     wrong = np.isinf(places).any(2)
     if wrong.any():
         frame, marker = np.unravel_index(int(wrong.argmax()), wrong.shape)
@@ -118,10 +116,10 @@ def _check_finite(path: Path, places: np.ndarray, labels: list[str]) -> None:
 
 
 def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:
-    """Write markers, or joint centres, as C3D with 4-byte numbers; not seen has zeros and residual -1.
+    """Write markers or joint centres as C3D with 4-byte numbers; gaps have zeros and residual -1.
 
-    **Raises:** `InputError` where the file cannot be written, or for more than 65,535 frames, which the
-    format's header cannot count.
+    **Raises:** `InputError` if the file cannot be written, or for more than 65,535 frames, which the format's
+    header cannot count.
     """
     import ezc3d
 
@@ -141,7 +139,7 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
     file["data"]["points"] = values
     file["data"]["meta_points"]["residuals"] = np.where(seen, 0.0, -1.0).T[None]
     with replacing(path) as beside:
-        # ezc3d puts the ending behind names that lack it in small letters
+        # ezc3d appends a lower-case suffix to names without it
         lower = beside.with_suffix(".c3d")
         try:
             file.write(str(lower))
@@ -152,7 +150,7 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
 
 
 def point_kinds(labels: list[str], group: dict[str, list[str]]) -> list[str]:
-    """For each point "" for a marker, or what else it is: `angles`, `forces`, ..."""
+    """Assign a type to each point: "" for a marker, otherwise such as `angles` or `forces`."""
     named: dict[str, str] = {}
     groups = [*KINDS, *(word.strip().upper() for word in _strings(group, "TYPE_GROUPS"))]
     for kind in dict.fromkeys(groups):
@@ -173,14 +171,17 @@ def _by_name(label: str) -> str:
 
 
 def _segment_axes(labels: list[str]) -> set[str]:
-    """Plug-in Gait writes each segment as four points: PELO, its origin, and PELP, PELA, PELL on its axes."""
+    """Find the points of Plug-in Gait segments, four for each, such as PELO, PELP, PELA and PELL.
+
+    The first is the segment's origin, and the others are on its axes.
+    """
     there = set(labels)
     stems = {label[:3] for label in there if len(label) == 4 and label.endswith("O")}
     return {stem + end for stem in stems if {stem + end for end in "OPAL"} <= there for end in "OPAL"}
 
 
 def _strings(group: dict[str, list[str]], name: str) -> list[str]:
-    """A list of words that goes on in NAME2, NAME3, ..., as lists of more than 255 do."""
+    """Return a list of words that continues in NAME2, NAME3, ..., as lists of more than 255 do."""
     words: list[str] = []
     number = 1
     while (key := name if number == 1 else f"{name}{number}") in group:

@@ -1,4 +1,4 @@
-"""C3D files by ezc3d in a process of its own, which a damaged file may end without ending this one."""
+"""C3D files by ezc3d in a separate process, which a damaged file may crash."""
 
 import io
 import json
@@ -12,27 +12,29 @@ from ...errors import InputError
 from ..system.own_process import Ended, run_program
 
 _PROGRAM = Path(__file__).with_name("c3d_process.py")
-#: seconds to wait for a file of no bytes, and more for each byte; the process limits its own seconds of CPU to less
+#: time limit in seconds: a constant and a part for each byte; the limit of CPU time in the process is lower
 _WAIT, _WAIT_PER_BYTE = 60, 2e-5
 
 
 class Loaded(NamedTuple):
-    """What ezc3d reads of a C3D file."""
+    """The data that ezc3d reads from a C3D file."""
 
     points: Float[np.ndarray, "3 M F"]
     residuals: Float[np.ndarray, "M F"]
-    #: words of the parameters of the group POINT, by name; none where a parameter has numbers
+    #: words of the parameters of the group POINT, by name; empty for numeric parameters
     words: dict[str, list[str]]
-    #: frames a second, of the group POINT where it has them, and of the header
+    #: frames a second, from the group POINT if present, and from the header
     rates: list[float]
     header_rate: float
 
 
 def load_c3d(path: Path) -> Loaded:
-    """Read a C3D file by ezc3d in a new process of the same Python, which imports ezc3d and NumPy alone (0.2 s).
+    """Read a C3D file by ezc3d in a new process of the same Python (0.2 s).
 
-    **Raises:** `InputError` where ezc3d refuses the file, ends with its process, takes too long or too much memory; or
-    where there is no Python to start.
+    The process imports ezc3d and NumPy only.
+
+    **Raises:** `InputError` if ezc3d rejects the file, crashes, or takes too long or too much memory, or if
+    there is no Python to start.
     """
     wait = _WAIT + _WAIT_PER_BYTE * path.stat().st_size
     try:

@@ -1,4 +1,4 @@
-"""What the first blocks of a C3D file tell, and whether it is one: ezc3d tells damaged files less well, or never ends."""
+"""Checks of the first blocks of a C3D file, as ezc3d reports damage less clearly, or never ends."""
 
 import math
 import struct
@@ -6,14 +6,17 @@ from pathlib import Path
 
 from ...errors import InputError
 
-#: processors whose numbers a file holds: Intel, DEC, MIPS; all integers of the first two are alike
+#: processor types of the numbers in a file: Intel, DEC, MIPS; integers of the first two are the same
 _INTEL, _DEC, _MIPS = 84, 85, 86
 
 
 def read_header(path: Path) -> tuple[int, int]:
-    """First frame and count of frames as the first block tells; ezc3d tells only how many it found.
+    """Read the first frame and the frame count of the header.
 
-    **Raises:** `InputError` where there is no such file, or it is no C3D file, or damaged or cut short there.
+    Ezc3d reports only the number of frames that it found.
+
+    **Raises:** `InputError` if there is no such file, it is no C3D file, or its header is damaged or cut
+    short.
     """
     try:
         raw = path.read_bytes()
@@ -28,7 +31,7 @@ def read_header(path: Path) -> tuple[int, int]:
             f"{path}: this is not a C3D file, or it is damaged at its beginning; export it as C3D."
         )
     begin = 512 * (raw[0] - 1)
-    # a picture's second letter is a P as well
+    # the second letter of a PNG is a P as well
     if len(raw) < max(begin, 512) + 4:
         raise InputError(
             f"{path}: this is not a C3D file, or it is cut short within its header; copy or export it again."
@@ -52,9 +55,10 @@ def read_header(path: Path) -> tuple[int, int]:
 
 
 def _walk_parameters(raw: bytes, at: int) -> None:
-    """Follows the chain of parameters to its end, which ezc3d looks for without end in a damaged file.
+    """Follow the chain of parameters to its end, for which ezc3d searches forever in a damaged file.
 
-    **Raises:** `IndexError` or `struct.error` where it leads out of the file, or values out of their parameter.
+    **Raises:** `IndexError` or `struct.error` if the chain leads out of the file, or values out of their
+    parameter.
     """
     while raw[at]:
         length, number = struct.unpack_from("bb", raw, at)
@@ -66,7 +70,7 @@ def _walk_parameters(raw: bytes, at: int) -> None:
             end += 2 + rank + abs(size) * math.prod(raw[end + 2 : end + 2 + rank])
             if size not in (-1, 1, 2, 4) or rank > 7:
                 raise IndexError
-        # behind the values, a description with its length before it
+        # the values are followed by a description with its length
         if end + 1 + raw[end] > (link + step if step else len(raw)):
             raise IndexError
         if step == 0:
@@ -75,10 +79,10 @@ def _walk_parameters(raw: bytes, at: int) -> None:
 
 
 def announced_size(path: Path, frames: int) -> int:
-    """Bytes that the header says a file has."""
+    """Compute the file size in bytes that the header announces."""
     head = path.read_bytes()[:512]
     points, values = struct.unpack_from("<HH", head, 2)
     (scale,) = struct.unpack_from("<f", head, 12)
     (block,) = struct.unpack_from("<H", head, 16)
-    # numbers are integers where their scale is above zero
+    # numbers are integers if their scale is above zero
     return 512 * (block - 1) + frames * (4 * points + values) * (2 if scale > 0 else 4)

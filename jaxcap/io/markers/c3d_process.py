@@ -1,8 +1,8 @@
-"""Read a C3D file by ezc3d, as a program of its own: `python -I -S c3d_process.py FILE FOLDERS...`.
+"""Read a C3D file by ezc3d, as a separate program: `python -I -S c3d_process.py FILE FOLDERS...`.
 
-ezc3d is C++ and ends its process on some damaged files, or takes all memory. So `c3d_child.py` starts this file, which
-imports nothing of jaxcap. It writes a line of JSON to stdout, then points `(3, M, F)` and residuals `(M, F)` in NumPy's
-own format. `FOLDERS` are those of NumPy and ezc3d.
+ezc3d is C++ and crashes on some damaged files, or takes all memory. So `c3d_child.py` starts this file, which
+imports nothing of jaxcap. It writes a line of JSON to stdout, then points `(3, M, F)` and residuals `(M, F)`
+in NumPy's own format. `FOLDERS` are those of NumPy and ezc3d.
 """
 
 import json
@@ -12,7 +12,7 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
-#: bytes, and seconds of CPU, for a file of no bytes, and more for each byte: some ten times what whole files take
+#: limits of bytes and of CPU seconds: a constant and a part per byte, about ten times the use of valid files
 MEMORY, MEMORY_PER_BYTE = 512 << 20, 100
 SECONDS, SECONDS_PER_BYTE = 10, 2e-6
 
@@ -20,7 +20,7 @@ SECONDS, SECONDS_PER_BYTE = 10, 2e-6
 def main(path: str, folders: list[str]) -> None:
     sys.path[:0] = folders
     out = os.fdopen(os.dup(1), "wb")
-    # what ezc3d prints must not come between the results
+    # output of ezc3d must not mix with the results
     os.dup2(2, 1)
     import ezc3d
     import numpy as np
@@ -43,7 +43,7 @@ def main(path: str, folders: list[str]) -> None:
         points, residuals = np.zeros((3, 0, 0)), np.zeros((0, 0))
     out.write(json.dumps(head).encode("ascii") + b"\n")
     for array in (points, residuals):
-        # an object that only writes: into a file NumPy would seek, which a pipe does not
+        # an object that can only write: NumPy would seek in a file, which a pipe cannot
         pipe: Any = SimpleNamespace(write=out.write)
         np.lib.format.write_array(pipe, np.ascontiguousarray(array), allow_pickle=False)
     out.close()
@@ -61,7 +61,7 @@ def _load(ezc3d: Any, path: str) -> Any:
 
 
 def _words(value: object) -> list[str]:
-    """A parameter's words; none where it has numbers."""
+    """Return the words of a parameter; empty for a numeric parameter."""
     return [word for word in value if isinstance(word, str)] if isinstance(value, list) else []
 
 

@@ -1,10 +1,10 @@
-"""Corrections of which marker sits on which segment, read and written as text.
+"""Corrections of the assignment of markers to segments, read and written as text.
 
     # marker  segment  weight
     RMFE      -        0
     LSHO      trunk    0.5
 
-The segment `-`, or the weight 0, makes a marker loose. The weight may be left out and then is one.
+The segment `-`, or the weight 0, makes a marker loose. The default weight is one.
 """
 
 from collections.abc import Mapping
@@ -18,10 +18,12 @@ from ..text import numbered_lines, parse_floats, read_text, shortened
 
 @reads("corrections of markers")
 def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
-    """Corrections as marker -> (segment, weight), for `markers.segments.partition.correct` and `fit_local`.
+    """Read corrections as marker -> (segment, weight).
 
-    **Raises:** `InputError` with file and line: a line of fewer than two or more than three words, a
-    weight that is not a number from 0 to 1, a marker that stands twice.
+    They are for `markers.segments.partition.correct` and `fit_local`.
+
+    **Raises:** `InputError` with file and line, for a line of fewer than two or more than three words, a
+    weight that is not a number from 0 to 1, or a duplicate marker.
     """
     corrections: dict[str, tuple[str, float]] = {}
     for number, line in numbered_lines(read_text(path)):
@@ -44,8 +46,10 @@ def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
 
 
 def write_corrections(path: str | Path, corrections: Mapping[str, tuple[str, float]]) -> None:
-    """Write corrections as `read_corrections` reads them. Raises `InputError` where a name has a blank, or
-    the file cannot be written."""
+    """Write corrections as `read_corrections` reads them.
+
+    **Raises:** `InputError` if a name has a blank or a `#`, or the file cannot be written.
+    """
     for marker, (segment, _) in corrections.items():
         for name in (marker, segment):
             if not name or len(name.split()) != 1 or "#" in name:

@@ -1,4 +1,4 @@
-"""What files of markers have in common: labels, subjects, units that cannot be right, rows on frames."""
+"""Shared parts of the readers of marker files: labels, subjects, implausible units, regular frames."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,9 +12,9 @@ from ...errors import InputError
 from ...observe import MarkerFrames
 from ..text import LARGEST, check_rate, likely_units, unit_scale
 
-#: metres between which the longest side of the markers of one frame has to be
+#: bounds in metres of the longest side of the markers of one frame
 SIZE = (0.2, 5.0)
-#: what units are called in files, in lower case and without a plural's s
+#: names of units in files, in lower case and without the plural s
 _UNIT_WORDS = {
     "m": ("m", "meter", "metre"),
     "dm": ("dm", "decimeter", "decimetre"),
@@ -27,23 +27,23 @@ UNIT_NAMES = {name: words[-1] + "s" for name, words in _UNIT_WORDS.items()} | {"
 
 
 class MarkerFile(NamedTuple):
-    """Everything that a file says of markers."""
+    """The data of a marker file."""
 
-    #: all markers; labels as in the file, so with their subject's prefix
+    #: all markers; labels as in the file, with their subject's prefix
     frames: MarkerFrames
-    #: metres in one unit of the file, and what the file calls it
+    #: metres in one unit of the file, and the unit's name there
     scale: float
     unit: str
-    #: the number that the file gives its first frame
+    #: the number of the first frame in the file
     first_frame: int
-    #: kind -> labels of the points that are no markers: angles, forces, ...
+    #: type -> labels of the points that are no markers: angles, forces, ...
     others: dict[str, tuple[str, ...]]
-    #: what was found wrong and mended, one sentence each
+    #: repaired faults of the file, one sentence each
     told: tuple[str, ...]
 
 
 def file_unit(word: str, default: str = "mm") -> str:
-    """The unit that a file calls `word`; `default` for an empty or unknown one."""
+    """Return the unit that a file calls `word`; `default` if it is empty or unknown."""
     word = word.strip().lower()
     return next(
         (unit for unit, words in _UNIT_WORDS.items() if word in words or word.rstrip("s") in words), default
@@ -51,10 +51,10 @@ def file_unit(word: str, default: str = "mm") -> str:
 
 
 def tidy_labels(labels: Sequence[str], count: int) -> tuple[list[str], list[str]]:
-    """`count` labels, each other than all others, and sentences of what was changed for that.
+    """Make `count` labels unique; return them with sentences on the changes.
 
-    Blanks around them go; where there is none the point is called `*7`, as capture programs call what
-    they have no name for; the second `A` becomes `A_2`. Labels beyond `count` go.
+    Surrounding blanks are removed. An empty label becomes `*7`, as capture programs name unlabelled points;
+    the second `A` becomes `A_2`. Labels after the first `count` are dropped.
     """
     told, names = [], [label.strip(" \t\r\n\0") for label in labels[:count]]
     names += [""] * (count - len(names))
@@ -78,7 +78,7 @@ def tidy_labels(labels: Sequence[str], count: int) -> tuple[list[str], list[str]
 
 
 def subjects_of(labels: Sequence[str]) -> dict[str, list[int]]:
-    """Subject -> its markers, by the prefix of labels such as `Anna:LKNE`, in the file's order."""
+    """Group markers by subject, the prefix of labels such as `Anna:LKNE`, in the file's order."""
     found: dict[str, list[int]] = {}
     for i, label in enumerate(labels):
         subject, colon, rest = label.partition(":")
@@ -90,12 +90,12 @@ def subjects_of(labels: Sequence[str]) -> dict[str, list[int]]:
 def pick_subject(
     frames: MarkerFrames, where: str | Path, subject: str | None = None, asked: str = "subject='{}'"
 ) -> MarkerFrames:
-    """The markers of one subject, without the prefix of their labels.
+    """Select the markers of one subject, and remove the prefix of their labels.
 
-    With one subject in the file, or none, that is every marker. With more, `subject` says which;
-    markers without a prefix then belong to nobody. `asked` is how an error says where to choose.
+    With at most one subject in the file, these are all markers. With more, `subject` selects one, and markers
+    without a prefix are dropped. `asked` is the advice on the choice in errors.
 
-    **Raises:** `InputError` naming the subjects, where there are several and none of them is chosen.
+    **Raises:** `InputError` with the names of the subjects, if there are several and none is selected.
     """
     subjects = subjects_of(frames.labels)
     if subject is not None and subject not in subjects:
@@ -117,8 +117,10 @@ def pick_subject(
 
 
 def frame_size(frames: MarkerFrames) -> float:
-    """The median over frames of the longest side of a box around all markers seen, metres; NaN where no
-    frame shows two."""
+    """Compute the median over frames of the longest side of the markers' bounding box, in metres.
+
+    NaN if no frame shows two markers.
+    """
     seen = np.asarray(frames.seen)
     several = seen.sum(1) > 1
     if not several.any():
@@ -135,10 +137,11 @@ def check_extent(
     size: tuple[float, float] = SIZE,
     asked: str = "pass unit='{}', or give another size if it is right",
 ) -> None:
-    """That the markers are as large as a body's, read in units of `scale` metres; `asked` is how an error says
-    which unit to give.
+    """Check that the markers have the size of a body, for a file unit of `scale` metres.
 
-    **Raises:** `InputError` naming the likely unit.
+    `asked` is the advice on the unit in errors.
+
+    **Raises:** `InputError` with the likely unit.
     """
     extent = frame_size(frames)
     if np.isnan(extent) or size[0] <= extent <= size[1]:
@@ -165,11 +168,11 @@ def make_file(
     others: dict[str, tuple[str, ...]] | None = None,
     told: Sequence[str] = (),
 ) -> MarkerFile:
-    """A `MarkerFile` of places in the file's `unit`, NaN where not seen.
+    """Build a `MarkerFile` from positions in the file's `unit`, NaN for gaps.
 
-    A place at zero in all three coordinates is a gap as well: many programs write one so.
+    A position of zero in all three coordinates is a gap as well, as many programs write gaps in this form.
 
-    **Raises:** `InputError` where there are no markers or frames, none is ever seen, or the rate is wrong.
+    **Raises:** `InputError` if there are no markers or frames, none is ever visible, or the rate is invalid.
     """
     if places.shape[1] == 0:
         more = f"; it holds {_kinds(others)} only" if others else ""
@@ -186,15 +189,17 @@ def make_file(
             f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
         )
     check_rate(rate, str(where))
-    # whether a person fits this unit is `check_extent`'s to say, which knows of more units
+    # `check_extent` checks the unit, as it knows other units
     frames = MarkerFrames(np.where(lost[..., None], 0.0, places * scale), ~lost, tuple(names), float(rate))
     said = unit if isinstance(unit, str) else f"{unit:g} m"
     return MarkerFile(frames, scale, said, first_frame, others or {}, (*told, *changed))
 
 
 def clear_of_zero(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"], Bool[np.ndarray, "F M"]]:
-    """Places and what is seen, for writing: a marker exactly at the origin stands a nanometre beside it, as
-    zeros in files are gaps."""
+    """Return positions and visibility for writing; a marker exactly at the origin is moved by a nanometre.
+
+    Zeros in files are gaps.
+    """
     places, seen = np.array(frames.places, float), np.asarray(frames.seen)
     places[seen & (places == 0).all(2), 0] = 1e-9
     return places, seen
@@ -203,10 +208,11 @@ def clear_of_zero(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"], Boo
 def regular_rows(
     where: str | Path, times: Float[np.ndarray, "R"], places: Float[np.ndarray, "R M 3"], what: str
 ) -> tuple[float, Float[np.ndarray, "F M 3"]]:
-    """Rows with their times, on frames of equal steps: the rate, one over the times' unit, and places with
-    NaN in frames that no row is for.
+    """Place rows with times on regular frames; return the rate (1 over the unit of times) and positions.
 
-    **Raises:** `InputError` where times do not rise, or rows stand at no regular frames.
+    Frames without a row are NaN.
+
+    **Raises:** `InputError` if times do not increase, or are not regular.
     """
     steps = np.diff(times)
     if (steps <= 0).any():
@@ -214,9 +220,9 @@ def regular_rows(
         raise InputError(
             f"{where}: {what} goes from {times[row]:g} to {times[row + 1]:g} in row {row + 2}; it has to rise."
         )
-    # times of few digits come in steps of two lengths, and their mean is the right one
+    # rounded times come in steps of two lengths, and their mean is the right one
     usual = float(np.mean(steps[steps < 1.5 * np.median(steps)]))
-    # in floats until it is known that they are not too large for whole numbers
+    # in floats until they are known to fit integers
     with np.errstate(over="ignore", invalid="ignore"):
         at = np.rint((times - times[0]) / usual)
         rate = at[-1] / (times[-1] - times[0])

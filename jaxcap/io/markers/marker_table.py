@@ -1,8 +1,8 @@
-"""Markers in tables of labelled columns, CSV: a row for each frame, three columns a marker.
+"""Markers in tables with column names, CSV: a row for each frame, three columns for each marker.
 
-The columns of a marker are called `LKNE.x, LKNE.y, LKNE.z`, or `LKNE_x`, `LKNE:X`, `LKNE x`; or
-there are two rows of head, labels above and axes below them. Cells that are empty or NaN are gaps. A
-column `time` in seconds (`time_ms`, in milliseconds), or a line `# rate: 120`, tells the rate.
+The columns of a marker are named `LKNE.x, LKNE.y, LKNE.z`, or `LKNE_x`, `LKNE:X`, `LKNE x`; or there are two
+header rows, labels above axes. Cells that are empty or NaN are gaps. The rate is given by a column `time` in
+seconds (`time_ms`, in milliseconds), or by a line `# rate: 120`.
 """
 
 import csv
@@ -21,8 +21,8 @@ from ..text import check_rate, parse_floats, read_text, shortened, unit_scale
 from .marker_file import MarkerFile, clear_of_zero, make_file, regular_rows
 from .trc import read_places
 
-#: a label, a mark between, and an axis with or without its unit; blanks in a row are one, and names are short, as
-#: the time of a search grows with their length
+#: a label, a separator, and an axis with an optional unit; blanks are collapsed, and names are limited, as the time of a
+#: search grows with their length
 _COLUMN = re.compile(r"(?P<label>.*\S) ?[._:/|\- ] ?\(?(?P<axis>[xyzXYZ])\)?( ?[\[(]\w+[\])])?")
 LONGEST_NAME = 200
 _TIMES = re.compile(r"(time|times|t|seconds|timestamp)[\s_.]*[\[(]?(s|sec|seconds|ms|milliseconds)?[\])]?")
@@ -36,14 +36,14 @@ _RATE = re.compile(
 def read_marker_table(
     path: str | Path, unit: str | float | None = None, rate: float | None = None
 ) -> MarkerFile:
-    """The markers of a CSV file whose cells are parted by commas, semicolons or tabs.
+    """Read the markers of a CSV file with cells separated by commas, semicolons or tabs.
 
-    **Arguments:** `unit` of lengths, metres where not given; `rate`, frames a second, in place of what the
-    file says. Rows that the column of times or of frames leaves out become frames where nothing is seen.
+    **Arguments:** `unit` of lengths, by default metres; `rate` in frames a second, which overrides that of
+    the file. Rows that are missing by the time or frame column become frames without visible markers.
 
-    **Raises:** `InputError`, with the line, where there is no such file, no column is a marker's, a marker
-    lacks an axis, a cell is no number, a row has cells too many or too few, nothing tells the rate, or
-    there are no frames.
+    **Raises:** `InputError`, with the line, if there is no such file, no column belongs to a marker, a marker
+    lacks an axis, a cell is no number, a row has too many or too few cells, the rate is unknown, or there are
+    no frames.
     """
     path = Path(path)
     text = read_text(path)
@@ -80,7 +80,7 @@ def read_marker_table(
         found, full = regular_rows(path, scale * np.asarray(clock), there, f"column '{names[time_at]}'")
     elif len(there) > 1 and frame_at is not None:
         _, full = regular_rows(path, np.asarray(numbers), there, f"column '{names[frame_at]}'")
-    # one frame has no rate, and any will do
+    # the rate of a single frame is arbitrary
     rate = rate or said or found or (1.0 if len(there) == 1 else None)
     if len(there) and rate is None:
         raise InputError(
@@ -96,10 +96,13 @@ def read_marker_table(
 
 
 def write_marker_table(path: str | Path, frames: MarkerFrames, unit: str | float = "m") -> None:
-    """Write markers, or joint centres, as CSV with columns `time, LKNE.x, LKNE.y, LKNE.z, ...`; a gap is
-    three empty cells. A single frame, whose time tells no rate, gets a line `# rate: 120` above.
+    """Write markers or joint centres as CSV with columns `time, LKNE.x, LKNE.y, LKNE.z, ...`.
 
-    **Raises:** `InputError` where the file cannot be written.
+    A gap is three empty cells.
+
+    A single frame, which does not determine the rate, gets a line `# rate: 120` above.
+
+    **Raises:** `InputError` if the file cannot be written.
     """
     places, seen = clear_of_zero(frames)
     places = places / unit_scale(unit)
@@ -117,7 +120,7 @@ def write_marker_table(path: str | Path, frames: MarkerFrames, unit: str | float
 
 
 def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str]]]]:
-    """The rate that a line before the table tells, and its rows with their lines."""
+    """Return the rate from a line before the table, and the rows with their line numbers."""
     rate, lines = None, text.splitlines(keepends=True)
     start = len(lines)
     for i, line in enumerate(lines):
@@ -139,12 +142,12 @@ def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str
 
 
 def _plain(text: str) -> str:
-    """A text with one blank where there are several, or tabs."""
+    """Collapse blanks and tabs to single blanks."""
     return " ".join(text.split())
 
 
 def _column_names(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[str], int]:
-    """Names of columns, and the row that frames begin in."""
+    """Return the column names, and the index of the first row of frames."""
     above = rows[0][1]
     below = rows[1][1] if len(rows) > 1 else []
     axes = [cell for cell in below if re.fullmatch(r"[xyzXYZ]\d*", cell)]
@@ -154,14 +157,14 @@ def _column_names(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[str], int
     for i, cell in enumerate(below):
         given = above[i] if i < len(above) else ""
         is_axis = bool(re.fullmatch(r"[xyzXYZ]\d*", cell))
-        # a label stands above the first of its columns, or above all of them
+        # a label is above the first of its columns, or above all of them
         label = given or (label if is_axis else "")
         names.append(f"{label}.{cell[0]}" if is_axis else given or cell)
     return names, 2
 
 
 def _markers(path: Path, line: int, names: list[str]) -> tuple[list[str], list[list[int]]]:
-    """Labels, and for each the places of its columns x, y and z."""
+    """Return the labels, and for each the indices of its columns x, y and z."""
     found: dict[str, dict[str, int]] = {}
     for i, name in enumerate(names):
         match = _COLUMN.fullmatch(name)

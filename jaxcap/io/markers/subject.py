@@ -17,15 +17,15 @@ KIND = "jaxcap subject"
 
 @checked
 def save_subject(path: str | Path, subject: Subject) -> None:
-    """Write a subject; the file appears whole or not at all.
+    """Write a subject atomically.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     save_arrays(path, KIND, subject_arrays(subject))
 
 
 def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
-    """What a file says of a subject: its skeleton's arrays, and those of its markers as `marker.*`."""
+    """Convert a subject to named arrays: those of its skeleton, and those of its markers as `marker.*`."""
     return {
         **skeleton_arrays(subject.skeleton),
         "marker.labels": np.array(subject.labels, dtype=str),
@@ -42,13 +42,13 @@ def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
 def load_subject(path: str | Path) -> Subject:
     """Read a subject that `save_subject` wrote.
 
-    **Raises:** `InputError` where the file is not one, is damaged, or does not fit together.
+    **Raises:** `InputError` if the file has another format, is damaged, or is inconsistent.
     """
     return subject_of(load_kind(path, KIND), path)
 
 
 def subject_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Subject:
-    """The subject of arrays that `subject_arrays` made. Raises `InputError` where they do not fit together."""
+    """Build the subject from the arrays of `subject_arrays`. Raises `InputError` if they are inconsistent."""
     labels = get_array(arrays, "marker.labels", path, (None,), "text").tolist()
     count = len(labels)
     models = get_array(arrays, "marker.models", path, (count,), "text").tolist()

@@ -1,7 +1,7 @@
 """TRC, the tables of marker trajectories of Motion Analysis and OpenSim.
 
-Five lines of head (type, names of settings, settings, labels, axes), then a row for each frame: its
-number, its time, and three numbers a marker. Cells that are empty are gaps.
+Five header lines (type, names of settings, settings, labels, axes), then a row for each frame: its number,
+its time, and three numbers for each marker. Empty cells are gaps.
 """
 
 import math
@@ -17,13 +17,13 @@ from ..system.door import reads
 from ..text import UNITS, check_rate, parse_floats, parse_int, read_text, shortened, unit_scale
 from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file, regular_rows
 
-#: cells of markers in any file
+#: cells that are allowed in a file of any size
 MOST_CELLS = 1_000_000
 
 
 class _Head(NamedTuple):
     rate: float
-    #: frames and markers that the head announces; None where it announces none
+    #: frames and markers that the header announces, or None
     frames: int | None
     markers: int | None
     unit: str
@@ -32,12 +32,13 @@ class _Head(NamedTuple):
 
 @reads("a TRC file")
 def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
-    """The markers of a TRC file; not seen is a cell that is empty or NaN, or zeros for a place.
+    """Read the markers of a TRC file; a cell that is empty or NaN, or a position of zeros, is a gap.
 
-    **Arguments:** `unit` of lengths, in place of what the head says, or millimetres where it says none.
+    **Arguments:** `unit` of lengths, which overrides that of the header; the default without both is
+    millimetres.
 
-    **Raises:** `InputError`, with the line, where there is no such file, it is no TRC file or cut short,
-    a cell is no number, or it holds no markers or no frames.
+    **Raises:** `InputError`, with the line, if there is no such file, it is no TRC file or cut short, a cell
+    is no number, or it has no markers or no frames.
     """
     path = Path(path)
     lines = read_text(path).splitlines()
@@ -45,7 +46,7 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
         raise InputError(f"{path}: the file is empty; copy or export it again.")
     head = _read_head(path, lines)
     count, numbers, times, rows, last = len(head.labels), [], [], [], 5
-    # cells that are empty may be missing, and a file of few could claim many
+    # empty cells may be missing, so a small file could claim many
     room = max(MOST_CELLS, 8 * sum(map(len, lines)))
     for number, line in enumerate(lines[5:], 6):
         if not line.strip():
@@ -61,7 +62,7 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
             raise InputError(
                 f"{where}: the rows up to here have {3 * count} cells by the head, and most are not there; correct the head."
             )
-        # empty cells at the end of a row may be missing, as editors take trailing blanks away
+        # editors remove trailing blanks, so empty cells at the end of a row may be missing
         cells = (cells + [""] * (2 + 3 * count))[: 2 + 3 * count]
         numbers.append(parse_int(cells[0], where, "the frame"))
         times.append(read_cell(cells[1], where, "the time"))
@@ -95,9 +96,9 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
 
 
 def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:
-    """Write markers, or joint centres, as TRC; `unit` by name only, as the head holds a word. Gaps are empty.
+    """Write markers or joint centres as TRC; `unit` is a name, as the header holds a word. Gaps are empty.
 
-    **Raises:** `InputError` where the file cannot be written, or a label holds a tab or a line's end.
+    **Raises:** `InputError` if the file cannot be written, or a label holds a tab or a line break.
     """
     path = Path(path)
     if unit not in UNITS:
@@ -130,16 +131,16 @@ def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
 
 
 def read_cell(cell: str, where: str, what: str) -> float:
-    """A number, or NaN for a cell that is empty or says so."""
+    """Parse a number; NaN for a cell that is empty or marked as missing."""
     if not cell or cell.lower() in ("nan", "na", "n/a", "null", "none", "-nan", "-nan(ind)", "nan(ind)"):
         return math.nan
     return parse_floats([cell], where, what)[0]
 
 
 def read_places(cells: list[str], labels: list[str], where: str) -> list[float]:
-    """Three numbers for each label; all NaN for a marker without any.
+    """Parse three numbers for each label; all NaN for a marker without any.
 
-    **Raises:** `InputError` where a marker has one or two of three coordinates, or a cell is no number.
+    **Raises:** `InputError` if a marker has one or two of three coordinates, or a cell is no number.
     """
     numbers = [read_cell(cell, where, f"marker {shortened(labels[i // 3])}") for i, cell in enumerate(cells)]
     for i, label in enumerate(labels):
@@ -162,7 +163,7 @@ def _read_head(path: Path, lines: list[str]) -> _Head:
         return parse_int(values[name], f"{path}:3", name) if name in values else None
 
     markers = setting("NumMarkers")
-    # every marker has a label, or its axes, or its cells
+    # every marker has a label, axes, or cells
     most = max(map(len, lines))
     if markers is not None and not 0 <= markers <= most:
         raise InputError(

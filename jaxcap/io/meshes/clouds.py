@@ -1,4 +1,4 @@
-"""Sequences of clouds: numbered files, folders, globs, or one `.npz`; read when asked for."""
+"""Sequences of clouds: numbered files, folders, globs, or one `.npz`; loaded on demand."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -18,15 +18,18 @@ from ..text import LARGEST, unit_scale
 from .mesh import check_faces, check_points, read_mesh, vertex_normals
 
 _ARRAYS = ("points", "vertices", "normals", "offsets", "faces")
-#: of what is a cloud
+#: the faces of a cloud
 NO_FACES = np.zeros((0, 3), int)
 #: points, normals and triangles of a frame
 Load = Callable[[int], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
 
 
 class Scans(Sequence):
-    """A sequence of clouds that loads each one when it is asked for: its points, normals or None, and triangles, `NO_FACES` of
-    a cloud; `names` and `len` cost nothing."""
+    """A sequence of clouds that are loaded on demand.
+
+    An element has points, normals or None, and triangles (`NO_FACES` for a cloud). `names` and `len` load
+    nothing.
+    """
 
     def __init__(self, names: Sequence[str], load: Load):
         self.names, self._load = tuple(names), load
@@ -61,18 +64,17 @@ def read_clouds(
     last: int | None = None,
     unit: str | float = "m",
 ) -> Scans:
-    """A sequence of clouds.
+    """Open a sequence of clouds.
 
-    **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, one
-    mesh file, or an `.npz` with `points (F, N, 3)`, or `points (T, 3)` and `offsets (F + 1,)`
-    for clouds of different sizes (`normals` alike), or `vertices (F, V, 3)` and
-    `faces (T, 3)`; or several mesh files, each one frame, in the order of the numbers in their
-    names as a glob has it, whichever way they are given. `first` and `last`, both included, are
-    the numbers in a pattern, and else frames counted from 0. `unit` as in `read_mesh`.
+    **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, one mesh file, or an
+    `.npz`. The `.npz` has `points (F, N, 3)`, or `points (T, 3)` and `offsets (F + 1,)` for clouds of
+    different sizes (`normals` of the same shape), or `vertices (F, V, 3)` and `faces (T, 3)`. `source` may
+    also be several mesh files, each one frame, which are sorted by the numbers in their names, as by a glob.
+    `first` and `last`, both included, are the numbers in a pattern, and otherwise frames counted from 0.
+    `unit` as in `read_mesh`.
 
-    **Raises:** `InputError` where nothing is found, a number is missing in a numbered
-    sequence, other sources than mesh files are among several, or (when it is read) a cloud is
-    wrong.
+    **Raises:** `InputError` if nothing is found, a number is missing in a numbered sequence, or several
+    sources are not all mesh files; also, when it is loaded, if a cloud is invalid.
     """
     metres = unit_scale(unit)
     sources = [source] if isinstance(source, str | Path) else list(source)
@@ -130,7 +132,7 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
             raise InputError(
                 f"{path}: the faces are {faces.dtype} of the shape {faces.shape}; they must be whole numbers, (T, 3)."
             )
-        # the same for all frames, so of the points of the one that has the least
+        # the same for all frames, so checked against the frame with the fewest points
         least = points.shape[1] if offsets is None else np.diff(offsets).min(initial=len(points))
         check_faces(faces, int(least), path)
     count = len(points) if offsets is None else len(offsets) - 1
@@ -147,7 +149,7 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
         own = None if normals is None else _known(np.asarray(normals[rows], float))
         if faces is None:
             return here, own, NO_FACES
-        # before anything is computed of them
+        # checked before normals are computed
         check_points(here, f"{path}[{frame}]")
         return here, vertex_normals(here, faces) if own is None else own, faces
 
@@ -155,5 +157,5 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
 
 
 def _known(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Normals, zero where they are no directions: those are not known."""
+    """Set normals that are not finite or too large to zero, which marks them as unknown."""
     return np.where((np.abs(normals) <= LARGEST).all(1, keepdims=True), normals, 0.0)

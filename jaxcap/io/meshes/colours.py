@@ -10,8 +10,10 @@ from .obj import read_obj_colours
 
 
 def read_colours(path: str | Path, count: int) -> UInt8[np.ndarray, "V 4"] | None:
-    """Red, green, blue and alpha of the `count` vertices of a file that `read_mesh` has read, in its order; None where
-    the file gives none, or not one for each of them, or is of another format."""
+    """Read the RGBA colours of the `count` vertices of a file, in the order of `read_mesh`.
+
+    None if the file has none, has another number of them, or has another format.
+    """
     path, colours = Path(path), None
     if path.suffix.lower() == ".obj":
         colours = read_obj_colours(path)

@@ -1,7 +1,7 @@
 """Meshes and point clouds from files: OFF and OBJ here, PLY, STL and GLB by trimesh.
 
-Vertices keep the order of the file, because `.vj` files and true correspondences count on
-it; only STL, which has no shared vertices, is merged.
+Vertices keep the order of the file, because `.vj` files and ground-truth correspondences depend on it; only
+STL, which has no shared vertices, is merged.
 """
 
 from pathlib import Path
@@ -23,9 +23,9 @@ from .obj import read_obj, write_obj
 from .off import read_off
 from .ply_check import check_ply
 
-#: suffixes that `read_mesh` knows
+#: suffixes that `read_mesh` supports
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
-#: suffixes that `write_mesh` knows
+#: suffixes that `write_mesh` supports
 WRITTEN = (".off", ".obj", ".ply", ".stl", ".glb")
 _UNIT_NAMES = {
     "m": "metres",
@@ -38,23 +38,23 @@ _UNIT_NAMES = {
 
 
 class Mesh(NamedTuple):
-    """A surface, or a cloud where there are no faces. Metres; indices from 0."""
+    """A surface, or a cloud if there are no faces. Metres; indices from 0."""
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
-    #: as the file gives them, of unit length; None where it gives none
+    #: unit normals of the file; None if it has none
     normals: Float[np.ndarray, "V 3"] | None = None
 
 
 @checked
 @reads("a mesh")
 def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
-    """Read a mesh or a cloud; polygons are cut into triangles as fans.
+    """Read a mesh or a cloud; polygons are split into triangle fans.
 
     **Arguments:** `unit` of the file's lengths: `m, dm, cm, mm, in, ft` or metres in one.
 
-    **Raises:** `InputError`, with the line in OFF and OBJ, where the file is wrong, holds no
-    points, or holds coordinates that are not finite.
+    **Raises:** `InputError`, with the line in OFF and OBJ, if the file is invalid, has no points, or has
+    coordinates that are not finite.
     """
     path = Path(path)
     metres, suffix = unit_scale(unit), path.suffix.lower()
@@ -74,11 +74,14 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
 
 @checked
 def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
-    """Write a mesh, or points without faces, in the format of the path's suffix, vertices in their order.
+    """Write a mesh, or points without faces, in the format of the path's suffix.
 
-    Normals are kept in `.ply`, and of a mesh in `.glb`.
+    The order of vertices is kept.
 
-    **Raises:** `InputError` where the suffix is not known, it cannot hold points, or the file cannot be written.
+    Normals are kept in `.ply`, and those of a mesh in `.glb`.
+
+    **Raises:** `InputError` if the suffix is unknown, the format cannot hold points, or the file cannot be
+    written.
     """
     path = Path(path)
     vertices, faces = np.asarray(mesh.vertices, float) / unit_scale(unit), np.asarray(mesh.faces)
@@ -95,7 +98,7 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
 
         if suffix == ".stl" and not len(faces):
             raise InputError(f"{path}: .stl holds triangles alone, and there are none; use .ply for points.")
-        # clouds of trimesh have no normals
+        # point clouds of trimesh have no normals
         solid = (
             trimesh.Trimesh(vertices, faces, vertex_normals=mesh.normals, process=False)
             if len(faces) or suffix == ".ply"
@@ -111,10 +114,10 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
 
 
 def check_points(points: np.ndarray, where: str | Path) -> None:
-    """Raises `InputError` where there are no points, or some are NaN, infinite or too large for any length."""
+    """Check that there are points, and that none is NaN, infinite or too large. Raises `InputError`."""
     if len(points) == 0:
         raise InputError(f"{where}: there are no points in it; give at least one.")
-    # half floats do not hold a number so large: beside a double they become doubles
+    # half floats cannot hold LARGEST; the comparison with a double converts them
     wrong = ~(np.abs(points) <= np.float64(LARGEST)).all(1)
     if wrong.any():
         why = "too large" if np.isfinite(points).all() else "NaN or infinite"
@@ -125,7 +128,7 @@ def check_points(points: np.ndarray, where: str | Path) -> None:
 
 
 def check_faces(faces: np.ndarray, count: int, where: str | Path) -> None:
-    """Raises `InputError` where a face is of a vertex that is not among the `count`."""
+    """Check that faces refer to `count` vertices only. Raises `InputError`."""
     if faces.size and not (faces.min() >= 0 and faces.max() < count):
         row = int(np.argmax((faces < 0).any(1) | (faces >= count).any(1)))
         raise InputError(
@@ -134,10 +137,9 @@ def check_faces(faces: np.ndarray, count: int, where: str | Path) -> None:
 
 
 def check_mesh(mesh: Mesh, where: str | Path) -> None:
-    """That a mesh can be a body's surface.
+    """Check that a mesh can be a body's surface.
 
-    **Raises:** `InputError` where it has no faces, a face without area, or a vertex that no
-    face uses.
+    **Raises:** `InputError` if it has no faces, a face without area, or a vertex that no face uses.
     """
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     if len(faces) == 0:
@@ -145,7 +147,7 @@ def check_mesh(mesh: Mesh, where: str | Path) -> None:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], 0)
-    # an area of nothing at the precision of the numbers in a file
+    # zero area at the precision of the numbers in a file
     flat = area <= 1e-10 * np.maximum(longest, 1e-12) ** 2
     if flat.any():
         row = int(flat.argmax())
@@ -163,11 +165,11 @@ def check_mesh(mesh: Mesh, where: str | Path) -> None:
 
 
 def check_size(extent: float, where: str | Path, unit: str | float = "m") -> None:
-    """That a body or its cloud, `extent` metres along its longest side, is between 0.3 and 3 m.
+    """Check that a body or its cloud, `extent` metres along its longest side, is between 0.3 and 3 m.
 
-    `unit` is the one that the file was read in, to say which one it is likely to be in.
+    `unit` is the one that the file was read in; the message suggests a likely one.
 
-    **Raises:** `InputError` naming the likely unit.
+    **Raises:** `InputError` with the likely unit.
     """
     if BODY[0] <= extent <= BODY[1]:
         return
@@ -182,7 +184,7 @@ def check_size(extent: float, where: str | Path, unit: str | float = "m") -> Non
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) unit normals, faces weighed by area; zero at a vertex without one."""
+    """Compute (V, 3) area-weighted unit vertex normals; zero at a vertex without faces."""
     corners = vertices[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = np.zeros_like(vertices)
@@ -193,8 +195,10 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def load_by_trimesh(path: Path) -> Any:
-    """A mesh or a cloud of trimesh's: without its textures and materials, which nothing here needs, and with other files
-    that it names from its own folder alone."""
+    """Load a mesh or a cloud by trimesh, without textures and materials.
+
+    Files that it names are read from its own folder only.
+    """
     import trimesh
 
     if path.suffix.lower() in (".glb", ".gltf"):
@@ -203,9 +207,9 @@ def load_by_trimesh(path: Path) -> Any:
         check_ply(path)
     more: dict[str, Any] = {"resolver": InsideResolver(path), "skip_materials": True}
     if path.suffix.lower() == ".ply":
-        # vertices stay as they are in the file, where trimesh would take them apart along seams of a texture
+        # vertices stay as in the file; trimesh would split them along texture seams
         more["fix_texture"] = False
-    # what cannot be is told by its place in the file, and not by NumPy
+    # later checks report invalid numbers with their position; NumPy should not warn
     with np.errstate(all="ignore"):
         loaded: Any = trimesh.load(path, process=False, **more)
     if isinstance(loaded, trimesh.Scene):
@@ -218,7 +222,7 @@ def _read_trimesh(path: Path):
         loaded = load_by_trimesh(path)
     except InputError:
         raise
-    except Exception as error:  # whatever a damaged file makes of a reader
+    except Exception as error:  # any error of a reader on a damaged file
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:120].rstrip(". ")
         raise InputError(
             f"{path}: this is not a whole {path.suffix} file ({reason}); write it again."
@@ -226,7 +230,7 @@ def _read_trimesh(path: Path):
     if not hasattr(loaded, "vertices"):
         raise InputError(f"{path}: this file holds no mesh and no points.")
     if path.suffix.lower() == ".stl":
-        # vertices that are no places cannot be held against each other
+        # vertices that are not finite cannot be compared
         check_points(np.asarray(loaded.vertices, float), path)
         loaded.merge_vertices()
     vertices = np.array(loaded.vertices, float).reshape(-1, 3)
@@ -235,7 +239,7 @@ def _read_trimesh(path: Path):
 
 
 def _file_normals(loaded) -> np.ndarray | None:
-    """The normals that stand in a PLY file, not ones computed from faces."""
+    """Return the normals that are stored in a PLY file, not ones computed from faces."""
     raw = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
     names = raw.keys() if isinstance(raw, dict) else getattr(getattr(raw, "dtype", None), "names", None) or ()
     if not {"nx", "ny", "nz"} <= set(names):

@@ -1,4 +1,4 @@
-"""Registered meshes: the same surface many times over, from many files or one `.npz`."""
+"""Registered meshes: several meshes with one topology, from many files or one `.npz`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ _ARRAYS = ("vertices", "faces", "face_counts", "face_indices", "names", "rate")
 
 
 class NamedMeshes(NamedTuple):
-    """A sequence, and what to call each of its meshes."""
+    """A sequence, and the names of its meshes."""
 
     sequence: MeshSequence
     names: tuple[str, ...]
@@ -40,16 +40,16 @@ class _File(NamedTuple):
 def read_meshes(
     paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
 ) -> MeshSequence:
-    """Registered meshes: the same vertices in the same order in each.
+    """Read registered meshes: the same vertices in the same order in each.
 
-    **Arguments:** `paths` is one source or several, one behind the other: a mesh file (`.obj`, `.ply`,
-    `.off`, `.glb`; not `.stl`, which has no vertices to keep an order of), a folder of them, a quoted glob
-    or a printf pattern, or an `.npz` with `vertices (F, V, 3)` and `faces (T, 3)`, or polygons as
-    `face_counts (P,)` and `face_indices (sum,)`, which are cut into triangles as fans. `unit` as in
-    `read_mesh`; `rate` meshes a second, that of the file or 30 where not given.
+    **Arguments:** `paths` is one source or a list that is concatenated. A source is a mesh file (`.obj`,
+    `.ply`, `.off`, `.glb`; not `.stl`, which has no shared vertices and so no vertex order), a folder of
+    them, a quoted glob or a printf pattern, or an `.npz`. The `.npz` has `vertices (F, V, 3)` and `faces (T,
+    3)`, or polygons as `face_counts (P,)` and `face_indices (sum,)`, which are split into triangle fans.
+    `unit` as in `read_mesh`; `rate` in meshes a second, by default that of the file or 30.
 
-    **Raises:** `InputError` where nothing is found, a file is wrong, or a mesh has other triangles than
-    the first.
+    **Raises:** `InputError` if nothing is found, a file is invalid, or a mesh has other triangles than the
+    first.
     """
     return read_named_meshes(paths, unit, rate).sequence
 
@@ -58,7 +58,7 @@ def read_meshes(
 def read_named_meshes(
     paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
 ) -> NamedMeshes:
-    """As `read_meshes`, with the names of the meshes, for messages."""
+    """Read registered meshes as `read_meshes` does, with their names for messages."""
     metres = unit_scale(unit)
     sources = [paths] if isinstance(paths, str | Path) else list(paths)
     if not sources:
@@ -76,7 +76,7 @@ def read_named_meshes(
 
 @checked
 def save_meshes(path: str | Path, sequence: MeshSequence) -> None:
-    """Write a sequence as an `.npz` that `read_meshes` reads. Raises `InputError` where it cannot be written."""
+    """Write a sequence as an `.npz` for `read_meshes`. Raises `InputError` if it cannot be written."""
     arrays = {"vertices": sequence.vertices, "faces": sequence.faces, "rate": np.array(sequence.rate, float)}
     save_arrays(path, KIND, arrays)
 
@@ -84,12 +84,12 @@ def save_meshes(path: str | Path, sequence: MeshSequence) -> None:
 def triangulate(
     counts: Int[np.ndarray, "P"], indices: Int[np.ndarray, "N"], where: str | Path = "The mesh"
 ) -> Int[np.ndarray, "T 3"]:
-    """Polygons, `counts` corners each, one behind the other in `indices`, as fans of triangles.
+    """Split polygons, with `counts` corners each, concatenated in `indices`, into triangle fans.
 
-    **Raises:** `InputError` where the two do not fit, or a polygon has fewer than three corners.
+    **Raises:** `InputError` if the two are inconsistent, or a polygon has fewer than three corners.
     """
     counts, indices = np.asarray(counts), np.asarray(indices)
-    # a count of more than all corners could make the sum right again, as it overflows
+    # each count is checked, as large counts could overflow to the right sum
     if (counts < 3).any() or (counts > len(indices)).any() or counts.sum() != len(indices):
         raise InputError(
             f"{where}: the faces have {counts.sum()} corners by their counts and {len(indices)} by their indices, "
@@ -165,7 +165,7 @@ def _arrays(path: Path) -> _File:
 
 
 def _whole(values: np.ndarray, name: str, path: Path) -> np.ndarray:
-    """A list of whole numbers. Raises `InputError` where it is none."""
+    """Return a list of integers after a check. Raises `InputError`."""
     if values.ndim != 1 or values.dtype.kind not in "iu":
         raise InputError(
             f"{path}: the array '{name}' has the shape {values.shape} and holds {values.dtype}; it must be a list of "
@@ -183,7 +183,7 @@ def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> N
         )
     if (file.faces == reference.faces).all():
         return
-    # a file may list the same triangles in another order, or begin each at another corner
+    # a file may list the same triangles in another order, or start each at another corner
     rows = [set(map(tuple, _turned(f.faces).tolist())) for f in (file, reference)]
     if rows[0] != rows[1]:
         raise InputError(
@@ -193,6 +193,6 @@ def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> N
 
 
 def _turned(faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"]:
-    """The same triangles, each from its least vertex on."""
+    """Rotate the corners of each triangle so that its smallest index comes first."""
     start = faces.argmin(1)[:, None]
     return np.take_along_axis(faces, (start + np.arange(3)) % 3, 1)

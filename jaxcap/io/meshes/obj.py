@@ -1,4 +1,7 @@
-"""Wavefront `.obj`: vertices in the order of the file with their colours, and faces; all else is passed over."""
+"""Wavefront `.obj`: vertices in the order of the file with their colours, and faces.
+
+Other lines are skipped.
+"""
 
 from pathlib import Path
 
@@ -11,10 +14,10 @@ from ..text import numbered_lines, parse_floats, parse_int, read_text
 
 
 def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """`(vertices (V, 3), faces (F, 3), None)` in the file's own unit.
+    """Read `(vertices (V, 3), faces (F, 3), None)` in the file's own unit.
 
-    Normals and texture coordinates are not read: a vertex has many of them there, and to
-    split it would change the order.
+    Normals and texture coordinates are not read: a vertex can have several of them, and splitting it would
+    change the order.
 
     **Raises:** `InputError` with file and line.
     """
@@ -37,8 +40,10 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
 
 
 def read_obj_colours(path: Path) -> UInt8[np.ndarray, "V 4"] | None:
-    """Red, green, blue and alpha of all vertices, where each has its three numbers from 0 to 1 behind its place; None
-    where not. Raises `InputError` with file and line."""
+    """Read the RGBA colours of all vertices, stored as three numbers from 0 to 1 after each position.
+
+    None if a vertex has none. Raises `InputError` with file and line.
+    """
     rows = []
     for number, line in numbered_lines(read_text(path).replace("\\\n", " ")):
         words = line.split()
@@ -56,10 +61,13 @@ def write_obj(
     faces: Int[np.ndarray, "F 3"],
     colours: UInt8[np.ndarray, "V _"] | None = None,
 ) -> None:
-    """Write a mesh in its order and the numbers' own unit; where there are `colours`, their red, green and blue stand
-    from 0 to 1 behind each place, as most programs read them.
+    """Write a mesh in its vertex order and unit.
 
-    **Raises:** `InputError` where the file cannot be written.
+    Red, green and blue of `colours` follow each position, from 0 to 1.
+
+    Most programs read colours in this form.
+
+    **Raises:** `InputError` if the file cannot be written.
     """
     rows = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
     if colours is not None:

@@ -1,4 +1,4 @@
-"""Object File Format (`.off`): text, with normals, colours and texture coordinates or without."""
+"""Object File Format (`.off`): text, with optional normals, colours and texture coordinates."""
 
 import re
 from pathlib import Path
@@ -10,10 +10,10 @@ from ..text import float_table, numbered_lines, parse_floats, parse_int, read_te
 
 
 def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """`(vertices (V, 3), faces (F, 3), normals (V, 3) or None)` in the file's own unit.
+    """Read `(vertices (V, 3), faces (F, 3), normals (V, 3) or None)` in the file's own unit.
 
-    Reads `OFF`, `COFF`, `NOFF`, `STOFF` and their combinations, with the counts on the first
-    line or the next, comments, and polygons.
+    Supports `OFF`, `COFF`, `NOFF`, `STOFF` and their combinations, with the counts on the first line or the
+    next, comments, and polygons.
 
     **Raises:** `InputError` with file and line.
     """
@@ -50,7 +50,7 @@ def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
 
 
 def _rows(lines: list[tuple[int, str]], width: int, path: Path) -> np.ndarray:
-    """The first `width` numbers of each line; colours may follow. NaN is left to the caller."""
+    """Parse the first `width` numbers of each line; colours may follow. The caller checks for NaN."""
     words = [line.split()[:width] for _, line in lines]
     for (number, _), row in zip(lines, words, strict=True):
         if len(row) != width:
@@ -66,7 +66,7 @@ def _rows(lines: list[tuple[int, str]], width: int, path: Path) -> np.ndarray:
 
 
 def _number(word: str, where: str) -> float:
-    """A number, or NaN and infinity, of which the caller says what they are of."""
+    """Parse a number, NaN or infinity; the caller reports those that are not finite."""
     plain = word.lower().strip("+-")
     return float(plain) if plain in ("nan", "inf") else parse_floats([word], where, "a vertex")[0]
 

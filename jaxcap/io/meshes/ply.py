@@ -16,11 +16,12 @@ def write_ply(
     faces: Int[np.ndarray, "F 3"] | None = None,
     colours: UInt8[np.ndarray, "N C"] | None = None,
 ) -> None:
-    """Write points with normals, metres, as single floats; `views`, where given, as the integers `view`,
-    `faces` as triangles, and `colours` as red, green, blue and, where there are four, alpha. The file appears
-    whole or not at all.
+    """Write points with normals, in metres, as single floats, atomically.
 
-    **Raises:** `InputError` where the file cannot be written.
+    `views` is written as the integers `view`, `faces` as triangles, and `colours` as red, green, blue and an
+    optional alpha.
+
+    **Raises:** `InputError` if the file cannot be written.
     """
     names = ("x", "y", "z", "nx", "ny", "nz")
     fields, head = [(name, "<f4") for name in names], [f"property float {name}" for name in names]

@@ -1,4 +1,4 @@
-"""Whether a PLY file holds what its header promises, before a library reads it, which does not look."""
+"""Consistency of a PLY file with its header, checked before a library that does not check reads it."""
 
 from pathlib import Path
 
@@ -9,13 +9,16 @@ from ...errors import InputError
 from ..text import parse_int, shortened
 from .ply_header import Element, Header, Property, read_header
 
-#: lists of the vertices of a face
+#: names of the list of vertices of a face
 _CORNERS = ("vertex_indices", "vertex_index")
 
 
 def check_ply(path: Path) -> None:
-    """Check that all elements are there, that each number of a text is one that its type holds, and that faces are of the
-    vertices that there are. Raises `InputError`, in a text with its line."""
+    """Check the data of a PLY file against its header.
+
+    All elements must be present, numbers must fit their types, and faces must refer to existing vertices.
+    Raises `InputError`, with the line in a text file.
+    """
     data = path.read_bytes()
     header = read_header(data, path)
     if header.text:
@@ -38,7 +41,7 @@ def _check_text(data: bytes, header: Header, path: Path) -> None:
 
 
 def _check_rows(rows: list[str], element: Element, header: Header, path: Path, first: int) -> None:
-    """Check the rows of an element, the first of which stands in the line `first`."""
+    """Check the rows of an element; `first` is the line number of the first row."""
     words: list[list[str]] = [[] for _ in element.properties]
     lines: list[list[int]] = [[] for _ in element.properties]
     for number, row in enumerate(rows, first):
@@ -62,7 +65,7 @@ def _check_rows(rows: list[str], element: Element, header: Header, path: Path, f
 
 
 def _check_words(words: list[str], lines: list[int], one: Property, path: Path, vertices: int | None) -> None:
-    """Check the words of a property: numbers of its type, and of `vertices` where it names some."""
+    """Check the words of a property: numbers of its type, or indices below `vertices` if given."""
     numbers = _numbers(words)
     wrong = np.isnan(numbers) & [word.lower().strip("+-") != "nan" for word in words]
     if vertices is not None:
@@ -75,7 +78,7 @@ def _check_words(words: list[str], lines: list[int], one: Property, path: Path, 
     limits = np.finfo(one.type) if one.type.kind == "f" else np.iinfo(one.type)
     held = (numbers >= limits.min) & (numbers <= limits.max)
     if one.type.kind == "f":
-        # readers say themselves which places and directions are not finite
+        # readers check for positions and directions that are not finite
         held |= np.isnan(numbers) | [word.lower().strip("+-") in ("inf", "infinity") for word in words]
     wrong |= ~held
     if wrong.any():
@@ -87,9 +90,9 @@ def _check_words(words: list[str], lines: list[int], one: Property, path: Path, 
 
 
 def _numbers(words: list[str]) -> Float[np.ndarray, "N"]:
-    """Words as numbers, NaN for those that are none."""
+    """Convert words to numbers, NaN for invalid ones."""
     try:
-        # one long word would make an array of as long ones
+        # one long word would make the whole array that wide
         if all(len(word) <= 60 for word in words):
             return np.array(words, dtype=str).astype(float)
     except ValueError:
@@ -111,7 +114,7 @@ def _check_binary(data: bytes, header: Header, path: Path) -> None:
 
 
 def _check_block(data: bytes, at: int, element: Element, header: Header, path: Path) -> int:
-    """Check the numbers of an element that begin at a byte, and return where they end."""
+    """Check the numbers of an element from a byte offset, and return the end offset."""
     lengths = _lengths(data, at, element)
     fields, size = [], 0
     for number, one in enumerate(element.properties):
@@ -143,7 +146,7 @@ def _check_block(data: bytes, at: int, element: Element, header: Header, path: P
 
 
 def _lengths(data: bytes, at: int, element: Element) -> list[int]:
-    """The lengths of the lists of the first row; fewer where the file ends before."""
+    """Read the lengths of the lists in the first row; fewer if the file ends before."""
     found = []
     for one in element.properties:
         count = 1

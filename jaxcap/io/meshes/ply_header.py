@@ -1,4 +1,4 @@
-"""The header of a PLY file: which elements follow, how many of each, and the numbers of one."""
+"""The header of a PLY file: elements, their counts, and the types of their properties."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import InputError
 from ..text import parse_int, shortened
 
-#: the types of numbers, by both of their names
+#: NumPy types of the numbers, by both of their names
 TYPES = {
     **dict(zip(("char", "uchar", "short", "ushort"), ("i1", "u1", "i2", "u2"), strict=True)),
     **dict(zip(("int", "uint", "float", "double"), ("i4", "u4", "f4", "f8"), strict=True)),
@@ -19,7 +19,7 @@ _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 class Property(NamedTuple):
-    """One number of an element, or, where `counts` is the type of its length, a list of them."""
+    """A number of an element, or, if `counts` is the type of its length, a list of numbers."""
 
     name: str
     type: np.dtype
@@ -27,7 +27,7 @@ class Property(NamedTuple):
 
 
 class Element(NamedTuple):
-    """What there are `count` of, as `vertex` and `face`."""
+    """An element type with its `count`, such as `vertex` or `face`."""
 
     name: str
     count: int
@@ -39,7 +39,7 @@ class Element(NamedTuple):
 
 
 class Header(NamedTuple):
-    """What a header says; `lines` of it, and its end in bytes."""
+    """The header's contents; the number of its `lines`, and its `end` in bytes."""
 
     text: bool
     elements: list[Element]
@@ -47,12 +47,12 @@ class Header(NamedTuple):
     end: int
 
     def count_of(self, name: str) -> int:
-        """How many elements of this name there are."""
+        """Count the elements of a name."""
         return sum(element.count for element in self.elements if element.name == name)
 
 
 def read_header(data: bytes, path: Path) -> Header:
-    """Read the header that a file begins with. Raises `InputError` with its line."""
+    """Read the header of a file. Raises `InputError` with the line."""
     order, elements, at = None, [], 0
     for number in range(1, data.count(b"\n") + 1):
         end = data.index(b"\n", at) + 1

@@ -1,4 +1,4 @@
-"""Vertices of a body under names, read from text.
+"""Named vertices of a body, read from text.
 
 # marker  vertex
 LFHD      1023
@@ -14,10 +14,10 @@ from ..text import numbered_lines, parse_int, read_text, shortened
 
 @reads("a list of vertices")
 def read_vertex_list(path: str | Path) -> dict[str, int]:
-    """Names with the vertex of each; a line of a number alone is named `v` and the number.
+    """Read names with the vertex of each; a line with only a number gets the name `v` and the number.
 
-    **Raises:** `InputError` with file and line: a line of more than two words, a vertex that is no number from 0, a name
-    that stands twice; or where the list is empty.
+    **Raises:** `InputError` with file and line, for a line of more than two words, a vertex that is no number
+    from 0, or a duplicate name; also if the list is empty.
     """
     found: dict[str, int] = {}
     for number, line in numbered_lines(read_text(path)):

@@ -1,9 +1,10 @@
-"""Motions as `.npz` in the manner of AMASS (Mahmood et al., ICCV 2019): one rotation vector a joint, one place a frame.
+"""Motions as `.npz` in the format of AMASS (Mahmood et al., ICCV 2019).
 
-`poses (F, 3 J)` are rotation vectors of joints, parents first, each in the axes of the world at rest, and
-`trans (F, 3)` moves the root, which turns about its rest centre: x' = R (x - c) + c + trans for what hangs on the root
-alone. SMPL has the same map (Loper et al., 2015), so it holds numbers of other skeletons as well; what is SMPL's alone is
-which joints there are, where they stand, and what `betas` make of them. A body's rest is y up, the world z up.
+`poses (F, 3 J)` are rotation vectors of joints, parents first, each in the axes of the world at rest. `trans
+(F, 3)` moves the root, which rotates about its rest centre: x' = R (x - c) + c + trans for points that follow
+the root only. SMPL has the same map (Loper et al., 2015), so the format holds motions of other skeletons as
+well; only the set of joints, their positions, and the meaning of `betas` are specific to SMPL. A body's rest
+is y up, the world z up.
 """
 
 from collections.abc import Mapping
@@ -26,24 +27,24 @@ from ..system.atomic import replacing
 from ..system.door import reads
 from ..text import check_rate
 
-#: from a world with y up to one with z up
+#: from a y-up to a z-up world
 _LIFT = Rotation.from_euler("x", 90, degrees=True)
-#: what the two generations of the data set call the rate
+#: names of the rate in the two generations of the data set
 _RATES = ("mocap_framerate", "mocap_frame_rate")
 _OWN = "skeleton."
-#: joints at rest that stand further apart are another body's, metres
+#: largest distance of joints at rest for the same body, metres
 SAME_BODY = 0.01
 _TRUNK = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
 
 
 def _hand(wrist: int, first: int) -> tuple[int, ...]:
-    """Five fingers of three joints."""
+    """Return the parents of five fingers of three joints."""
     return tuple(
         parent for finger in range(5) for parent in (wrist, first + 3 * finger, first + 3 * finger + 1)
     )
 
 
-#: parents of the joints of SMPL's family, by their number: without hands, SMPL, SMPL-H, SMPL-X
+#: parents of the joints of SMPL's family, by their number: SMPL without hands, SMPL, SMPL-H, SMPL-X
 TREES = {
     22: _TRUNK,
     24: (*_TRUNK, 20, 21),
@@ -54,13 +55,14 @@ TREES = {
 
 @checked
 def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
-    """Write a motion in AMASS's keys, z up: `trans`, `poses`, `betas` (zeros), `gender` (neutral), `mocap_framerate` and
-    `mocap_frame_rate`; and the skeleton under keys that begin with `skeleton.`, without which nothing could be drawn.
+    """Write a motion in AMASS's format, z up.
 
-    A scale that is the same in all poses goes into the skeleton.
+    Keys are `trans`, `poses`, `betas` (zeros), `gender` (neutral), `mocap_framerate` and `mocap_frame_rate`;
+    the skeleton, without which the motion cannot be drawn, is under keys that begin with `skeleton.`. A
+    constant scale of the poses is applied to the skeleton.
 
-    **Raises:** `InputError` where a joint other than the root moves away from its place, there are several roots, the
-    scale changes, the motion has no frames or numbers that are not finite, or the file cannot be written.
+    **Raises:** `InputError` if a joint other than the root is translated, there are several roots, the scale
+    changes, the motion has no frames or is not finite, or the file cannot be written.
     """
     check_motion(Path(path), skeleton, motion)
     moves = np.asarray(motion.poses.translations, float)
@@ -104,7 +106,7 @@ def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
 
 
 def is_amass(path: str | Path) -> bool:
-    """Whether a file is an `.npz` with AMASS's keys; one that is not there, or damaged, is not."""
+    """Check that a file is an `.npz` with AMASS's keys; false if it does not exist or is damaged."""
     try:
         return {"poses", "trans"} <= set(array_names(path))
     except InputError:
@@ -116,13 +118,13 @@ def is_amass(path: str | Path) -> bool:
 def read_amass(
     path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] = "z"
 ) -> tuple[Skeleton, Motion]:
-    """Read a motion in AMASS's keys; the world's `up` becomes y.
+    """Read a motion in AMASS's format; the world's `up` becomes y.
 
-    Files of AMASS itself do not say where joints are: `skeleton` does, with the same joints in the same order, as SMPL's
-    own. What the file says of shape (`betas`, `dmpls`, `gender`) is not read, and need not be readable.
+    Files of AMASS itself have no joint positions: `skeleton` gives them, with the same joints in the same
+    order, as SMPL's own. The shape (`betas`, `dmpls`, `gender`) is not read, and need not be readable.
 
-    **Raises:** `InputError` where the file is none of AMASS's, is damaged, has pickled numbers, says no rate, or its
-    joints are not the skeleton's.
+    **Raises:** `InputError` if the file has another format, is damaged, has pickled numbers or no rate, or if
+    its joints are not the skeleton's.
     """
     arrays = load_arrays(path, lambda name: name in ("poses", "trans", *_RATES) or name.startswith(_OWN))
     poses = get_array(arrays, "poses", path, (None, None), rows="frame")
@@ -156,7 +158,7 @@ def _motion(
 def _skeleton(
     path: str | Path, arrays: Mapping[str, np.ndarray], joints: int, given: Skeleton | None
 ) -> Skeleton:
-    """The given skeleton, which has to have the file's joints, else the file's own."""
+    """Return the given skeleton after a check of its joints, or the file's own. Raises `InputError`."""
     noted = {name.removeprefix(_OWN): values for name, values in arrays.items() if name.startswith(_OWN)}
     if noted:
         own = skeleton_of(noted, path)

@@ -21,11 +21,10 @@ from .asf import Asf
 def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
     """Read a motion of the skeleton `asf`, as poses of `asf.skeleton`.
 
-    `rate` is in frames a second: the file does not say it, and the CMU database was taken
-    at 120.
+    `rate` is in frames a second: the file does not contain it, and the CMU database was recorded at 120.
 
-    **Raises:** `InputError` with file and line where the file is wrong, is cut short, or
-    belongs to another skeleton.
+    **Raises:** `InputError` with file and line, if the file is invalid, cut short, or belongs to another
+    skeleton.
     """
     header, rows = [], []
     for number, line in numbered_lines(read_text(path)):
@@ -46,8 +45,10 @@ def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
 
 
 def _regular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray] | None:
-    """Values by bone, `(F, dofs)`, of a file whose frames all list the bones in one order;
-    None for any other file."""
+    """Parse a file with one order of bones in all frames to values by bone, `(F, dofs)`.
+
+    None for any other file.
+    """
     lines = len(counts) + 1
     first = [line.split() for _, line in rows[:lines]]
     if len(rows) % lines or len(first[0]) != 1:
@@ -75,7 +76,7 @@ def _regular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[
 
 
 def _check_order(frames: Sequence[float | int], path: str | Path) -> None:
-    """Check that the numbers of frames rise one by one. Raises `InputError`."""
+    """Check that frame numbers increase by one. Raises `InputError`."""
     for before, after in itertools.pairwise(frames):
         if after != before + 1:
             raise InputError(
@@ -84,7 +85,7 @@ def _check_order(frames: Sequence[float | int], path: str | Path) -> None:
 
 
 def _irregular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray]:
-    """The same line by line: bones in any order, and every error with its line."""
+    """Parse a file line by line to values by bone: bones in any order, and every error with its line."""
     frames: list[dict[str, list[float]]] = []
     order: list[int] = []
     where = f"{path}:{rows[0][0]}"

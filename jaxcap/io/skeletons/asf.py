@@ -1,10 +1,9 @@
 """Acclaim skeletons (`.asf`) and their motions (`.amc`), read.
 
-A bone's motion is given in the bone's own `axis` frame `C`: its local transform is
-`L = C M C^-1 B`, with `M` the product of the rotations about its `dof` axes, the first
-listed applied first, and `B` the step along its parent. The joint of a bone lies at the
-bone's start, which is its parent's end, so `C M C^-1` is at once the joint's rotation in
-the rest frame of the world.
+A bone's motion is given in the bone's own `axis` frame `C`: its local transform is `L = C M C^-1 B`, with `M`
+the product of the rotations about its `dof` axes, the first listed applied first, and `B` the step along its
+parent. The joint of a bone is at the bone's start, which is its parent's end, so `C M C^-1` is also the
+joint's rotation in the rest frame of the world.
 """
 
 import math
@@ -28,23 +27,23 @@ _KINDS = ("fixed", "revolute", "universal", "ball")
 
 
 class Asf(NamedTuple):
-    """What an `.asf` file says. Names lead to arrays; angles are in radians, lengths in metres."""
+    """The contents of an `.asf` file. Dictionaries are by bone; angles are in radians, lengths in metres."""
 
-    #: bones as joints; the root is `free`, and every last bone has an end, `<bone>.end`
+    #: bones as joints; the root is `free`, and every leaf bone has an end, `<bone>.end`
     skeleton: Skeleton
-    #: which rotations each bone has, in the file's order, such as `("rx", "rz")`
+    #: the degrees of freedom of each bone, in the file's order, such as `("rx", "rz")`
     dofs: dict[str, tuple[str, ...]]
     #: (3, 3) the rotation `C` of each bone's own frame
     frames: dict[str, np.ndarray]
     lengths: dict[str, float]
-    #: (dofs, 2) lower and upper of each dof, in the bone's own frame; not all bones have one
+    #: (dofs, 2) lower and upper bound of each dof, in the bone's own frame; not all bones have limits
     limits: dict[str, np.ndarray]
     #: the limits of revolute and universal joints, and those of ball joints
     ranges: JointRanges
     boxes: EulerBoxes
     #: metres in one unit of the file
     metres: float
-    #: whether angles of the motions are in degrees
+    #: true if the angles of the motions are in degrees
     degrees: bool
 
 
@@ -53,8 +52,8 @@ class Asf(NamedTuple):
 def read_asf(path: str | Path) -> Asf:
     """Read an Acclaim skeleton. Lengths are inches divided by the file's `length` unit.
 
-    **Raises:** `InputError` with file and line where the file is wrong or says something
-    that is not supported (bones that slide or stretch).
+    **Raises:** `InputError` with file and line, if the file is invalid or has unsupported content (bones that
+    slide or stretch).
     """
     sections: dict[str, list[tuple[int, str]]] = {}
     current: list[tuple[int, str]] = []
@@ -136,7 +135,7 @@ def read_asf(path: str | Path) -> Asf:
     axes = np.tile(np.eye(3)[:2], (len(rows), 1, 1))
     for joint, name in enumerate(names):
         if kinds[joint] in ("revolute", "universal"):
-            # the last dof is outermost, and a universal joint's first axis is
+            # the last dof is outermost, as is a universal joint's first axis
             letters = [dof[1] for dof in reversed(dofs[name])]
             for place, letter in enumerate(letters):
                 axes[joint, place] = frames[name][:, "xyz".index(letter)]
@@ -167,13 +166,13 @@ def read_asf(path: str | Path) -> Asf:
 
 
 def _box(dofs: tuple[str, ...], frame: np.ndarray, limits: np.ndarray) -> EulerBox:
-    """The first dof is applied first, as a box's first axis is."""
+    """Build the Euler box of a bone; its first axis is the first dof, as both are applied first."""
     axes = frame[:, ["xyz".index(dof[1]) for dof in dofs]]
     return EulerBox(limits[:, 0], limits[:, 1], axes)
 
 
 def _fields(lines: list[tuple[int, str]], path) -> dict[str, tuple[int, list[str]]]:
-    """A bone's keywords with the line and the words of each; limits go on over lines."""
+    """Return a bone's keywords with the line and the words of each; limits continue over lines."""
     fields: dict[str, tuple[int, list[str]]] = {"first": (lines[0][0] if lines else 0, [])}
     for number, line in lines:
         words = line.split()
@@ -220,7 +219,7 @@ def _dofs(name: str, bone: dict, path) -> tuple[str, ...]:
 
 
 def _bounds(words: list[str], where: str, name: str) -> list[float]:
-    """Limits, where `inf` and `-inf` stand for none."""
+    """Parse limits, with `inf` and `-inf` for none."""
     none = {"inf": math.inf, "+inf": math.inf, "-inf": -math.inf}
     what = f"the limits of '{shortened(name)}'"
     return [
@@ -229,8 +228,11 @@ def _bounds(words: list[str], where: str, name: str) -> list[float]:
 
 
 def _finite(pairs: Float[np.ndarray, "D 2"], where: str, name: str) -> Float[np.ndarray, "D 2"]:
-    """Ranges of angles with half a turn in place of an end that is open, and two turns, further than any joint turns, at
-    most; an end that is given stays an end. Raises `InputError` where both ends are the same infinity."""
+    """Replace infinite ends of angle ranges, and clip ranges to two turns, more than any joint rotates.
+
+    An open end becomes half a turn, or half a turn from the given end if that is further. Raises `InputError`
+    if both ends are the same infinity.
+    """
     lower, upper = pairs.T
     if ((lower == np.inf) | (upper == -np.inf)).any():
         raise InputError(
@@ -257,7 +259,7 @@ def _vector(bone: dict, key: str, name: str, path, count: int = 3) -> list[float
 
 
 def _hierarchy(lines: list[tuple[int, str]], bones: dict, path) -> dict[str, str]:
-    """The parent of each bone; the root has none."""
+    """Parse the parent of each bone except the root. Raises `InputError`."""
     parents: dict[str, str] = {}
     for number, line in lines:
         words = line.split()
@@ -285,7 +287,7 @@ def _hierarchy(lines: list[tuple[int, str]], bones: dict, path) -> dict[str, str
 
 
 def _root_first(parents: dict[str, str]) -> list[str]:
-    """All bones below the root, parents before children, chain by chain."""
+    """Order all bones below the root depth first, parents before children."""
     below: dict[str, list[str]] = {}
     for child, parent in parents.items():
         below.setdefault(parent, []).append(child)

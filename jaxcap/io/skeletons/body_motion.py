@@ -1,4 +1,4 @@
-"""The motion of a body from a file of any format that motions are read from."""
+"""The motion of a body from a file of any motion format."""
 
 import functools
 from pathlib import Path
@@ -22,9 +22,9 @@ from .amass import SAME_BODY, is_amass, read_amass
 
 @reads("a motion")
 def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
-    """A motion of a body; one from BVH, whose lengths are in `unit`, is matched to its joints by name.
+    """Read a motion of a body; joints of a BVH file, with lengths in `unit`, are matched by name.
 
-    **Raises:** `InputError` where the file is wrong or of another body.
+    **Raises:** `InputError` if the file is invalid or belongs to another body.
     """
     if is_amass(path):
         return read_amass(path, body.skeleton)[1]
@@ -61,7 +61,7 @@ def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
     poses = jax.vmap(functools.partial(project, target))(poses)
     shared = [name for name in target.names if name in skeleton.names]
     here = np.asarray(joint_paths(target, poses))[:, [target.names.index(name) for name in shared]]
-    # the rest of a file with other joints may be another pose: what counts is where the motion takes them
+    # a file with other joints may have another rest pose, so positions in the motion are compared
     there = there[:, [skeleton.names.index(name) for name in shared]]
     _check_near(path, float(joint_errors(here, there).max()))
     return Motion(poses, motion.rate)

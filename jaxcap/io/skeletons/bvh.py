@@ -1,12 +1,12 @@
 """BVH files (Kineben, appendix A.6), read as other tools write them.
 
-Rotation channels multiply in the order listed, the first outermost; they turn about the
-world's axes at rest, as this library's joints do. Position channels take the place of the
-joint's `OFFSET`, as in Blender and MotionBuilder, whether the joint is the root or not.
+Rotation channels multiply in the order listed, the first outermost; they rotate about the world's axes at
+rest, as this library's joints do. Position channels replace the joint's `OFFSET`, as in Blender and
+MotionBuilder, for the root and other joints.
 
-Joints become what their channels allow: three rotations a `ball`, two a `universal`, one a
-`revolute`, positions a `translate`, both a `free`, none a `fixed` joint. An `End Site`
-becomes a `fixed` joint `<parent>.end`, unless its offset is zero and it says nothing.
+Channels determine the kind of a joint: three rotations a `ball`, two a `universal`, one a `revolute`,
+positions a `translate`, both a `free`, none a `fixed` joint. An `End Site` becomes a `fixed` joint
+`<parent>.end`, unless its offset is zero.
 """
 
 import re
@@ -29,7 +29,7 @@ from .twist_axes import END, twist_orientations
 __all__ = ["BvhWriter", "read_bvh", "write_bvh"]
 
 _CHANNEL = re.compile(r"([xyz])(position|rotation)$", re.IGNORECASE)
-#: frames of a motion in which nothing moves
+#: largest number of frames of a motion without channels
 MOST_STILL = 100_000
 _KINDS = ("fixed", "revolute", "universal", "ball")
 
@@ -46,12 +46,12 @@ class _Joint(NamedTuple):
 @checked
 @reads("a BVH file")
 def read_bvh(path: str | Path, unit: str | float = "cm") -> tuple[Skeleton, Motion]:
-    """Read a BVH file: its skeleton in metres, and its motion.
+    """Read the skeleton of a BVH file in metres, and its motion.
 
-    **Arguments:** `unit` is what the file's lengths are in: `m, dm, cm, mm, in, ft`, or the
-    number of metres in one (the CMU database's own files need `0.0254 / 0.45`).
+    **Arguments:** `unit` of the file's lengths: `m, dm, cm, mm, in, ft`, or the number of metres in one (the
+    CMU database's own files need `0.0254 / 0.45`).
 
-    **Raises:** `InputError` with file and line where the file is wrong or cut short.
+    **Raises:** `InputError` with file and line, if the file is invalid or cut short.
     """
     metres = unit_scale(unit)
     lines = _lines(read_text(path))
@@ -64,7 +64,7 @@ def read_bvh(path: str | Path, unit: str | float = "cm") -> tuple[Skeleton, Moti
 
 
 def _lines(text: str) -> list[tuple[int, str]]:
-    """Numbered lines without comments: from `#` or `//` at the start, or ` #` after values."""
+    """Number the lines and remove comments: from `#` or `//` at the start, or ` #` after values."""
     lines = []
     for number, line in enumerate(text.splitlines(), 1):
         words = line.strip()
@@ -77,7 +77,7 @@ def _lines(text: str) -> list[tuple[int, str]]:
 
 
 class _Hierarchy:
-    """Reads the tree: words and braces with the lines they stand on, in any layout."""
+    """A parser of the joint tree: words and braces with their lines, in any layout."""
 
     def __init__(self, lines: list[tuple[int, str]], path):
         self.path = path
@@ -85,9 +85,9 @@ class _Hierarchy:
             (n, m[0], line, m.end()) for n, line in lines for m in re.finditer(r"[{}]|[^\s{}]+", line)
         ]
         self.at = 0
-        #: of every joint the line of its name
+        #: for each joint the line of its name
         self.lines: dict[str, int] = {}
-        #: of every joint how many names were tried for its ends
+        #: for each joint the number of names that were tried for its ends
         self.ends: dict[int, int] = {}
 
     def joints(self) -> list[_Joint]:
@@ -102,7 +102,7 @@ class _Hierarchy:
         return found
 
     def joint(self, found: list[_Joint]) -> None:
-        """One joint with all below it; a stack, because chains may be long."""
+        """Parse one joint with its descendants; with a stack, because chains may be long."""
         stack = [self.open(found, -1)]
         while stack:
             number, word = self.take("'}'")
@@ -177,7 +177,7 @@ class _Hierarchy:
         return channels
 
     def name(self) -> tuple[str, int]:
-        """The rest of the line, or up to a brace: names may hold blanks."""
+        """Parse a name: the rest of the line, or up to a brace, as names may contain blanks."""
         number, _, line, end = self.words[self.at - 1]
         name = re.split(r"[{}]", line[end:])[0].strip()
         if not name:
@@ -216,7 +216,7 @@ class _Hierarchy:
 
 
 def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray, float]:
-    """Channel values `(F, width)` and the rate."""
+    """Parse channel values `(F, width)` and the rate. Raises `InputError`."""
     if len(lines) < 2:
         raise InputError(
             f"{path}: 'Frames:' and 'Frame Time:' are missing after MOTION; the file is cut short."
@@ -239,7 +239,7 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
     words = [line.split() for _, line in rows]
     total = sum(len(line) for line in words)
     if total != count * width:
-        # where nearly all lines are whole frames the odd line is the culprit
+        # if nearly all lines are complete frames, the odd line is the error
         odd = [n for (n, _), line in zip(rows, words, strict=True) if len(line) != width]
         if odd and len(odd) < 0.5 * len(rows) and not (total < count * width and odd[0] == rows[-1][0]):
             here = len(words[[n for n, _ in rows].index(odd[0])])
@@ -253,7 +253,7 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
         )
     values = float_table([word for line in words for word in line])
     if values is None:
-        # line by line, which names the line
+        # again line by line, for the line number in the error
         read = [
             parse_floats(line, f"{path}:{number}", "a frame")
             for (number, _), line in zip(rows, words, strict=True)
@@ -266,7 +266,7 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
 
 
 def _setting(line: str, name: str, where: str, wanted: str) -> str:
-    """The one word behind a name and a colon, which may be missing. Raises `InputError`."""
+    """Return the single word after a name and an optional colon. Raises `InputError`."""
     words = line.replace(":", " ").lower().split()
     known = name.split()
     if words[:-1] != known:

@@ -1,8 +1,8 @@
-"""BVH files, written: whole motions at once, or frame by frame by a run that may be killed.
+"""BVH files, written: complete motions at once, or frame by frame in a run that may be killed.
 
-Every joint gets three rotations and every joint that can move away three positions too, so
-that any pose is written exactly, whatever the joints' kinds. Angles are in degrees, in the
-order Z X Y, and go on from frame to frame without jumps of a turn.
+Every joint has three rotations, and every joint that can translate three positions too, so that any pose is
+written exactly, for all kinds of joints. Angles are in degrees, in the order Z X Y, and are continuous from
+frame to frame, without jumps by a full rotation.
 """
 
 import os
@@ -23,7 +23,7 @@ from .twist_axes import is_end
 
 _ROTATIONS = "Zrotation Xrotation Yrotation"
 _POSITIONS = "Xposition Yposition Zposition"
-#: digits kept for the number of frames, which is not known before the end
+#: digits reserved for the number of frames, which is unknown until the end
 _WIDTH = 10
 #: frames that are written at once
 _AT_ONCE = 1000
@@ -31,12 +31,12 @@ _AT_ONCE = 1000
 
 @checked
 def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | float = "cm") -> None:
-    """Write a motion, in a file that appears only when it is whole.
+    """Write a motion atomically.
 
-    The scale of the poses goes into the offsets. `unit` is as in `read_bvh`.
+    The scale of the poses is applied to the offsets. `unit` is as in `read_bvh`.
 
-    **Raises:** `InputError` where the file cannot be written, the scale changes from frame
-    to frame, or a joint moves away whose kind does not let it.
+    **Raises:** `InputError` if the file cannot be written, the scale changes from frame to frame, or a joint
+    translates although its kind does not allow it.
     """
     path = Path(path)
     scales = np.asarray(motion.poses.scale)
@@ -57,12 +57,12 @@ def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | 
 
 
 class BvhWriter:
-    """Writes poses as they come; after each one the file is a whole BVH file.
+    """A writer of single poses; after each one the file is a complete BVH file.
 
         with BvhWriter(path, skeleton, rate=30.0) as writer:
             writer.write(pose)
 
-    `frames` is how many there are. A run that was killed goes on with `BvhWriter.resume`.
+    `frames` is the number of frames in the file. `BvhWriter.resume` continues a run that was killed.
     """
 
     def __init__(
@@ -73,9 +73,9 @@ class BvhWriter:
         unit: str | float = "cm",
         scale: float = 1.0,
     ):
-        """Start a new file. `scale` is the poses' own, the same for all of them.
+        """Start a new file. `scale` is that of all poses.
 
-        **Raises:** `InputError` where the file cannot be written.
+        **Raises:** `InputError` if the file cannot be written.
         """
         self._prepare(path, skeleton, rate, unit, scale)
         try:
@@ -97,11 +97,12 @@ class BvhWriter:
         scale: float = 1.0,
         frames: int | None = None,
     ) -> "BvhWriter":
-        """Go on after the last whole frame of a file that was begun with the same arguments,
-        or after its first `frames` frames. A frame that was cut short is dropped.
+        """Continue a file with the same arguments after its last complete frame, or after its first `frames`.
 
-        **Raises:** `InputError` where the file has another hierarchy, rate or unit, or has
-        fewer frames than `frames`.
+        An incomplete frame is dropped.
+
+        **Raises:** `InputError` if the file has another hierarchy, rate or unit, or has fewer frames than
+        `frames`.
         """
         self = cls.__new__(cls)
         self._prepare(path, skeleton, rate, unit, scale)
@@ -138,10 +139,10 @@ class BvhWriter:
         return self
 
     def write(self, pose: Pose) -> None:
-        """Append one frame and hand it to the operating system.
+        """Append one frame and pass it to the operating system.
 
-        **Raises:** `InputError` where its scale is not the file's, or a joint moves away
-        whose kind does not let it.
+        **Raises:** `InputError` if its scale is not the file's, or a joint translates although its kind does
+        not allow it.
         """
         arrays = (pose.translations, pose.rotations, pose.scale)
         translations, rotations, scales = (np.asarray(array)[None] for array in arrays)
@@ -154,8 +155,10 @@ class BvhWriter:
         scales: Float[np.ndarray, "F"],
         count: bool = True,
     ) -> None:
-        """`write` for the arrays of some frames; without `count` the number of frames in the file
-        is left until the end."""
+        """Append the arrays of some frames as `write` does.
+
+        Without `count` the number of frames is written at the end only.
+        """
         self._check(translations, scales)
         turned = np.asarray(rotations, float)[:, self._order]
         matrices = Rotation.from_quat(turned.reshape(-1, 4), scalar_first=True).as_matrix()
@@ -164,7 +167,7 @@ class BvhWriter:
         moves = self._moves[self._order]
         places = (self._places + translations[:, self._order]) * self._factor
         numbers = np.concatenate([places, np.degrees(angles)], 2)
-        # positions of the joints that move, and rotations of all
+        # positions of the joints that translate, and rotations of all
         rows = numbers[:, np.stack([moves, np.ones_like(moves)], 1).repeat(3, 1)]
         line = " ".join(["%.6f"] * self._width) + "\n"
         self._file.write("".join(line % tuple(row) for row in rows.tolist()).encode())
@@ -173,7 +176,7 @@ class BvhWriter:
             self._rewrite_count()
 
     def close(self) -> None:
-        """Finish the file. Harmless when done twice."""
+        """Finish the file; a second call has no effect."""
         if not self._file.closed:
             self._rewrite_count()
             self._file.close()
@@ -185,7 +188,7 @@ class BvhWriter:
         self.close()
 
     def _check(self, translations: np.ndarray, scales: np.ndarray) -> None:
-        """That frames have the file's scale and no joint moves away. Raises `InputError`."""
+        """Check that frames have the file's scale and only movable joints translate. Raises `InputError`."""
         wrong = np.abs(scales - self.scale) > 1e-6 * abs(self.scale)
         if wrong.any():
             first = int(wrong.argmax())
@@ -228,7 +231,7 @@ class BvhWriter:
         return f"{frames:>{_WIDTH}d}".encode()
 
     def _rewrite_count(self) -> None:
-        # the frame first, so that the number never promises one that is not there
+        # the frame first, so that the count never includes a missing one
         self._file.seek(0, os.SEEK_END)
         self._file.flush()
         self._file.seek(len(self._header))
@@ -238,7 +241,7 @@ class BvhWriter:
 
 
 def _hierarchy(skeleton: Skeleton, factor: float, moves: np.ndarray) -> tuple[str, np.ndarray]:
-    """The HIERARCHY section, and the joints in its order, End Sites left out."""
+    """Build the HIERARCHY section, and return it with the joints in its order, without End Sites."""
     names, parents = skeleton.names, skeleton.parents
     centres = np.asarray(skeleton.centres, float)
     ends = [is_end(names, parents, skeleton.kinds, joint) for joint in range(len(names))]
@@ -274,10 +277,11 @@ def _hierarchy(skeleton: Skeleton, factor: float, moves: np.ndarray) -> tuple[st
 
 
 def _euler(r: np.ndarray, previous: np.ndarray) -> np.ndarray:
-    """Angles `(F, J, 3)` with `R = Rz(a) Rx(b) Ry(c)`: of the two triples, and of all whole
-    turns, the ones nearest to the frame before, of which the first is `previous` `(J, 3)`.
+    """Compute continuous angles `(F, J, 3)` with `R = Rz(a) Rx(b) Ry(c)`.
 
-    Where Z and Y turn about one axis (b at a right angle), Z stays and Y takes all.
+    Of both solutions and all full rotations, the angles nearest to the previous frame are chosen; `previous`
+    `(J, 3)` is the first one. In gimbal lock (b at a right angle), Z keeps its previous value and Y takes the
+    rest.
     """
     cosine = np.hypot(r[..., 0, 1], r[..., 1, 1])
     locked = cosine < 1e-9
@@ -295,8 +299,8 @@ def _euler(r: np.ndarray, previous: np.ndarray) -> np.ndarray:
 
 
 def _triples(r: np.ndarray, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
-    """For each frame both triples of angles, `(2, J, 3)`, from the first two of one."""
-    # from what is left after Z, so that the product holds however badly a is determined
+    """Yield both solutions for the angles of each frame, `(2, J, 3)`, from the first two angles of one."""
+    # from the rotation that remains after Z, so that the product is exact even if a is ill-conditioned
     c = np.arctan2(
         np.cos(a) * r[..., 0, 2] + np.sin(a) * r[..., 1, 2],
         np.cos(a) * r[..., 0, 0] + np.sin(a) * r[..., 1, 0],

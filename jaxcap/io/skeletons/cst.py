@@ -4,12 +4,11 @@
     knee -0.1 2.4
     hip  0 -1 0 1.2  1 0 0 0.6
 
-First the number of entries, then for a revolute joint its smallest and largest angle; for a
-ball joint its heading axis, the largest angle from it, its bank axis, and the largest angle
-from that; for a translate joint three numbers that the paper does not explain, which are
-kept as they are. A universal joint, our own, has two pairs of angles. Joints may be left
-out. The paper does not say the unit of the angles either: they are radians unless
-`angle_unit="deg"`.
+The number of entries comes first. An entry is, for a revolute joint, its smallest and largest angle; for a
+ball joint, its heading axis, the largest angle from it, its bank axis, and the largest angle from that; for a
+translate joint, three numbers that the paper does not explain and that are kept unchanged. A universal joint,
+our own, has two pairs of angles. Joints may be omitted. The paper does not give the unit of the angles
+either: they are radians unless `angle_unit="deg"`.
 """
 
 from pathlib import Path
@@ -29,10 +28,10 @@ _NUMBERS = {"translate": 3, "revolute": 2, "universal": 4, "ball": 8, "free": 8}
 
 
 class Constraints(NamedTuple):
-    """What a `.cst` file says."""
+    """The contents of a `.cst` file."""
 
     ranges: JointRanges
-    #: the three numbers of each translate joint, as they stand in the file
+    #: the three numbers of each translate joint, unchanged
     translations: dict[str, tuple[float, float, float]] = {}  # noqa: RUF012
 
 
@@ -40,8 +39,8 @@ class Constraints(NamedTuple):
 def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "deg"] = "rad") -> Constraints:
     """Read the limits of a skeleton's joints.
 
-    **Raises:** `InputError` with file and line: an unknown joint, one that stands twice, a
-    smallest angle above the largest, a cone that is none, numbers that are missing.
+    **Raises:** `InputError` with file and line, for an unknown or duplicate joint, a smallest angle above the
+    largest, an invalid cone, or missing numbers.
     """
     check_kind(path, "cst", (".cst",))
     words, turn = Words(path), _radians(angle_unit)
@@ -86,8 +85,7 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
 def write_cst(
     path: str | Path, skeleton: Skeleton, constraints: Constraints, angle_unit: Literal["rad", "deg"] = "rad"
 ) -> None:
-    """Write the limits of a skeleton's joints. Raises `InputError` where the file cannot be
-    written."""
+    """Write the limits of a skeleton's joints. Raises `InputError` if the file cannot be written."""
     ranges, turn = constraints.ranges, _radians(angle_unit)
     rows: dict[str, list] = {name: list(values) for name, values in constraints.translations.items()}
     order = np.lexsort((np.asarray(ranges.numbers), np.asarray(ranges.joints)))

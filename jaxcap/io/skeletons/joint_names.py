@@ -1,4 +1,4 @@
-"""Tables of the joints of two skeletons that match, as JSON that a person can edit.
+"""Tables of matching joints of two skeletons, as JSON that a person can edit.
 
     {
      "format": "jaxcap joint names",
@@ -11,8 +11,9 @@
      "unmatched": ["LThumb"]
     }
 
-`names` leads from each joint of a source to one of a target, to null where it has no match, or to "" where nothing is said of it. `unmatched` are
-joints of the target that nothing leads to; it is for the reader of the file. A file may also be the table alone.
+`names` maps each joint of a source to one of a target, to null if it has no match, or to "" if its match is
+unspecified. `unmatched` lists joints of the target without a source; it is for the human reader. A file may
+also be the table alone.
 """
 
 import json
@@ -32,7 +33,7 @@ def write_joint_names(
 ) -> None:
     """Write a table of joints.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     content = {"format": KIND, "version": VERSION, "names": dict(names), "unmatched": list(unmatched)}
     write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
@@ -40,10 +41,10 @@ def write_joint_names(
 
 @reads("a table of joints")
 def read_joint_names(path: str | Path) -> dict[str, str | None]:
-    """Read a table that `write_joint_names` or a person wrote; joints of which it says nothing are left out.
+    """Read a table that `write_joint_names` or a person wrote; unspecified joints are left out.
 
-    **Raises:** `InputError` where the file cannot be read, is no JSON, has another format or version, or an entry is not a name that leads to
-    a name, to null or to "".
+    **Raises:** `InputError` if the file cannot be read, is no JSON, has another format or version, or if an
+    entry does not map a name to a name, to null or to "".
     """
     text = read_text(path)
     twice: list[str] = []

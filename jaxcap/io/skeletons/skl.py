@@ -8,11 +8,10 @@
     spine 0 1 0
     knee  1 0 0  0.1 0.5 0
 
-First the number of joints, then each joint's name, type and parent, then each one's
-coordinates. The paper does not say in which order the six numbers of a revolute joint
-stand: here they are the axis, of unit length, and then a point on it. Three types are our
-own: `UNIVERSAL` (first axis, second axis, point), `FIXED` and `FREE` (point). Types may be
-in lower case and begin with `KBJOINT_`.
+The number of joints comes first, then each joint's name, type and parent, then each one's coordinates. The
+paper does not specify the order of the six numbers of a revolute joint: here they are the axis, of unit
+length, and then a point on it. Three types are our own: `UNIVERSAL` (first axis, second axis, point), `FIXED`
+and `FREE` (point). Types may be in lower case and begin with `KBJOINT_`.
 """
 
 from pathlib import Path
@@ -26,9 +25,9 @@ from ..system.door import reads
 from ..text import Words, shortened, unit_scale
 from .twist_axes import with_twist_axes
 
-#: letters of a joint's name
+#: largest number of letters of a joint's name
 LONGEST_NAME = 200
-#: how many axes stand before the point, for each type
+#: number of axes before the point, for each type
 TYPES: dict[str, int] = {"TRANSLATE": 0, "REVOLUTE": 1, "BALL": 0, "UNIVERSAL": 2, "FIXED": 0, "FREE": 0}
 
 
@@ -36,8 +35,8 @@ TYPES: dict[str, int] = {"TRANSLATE": 0, "REVOLUTE": 1, "BALL": 0, "UNIVERSAL": 
 def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
     """Read a skeleton; `unit` is that of the file's positions.
 
-    **Raises:** `InputError` with file and line: an unknown type or parent, a cycle, a name
-    that stands twice, coordinates that are missing or not numbers.
+    **Raises:** `InputError` with file and line, for an unknown type or parent, a cycle, a duplicate name, or
+    coordinates that are missing or not numbers.
     """
     words, metres = Words(path), unit_scale(unit)
     count = words.header("KBSKEL")
@@ -90,7 +89,10 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
 
 
 def _check_tree(above: dict[str, str], lines: dict[str, str]) -> None:
-    """Check that every joint descends from a root, whose parent is `NULL`. Raises `InputError` with the line."""
+    """Check that every joint descends from a root, which has the parent `NULL`.
+
+    Raises `InputError` with the line.
+    """
     rooted: set[str] = set()
     for name in above:
         chain: dict[str, None] = {}
@@ -112,11 +114,9 @@ def _check_tree(above: dict[str, str], lines: dict[str, str]) -> None:
 
 
 def write_skl(path: str | Path, skeleton: Skeleton, unit: str | float = "m") -> None:
-    """Write a skeleton; what it has beside (its orientations) follows from the tree when it
-    is read.
+    """Write a skeleton; its orientations are not stored, as the reader derives them from the tree.
 
-    **Raises:** `InputError` where a name holds blanks or is `NULL`, or the file cannot be
-    written.
+    **Raises:** `InputError` if a name has blanks or a `#`, or is `NULL`, or the file cannot be written.
     """
     metres = unit_scale(unit)
     for name in skeleton.names:
@@ -133,7 +133,7 @@ def write_skl(path: str | Path, skeleton: Skeleton, unit: str | float = "m") -> 
 
 
 def _axes(given: np.ndarray, point: list[float], name: str, where: str) -> np.ndarray:
-    """(2, 3) axes, those that the file does not give filled up."""
+    """Return (2, 3) axes, with defaults for those that the file does not give. Raises `InputError`."""
     lengths = np.linalg.norm(given, axis=1)
     if (np.abs(lengths - 1) > 1e-2).any():
         swapped = abs(np.linalg.norm(point) - 1) < 1e-3
@@ -148,6 +148,6 @@ def _axes(given: np.ndarray, point: list[float], name: str, where: str) -> np.nd
     axes = np.eye(3)[:2]
     axes[: len(given)] = given
     if len(given) == 1:
-        # any direction that is not the axis
+        # any direction other than the axis
         axes[1] = np.roll(np.eye(3), 1, 0)[np.abs(given[0]).argmax()]
     return axes

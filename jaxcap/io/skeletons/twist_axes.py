@@ -1,8 +1,8 @@
-"""What the skeleton formats share: ends of bones as joints, and twist axes from the tree.
+"""Shared parts of the skeleton formats: ends of bones as joints, and twist axes from the tree.
 
-A format that says where the last bone of a chain ends (`End Site` of BVH, the length of a
-leaf bone in ASF) is read with a `fixed` joint at that end, named `<bone>.end`. The writers
-turn these joints back into what they came from, so that nothing multiplies.
+A format with the end of the last bone of a chain (`End Site` of BVH, the length of a leaf bone in ASF) is
+read with a `fixed` joint at that end, named `<bone>.end`. The writers convert these joints back, so that
+repeated conversion adds none.
 """
 
 import equinox as eqx
@@ -11,12 +11,12 @@ import numpy as np
 
 from ...body.skeleton import Skeleton
 
-#: how the name of a joint at the end of a chain ends
+#: suffix of the name of a joint at the end of a chain
 END = ".end"
 
 
 def is_end(names: tuple[str, ...], parents: tuple[int, ...], kinds: tuple[str, ...], joint: int) -> bool:
-    """Whether a joint is the mere end of its parent: `fixed`, a leaf, named `<parent>.end`."""
+    """Check that a joint is only the end of its parent: `fixed`, a leaf, named `<parent>.end`."""
     parent = parents[joint]
     return (
         parent >= 0
@@ -27,8 +27,10 @@ def is_end(names: tuple[str, ...], parents: tuple[int, ...], kinds: tuple[str, .
 
 
 def twist_orientations(centres: np.ndarray, parents: list[int]) -> np.ndarray:
-    """(J, 4) quaternions whose x axis points from a joint to the mean of its children; a leaf
-    goes on as its parent does. Joints stand parents first."""
+    """Compute (J, 4) quaternions with the x axis from a joint to the mean of its children.
+
+    A leaf has the direction of its parent. Joints are in order, parents first.
+    """
     centres = np.asarray(centres, float)
     directions = np.tile([1.0, 0.0, 0.0], (len(parents), 1))
     below: list[list[int]] = [[] for _ in parents]
@@ -43,7 +45,7 @@ def twist_orientations(centres: np.ndarray, parents: list[int]) -> np.ndarray:
             directions[joint] = along / length
         elif parent >= 0:
             directions[joint] = directions[parent]
-    # the shortest arc from x, in NumPy: a file should not wait for a compiler
+    # the shortest arc from x, in NumPy, as reading a file should not wait for compilation
     x, y, z = directions.T
     arcs = np.stack([1.0 + x, 0.0 * x, -z, y], 1)
     arcs[x < -1.0 + 1e-9] = [0.0, 0.0, 0.0, 1.0]
@@ -51,6 +53,6 @@ def twist_orientations(centres: np.ndarray, parents: list[int]) -> np.ndarray:
 
 
 def with_twist_axes(skeleton: Skeleton) -> Skeleton:
-    """The same skeleton with the orientations of `twist_orientations`."""
+    """Return the skeleton with the orientations of `twist_orientations`."""
     orientations = twist_orientations(np.asarray(skeleton.centres), list(skeleton.parents))
     return eqx.tree_at(lambda s: s.orientations, skeleton, jnp.asarray(orientations, skeleton.centres.dtype))

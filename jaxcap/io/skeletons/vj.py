@@ -1,5 +1,7 @@
-"""Which joint each vertex hangs on (`.vj`), read and written (Kineben, section 4.2): one name
-a line, the line's number is the vertex."""
+"""The joint of each vertex (`.vj`), read and written (Kineben, section 4.2).
+
+Each line is a joint name; the line number is the vertex.
+"""
 
 from pathlib import Path
 
@@ -16,10 +18,10 @@ from ..text import read_text, shortened
 
 @reads("parts of a mesh")
 def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.ndarray, "V"]:
-    """The bone of each of a mesh's `num_vertices` vertices.
+    """Read the bone of each of a mesh's `num_vertices` vertices.
 
-    **Raises:** `InputError` with file and line: an unknown joint, an empty line, more or
-    fewer lines than vertices.
+    **Raises:** `InputError` with file and line, for an unknown joint, an empty line, or a number of lines
+    other than that of vertices.
     """
     check_kind(path, "vj", (".vj",))
     lines = [line.strip() for line in read_text(path).splitlines()]
@@ -42,5 +44,5 @@ def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.n
 
 
 def write_vj(path: str | Path, skeleton: Skeleton, bones: Int[np.ndarray, "V"]) -> None:
-    """Write the bone of each vertex. Raises `InputError` where the file cannot be written."""
+    """Write the bone of each vertex. Raises `InputError` if the file cannot be written."""
     write_text(path, "".join(f"{skeleton.names[int(bone)]}\n" for bone in bones))

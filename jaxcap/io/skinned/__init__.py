@@ -1,1 +1,1 @@
-"""What formats of skinned, animated bodies share."""
+"""Shared parts of the formats of skinned, animated bodies."""

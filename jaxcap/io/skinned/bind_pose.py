@@ -1,4 +1,4 @@
-"""What the readers of skinned, animated bodies share: joints as they are bound, and bones as poses of them."""
+"""Shared parts of the readers of skinned, animated bodies: the bind pose, and motions relative to it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,16 +18,16 @@ from ...geometry.linear import inverse
 from ..text import LARGEST, check_rate
 from .surface import Surface
 
-#: by how much a scale may be off and be no scale
+#: largest relative error of a scale of one
 _EVEN = 1e-5
 
 
 class Joints(NamedTuple):
-    """Joints as a file has them, in its order; a root's parent is -1."""
+    """The joints of a file, in its order; a root's parent is -1."""
 
     names: Sequence[str]
     parents: Sequence[int]
-    #: None where a root is free and another joint turns freely
+    #: None for the default: free for a root, ball for another joint
     kinds: Sequence[str | None]
     axes: Float[np.ndarray, "J 2 3"]
     #: from the space of the surface into the frame of each joint
@@ -35,10 +35,10 @@ class Joints(NamedTuple):
 
 
 class Bound(NamedTuple):
-    """A skeleton, whose joints may be in another order than the file's."""
+    """A skeleton; the order of its joints may differ from that of the file."""
 
     skeleton: Skeleton
-    #: the file's number of each joint of the skeleton
+    #: the file's index of each joint of the skeleton
     order: tuple[int, ...]
     #: from the surface's space to the world at rest, and from the world at rest into each joint's frame
     placed: Float[np.ndarray, "4 4"]
@@ -46,14 +46,14 @@ class Bound(NamedTuple):
 
 
 def bind(path: Path, joints: Joints, placed: Float[np.ndarray, "4 4"]) -> Bound:
-    """The skeleton at rest, where joints are bound; their frames there are their orientations.
+    """Build the skeleton at rest from the bind pose; the joints' frames there are their orientations.
 
-    **Raises:** `InputError` where joints are sheared or mirrored, or are no tree.
+    **Raises:** `InputError` if joints are sheared or mirrored, or form no tree.
     """
     inverse = joints.inverse @ inverted(path, placed)
     rest = inverted(path, inverse)
     size = np.cbrt(np.linalg.det(rest[:, :3, :3]))
-    # joints in centimetres below a scale of a hundredth are as large as any
+    # uniform scales are removed, such as centimetres below a scale of 0.01
     rest[:, :3, :3] /= np.where(size == 0, 1.0, size)[:, None, None]
     check_rigid(path, rest[:, :3, :3])
     _check_places(path, rest[:, :3, 3], "joints")
@@ -72,9 +72,13 @@ def bind(path: Path, joints: Joints, placed: Float[np.ndarray, "4 4"]) -> Bound:
 def placing(
     path: Path, above: Float[np.ndarray, "3 3"], root: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """How a surface is turned and scaled in the world, apart from what its root does: programs keep z up and
-    centimetres below something that sets both right. `above` is what stands above the root, and `root` leads from the
-    surface to the world by way of the root."""
+    """Compute the rotation and scale of a surface in the world, without the rotation of its root.
+
+    Programs convert z up and centimetres in a node above the joints. `above` is the transform above the root;
+    `root` is the transform from the surface to the world through the root.
+
+    **Raises:** `InputError` if a scale is zero or mirrors, or if `above` is sheared.
+    """
     scale, size = np.cbrt(np.linalg.det(root)), np.cbrt(np.linalg.det(above))
     if not (scale > 0 and size > 0):
         raise InputError(f"{path}: what stands above the joints scales them to nothing, or mirrors them.")
@@ -85,7 +89,7 @@ def placing(
 
 
 def body_of(path: Path, bound: Bound, surface: Surface) -> Body:
-    """The body of a surface whose weights are of the skeleton's joints."""
+    """Build the body of a surface with weights for the skeleton's joints. Raises `InputError`."""
     vertices = surface.vertices @ bound.placed[:3, :3].T + bound.placed[:3, 3]
     _check_places(path, vertices, "vertices")
     dtype = bound.skeleton.centres.dtype
@@ -94,11 +98,11 @@ def body_of(path: Path, bound: Bound, surface: Surface) -> Body:
 
 
 def motion_of(path: Path, bound: Bound, frames: Float[np.ndarray, "F J 4 4"], rate: float) -> Motion:
-    """The motion of joints whose `frames` lead into the world, in the skeleton's order.
+    """Build the motion from the `frames` of the joints in the world, in the skeleton's order.
 
-    **Raises:** `InputError` where a joint is scaled or sheared by itself.
+    **Raises:** `InputError` if a joint is scaled or sheared individually.
     """
-    # T_j, from rest to pose, is the joint's frame after the inverse of where it was bound
+    # T_j, from rest to pose, is the joint's frame times its inverse bind matrix
     bones, skeleton = frames @ bound.inverse, bound.skeleton
     scale = np.cbrt(np.linalg.det(bones[:, 0, :3, :3]))
     if not (scale > 0).all():
@@ -123,10 +127,10 @@ def motion_of(path: Path, bound: Bound, frames: Float[np.ndarray, "F J 4 4"], ra
 
 
 def inverted(path: Path, matrices: Float[np.ndarray, "*any 4 4"]) -> Float[np.ndarray, "*any 4 4"]:
-    """The inverses of affine transforms. Raises `InputError` where one has none."""
+    """Invert affine transforms. Raises `InputError` if one is singular."""
     flat = matrices[..., :3, :3]
     sizes = np.linalg.norm(flat, axis=-2)
-    # how far from flat, whatever the size
+    # a measure of singularity that does not depend on scale
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.abs(np.linalg.det(flat)) / np.prod(sizes, axis=-1)
     affine = np.abs(matrices[..., 3, :] - [0.0, 0, 0, 1]).max(initial=0) < 1e-3
@@ -138,7 +142,7 @@ def inverted(path: Path, matrices: Float[np.ndarray, "*any 4 4"]) -> Float[np.nd
 
 
 def _check_places(path: Path, places: Float[np.ndarray, "*any 3"], what: str) -> None:
-    """That nothing stands where no length leads. Raises `InputError`."""
+    """Check that positions are finite and not too large. Raises `InputError`."""
     if not (np.abs(places) <= LARGEST).all():
         raise InputError(
             f"{path}: {what} stand further away than {LARGEST:g} m; check the scales of the file."
@@ -146,7 +150,7 @@ def _check_places(path: Path, places: Float[np.ndarray, "*any 3"], what: str) ->
 
 
 def check_rigid(path: Path, turns: Float[np.ndarray, "*any 3 3"]) -> None:
-    """That these turn and do nothing else. Raises `InputError`."""
+    """Check that matrices are rotations. Raises `InputError`."""
     apart = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max()
     if not apart < 1e-3 or not (np.linalg.det(turns) > 0).all():
         raise InputError(

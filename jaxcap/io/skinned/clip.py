@@ -1,4 +1,4 @@
-"""Clips of files that hold several animations: `character.glb:Walk`."""
+"""Clips of files with several animations: `character.glb:Walk`."""
 
 import re
 from collections.abc import Sequence
@@ -6,14 +6,14 @@ from pathlib import Path
 
 from ...errors import InputError
 
-#: formats that can hold several animations by name
+#: formats with several named animations
 _CLIP = re.compile(r"(.+?\.(?:glb|gltf)):(.*)", re.IGNORECASE | re.DOTALL)
 
 
 def split_clip(path: str | Path) -> tuple[Path, str | None]:
-    """Split `character.glb:Walk` into the file and the name of its clip, None where no clip is named.
+    """Split `character.glb:Walk` into the file and the name of its clip, None if no clip is named.
 
-    A file whose own name has the colon is that file.
+    A path of an existing file is not split.
     """
     match = _CLIP.fullmatch(str(path))
     if match is None or Path(path).exists():
@@ -27,14 +27,14 @@ def suffix_of(path: str | Path) -> str:
 
 
 def clip_names(animations: Sequence[str | None]) -> tuple[str, ...]:
-    """Name every animation of a file: as the file does, `clip0` and so on where it does not, and each name once."""
+    """Return a unique name for every animation of a file: its own, or `clip0` and so on."""
     names: dict[str, None] = {}
-    # of every name how often it was there already
+    # for each name the number of its earlier uses
     times: dict[str, int] = {}
     for number, given in enumerate(animations):
         name = given or f"clip{number}"
         more = times.get(name, 0)
-        # a name that is there a hundred times is numbered
+        # underscores up to a hundred uses, then numbers
         while (new := name + ("_" * more if more < 100 else f"_{more}")) in names:
             more += 1
         times[name] = more + 1
@@ -43,9 +43,9 @@ def clip_names(animations: Sequence[str | None]) -> tuple[str, ...]:
 
 
 def clip_number(names: Sequence[str], clip: str | None, path: str | Path) -> int:
-    """Find a clip by its name; the first where None is given.
+    """Find a clip by its name; the first if None.
 
-    **Raises:** `InputError` that lists the names where there is no such clip.
+    **Raises:** `InputError` with the list of names, if there is no such clip.
     """
     if clip is None:
         return 0

@@ -1,20 +1,20 @@
-"""The warning of what a file of a rig has and a reader of one figure leaves out."""
+"""The warning about contents of a rig's file that the reader of one figure leaves out."""
 
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-#: the kinds, as both readers call them
+#: the types of contents, for both readers
 FIGURES = "other figures, which can be read when each is exported by itself"
 RIGID = "meshes that follow no joint"
 SHAPES = "shape keys of meshes"
 
-#: names that are listed of each kind
+#: largest number of listed names for each type
 LISTED = 5
 
 
 def warn_left_out(path: Path, found: Mapping[str, Iterable[str]]) -> None:
-    """Warn of what is left out, by kind and name; silent where there is nothing."""
+    """Warn of contents that are left out, by type and name; silent if there are none."""
     kinds = []
     for kind, names in found.items():
         names = list(dict.fromkeys(names))

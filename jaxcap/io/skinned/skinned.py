@@ -1,7 +1,7 @@
-"""What the formats of skinned, animated bodies share: local frames of joints, and influences of vertices.
+"""Shared parts of the formats of skinned, animated bodies: local joint frames, and vertex influences.
 
-In all of them a joint is a frame of its own: at rest it stands at the joint's centre, turned by the joint's
-orientation, so its x axis is the twist axis. A frame is told in its parent's, a root's in the world.
+In all of them a joint has its own frame: at rest it has the position of the joint's centre and the joint's
+orientation, so its x axis is the twist axis. A frame is relative to its parent's, a root's to the world.
 """
 
 from pathlib import Path
@@ -18,7 +18,7 @@ from ...body.skeleton import Skeleton
 from ...body.skin import LinearSkin, RigidSkin
 from ...errors import InputError
 
-#: joints in one attribute of a vertex
+#: joints in one vertex attribute
 SET = 4
 
 
@@ -30,7 +30,7 @@ class LocalFrames(NamedTuple):
 
 
 def check_skin(path: Path, body: Body, what: str) -> None:
-    """That a body blends linearly, as `what` does. Raises `InputError`."""
+    """Check that the skin of a body is linear, as the format `what` requires. Raises `InputError`."""
     if not isinstance(body.skin, (LinearSkin, RigidSkin)):
         raise InputError(
             f"{path}: {what} blends linearly and this body has a {type(body.skin).__name__}; linearise it first."
@@ -38,7 +38,10 @@ def check_skin(path: Path, body: Body, what: str) -> None:
 
 
 def check_motion(path: Path, skeleton: Skeleton, motion: Motion | None) -> None:
-    """That a motion, where there is one, is of the skeleton's joints, has frames and finite numbers. Raises `InputError`."""
+    """Check that a motion, if given, has the skeleton's joints, has frames, and is finite.
+
+    Raises `InputError`.
+    """
     if motion is None:
         return
     joints = motion.poses.rotations.shape[1]
@@ -55,15 +58,16 @@ def check_motion(path: Path, skeleton: Skeleton, motion: Motion | None) -> None:
 
 
 def rest_frames(skeleton: Skeleton) -> LocalFrames:
-    """Every joint's frame at rest, `(J, ...)`."""
+    """Compute the local frame of every joint at rest, `(J, ...)`."""
     steps, frames, above = _frames(skeleton)
     return LocalFrames(above.inv().apply(steps), (above.inv() * frames).as_quat())
 
 
 def moving_frames(skeleton: Skeleton, motion: Motion) -> LocalFrames:
-    """Every joint's frame in every frame of a motion, `(F, J, ...)`, without the poses' scale.
+    """Compute the local frame of every joint in every frame of a motion, `(F, J, ...)`.
 
-    Quaternions keep their sign from the rest pose on, as programs blend the numbers of neighbouring keys.
+    The poses' scale is not included. The signs of quaternions are continuous from the rest pose on, as
+    programs interpolate the components of keys.
     """
     steps, frames, above = _frames(skeleton)
     moves = np.asarray(motion.poses.translations, float)
@@ -78,7 +82,7 @@ def moving_frames(skeleton: Skeleton, motion: Motion) -> LocalFrames:
 
 
 def bind_frames(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:
-    """From each joint's frame into the world at rest, as matrices of columns."""
+    """Return the transforms from the joints' frames into the world at rest, for column vectors."""
     frames = np.tile(np.eye(4), (skeleton.num_joints, 1, 1))
     frames[:, :3, :3] = Rotation.from_quat(
         np.asarray(skeleton.orientations, float), scalar_first=True
@@ -90,20 +94,22 @@ def bind_frames(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:
 def influences(
     weights: Float[np.ndarray, "V J"],
 ) -> tuple[Int[np.ndarray, "V K"], Float[np.ndarray, "V K"]]:
-    """The joints of each vertex, the strongest first, and their weights in single precision,
-    which sum to one; K is a multiple of four, and what is over is joint 0 with weight 0."""
+    """Return the joints of each vertex, the strongest first, and their weights in single precision.
+
+    Weights sum to one; K is a multiple of four, padded with joint 0 and weight 0.
+    """
     weights = weights.astype("<f4")
     most = int((weights > 0).sum(1).max(initial=1))
     count = -(-most // SET) * SET
     weights = np.pad(weights, ((0, 0), (0, max(count - weights.shape[1], 0))))
     joints, chosen = strongest_bones(weights, count)
-    # the strongest takes what rounding has left
+    # the strongest weight absorbs the rounding error
     chosen[:, 0] += (1.0 - chosen.sum(1, dtype=float)).astype("<f4")
     return np.where(chosen > 0, joints, 0), chosen
 
 
 def _frames(skeleton: Skeleton) -> tuple[Float[np.ndarray, "J 3"], Rotation, Rotation]:
-    """Per joint: the step from its parent's centre to its own, its frame, and its parent's frame, in the world at rest."""
+    """Return each joint's offset from its parent, its frame, and its parent's frame, in the world at rest."""
     parents, centres = np.array(skeleton.parents), np.array(skeleton.centres, float)
     frames = np.asarray(skeleton.orientations, float)
     above = np.where(parents[:, None] < 0, [1.0, 0, 0, 0], frames[parents])
@@ -112,7 +118,7 @@ def _frames(skeleton: Skeleton) -> tuple[Float[np.ndarray, "J 3"], Rotation, Rot
 
 
 def _continuous(turns: Float[np.ndarray, "F 4"], rest: Float[np.ndarray, "4"]) -> Float[np.ndarray, "F 4"]:
-    """The same rotations with signs that do not jump."""
+    """Flip the signs of quaternions so that they are continuous."""
     before = np.concatenate([rest[None], turns[:-1]])
     flips = np.where(np.sum(before * turns, 1) < 0, -1.0, 1.0)
     return turns * np.cumprod(flips)[:, None]

@@ -1,4 +1,4 @@
-"""A surface that joints move, as files of skinned bodies have it."""
+"""A skinned surface in the files of skinned bodies."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from ...errors import InputError
 
 
 class Surface(NamedTuple):
-    """Vertices as they were bound, and how much each follows each joint; weights sum to one."""
+    """Vertices in the bind pose with skinning weights, which sum to one."""
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -18,7 +18,10 @@ class Surface(NamedTuple):
 
 
 def as_shares(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray, "V J"]:
-    """Weights that sum to one. Raises `InputError` for a vertex without any; `where` names its mesh."""
+    """Normalise weights to a sum of one.
+
+    Raises `InputError` for a vertex without any; `where` names its mesh.
+    """
     total = weights.sum(1)
     if not (total > 0).all():
         raise InputError(
@@ -28,7 +31,7 @@ def as_shares(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray
 
 
 def joined(parts: Sequence[Surface]) -> Surface:
-    """Several surfaces as one."""
+    """Concatenate several surfaces."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return Surface(
         np.concatenate([part.vertices for part in parts]),
@@ -38,8 +41,10 @@ def joined(parts: Sequence[Surface]) -> Surface:
 
 
 def sewn(surface: Surface) -> Surface:
-    """Vertices on open edges that were split, as either side of a seam has a texture or a normal of its own, are one
-    again: the same place and the same weights."""
+    """Merge vertices on open edges that have the same position and weights.
+
+    Programs split these along seams, as each side has its own texture coordinates or normal.
+    """
     faces, count = surface.faces, len(surface.vertices)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     named, times = np.unique(edges, axis=0, return_counts=True)
@@ -47,7 +52,7 @@ def sewn(surface: Surface) -> Surface:
     itself[named[times == 1]] = 0
     rows = np.concatenate([surface.vertices, surface.weights, itself[:, None]], axis=1).astype("<f4")
     _, first, where = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    # in the order in which they came
+    # in the original order
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))

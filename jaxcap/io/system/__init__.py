@@ -1,1 +1,1 @@
-"""Files as the operating system has them: whole, locked, named, and read in processes of their own."""
+"""Operating-system services for files: atomic writes, locks, paths, and readers in separate processes."""

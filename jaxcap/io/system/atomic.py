@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writes of files: a file is complete or not there."""
 
 import errno
 import os
@@ -11,29 +11,31 @@ from pathlib import Path
 from ...errors import InputError
 from .file_lock import lock_folder
 
-#: no space on the device, no more for this user, no larger files
+#: no space on the device, quota exceeded, file too large
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-#: how the names of temporary folders end
+#: suffix of temporary folders
 _ENDING = ".unfinished"
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path to write to; rename it to `path` when the block ends well, remove it when it does not.
+    """Yield a temporary path; rename it to `path` if the block succeeds, remove it otherwise.
 
-    The temporary file has the name of `path`, in a new folder next to it that only this user can enter (`mkdtemp`: a
-    random name, never a symbolic link). So threads and processes that write the same path never share a file, whatever
-    library writes it, and the file has the permissions of any new file. The last one to end wins.
+    The temporary file has the name of `path`, in a new folder next to it that only this user can enter
+    (`mkdtemp`: a random name, never a symbolic link). So threads and processes that write the same path never
+    share a file, whatever library writes it, and the file has the permissions of any new file. The last one
+    to finish wins.
 
-    **Raises:** `InputError` where the folder cannot be written to, or is full: an earlier file at `path` is not changed.
+    **Raises:** `InputError` if the folder cannot be written to or is full; an existing file at `path` is not
+    changed.
     """
     path = Path(path)
     folder = lock = None
     try:
         while True:
-            # a name may be as long as the file system allows, so only its beginning is repeated
+            # file systems limit the length of names, so only the beginning is repeated
             folder = tempfile.mkdtemp(_ENDING, f".{path.name[:64]}.", path.parent)
-            # so that `remove_unfinished` knows that it is in use
+            # the lock shows `remove_unfinished` that the folder is in use
             lock = lock_folder(folder)
             if os.path.isdir(folder):
                 break
@@ -51,9 +53,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def remove_unfinished(path: str | Path) -> None:
-    """Remove temporary files that killed programs left of `path`, or of all files in it where it is a folder.
+    """Remove temporary files that killed programs left for `path`, or for all files in it if it is a folder.
 
-    Those that a program is still writing are locked and stay, and where folders cannot be locked all do.
+    Files that a program is still writing are locked and stay. All stay if folders cannot be locked.
     """
     path = Path(path)
     folder, begin = (path, ".") if path.is_dir() else (path.parent, f".{path.name[:64]}.")
@@ -65,6 +67,6 @@ def remove_unfinished(path: str | Path) -> None:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text file whole. Raises `InputError` where it cannot be written."""
+    """Write a text file atomically. Raises `InputError` if it cannot be written."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

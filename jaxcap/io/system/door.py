@@ -1,4 +1,4 @@
-"""The last answer of a reader: an error that nobody has thought of, as a sentence about the file."""
+"""A decorator for readers that turns unexpected exceptions into errors about the file."""
 
 import functools
 from collections.abc import Callable
@@ -12,11 +12,12 @@ T = TypeVar("T")
 
 
 def reads(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Make a reader, of the file that its first path names, answer with data or an `InputError` and nothing else.
+    """Decorate a reader so that it returns data or raises `InputError`, and nothing else.
 
-    Readers name the place in the file and what is expected there. This is for what they have not foreseen; the error
-    that happened is the cause of the `InputError`, so that a fault of the reader can be found. `what` the file is read
-    as, with its article.
+    The file is the first path among the reader's arguments; `what` is its type, with an article. Readers
+    report the position in the file and the expected content themselves; this decorator is for errors that
+    they do not foresee. The original exception is the cause of the `InputError`, so that a fault of the
+    reader can be found.
     """
 
     def wrap(read: Callable[P, T]) -> Callable[P, T]:
@@ -31,7 +32,7 @@ def reads(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
                     raise InputError(f"{path}: {_reason(error, what)}") from error
                 if _names(error, path):
                     raise
-                # what bodies and motions say of what they are made of, without knowing where it is from
+                # constructors of bodies and motions report faults of their fields without the file's name
                 raise InputError(f"{path}: {sentence_of(error)}") from None
 
         return guarded
@@ -40,7 +41,7 @@ def reads(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 def _names(error: InputError, path: str | Path) -> bool:
-    """Whether an error names the file, or one of those that a pattern or a folder stands for."""
+    """Check that an error names the file; always true if the path is a pattern or a folder."""
     try:
         return not Path(path).is_file() or Path(path).name in sentence_of(error)
     except (OSError, ValueError):

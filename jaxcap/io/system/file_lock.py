@@ -1,19 +1,19 @@
-"""Locks of open files and folders that the operating system holds for this process and frees when it ends."""
+"""Locks of open files and folders, which the operating system releases when the process ends."""
 
 import errno
 import os
 from pathlib import Path
 
-#: where a file system knows no locks, such as some network drives
+#: errors of file systems without locks, such as some network drives
 _WITHOUT = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
-#: the byte that Windows locks, behind the text, which others have to be able to read
+#: the byte that Windows locks, after the text, which others must be able to read
 _FAR = 1 << 30
 
 
 def lock_open_file(file: int) -> bool | None:
     """Lock an open file without waiting.
 
-    False where another process, or another part of this one, has the lock; None where the file system knows no locks.
+    False if another process, or another part of this one, has the lock; None if the file system has no locks.
     """
     try:
         if os.name == "nt":
@@ -37,7 +37,7 @@ def lock_open_file(file: int) -> bool | None:
 
 
 def is_at(file: int, path: str | Path) -> bool:
-    """Whether an open file is still the one at a path, and was not removed by a run that ended."""
+    """Check that an open file is still the one at a path, and was not removed by a run that ended."""
     try:
         return os.path.samestat(os.fstat(file), os.stat(path, follow_symlinks=False))
     except FileNotFoundError:
@@ -45,7 +45,10 @@ def is_at(file: int, path: str | Path) -> bool:
 
 
 def lock_folder(folder: str | Path) -> int | None:
-    """Open and lock a folder; None where it is gone, another process has it, or folders cannot be locked, as on Windows."""
+    """Open and lock a folder.
+
+    None if it does not exist, another process has the lock, or folders cannot be locked, as on Windows.
+    """
     if os.name == "nt":
         return None
     try:

@@ -1,4 +1,4 @@
-"""Files that another file names, such as the buffers of a `.gltf`: read from that file's own folder and from nowhere else."""
+"""Files that another file names, such as the buffers of a `.gltf`: read from the folder of that file only."""
 
 import base64
 import binascii
@@ -12,13 +12,14 @@ from ...errors import InputError
 
 
 def read_inside(path: str | Path, uri: str) -> bytes:
-    """Read what the file at `path` names by a URI: a `data:` URI, or a file in the folder of `path` or below it.
+    """Read the data at a URI that the file `path` contains.
 
-    A name may be percent-encoded. Symbolic links are followed first, so neither they nor `..` lead out of the folder; where
-    `path` is a link itself, the folder of the file that it leads to counts as well.
+    It is a `data:` URI, or a file in the folder of `path` or below it. A name may be percent-encoded.
+    Symbolic links are resolved first, so neither they nor `..` lead out of the folder. If `path` is a link,
+    the folder of its target is allowed as well.
 
-    **Raises:** `InputError` where the URI is of another scheme, absolute or leads out of the folder, or there is no such
-    file.
+    **Raises:** `InputError` if the URI has another scheme, is absolute, or leads out of the folder, or if
+    there is no such file.
     """
     path = Path(path)
     if uri.lower().startswith("data:"):
@@ -32,7 +33,7 @@ def read_inside(path: str | Path, uri: str) -> bytes:
                 if inside and found.is_file():
                     return found.resolve().read_bytes()
             except (OSError, ValueError, RuntimeError):
-                # a name that is too long or has a null character, a loop of links, no permission
+                # the name is too long or has a null character, a loop of links, no permission
                 continue
             leaves |= not inside
     if leaves:
@@ -43,13 +44,16 @@ def read_inside(path: str | Path, uri: str) -> bytes:
 
 
 def is_inside(path: str | Path, other: str | Path) -> bool:
-    """Whether another file, where links lead to it, is in the folder of `path`, or of what `path` is a link to, or below."""
+    """Check that another file is in or below the folder of `path`, or of the target of `path`.
+
+    Links are resolved first.
+    """
     found = Path(other).resolve()
     return any(found.is_relative_to(folder.resolve()) for folder in _folders(Path(path)))
 
 
 def outside(path: str | Path, uri: str) -> InputError:
-    """The error of a file that names another one outside of its folder."""
+    """Return the error for a file that names another one outside of its folder."""
     return InputError(
         f"{path}: it names '{_short(uri)}', which is outside of its folder and is not read; put that file next to it and "
         "name it without a folder."
@@ -65,7 +69,7 @@ def _short(uri: str) -> str:
 
 
 class InsideResolver:
-    """What trimesh asks for files that a mesh names: see `read_inside`. Each is read once."""
+    """A resolver for trimesh of the files that a mesh names, by `read_inside`. Each file is read once."""
 
     def __init__(self, path: str | Path):
         self.path, self._read = Path(path), dict[str, bytes]()
@@ -93,7 +97,7 @@ class InsideResolver:
 
 
 def _leaves(name: str) -> bool:
-    """Whether a name is absolute, on any system, has a scheme, or goes up somewhere."""
+    """Check for a name that is absolute on any system, has a scheme, or contains `..`."""
     return bool(re.match(r"[/\\~]|[A-Za-z][A-Za-z0-9+.-]*:", name)) or ".." in re.split(r"[/\\]", name)
 
 

@@ -1,4 +1,4 @@
-"""One run at a time for an output: a lock that ends with its process, however that ends."""
+"""A lock that allows one run at a time for an output, released when its process ends for any reason."""
 
 import contextlib
 import os
@@ -17,17 +17,17 @@ FOLDER_LOCK = ".jaxcap.lock"
 
 @contextlib.contextmanager
 def run_lock(*outputs: str | Path) -> Iterator[None]:
-    """Hold the locks of all outputs of a run, each a file or a folder that exists, for the length of the block.
+    """Lock all outputs of a run, each an existing file or folder, for the duration of the block.
 
-    A lock is a small file, `.jaxcap.lock` in a folder or `.NAME.lock` next to a file, that the operating system locks for
-    this process (`flock`; on Windows `locking`). It is free when the process ends, also by SIGKILL, and the file is removed
-    when the block ends. Temporary files that killed runs left of the outputs are removed, and those of
-    programs that run are not.
+    A lock is a small file, `.jaxcap.lock` in a folder or `.NAME.lock` next to a file, that the operating
+    system locks for this process (`flock`; on Windows `locking`). It is released when the process ends, also
+    by SIGKILL, and the file is removed when the block ends. Temporary files that killed runs left for the
+    outputs are removed; those of active programs are not.
 
-    **Raises:** `InputError` where another run has one of them, with its process number; or where a folder cannot be
-    written to.
+    **Raises:** `InputError` if another run has one of the locks, with its process number, or if a folder
+    cannot be written to.
     """
-    # in one order, and each once: two runs with the same outputs never wait for each other's
+    # sorted and unique, so that two runs with the same outputs never wait for each other
     paths = sorted({Path(path).resolve() for path in outputs})
     with contextlib.ExitStack() as stack:
         for path in paths:
@@ -46,18 +46,18 @@ def _lock(output: Path) -> Iterator[None]:
         os.write(file, f"{os.getpid()} {socket.gethostname()}\n".encode())
         yield
     finally:
-        # removed while it is locked: `_take` of another run finds that its file is gone and opens a new one
+        # removed while locked: `_take` of another run sees that its file is gone and opens a new one
         with contextlib.suppress(OSError):
             path.unlink()
         os.close(file)
         if os.name == "nt":
-            # an open file is not removed there
+            # Windows does not remove an open file
             with contextlib.suppress(OSError):
                 path.unlink()
 
 
 def _take(path: Path, output: Path) -> int:
-    """Open and lock a lock file. Raises `InputError` where another run has it."""
+    """Open and lock a lock file. Raises `InputError` if another run has it."""
     try:
         while True:
             file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
@@ -83,7 +83,7 @@ def _take(path: Path, output: Path) -> int:
 
 
 def _name(owner: bytes) -> str:
-    """The process that a lock file names, with its computer where that is another one."""
+    """Describe the process that a lock file names, with its computer if that is another one."""
     number, _, computer = owner.decode("utf-8", "replace").strip().partition(" ")
     if not number.isdigit():
         return ""

@@ -1,4 +1,4 @@
-"""Programs in processes of their own, for libraries that a damaged file may bring down with their process."""
+"""Programs in separate processes, for libraries that a damaged file may crash."""
 
 import importlib.util
 import os
@@ -11,13 +11,14 @@ from ...errors import InputError
 
 
 def run_program(program: Path, path: Path, modules: tuple[str, ...], wait: float, instead: str) -> bytes:
-    """Run a program on a file by a new process of the same Python, which imports `modules` and nothing else.
+    """Run a program on a file in a new process of the same Python, which imports `modules` and nothing else.
 
-    A plain program and not `multiprocessing`, which imports the caller's `__main__` once more or copies its threads.
-    The first of `modules` is the library that sentences name; `instead` is what to do where no process can be started.
+    This is a plain program and not `multiprocessing`, which imports the caller's `__main__` again or copies
+    its threads. Messages name the first of `modules` as the library; `instead` is the advice if no process
+    can be started.
 
-    **Raises:** `Ended` where the program ends badly or does not end; `InputError` where there is no Python to start;
-    `ImportError` where a module is not installed.
+    **Raises:** `Ended` if the program fails or does not end; `InputError` if there is no Python to start;
+    `ImportError` if a module is not installed.
     """
     try:
         done = subprocess.run(
@@ -32,7 +33,7 @@ def run_program(program: Path, path: Path, modules: tuple[str, ...], wait: float
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=wait,
-            # one thread: threads of BLAS, which is not used, take much of the memory that is allowed
+            # one thread: threads of BLAS, which is not used, take a large share of the allowed memory
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
@@ -49,7 +50,7 @@ def run_program(program: Path, path: Path, modules: tuple[str, ...], wait: float
 
 
 class Ended(Exception):
-    """A program ended badly; the message says how, in a few words."""
+    """The failure of a program; the message describes it in a few words."""
 
 
 def _ending(library: str, code: int, said: bytes) -> str:
@@ -64,7 +65,7 @@ def _ending(library: str, code: int, said: bytes) -> str:
 
 
 def _folders(modules: tuple[str, ...]) -> list[str]:
-    """The folders that modules are imported from here. Raises `ImportError` where one is not installed."""
+    """Return the folders from which modules are imported. Raises `ImportError` if one is not installed."""
     found = []
     for name in modules:
         spec = importlib.util.find_spec(name)
@@ -75,7 +76,7 @@ def _folders(modules: tuple[str, ...]) -> list[str]:
 
 
 def _python(path: Path, library: str, instead: str) -> str:
-    """The Python that runs this. Raises `InputError` where another program has it inside."""
+    """Return the path of the running Python. Raises `InputError` if Python is embedded in another program."""
     names = [sys.executable, getattr(sys, "_base_executable", "")]
     names += [os.path.join(sys.exec_prefix, "bin", "python3"), os.path.join(sys.exec_prefix, "python.exe")]
     if not getattr(sys, "frozen", False):

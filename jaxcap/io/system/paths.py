@@ -1,4 +1,4 @@
-"""The files of a sequence, by what a user writes: a pattern, a folder, a glob, one file, or several."""
+"""The files of a sequence, from a pattern, a folder, a glob, one file, or several."""
 
 import glob
 import itertools
@@ -22,14 +22,13 @@ def find_files(
     whole: bool = True,
     also: Sequence[str] = (),
 ) -> list[Path]:
-    """Mesh files in the order of the numbers in their names.
+    """Find mesh files in the order of the numbers in their names.
 
-    **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, or one file.
-    `first` and `last`, both included, are the numbers in a pattern, and else files counted from 0.
-    With `whole`, numbers must not leave one out. `also` are suffixes that a folder may hold beside
-    those of meshes.
+    **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, or one file. `first` and
+    `last`, both included, are the numbers in a pattern, and otherwise files counted from 0. With `whole`, no
+    number may be missing. `also` are suffixes, besides those of meshes, that are accepted.
 
-    **Raises:** `InputError` where nothing is found, or a number is missing.
+    **Raises:** `InputError` if nothing is found, or a number is missing.
     """
     text = str(source)
     if _NUMBER.search(text):
@@ -53,10 +52,11 @@ def find_files(
 def order_files(
     sources: Sequence[str | Path], first: int | None = None, last: int | None = None
 ) -> list[Path]:
-    """Several mesh files as the one sequence that a quoted glob would find: in the order of the numbers in their names,
-    not in that of the words, in which a shell puts 10 before 2. `first` and `last` as in `find_files`.
+    """Order several mesh files as a quoted glob would: by the numbers in their names.
 
-    **Raises:** `InputError` where one of them is no mesh file or is named twice, or a number is missing.
+    A shell sorts by characters, with 10 before 2. `first` and `last` as in `find_files`.
+
+    **Raises:** `InputError` if a file is not a mesh file or is given twice, or a number is missing.
     """
     for source in sources:
         _check_one_of_many(Path(source), len(sources))
@@ -68,7 +68,7 @@ def order_files(
 
 
 def cut(items: list, first: int | None, last: int | None, where: str) -> list:
-    """Items `first` to `last`, both included. Raises `InputError` where they are not there."""
+    """Return items `first` to `last`, both included. Raises `InputError` if they do not exist."""
     start, end = first or 0, len(items) - 1 if last is None else last
     if not items:
         raise InputError(f"{where}: there are no frames in it; give one at least.")
@@ -80,7 +80,7 @@ def cut(items: list, first: int | None, last: int | None, where: str) -> list:
 
 
 def _check_one_of_many(path: Path, count: int) -> None:
-    """That this is a file of one frame. Raises `InputError`."""
+    """Check that a file is a single frame. Raises `InputError`."""
     text, suffix = str(path), path.suffix.lower()
     many = {"a folder": path.is_dir(), "a pattern": bool(glob.has_magic(text) or _NUMBER.search(text))}
     if not path.is_file():
@@ -97,7 +97,7 @@ def _check_one_of_many(path: Path, count: int) -> None:
 
 
 def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
-    """The files of a printf pattern, none left out."""
+    """Find the files of a printf pattern. Raises `InputError` if one is missing."""
     match = _NUMBER.search(text)
     assert match is not None
     folder, name = Path(text).parent, Path(text).name
@@ -140,9 +140,10 @@ def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
 
 
 def _whole(paths: list[Path]) -> list[Path]:
-    """The same paths, where names that differ in one number leave none out.
+    """Check that no file is missing among names that differ in one number, and return the paths.
 
-    Where a gap between numbers is no multiple of the least one they do not count frames, as times of a clock do not.
+    If a gap between numbers is not a multiple of the smallest one, the numbers are no frame counts but, for
+    example, times of a clock; they are not checked. Raises `InputError`.
     """
     parts = [re.match(r"(.*?)(\d+)(\D*)$", path.name) for path in paths]
     if len(paths) < 3 or not all(parts) or len({(m[1], m[3]) for m in parts if m}) > 1:
@@ -161,7 +162,7 @@ def _whole(paths: list[Path]) -> list[Path]:
 
 
 def _natural(path: Path) -> list:
-    """Sorts 2 before 10."""
+    """Return a sort key that puts 2 before 10."""
     return [
         (int(word), "") if word.isdigit() else (-1, word) for word in re.split(r"(\d+)", str(path)) if word
     ]

@@ -1,4 +1,4 @@
-"""Limits that a program puts on itself before it reads a file by a library that damaged files may bring down.
+"""Limits of memory and time that a program sets for itself before it reads a possibly damaged file.
 
 Run by path, as these programs import nothing of jaxcap.
 """
@@ -8,7 +8,7 @@ import os
 
 
 def limit(seconds: int, memory: int) -> None:
-    """Limit memory and time, where the system can; leave no dump, and show no window, of a crash."""
+    """Limit memory and time, if the system can; suppress core dumps and crash windows."""
     if os.name == "nt":
         import ctypes
 
@@ -16,9 +16,9 @@ def limit(seconds: int, memory: int) -> None:
         return
     import resource
 
-    # at the first limit of CPU comes SIGXCPU, which says why, at the second SIGKILL
+    # SIGXCPU, which gives the reason, comes at the first limit of CPU time, and SIGKILL at the second
     limits = {"RLIMIT_CORE": (0, 0), "RLIMIT_CPU": (seconds, seconds + 5), "RLIMIT_AS": (memory, memory)}
     for name, limit in limits.items():
-        # macOS knows RLIMIT_AS and refuses it
+        # macOS has RLIMIT_AS but rejects it
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(getattr(resource, name), limit)

@@ -1,8 +1,8 @@
 """Skinned, animated bodies as USD (`.usda`, `.usdc`, `.usdz`), by OpenUSD's own library, the extra `usd`.
 
-The schema is UsdSkel: a `SkelRoot` with the body's `Skeleton`, its `SkelAnimation` and one `Mesh`, which blends
-linearly (OpenUSD, "UsdSkel: API overview", skinning). Joints stand as in glTF, in frames of their own. The poses' scale
-is that of the root's transform, as an animation holds the scale of its joints in half precision.
+The schema is UsdSkel: a `SkelRoot` with the body's `Skeleton`, its `SkelAnimation` and one `Mesh` with linear
+blend skinning (OpenUSD, "UsdSkel: API overview", skinning). Joints have their own frames, as in glTF. The
+poses' scale is in the root's transform, as an animation stores the scale of its joints in half precision.
 """
 
 # pxr fills its modules as it is imported and has no stubs
@@ -26,19 +26,19 @@ from ..system.atomic import replacing
 if TYPE_CHECKING:
     from pxr import Usd, UsdSkel
 
-#: as text, packed, and zipped as phones take it
+#: text, binary, and zipped for phones
 SUFFIXES = (".usda", ".usdc", ".usdz")
 
 
 @checked
 def write_usd(path: str | Path, body: Body, motion: Motion | None = None) -> None:
-    """Write a body, with a motion as its animation where there is one, in metres, y up, a time code a frame.
+    """Write a body, with an optional motion as its animation, in metres, y up, one time code for each frame.
 
-    Every influence is kept, the strongest first. Names of joints that USD does not take are changed where it needs
-    them, and stand as they are in `jointNames`.
+    All influences are kept, the strongest first. Joint names that are invalid in USD are changed where
+    required, and unchanged in `jointNames`.
 
-    **Raises:** `InputError` where usd-core is not installed, the suffix is none of `SUFFIXES`, the skin does not blend
-    linearly, the motion has other joints or no frames, or the file cannot be written.
+    **Raises:** `InputError` if usd-core is not installed, the suffix is not in `SUFFIXES`, the skin is not
+    linear, the motion has other joints or no frames, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -51,7 +51,7 @@ def write_usd(path: str | Path, body: Body, motion: Motion | None = None) -> Non
         ) from None
     check_skin(path, body, "USD")
     check_motion(path, body.skeleton, motion)
-    # OpenUSD puts its files where it likes; only what it has made well is taken to its place
+    # OpenUSD creates files in the folder it chooses; only a successful result is moved to `path`
     with replacing(path) as beside, tempfile.TemporaryDirectory() as folder:
         layer, package = Path(folder) / path.with_suffix(".usdc").name, Path(folder) / path.name
         try:
@@ -79,7 +79,7 @@ def _fill(stage: "Usd.Stage", body: Body, motion: Motion | None) -> None:
     rest = rest_frames(body.skeleton)
     skeleton.CreateJointsAttr(Vt.TokenArray(_joint_paths(body.skeleton)))
     skeleton.CreateJointNamesAttr(Vt.TokenArray(list(body.skeleton.names)))
-    # rows here, where a point is a row
+    # transposed, as points are rows in USD
     bind = bind_frames(body.skeleton).swapaxes(1, 2)
     skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray.FromNumpy(np.ascontiguousarray(bind)))
     skeleton.CreateRestTransformsAttr(
@@ -127,7 +127,7 @@ def _surface(stage: "Usd.Stage", skeleton: "UsdSkel.Skeleton", body: Body) -> No
     mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(faces)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.reshape(-1).astype("i4")))
-    # smooth by its normals, and not by rounding its corners off
+    # smooth by normals, not by subdivision
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(vertex_normals(vertices, faces).astype("f4")))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
@@ -160,7 +160,7 @@ def _animate(stage: "Usd.Stage", skeleton: "UsdSkel.Skeleton", joints: Skeleton,
 
 
 def _joint_paths(skeleton: Skeleton) -> list[str]:
-    """Of every joint the names from its root to it, as identifiers that differ."""
+    """Return the path of each joint from its root, with unique and valid identifiers."""
     from pxr import Tf
 
     taken: set[str] = set()

@@ -6,14 +6,14 @@ from ...errors import InputError
 from ..system.own_process import Ended, run_program
 
 _PROGRAM = Path(__file__).with_name("usd_process.py")
-#: seconds to wait for a file of no bytes, and more for each byte; the process limits its own seconds of CPU to less
+#: time limit in seconds: a constant and a part for each byte; the limit of CPU time in the process is lower
 _WAIT, _WAIT_PER_BYTE = 60, 2e-5
 
 
 def check_usd(path: Path) -> None:
-    """Check that OpenUSD can look at all of a file: a damaged one ends another process and not this one (0.4 s).
+    """Check in another process that OpenUSD can read all of a file, as a damaged file may crash it (0.4 s).
 
-    **Raises:** `InputError` where OpenUSD crashes, or takes too long or too much memory.
+    **Raises:** `InputError` if OpenUSD crashes, or takes too long or too much memory.
     """
     wait = _WAIT + _WAIT_PER_BYTE * path.stat().st_size
     try:

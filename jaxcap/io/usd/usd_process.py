@@ -1,8 +1,8 @@
-"""Open a USD file and look at all that is in it, as a program of its own: `python -I -S usd_process.py FILE FOLDERS...`.
+"""Open a USD file and read all of its contents, as a separate program.
 
-OpenUSD is C++ and ends its process on some damaged files. So `usd_child.py` starts this file, which imports nothing of
-jaxcap, and reads a file itself only where this comes to its end. What OpenUSD says of an error is left to the reader.
-`FOLDERS` are those of OpenUSD.
+It is run as `python -I -S usd_process.py FILE FOLDERS...`. OpenUSD is C++ and crashes on some damaged files.
+So `usd_child.py` starts this file, which imports nothing of jaxcap, and the reader continues only if this
+program succeeds. The reader reports the errors of OpenUSD. `FOLDERS` are those of OpenUSD.
 """
 
 # pxr fills its modules as it is imported and has no stubs
@@ -13,7 +13,7 @@ import runpy
 import sys
 from typing import Any
 
-#: bytes, and seconds of CPU, for a file of no bytes, and more for each byte
+#: limits of bytes and of seconds of CPU: a constant and a part for each byte
 MEMORY, MEMORY_PER_BYTE = 3 << 30, 200
 SECONDS, SECONDS_PER_BYTE = 15, 4e-6
 
@@ -34,8 +34,10 @@ def main(path: str, folders: list[str]) -> None:
 
 
 def _inside(Sdf: Any, path: str, first: Any) -> bool:
-    """Whether all layers lie in the folder of the file, or of what it is a link to: the reader refuses what lies elsewhere, and
-    it is not opened here either."""
+    """Check that all layers are in the folder of the file or of its link target.
+
+    The reader rejects layers in other folders, so they are not opened here either.
+    """
     folders = {
         os.path.realpath(os.path.dirname(found)) for found in (os.path.abspath(path), os.path.realpath(path))
     }
@@ -54,7 +56,10 @@ def _inside(Sdf: Any, path: str, first: Any) -> bool:
 
 
 def _touch(Usd: Any, UsdSkel: Any, Tf: Any, stage: Any) -> None:
-    """Get the value of every attribute at every time, and what moves surfaces; an error of one leaves the others to be seen."""
+    """Read every attribute at every time, and the skinning of surfaces.
+
+    An error of one does not stop the rest.
+    """
     predicate, cache = Usd.TraverseInstanceProxies(), UsdSkel.Cache()
     for prim in Usd.PrimRange.Stage(stage, predicate):
         for attribute in prim.GetAttributes():

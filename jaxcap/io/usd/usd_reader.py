@@ -1,4 +1,4 @@
-"""Bodies with their motions from USD (`.usd`, `.usda`, `.usdc`, `.usdz`), by OpenUSD's own library, the extra `usd`."""
+"""Bodies with their motions from USD (`.usd`, `.usda`, `.usdc`, `.usdz`), by OpenUSD, the extra `usd`."""
 
 # pxr fills its modules as it is imported and has no stubs
 # pyright: reportAttributeAccessIssue=false
@@ -30,20 +30,22 @@ from .usd_turns import check_turns
 if TYPE_CHECKING:
     from pxr import Usd, UsdSkel
 
-#: that are read; `.usd` is as text or packed
+#: suffixes that are read; `.usd` is text or binary
 SUFFIXES = (".usd", *WRITTEN)
 
 
 @reads("a USD file")
 def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
-    """The body of a file's first skeleton, which blends linearly, and its animation, a frame of the file's own rate each.
+    """Read the body of a file's first skeleton, with linear blend skinning, and its animation.
 
-    Rest is where the bind transforms have the joints, in metres, y up; their frames there are the joints' orientations. Roots are
-    free and other joints turn freely, as UsdSkel knows no kinds. Blend shapes, meshes that follow no joint and other figures
-    are left out with a warning.
+    Frames are at the file's own rate. The rest pose is given by the bind transforms, in metres, y up; the
+    joints' frames there are their orientations. Roots are free and other joints are ball joints, as UsdSkel
+    has no joint types. Blend shapes, meshes that follow no joint and other figures are left out with a
+    warning.
 
-    **Raises:** `InputError` where usd-core is not installed, the file is not a whole one, has no skinned skeleton, or has what a
-    `Skeleton` and its `Pose` cannot hold: joints that are sheared or scaled by themselves.
+    **Raises:** `InputError` if usd-core is not installed, if the file is incomplete or has no skinned
+    skeleton, or if it has content that a `Skeleton` and its `Pose` cannot represent: joints that are sheared
+    or scaled individually.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -68,7 +70,7 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
 
 
 def _check_layers(path: Path) -> None:
-    """That every layer that a file is composed of lies in its folder. Raises `InputError`."""
+    """Check that every layer of a file is in its folder. Raises `InputError`."""
     from pxr import Sdf
 
     layers, seen = [Sdf.Layer.FindOrOpen(str(path))], set()
@@ -76,7 +78,7 @@ def _check_layers(path: Path) -> None:
         layer = layers.pop()
         for name in layer.GetCompositionAssetDependencies() if layer else ():
             found = layer.ComputeAbsolutePath(name)
-            # a layer within a package is called package.usdz[layer.usdc]
+            # a layer within a package is named package.usdz[layer.usdc]
             if not is_inside(path, found.partition("[")[0]):
                 raise outside(path, name)
             if found not in seen:
@@ -85,7 +87,10 @@ def _check_layers(path: Path) -> None:
 
 
 class _Skinned:
-    """The first skeleton of a stage that moves something. Matrices are of columns, though USD has rows."""
+    """The first skeleton of a stage that moves a surface.
+
+    Matrices act on columns, although those of USD act on rows.
+    """
 
     def __init__(self, path: Path, stage: "Usd.Stage"):
         from pxr import Usd, UsdGeom, UsdSkel
@@ -112,7 +117,7 @@ class _Skinned:
         if not 1e-6 <= metres <= 1e6:
             raise InputError(f"{path}: metersPerUnit is {metres:g}; it must be from 1e-06 to 1e+06.")
         self.room = max(ROOM, PACKED * path.stat().st_size)
-        # what brings the stage into metres, y up
+        # the transform of the stage to metres, y up
         self.upright = np.eye(4) * metres
         self.upright[3, 3] = 1.0
         if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
@@ -151,7 +156,7 @@ class _Skinned:
         return body_of(self.path, bound, surface), motion
 
     def left_out(self, predicate: "Usd.PrimFlagsPredicate", others: list) -> dict[str, list[str]]:
-        """What is not read beside the first figure, by kind."""
+        """List the names of unread contents besides the first figure, by type."""
         from pxr import Usd, UsdGeom, UsdSkel
 
         own = {target.GetPrim().GetPath() for target in self.targets}
@@ -165,14 +170,14 @@ class _Skinned:
         }
 
     def above(self, time: "Usd.TimeCode") -> Float[np.ndarray, "4 4"]:
-        """From the skeleton's space into the world."""
+        """Return the transform from the skeleton's space into the world."""
         from pxr import UsdGeom
 
         there = UsdGeom.XformCache(time).GetLocalToWorldTransform(self.skeleton.GetPrim())
         return self.upright @ np.array(there).T
 
     def frames(self, joints: int) -> tuple[Float[np.ndarray, "F J 4 4"], float]:
-        """Of every joint into the world, and how many there are a second."""
+        """Sample the transforms of all joints into the world; return them and the frame rate."""
         from pxr import Usd
 
         animation = self.query.GetAnimQuery()
@@ -194,7 +199,10 @@ class _Skinned:
         return np.stack(frames), rate
 
     def spend(self, numbers: float | int, what: str) -> None:
-        """Count numbers that are made of the file. Raises `InputError` where they are more than it can be meant for."""
+        """Count numbers that are computed from the file.
+
+        Raises `InputError` if their memory exceeds the limit for its size.
+        """
         self.room -= 8 * numbers
         if not self.room >= 0:
             raise InputError(
@@ -202,7 +210,7 @@ class _Skinned:
             )
 
     def columns(self, matrices, name: str, count: int) -> Float[np.ndarray, "J 4 4"]:
-        """Matrices of columns of USD's rows, one for each joint. Raises `InputError`."""
+        """Transpose the matrices of USD, one for each joint, to act on columns. Raises `InputError`."""
         found = np.array([] if matrices is None else matrices, float)
         if found.shape != (count, 4, 4) or not (np.abs(found) <= LARGEST).all():
             raise InputError(

@@ -1,4 +1,4 @@
-"""Sentences about USD layers that OpenUSD cannot parse."""
+"""Error messages for USD layers that OpenUSD cannot parse."""
 
 import re
 from pathlib import Path
@@ -6,12 +6,12 @@ from pathlib import Path
 from ...errors import InputError
 from ..text import shortened
 
-#: as the parser of text begins: file, line, column
+#: the start of a message of the text parser: file, line, column
 _PLACE = re.compile(r"'?(?P<file>[^\n']*?):(?P<line>\d+):\d+: ")
 
 
 def check_text(path: Path) -> None:
-    """Check that a layer of text is UTF-8. Raises `InputError` with the line."""
+    """Check that a text layer is UTF-8. Raises `InputError` with the line."""
     data = path.read_bytes()
     try:
         if data.startswith(b"#usda"):
@@ -22,15 +22,15 @@ def check_text(path: Path) -> None:
 
 
 def not_whole(path: Path, error: Exception) -> InputError:
-    """Say what OpenUSD found wrong with a file, in the line that it names of it, or of a layer that it is composed of."""
-    # behind the place in OpenUSD's own source
+    """Return the error for a file that OpenUSD rejects, with the line in the file or in one of its layers."""
+    # the text after the position in OpenUSD's own source
     lines = [line.partition(" in file ")[2].partition(" : ")[2] or line for line in str(error).splitlines()]
     reason = next((line.strip(" \t'.") for line in reversed(lines) if line.strip(" \t'.")), "")
     place = _PLACE.match(reason)
     if place is None:
         why = f" ({shortened(reason)})" if reason else ": OpenUSD does not say what is wrong with it"
         return InputError(f"{path}: this is not a whole USD file{why}; export it again.")
-    # the parser names its own rules where it has no words
+    # the parser reports its grammar rules if it has no message
     words = reason[place.end() :].removesuffix("'").strip()
     near = re.search(r" at '(.*?)'(?: in <(.*?)>)?$", words)
     inside = f", in {shortened(near[2])}" if near and near[2] else ""

@@ -1,4 +1,4 @@
-"""Whether the quaternions of USD prims are rotations: OpenUSD itself takes one of no length for no rotation."""
+"""Checks of the quaternions of USD prims: OpenUSD reads a zero quaternion as the identity."""
 
 # pxr fills its modules as it is imported and has no stubs
 # pyright: reportAttributeAccessIssue=false
@@ -20,7 +20,7 @@ _TYPES = ("quath", "quatf", "quatd")
 
 
 def check_turns(path: Path, prim: "Usd.Prim") -> None:
-    """Check that all quaternions of a prim and of those above it have a length, at every time that one is given for.
+    """Check that no quaternion of a prim or its ancestors is zero, at any time sample.
 
     **Raises:** `InputError` with the prim, its attribute, the time and the joint.
     """
@@ -34,7 +34,7 @@ def check_turns(path: Path, prim: "Usd.Prim") -> None:
 def _check(path: Path, prim: "Usd.Prim", attribute: Any) -> None:
     for time in attribute.GetTimeSamples() or (None,):
         turns = _numbers(attribute.Get() if time is None else attribute.Get(time))
-        # what is not finite is told of the transforms that are made of it
+        # numbers that are not finite are reported for the transforms that are computed from them
         short = np.linalg.norm(turns, axis=1) <= LEAST
         if short.any():
             row = int(short.argmax())
@@ -46,7 +46,7 @@ def _check(path: Path, prim: "Usd.Prim", attribute: Any) -> None:
 
 
 def _numbers(value: Any) -> Float[np.ndarray, "N 4"]:
-    """One quaternion or several as rows of numbers."""
+    """Convert one quaternion or several to rows of numbers."""
     if value is None:
         return np.zeros((0, 4))
     if hasattr(value, "GetReal"):
@@ -55,7 +55,7 @@ def _numbers(value: Any) -> Float[np.ndarray, "N 4"]:
 
 
 def _which(prim: "Usd.Prim", row: int, count: int) -> str:
-    """Say the joint that a quaternion of a prim is of, else its row where there are several."""
+    """Describe the joint of a prim's quaternion, or its row if there are several."""
     joints = prim.GetAttribute("joints").Get() or ()
     if len(joints) == count:
         return f", of joint '{shortened(str(joints[row]))}'"
