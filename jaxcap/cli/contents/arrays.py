@@ -1,4 +1,4 @@
-"""What an `.npz` holds, in lines of text."""
+"""Text descriptions of the contents of an `.npz`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -58,7 +58,7 @@ def tell_arrays(path: Path, unit: str) -> str:
 
 
 def tell_meshes(path: Path | str, unit: str) -> str:
-    """Say how many registered meshes there are, and how large."""
+    """Print the number and size of registered meshes."""
     sequence = read_meshes(path, unit)
     say(
         f"registered meshes: {len(sequence)} of {sequence.vertices.shape[1]} vertices and "
