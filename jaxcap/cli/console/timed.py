@@ -7,7 +7,7 @@ import jax
 
 
 def timed(frames: Iterable) -> Iterator[tuple]:
-    """Yield each result, once computed, with the seconds since the previous one was yielded."""
+    """Yield each result, once computed, with the seconds since it was requested."""
     start = time.perf_counter()
     for frame in frames:
         jax.block_until_ready(frame)

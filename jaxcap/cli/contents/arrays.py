@@ -26,7 +26,7 @@ from .listing import say_list
 
 @reads("an .npz file")
 def tell_arrays(path: Path, unit: str) -> str:
-    """Say what is in an `.npz`, by its kind, and return that."""
+    """Print a description of an `.npz`, and return its kind."""
     kind = kind_of_arrays(array_names(path), kind_of(path))
     tell = {
         "body": _body,

@@ -86,7 +86,7 @@ class Gaze:
         save(self.out, skeleton, found.motion)
 
     def check(self) -> None:
-        """That the options go together. Raises `InputError`."""
+        """Check that the options are compatible. Raises `InputError`."""
         check_motion(self.out, self.overwrite)
         if (self.target is None) == (self.direction is None):
             raise InputError("Say where to look by --target or by --direction, and by one of them.")
