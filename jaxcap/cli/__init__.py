@@ -1,4 +1,4 @@
-"""The command line: one file a verb. `main` is the program `jaxcap`."""
+"""The command line: one file per verb. `main` is the program `jaxcap`."""
 
 import sys
 from collections.abc import Sequence
@@ -8,12 +8,12 @@ from .console.groups import JAXCAP
 from .console.heartbeat import break_silence
 from .console.verbs import run_verb
 
-#: with any verb: compile anew
+#: option of every verb: compile without the cache
 NO_CACHE = "--no-cache"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one verb. A wrong input ends in one line on stderr and `SystemExit(2)`."""
+    """Run one verb. An input error prints one line on stderr and raises `SystemExit(2)`."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     with told(), break_silence():
         if arguments == ["--version"]:

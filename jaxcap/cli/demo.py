@@ -1,4 +1,4 @@
-"""`jaxcap demo`: perform, scan, track, and show how near it came."""
+"""`jaxcap demo`: perform, scan, track, and show the errors."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +29,7 @@ from .track.results import FILES, check_folder, make_writable, write_results
 
 _pose_body = eqx.filter_jit(pose_body)
 PICTURE = "demo.png"
-#: points of a picture's cloud
+#: number of points in a picture's cloud
 SHOWN = 5000
 
 
@@ -60,7 +60,7 @@ class Demo:
             self.perform()
 
     def perform(self) -> None:
-        """Make, scan and track the performance, alone in the folder."""
+        """Generate, scan and track the performance, while the lock excludes other runs in the folder."""
         self.check_folder()
         true_body = human()
         body = human(resolution=self.vertices or "medium")
@@ -110,14 +110,14 @@ class Demo:
         say(f"{', '.join(FILES)} and demo.png are in {self.out}")
 
     def make_folder(self) -> None:
-        """Make the folder, with a file that lets git ignore one that was not there. Raises `InputError`."""
+        """Make the folder; a new one gets a `.gitignore` file. Raises `InputError`."""
         new = not self.out.exists()
         make_writable(self.out)
         if new:
             write_text(self.out / ".gitignore", "# made by jaxcap demo\n*\n")
 
     def check_folder(self) -> None:
-        """That no results are in the folder, or that they are to be replaced. Raises `InputError`."""
+        """Check that the folder has no results, or that they may be replaced. Raises `InputError`."""
         if not self.overwrite and any((self.out / name).exists() for name in (*FILES, PICTURE)):
             raise InputError(
                 f"{self.out}: this folder holds the results of a run; give --overwrite to replace them, or another folder "

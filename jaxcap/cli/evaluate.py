@@ -1,4 +1,4 @@
-"""`jaxcap evaluate`: how far the scans are from the body, and the joints from the truth."""
+"""`jaxcap evaluate`: distances from scans to the body, and errors of the joints."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,7 +108,8 @@ class Evaluate:
 
 
 def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], Float[np.ndarray, "F K 3"]]:
-    """The joints of a skeleton whose true places a file knows, and these. Raises `InputError`."""
+    """Read the true joint positions of a file; return the joints that the skeleton has, and their positions.
+    Raises `InputError`."""
     wanted = ("joints", "names")
     arrays = load_arrays(path, lambda name: name in wanted) if path.suffix.lower() == ".npz" else {}
     if "joints" in arrays:

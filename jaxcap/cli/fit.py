@@ -1,4 +1,4 @@
-"""`jaxcap fit`: the poses of a body in registered meshes, and how well it meets them."""
+"""`jaxcap fit`: the poses of a body in registered meshes, and their errors."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ MeshesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="MESHES
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 OptionalRate = Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")]
 
-#: no pose changes the size of a body by so much, and every other unit but feet for metres does
+#: size ratio that no pose causes, but a wrong unit does, except feet for metres
 OTHER_UNIT = 5.0
 
 
@@ -84,19 +84,19 @@ class Fit:
 
 
 def same_triangles(a: Int[np.ndarray, "T 3"], b: Int[np.ndarray, "S 3"]) -> bool:
-    """Whether two lists of triangles join the same vertices, in any order."""
+    """Check if two lists of triangles are equal as sets, in any order of triangles and vertices."""
     rows = [np.unique(np.sort(faces, axis=1), axis=0) for faces in (a, b)]
     return rows[0].shape == rows[1].shape and bool((rows[0] == rows[1]).all())
 
 
 def check_rate(rate: float | None) -> None:
-    """Raises `InputError` for what is no rate."""
+    """Check a rate. Raises `InputError` if it is not positive and finite."""
     if rate is not None and not 0 < rate < np.inf:
         raise InputError(f"--rate is {rate:g}; it must be above 0 meshes a second.")
 
 
 def check_size(body: Body, sequence: MeshSequence, where: str) -> None:
-    """That meshes are in the unit that they were read in. Raises `InputError`."""
+    """Check that meshes were read in the right unit. Raises `InputError`."""
     there = float(np.median(np.ptp(np.asarray(sequence.vertices, float), axis=1).max(1)))
     here = float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
     if not here / OTHER_UNIT < there < here * OTHER_UNIT:

@@ -1,4 +1,4 @@
-"""`jaxcap ik`: points of a body are held and dragged, and the body follows."""
+"""`jaxcap ik`: the pose of a body from constrained points, which a user drags."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +26,11 @@ from .motions import load_motion_of
 from .outputs import check_new
 from .sources import load_body
 
-#: solves from a file of constraints, each from the pose before, until nothing moves
+#: maximum number of solves for a file of constraints, each from the previous pose, until convergence
 ROUNDS = 20
-#: a target that is further off, metres, is told as not reached
+#: error above which a target is reported as not reached, metres
 REACHED = 0.005
-#: what is further away than this is likely to be in another unit, metres
+#: distance of a target above which it is likely in another unit, metres
 FAR = 50.0
 
 
@@ -82,7 +82,7 @@ class Ik:
             self.write(self.out, session)
 
     def check(self) -> None:
-        """That options go together. Raises `InputError`."""
+        """Check that the options are compatible. Raises `InputError`."""
         if self.frame is not None and self.pose is None:
             raise InputError(
                 f"--frame {self.frame}: there is no motion to take it from; give one with --pose."
@@ -100,7 +100,7 @@ class Ik:
         check_new(self.out, self.overwrite)
 
     def session(self) -> IkSession:
-        """What the options ask for, before anything is solved."""
+        """Make the session from the options, before the first solve."""
         body, ranges = load_body(self.body, self.skl, self.vj, self.cst, unit=self.unit, up=self.up)
         if not len(body.vertices):
             raise InputError(f"{self.body}: this body has no vertices to hold; give one with a surface.")
@@ -125,7 +125,7 @@ class Ik:
         return session._replace(state=session.state._replace(constraints=held))
 
     def one_pose(self, poses: Pose, path: Path) -> Pose:
-        """The frame that was asked for. Raises `InputError` where there is none."""
+        """Select the requested frame. Raises `InputError` if there is none."""
         count, frame = len(poses.scale), self.frame or 0
         if not count:
             raise InputError(f"{path}: there are no frames in this motion.")
@@ -136,7 +136,7 @@ class Ik:
         return Pose(poses.translations[frame], poses.rotations[frame], poses.scale[frame])
 
     def write(self, out: Path, session: IkSession) -> None:
-        """Solve and write; the distances to all targets are told."""
+        """Solve, write the pose, and print the distances to all targets."""
         session = ik.grab(session)
         for _ in range(ROUNDS):
             before = np.asarray(session.state.pose.rotations)
@@ -155,7 +155,7 @@ class Ik:
             warn(f"{len(missed)} of {len(held)} targets are not reached: {', '.join(missed[:8])}")
 
     def serve(self, session: IkSession) -> None:
-        """A window until Ctrl-C."""
+        """Open a window until Ctrl-C."""
         from ..view.ik.window import serve_ik
 
         if session.state.constraints:

@@ -1,4 +1,4 @@
-"""`jaxcap info`: what is in a file."""
+"""`jaxcap info`: the contents of a file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ from .contents.texts import (
 )
 from .sources import load_body, names_human
 
-#: suffixes of everything that some verb reads
+#: suffixes of all files that some verb reads
 KNOWN = tuple(
     dict.fromkeys(
         (*MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, *SUFFIXES, ".cst", ".vj", ".json", ".txt")
@@ -57,7 +57,7 @@ class Info:
             say(next_verbs(self.tell(), self.file))
 
     def tell(self) -> str:
-        """Say what is there, and return its kind. Raises `InputError`."""
+        """Print a description of the contents, and return their kind. Raises `InputError`."""
         path, unit = Path(self.file), self.unit or "m"
         if names_human(self.file):
             tell_body(load_body(self.file)[0])

@@ -1,4 +1,4 @@
-"""`jaxcap learn`: a body from registered meshes alone."""
+"""`jaxcap learn`: learn a body from registered meshes alone."""
 
 import hashlib
 from dataclasses import dataclass
@@ -98,7 +98,7 @@ class Learn:
         for path in (self.out, motion_path):
             check_parent(path)
         with run_lock(self.out, motion_path):
-            # a run that was killed while it wrote its results goes on with its last round
+            # a run that was killed while it wrote its results resumes from its last round
             if self.resume and nothing_left((self.out, motion_path), kept):
                 return
             replace = self.overwrite or (self.resume and kept.is_file())
@@ -107,7 +107,7 @@ class Learn:
             self.learn_all(motion_path, kept)
 
     def learn_all(self, motion_path: Path, kept: Path) -> None:
-        """Read, learn, write and score, with no other run that writes the same files."""
+        """Read, learn, write and score, while the lock excludes other runs with the same output files."""
         doing("reading the meshes")
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         train, held = split(len(sequence), self.hold_out)
@@ -136,7 +136,7 @@ class Learn:
         kept.unlink(missing_ok=True)
 
     def check(self) -> None:
-        """That options are in their ranges and go together. Raises `InputError`."""
+        """Check that options are in range and compatible. Raises `InputError`."""
         wrong = {
             "--joints": (self.joints, self.joints is None or self.joints >= 1, "at least 1"),
             "--alpha": (self.alpha, 0 <= self.alpha < np.inf, "at least 0"),
@@ -163,7 +163,7 @@ class Learn:
             raise InputError("--free-bones have no skeleton and no pairs; leave --skeleton and --pairs out.")
 
     def settings(self) -> dict[str, object]:
-        """What the result depends on, by the names that the user knows."""
+        """Collect the settings that affect the result, by the names of the options."""
         names = (
             "joints",
             "alpha",
@@ -185,18 +185,19 @@ class Learn:
         return {**known, "skin": skin, "skeleton": skeleton, "limits": limits}
 
     def terms(self, meshes: MeshSequence, skeleton: Skeleton | None) -> tuple[AbstractEnergy, ...]:
-        """Energies of the options, by a body that stands as the first mesh does."""
+        """Make the energies of the options, for a body in the shape of the first mesh."""
         bones = make_skeleton(["root"], [-1], ["free"], np.zeros((1, 3))) if skeleton is None else skeleton
         labels = jnp.zeros(meshes.vertices.shape[1], jnp.int32)
         body = Body(bones, RigidSkin(labels), meshes.vertices[0], meshes.faces)
         return read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor)
 
     def start(self, kept: Path, header: dict[str, object]) -> LearnState | None:
-        """The state to go on from; None to begin. Raises `InputError` where another run's is in the way."""
+        """Load the state to resume from; None to start again. Raises `InputError` if another run's checkpoint
+        exists."""
         if self.resume:
             if kept.is_file():
                 return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round", "curve")), kept)
-            # stopped before its first round was done, as far as anyone can know
+            # without a file the run was probably stopped before the end of its first round
             return None
         if kept.exists() and not self.overwrite:
             raise InputError(
@@ -212,7 +213,7 @@ class Learn:
         header: dict[str, object],
         resumed: LearnState | None,
     ) -> Learned:
-        """The loop, with a checkpoint after every round; Ctrl-C keeps the last."""
+        """Run the learning loop, with a checkpoint after every round; Ctrl-C keeps the last one."""
         done = 0 if resumed is None else resumed.round
         begins = (
             f"round {done} is done" if done else "parts and joints come first, and the first round compiles"
@@ -245,7 +246,7 @@ class Learn:
                     resume=resumed,
                 )
             except KeyboardInterrupt:
-                # a file that is there before the first round is of a run that this one replaces
+                # a checkpoint that exists before the first round is of a run that this one replaces
                 told = f"round {done} is kept in {kept}; --resume goes on" if done else "no round was done"
                 raise KeyboardInterrupt(f"stopped; {told}") from None
 
@@ -257,7 +258,7 @@ class Learn:
         train: np.ndarray,
         held: np.ndarray,
     ) -> None:
-        """Scores on training and on held-out meshes, said and reported."""
+        """Score the body on training and on held-out meshes; print and report the scores."""
         groups = {"training": (learned.motion, np.ones(len(train), bool), train)}
         if held.size:
             doing("fitting the meshes held out")
@@ -285,21 +286,22 @@ class Learn:
 
 
 def skeleton_digest(spec: Path) -> str:
-    """Return what tells that a skeleton is the same: a hash of its file, or the options of `human`."""
+    """Return an identifier of a skeleton: the hash of its file, or the options of `human`."""
     if names_human(str(spec)):
         return str(spec)
     return hashlib.sha256(split_clip(spec)[0].read_bytes()).hexdigest()
 
 
 def split(count: int, hold_out: int | None) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the training meshes and of those held out: every `hold_out`-th."""
+    """Split mesh indices into training and held-out: every `hold_out`-th is held out."""
     numbers = np.arange(count)
     held = np.zeros(count, bool) if hold_out is None else numbers % hold_out == hold_out - 1
     return numbers[~held], numbers[held]
 
 
 def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
-    """(P, 2) joints of `left:right,...`, by number or by name of a given skeleton. Raises `InputError`."""
+    """Parse `left:right,...` to (P, 2) joints, by number or by name of a given skeleton. Raises
+    `InputError`."""
     rows = []
     for word in text.split(","):
         sides = [side.strip() for side in word.split(":")]
@@ -307,7 +309,7 @@ def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
             raise InputError(f"--pairs has '{word}'; it must be left:right, such as 3:5,4:6.")
         row = []
         for side in sides:
-            # joints that are found are called so
+            # names of learned joints have this prefix
             number = side.removeprefix("joint") if skeleton is None else side
             if skeleton is not None and side in skeleton.names:
                 row.append(skeleton.names.index(side))
@@ -323,7 +325,7 @@ def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
 
 
 def checkpoint_of(state: LearnState) -> Checkpoint:
-    """A state as a file can hold it."""
+    """Convert a state to a checkpoint."""
     arrays = {
         "pairs": np.asarray(state.pairs, int),
         "damping": np.array(float(state.damping)),
@@ -334,9 +336,9 @@ def checkpoint_of(state: LearnState) -> Checkpoint:
 
 
 def state_of(kept: Checkpoint, path: Path) -> LearnState:
-    """The state of a checkpoint that `checkpoint_of` made, to the last bit; `path`, its file, is for messages.
+    """Restore the state of a checkpoint by `checkpoint_of`, bit for bit; `path`, its file, is for messages.
 
-    **Raises:** `InputError` where an array is another than it has to be.
+    **Raises:** `InputError` if an array is invalid.
     """
     pairs = get_array(kept.arrays, "pairs", path, (None, 2), "whole")
     if pairs.size and not 0 <= pairs.min() <= pairs.max() < kept.body.skeleton.num_joints:

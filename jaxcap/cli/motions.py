@@ -1,4 +1,4 @@
-"""Motions and skeletons by what a user writes on the command line."""
+"""Loading of motions and skeletons from command line arguments."""
 
 from pathlib import Path
 
@@ -14,31 +14,31 @@ from .sources import load_body, names_human
 
 
 def load_motion(path: str | Path, unit: str | None = None) -> tuple[Skeleton, Motion]:
-    """Read a motion with its skeleton, from any file that has both. Raises `InputError`."""
+    """Load a motion with its skeleton, from any file that has both. Raises `InputError`."""
     skeleton, motion = read_motion(path, unit)
     tell_clip(path)
     return skeleton, motion
 
 
 def load_motion_of(body: Body, path: str | Path, unit: str | None = None) -> Motion:
-    """Read a motion of a body, from any file that has one. Raises `InputError` where it is of another body."""
+    """Load a motion of a body, from any file that has one. Raises `InputError` if it is of another body."""
     motion = read_motion_of(body, Path(path), unit)
     tell_clip(path)
     return motion
 
 
 def load_skeleton(spec: str | Path, unit: str | None = None) -> Skeleton:
-    """Read a skeleton: that of `human` with options, or of any file that has one. Raises `InputError`."""
+    """Load a skeleton: that of `human` with options, or of any file that has one. Raises `InputError`."""
     return load_body(str(spec))[0].skeleton if names_human(str(spec)) else read_skeleton(spec, unit)
 
 
 def extent(skeleton: Skeleton) -> float:
-    """Find the longest side of the box around the joints at rest, metres."""
+    """Compute the longest side of the bounding box of the rest joints, metres."""
     return float(np.ptp(np.asarray(skeleton.centres, float), axis=0).max())
 
 
 def tell_clip(path: str | Path) -> None:
-    """Say which clip of a file is taken, where it has several and none was named."""
+    """Print the name of the clip that is read, if a file has several and none was named."""
     sentence = clip_sentence(path)
     if sentence is not None:
         warn(sentence)

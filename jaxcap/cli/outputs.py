@@ -1,4 +1,4 @@
-"""What is written: that it can be, and that nothing is replaced unasked."""
+"""Checks of output files: write access, and no replacement without --overwrite."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,20 +9,20 @@ from .console.console import say
 
 
 def check_absent(paths: Iterable[Path], overwrite: bool) -> None:
-    """That none of some files is there, or they may be replaced. Raises `InputError`."""
+    """Check that none of the files exists, or they may be replaced. Raises `InputError`."""
     there = [path for path in paths if path.exists()]
     if there and not overwrite:
         raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
 
 
 def check_parent(path: Path) -> None:
-    """That a file's folder is there. Raises `InputError`."""
+    """Check that a file's folder exists. Raises `InputError`."""
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: its folder is not there; make it first.")
 
 
 def check_new(path: Path | None, overwrite: bool) -> None:
-    """That a file can be made there, or replaced. Raises `InputError`."""
+    """Check that a file can be made at a path, or replaced. Raises `InputError`."""
     if path is None:
         return
     if path.is_dir():
@@ -32,7 +32,7 @@ def check_new(path: Path | None, overwrite: bool) -> None:
 
 
 def check_motion(path: Path, overwrite: bool) -> None:
-    """That a motion can be written there. Raises `InputError`."""
+    """Check that a motion can be written to a path. Raises `InputError`."""
     if path.suffix.lower() not in MOTION_WRITERS:
         raise InputError(
             f"{path}: motions are not written as '{path.suffix}' files; use {', '.join(MOTION_WRITERS)}."
@@ -41,14 +41,15 @@ def check_motion(path: Path, overwrite: bool) -> None:
 
 
 def check_npz(path: Path, overwrite: bool, what: str = "a motion") -> None:
-    """That an `.npz` can be written there. Raises `InputError`."""
+    """Check that an `.npz` can be written to a path. Raises `InputError`."""
     if path.suffix.lower() != ".npz":
         raise InputError(f"{path}: {what} is written as .npz; give a name that ends so.")
     check_new(path, overwrite)
 
 
 def nothing_left(results: Iterable[Path], kept: Path) -> bool:
-    """Whether a run that is to go on has all its `results`, and says so; `kept` is the file of an unfinished one."""
+    """Check if a run to resume has all its `results`, and print a line if so; `kept` is the checkpoint of an
+    unfinished run."""
     results = list(results)
     if kept.exists() or not all(path.is_file() for path in results):
         return False
@@ -60,7 +61,7 @@ def nothing_left(results: Iterable[Path], kept: Path) -> bool:
 
 
 def make_folder(folder: Path) -> None:
-    """Raises `InputError` where it cannot be made."""
+    """Make a folder and its parents. Raises `InputError` if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Scores of meshes as a table, and which meshes to score."""
+"""Tables of mesh scores, and the hashes of scored meshes."""
 
 import hashlib
 
@@ -11,7 +11,7 @@ from ..observe import MeshSequence
 from ..report.scores import MeshScore, Scores, score_meshes
 from .console.console import progress, table, warn
 
-#: the most meshes that are told of line by line
+#: maximum number of meshes with a row each
 TOLD = 12
 
 
@@ -23,7 +23,7 @@ def score_motion(
     names: tuple[str, ...],
     label: str = "scoring",
 ) -> Scores:
-    """Scores with a bar; meshes that were not fitted are warned of."""
+    """Score a motion on meshes with a progress bar; warn of meshes that were not fitted."""
     if not fitted.all():
         missed = [names[frame] for frame in np.flatnonzero(~fitted)]
         told = ", ".join(missed[:5]) + (f" and {len(missed) - 5} more" if len(missed) > 5 else "")
@@ -36,14 +36,14 @@ def score_motion(
 
 
 def tell_scores(groups: dict[str, Scores], each: bool = False) -> None:
-    """A table of totals, and of single meshes where `each`: mean and standard deviation of the distance from
-    vertex to surface, and the vertex RMSE, millimetres."""
+    """Print a table of totals, and of single meshes if `each`: mean and standard deviation of the distance
+    from vertex to surface, and the vertex RMSE, millimetres."""
     rows = []
     for label, scores in groups.items():
         if each:
             told = list(scores.meshes)
             if len(told) > TOLD:
-                # nan, the mark of a mesh that was not fitted, comes last
+                # NaN marks meshes that were not fitted; they are last
                 told = sorted(told, key=lambda score: -np.nan_to_num(score.mean, nan=np.inf))[:TOLD]
             rows += [_row(f"{score.name}{'' if score.fitted else ' (not fitted)'}", score) for score in told]
             if len(told) < len(scores.meshes):
@@ -53,7 +53,7 @@ def tell_scores(groups: dict[str, Scores], each: bool = False) -> None:
 
 
 def mesh_hashes(sequence: MeshSequence) -> dict[str, object]:
-    """What tells that meshes are the same."""
+    """Compute the hash of meshes, to detect changes."""
     digest = hashlib.sha256(np.ascontiguousarray(sequence.vertices).tobytes())
     digest.update(np.ascontiguousarray(sequence.faces, np.int64).tobytes())
     return {"meshes": digest.hexdigest(), "precision": str(sequence.vertices.dtype)}

@@ -1,4 +1,4 @@
-"""Bodies and clouds by what a user writes on the command line."""
+"""Loading of bodies and clouds from command line arguments."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ from ..observe import Cloud, make_cloud
 from ..observe import Scan as ReadScan
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
-#: what a body is, in help and errors
+#: description of body files in help texts and errors
 BODY_WORDS = (
     "`human` (with options, as in `human:female,height=1.7`), a body .npz, a skinned .glb, .gltf or USD, or a mesh with "
     ".skl and .vj in its folder"
@@ -34,7 +34,8 @@ BODY_WORDS = (
 
 
 def names_human(spec: str) -> bool:
-    """Whether a body is asked for as `human`, with or without options, and not as a file that is called so."""
+    """Check if an argument means the embedded `human`, with or without options, and not a file of that
+    name."""
     return spec.split(":")[0] == "human" and not Path(spec).exists()
 
 
@@ -48,11 +49,11 @@ def load_body(
     unit: str = "m",
     up: Up = "y",
 ) -> tuple[Body, JointRanges | None]:
-    """A body, y up, and its joint limits where `cst` is given.
+    """Load a body, y up, and its joint limits if `cst` is given.
 
-    `spec` is `human` with options behind a colon (`human:female,height=1.7,medium`), a body
-    `.npz`, a skinned `.glb`, `.gltf` or USD, or a mesh, whose `.skl` and `.vj` lie in its folder where they are not given.
-    `unit` and `up` are those of mesh and skeleton files; the others say theirs.
+    `spec` is `human` with options after a colon (`human:female,height=1.7,medium`), a body `.npz`, a skinned
+    `.glb`, `.gltf` or USD, or a mesh. The `.skl` and `.vj` of a mesh are read from its folder if they are not
+    given. `unit` and `up` are those of mesh and skeleton files; other files have their own.
 
     **Raises:** `InputError`.
     """
@@ -81,7 +82,7 @@ def load_body(
 
 
 def load_cloud(scans: Scans, frame: int, body: Body, up: Up = "y") -> Cloud:
-    """One frame of a sequence, y up, checked against the body that is to be fitted to it."""
+    """Load one frame of a sequence, y up, and check it against the body that is to be fitted."""
     return _cloud_of(scans[frame], body, up)
 
 
@@ -89,7 +90,7 @@ def _cloud_of(scan: ReadScan, body: Body, up: Up) -> Cloud:
     turn = up_rotation(up)
     normals = None if scan.normals is None else scan.normals @ turn.T
     points = scan.points @ turn.T
-    # before it is a cloud: by the size of the body more can be said of the unit
+    # checked before `make_cloud`, as the size of the body allows a better message about the unit
     check_extent(body, points, scan.name)
     return make_cloud(points, normals, name=scan.name)
 
@@ -114,7 +115,7 @@ class Clouds(Sequence[Cloud]):
         return load_cloud(self._scans, index, self._body, self._up)
 
     def mesh(self, frame: int) -> Scan:
-        """A frame with its triangles, where it has some."""
+        """Load a frame with its triangles, if it has any."""
         scan, turn = self._scans[frame], up_rotation(self._up)
         cloud = _cloud_of(scan, self._body, self._up)
         if scan.normals is None or not len(scan.faces):
@@ -126,7 +127,7 @@ class Clouds(Sequence[Cloud]):
 
 
 def up_rotation(up: Up) -> np.ndarray:
-    """(3, 3) the rotation by the shortest way from the vertical `up` to y."""
+    """Compute the (3, 3) rotation of minimal angle from the vertical `up` to y."""
     axis = np.zeros(3)
     axis["xyz".index(up[-1])] = -1.0 if up[0] == "-" else 1.0
     if axis[1] == -1.0:
@@ -137,7 +138,7 @@ def up_rotation(up: Up) -> np.ndarray:
 
 
 def upright_skeleton(skeleton: Skeleton, up: Up) -> Skeleton:
-    """A skeleton whose vertical was `up`, turned so that it is y."""
+    """Rotate a skeleton with the vertical `up` so that y is up."""
     turn = jnp.asarray(up_rotation(up), skeleton.centres.dtype)
     q = jnp.broadcast_to(rotation.from_matrix(turn), skeleton.orientations.shape)
     return eqx.tree_at(

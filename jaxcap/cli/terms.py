@@ -1,4 +1,4 @@
-"""Energies that verbs of fitting take beside their data: limits of joints, a floor, and which poses are likely."""
+"""Additional energies of the fitting verbs: joint limits, a floor, and pose priors."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -44,9 +44,11 @@ def read_terms(
     floor: float | None = None,
     prior: Path | None = None,
 ) -> tuple[AbstractEnergy, ...]:
-    """Read the energies that the options of a verb name, in units of a log-likelihood; `others` are limits that are known already.
+    """Read the energies that the options of a verb name, in units of a log-likelihood; `others` are limits
+    that are already loaded.
 
-    **Raises:** `InputError` for a weight or a height that cannot be, and for files that are wrong or of another skeleton.
+    **Raises:** `InputError` for an invalid weight or height, and for files that are invalid or of another
+    skeleton.
     """
     if not 0 <= limit_weight < np.inf:
         raise InputError(f"--limit-weight is {limit_weight:g}; it must be at least 0.")

@@ -1,4 +1,4 @@
-"""`jaxcap view`: files in a window of the browser."""
+"""`jaxcap view`: files in a browser window."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,7 +80,8 @@ class View:
         )
 
     def bodies(self) -> tuple[list[tuple[str, Body]], list[str]]:
-        """The bodies that were asked for by name or are a mesh with its bones beside it, and the files that are left."""
+        """Load the bodies given by name or as a mesh with its skeleton files, and list the remaining
+        files."""
         named = [name for name in self.files if names_human(name) or is_rigged(name)]
         return (
             [(name, load_body(name, unit=self.unit or "m", up=self.up)[0]) for name in (*self.body, *named)],

@@ -14,7 +14,7 @@ STEPS, SWINGS = 1.0, 1.6
 
 
 def walk_and_wave(skeleton: Skeleton, seconds: float = 2.0, rate: float = 30.0) -> Motion:
-    """The motion, for a skeleton with the human's joint names; from rest, which it leaves gently.
+    """Generate the motion for a skeleton with the human's joint names; it starts smoothly from rest.
 
     Angles are about the axes of the world at rest: x to the left, y up, z to the front.
     """
@@ -31,7 +31,7 @@ def walk_and_wave(skeleton: Skeleton, seconds: float = 2.0, rate: float = 30.0) 
         turn(f"{side}UpLeg", X, -48 * lift)
         turn(f"{side}Leg", X, 62 * lift)
         turn(f"{side}Foot", X, -10 * lift)
-    # arms swing against the legs; the left one hangs, the right one is raised and waves
+    # arms swing opposite to the legs; the left one is down, the right one is raised and waves
     turn("LeftArm", Z, -22 + 0 * time)
     turn("LeftArm", X, 26 * np.sin(stride))
     turn("LeftForeArm", X, -18 + 12 * np.sin(stride))
@@ -61,6 +61,6 @@ def walk_and_wave(skeleton: Skeleton, seconds: float = 2.0, rate: float = 30.0) 
 
 
 def _smooth(share: np.ndarray) -> np.ndarray:
-    """From 0 to 1 with level ends."""
+    """Interpolate from 0 to 1 with zero slope at both ends (smoothstep)."""
     share = np.clip(share, 0.0, 1.0)
     return share * share * (3 - 2 * share)

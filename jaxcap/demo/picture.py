@@ -1,4 +1,4 @@
-"""One picture of a tracked performance: the fitted surface, shaded, under its cloud."""
+"""A figure of a tracked performance: the fitted surface, shaded, under its cloud."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 
 class View(NamedTuple):
-    """One frame of the picture; metres, y up."""
+    """One frame of the figure; metres, y up."""
 
     title: str
     vertices: Float[np.ndarray, "V 3"]
@@ -25,7 +25,7 @@ LIGHT = np.array([-0.45, 0.6, 0.66])
 
 
 def draw(path: str | Path, views: Sequence[View], faces: Int[np.ndarray, "F 3"], title: str) -> None:
-    """Write a PNG with the views side by side, seen from the front and a little from the side."""
+    """Write a PNG with the views side by side, seen from the front and slightly from the side."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
@@ -41,7 +41,7 @@ def draw(path: str | Path, views: Sequence[View], faces: Int[np.ndarray, "F 3"],
     axes = figure.subplots(1, len(views), squeeze=False)[0]
     for axis, view, (vertices, points) in zip(axes, views, turned, strict=True):
         _shade(axis, vertices, np.asarray(faces))
-        # the cloud's near half, far points below near ones
+        # only the front half of the cloud, far points below near ones
         near = _in_front(vertices, points)
         order = near[np.argsort(points[near, 2])]
         axis.scatter(
@@ -69,18 +69,18 @@ def draw(path: str | Path, views: Sequence[View], faces: Int[np.ndarray, "F 3"],
 
 
 def _turn(points: Float[np.ndarray, "N 3"], degrees: float = -18.0) -> Float[np.ndarray, "N 3"]:
-    """Turned about the vertical; x is right, y up, z towards the eye."""
+    """Rotate points about the vertical; x is right, y up, z towards the viewer."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.asarray(points, float) @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
 
 
 def _shade(axis, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> None:
-    """The triangles that face the eye, far ones first, lit from the upper left."""
+    """Draw the front-facing triangles, far ones first, lit from the upper left."""
     from matplotlib.collections import PolyCollection
 
     corners = vertices[faces]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    # the normals of the corners, averaged, so that triangles do not show
+    # averaged normals of the corners, so that triangle edges do not show
     smooth = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(smooth, faces[:, corner], flat)
@@ -100,7 +100,7 @@ def _shade(axis, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
 def _in_front(
     vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "N 3"], pixel: float = 0.03
 ) -> Int[np.ndarray, "M"]:
-    """Indices of the points that the surface does not hide."""
+    """Find the indices of the points that the surface does not occlude."""
     corner = np.minimum(vertices.min(0), points.min(0))[:2]
     cells, asked = (np.floor((a[:, :2] - corner) / pixel).astype(int) for a in (vertices, points))
     width = int(max(cells[:, 0].max(), asked[:, 0].max())) + 1

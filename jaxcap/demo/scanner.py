@@ -1,4 +1,4 @@
-"""Virtual depth cameras around a surface: noisy, partial clouds as real ones give."""
+"""Simulated depth cameras around a surface: noisy, partial clouds like real ones."""
 
 from typing import NamedTuple
 
@@ -7,20 +7,20 @@ from jaxtyping import Float, Int
 
 
 class Scanner(NamedTuple):
-    """Depth cameras on a ring around the y axis, and how bad they are."""
+    """Depth cameras on a ring around the y axis, and their noise."""
 
     cameras: int = 6
     #: radius and height of the ring, metres
     distance: float = 2.5
     height: float = 0.5
-    #: width of a pixel on the surface, metres: what is behind another part in it is hidden
+    #: width of a pixel on the surface, metres: within it, nearer parts occlude farther ones
     pixel: float = 0.012
     #: points in a cloud
     points: int = 5000
-    #: deviation along the line of sight, metres, and of normals, degrees
+    #: standard deviation along the line of sight, metres, and of normals, degrees
     noise: float = 0.004
     normal_noise: float = 10.0
-    #: share of points anywhere in the box around the body
+    #: share of points that are uniform in the box around the body
     outliers: float = 0.03
 
 
@@ -30,10 +30,10 @@ def scan(
     faces: Int[np.ndarray, "F 3"],
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """Points and unit normals of one frame, in random order.
+    """Simulate the points and unit normals of one frame, in random order.
 
-    The surface is sampled densely by area; a sample is seen by a camera that it faces and in whose
-    picture no other sample of the same pixel is nearer by more than two pixels' width.
+    The surface is sampled densely by area. A sample is visible to a camera if it faces the camera and no
+    other sample in the same pixel is nearer by more than two pixel widths.
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces)
     samples, normals = sample_surface(vertices, faces, 8 * scanner.points, rng)
@@ -65,7 +65,7 @@ def sample_surface(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """Points spread over a surface by area, with the normals of their triangles."""
+    """Sample points on a surface uniformly by area, with the normals of their triangles."""
     corners = vertices[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(across, axis=1)
@@ -81,12 +81,12 @@ def _visible(
     eye: Float[np.ndarray, "3"],
     scanner: Scanner,
 ) -> Int[np.ndarray, "M"]:
-    """Indices of the points that a camera at `eye` sees, which looks at the y axis."""
+    """Find the indices of the points visible to a camera at `eye` that looks at the y axis."""
     forward = -eye * [1.0, 0.0, 1.0] / scanner.distance
     right = np.cross(forward, [0.0, 1.0, 0.0])
     away = points - eye
     depth = away @ forward
-    # pixels are as wide at the axis as `pixel` says
+    # focal length for pixels of width `pixel` at the axis
     focal = scanner.distance / scanner.pixel
     columns = np.floor(focal * (away @ right) / depth).astype(int)
     rows = np.floor(focal * away[:, 1] / depth).astype(int)

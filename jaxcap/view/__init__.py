@@ -1,5 +1,5 @@
-"""Windows in a browser: what the library reads and writes, looked at (`app`), posed by hand (`ik`), and from
-notebooks (`show`)."""
+"""Browser windows: view the library's files (`app`), pose a body by hand (`ik`), and view from notebooks
+(`show`)."""
 
 from .notebook import Player as Player
 from .notebook import show as show

@@ -1,4 +1,4 @@
-"""The viewer: one loop for every browser, which shows the frame that its timeline is at."""
+"""The viewer: one loop per browser, which shows the current frame of its timeline."""
 
 import threading
 import time
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 else:
     ClientHandle = SceneClickEvent = ViserServer = Any
 
-#: frames a second that a browser is sent at most
+#: maximum number of frames a second that are sent to a browser
 FASTEST = 60.0
-#: seconds in which a closed browser is noticed
+#: seconds within which a closed browser is noticed
 PATIENCE = 0.25
-#: about a click
+#: the answer to a click that hits nothing
 NOTHING = "There is nothing where you clicked."
 
 
 def serve_contents(
     server: ViserServer, contents: Contents, spacing: float | None = None
 ) -> list[RunFollower]:
-    """Show `contents` to every browser that comes, each with a timeline and choices of its own.
+    """Show `contents` to every browser that connects, each with its own timeline and choices.
 
-    **Arguments:** `spacing` of takes as in `Stage.place`. Runs that are not over are followed until the
-    followers that come back are stopped.
+    **Arguments:** `spacing` of takes as in `Stage.place`. Unfinished runs are followed until the returned
+    followers are stopped.
     """
     followers = [RunFollower(take) for take in contents.takes if take.running is not None]
     for follower in followers:
@@ -43,7 +43,7 @@ def serve_contents(
 
 
 class Window:
-    """What one browser sees."""
+    """The window of one browser."""
 
     def __init__(
         self, client: ClientHandle, contents: Contents, spacing: float | None, followers: list[RunFollower]
@@ -51,7 +51,7 @@ class Window:
         self.client, self.contents, self.followers = client, contents, followers
         self._wake = threading.Event()
         for take in contents.takes:
-            # compiles, which must not hold back anything below
+            # compiles before the browser has to wait for it
             take.motion.frame(0)
         with client.atomic():
             self.stage = Stage(client.scene, contents)
@@ -62,12 +62,12 @@ class Window:
         client.scene.on_click()(self._clicked)
 
     def see(self, name: str) -> None:
-        """Turn the eye to all that is shown, from a direction of `eye.DIRECTIONS`."""
+        """Set the camera to view everything shown, from a direction of `eye.DIRECTIONS`."""
         camera = self.client.camera
         size = float(camera.image_width), float(camera.image_height)
         eye, target = place_eye(self.stage.box(now=name != BEGIN), name, *size, camera.fov)
         with self.client.atomic():
-            # in this order, as what is looked at moves with the eye
+            # in this order, as the target moves with the camera
             camera.position = eye
             camera.look_at = target
 
@@ -78,7 +78,7 @@ class Window:
             self.controls.say(found or NOTHING)
 
     def run(self, gone: threading.Event) -> None:
-        """Show what the timeline and the choices ask for, until the browser closes."""
+        """Show the frame of the timeline with the current choices, until the browser closes."""
         shown: tuple[int, bool, Choice, tuple[int, ...], tuple[str, ...]] | None = None
         spacing, live = self.controls.spacing, any(take.running for take in self.contents.takes)
         while not gone.is_set():
@@ -90,13 +90,13 @@ class Window:
             versions = tuple(take.motion.version for take in self.contents.takes)
             told = tuple(follower.told for follower in self.followers)
             frame, choice = self.controls.timeline.frame(start), self.controls.choice
-            # whether it plays, too: where it comes to rest the slider has yet to follow
+            # includes whether it plays: the slider follows once more when it stops
             wanted = (frame, self.controls.timeline.playing, choice, versions, told)
             if spacing != self.controls.spacing:
                 spacing = self.controls.spacing
                 self.stage.place(spacing)
             if wanted != shown:
-                # computed before anything is held back that the browser could have meanwhile
+                # computed before `atomic`, which holds messages to the browser back
                 looks = self.stage.look(frame, choice)
                 wrong = (*told, *(look.wrong for look in looks))
                 with self.client.atomic():

@@ -1,4 +1,4 @@
-"""What a window shows: takes, scans, meshes, markers and cameras, from files or from a program."""
+"""The contents of a window: takes, scans, meshes, markers and cameras, from files or from a program."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,28 +18,28 @@ from .figures.posing import PosedMotion
 
 @dataclass(frozen=True)
 class Take:
-    """A body, or a skeleton without one, as it moves."""
+    """A moving body, or a moving skeleton without a surface."""
 
     name: str
     motion: PosedMotion
     rate: float = 30.0
-    #: whose markers go along with the bones
+    #: a subject, if any: its markers move with the bones
     subject: Subject | None = None
-    #: deviations of a tracker's mixture, metres, and the names of the clouds it saw, by frame
+    #: standard deviations of a tracker's mixture, metres, and the names of the observed clouds, by frame
     sigmas: tuple[float, ...] = ()
     clouds: tuple[str, ...] = ()
-    #: the folder of a run that may not be over
+    #: the folder of a run that may be unfinished
     running: Path | None = None
 
     @property
     def still(self) -> bool:
-        """Whether it is at rest and nothing more comes."""
+        """True if there is one frame and no more will come."""
         return len(self.motion) == 1 and self.running is None
 
 
 @dataclass(frozen=True)
 class Meshes:
-    """Surfaces of one topology, or one alone; a cloud where there are no faces."""
+    """A mesh sequence of one topology, or one mesh; point clouds if there are no faces."""
 
     name: str
     vertices: Float[np.ndarray, "F V 3"]
@@ -49,7 +49,7 @@ class Meshes:
 
 @dataclass(frozen=True)
 class Markers:
-    """Trajectories of markers."""
+    """Marker trajectories."""
 
     name: str
     frames: MarkerFrames
@@ -57,14 +57,14 @@ class Markers:
 
 @dataclass(frozen=True)
 class Contents:
-    """Everything that is looked at in one window."""
+    """All contents of one window."""
 
     takes: list[Take] = field(default_factory=list)
     clouds: list[SeenClouds] = field(default_factory=list)
     meshes: list[Meshes] = field(default_factory=list)
     markers: list[Markers] = field(default_factory=list)
     cameras: list[Camera] = field(default_factory=list)
-    #: what was given and has no picture, a sentence each
+    #: notes about inputs that cannot be drawn, a sentence each
     told: list[str] = field(default_factory=list)
 
     @property
@@ -73,7 +73,7 @@ class Contents:
 
     @property
     def rate(self) -> float:
-        """Frames a second of the timeline: of the first that moves and says so."""
+        """Frames a second of the timeline: the rate of the first content that moves and has one."""
         said = [take.rate for take in self.takes if not take.still]
         said += [markers.frames.rate for markers in self.markers]
         said += [meshes.rate for meshes in self.meshes if meshes.rate is not None]
@@ -81,13 +81,13 @@ class Contents:
 
     @property
     def frames(self) -> int:
-        """Frames of the timeline, to the end of the longest."""
+        """Number of frames of the timeline, to the end of the longest content."""
         rate = self.rate
         lengths = [len(take.motion) * rate / take.rate for take in self.takes]
         lengths += [len(markers.frames) * rate / markers.frames.rate for markers in self.markers]
         lengths += [len(meshes.vertices) * rate / (meshes.rate or rate) for meshes in self.meshes]
         if not any(take.running for take in self.takes):
-            # the newest frame of a run is the last one solved, whatever scans wait
+            # the newest frame of a run is the last one solved, however many scans wait
             lengths += [float(len(clouds)) for clouds in self.clouds]
         return max(1, *(round(length) for length in lengths), 1)
 
@@ -95,9 +95,9 @@ class Contents:
 def make_take(
     name: str, skeleton: Skeleton, body: Body | None = None, motion: Motion | Pose | None = None, **more
 ) -> Take:
-    """A take of a motion, of one pose, or of the rest pose where neither is given.
+    """Make a take of a motion, of one pose, or of the rest pose if neither is given.
 
-    **Raises:** `ValueError` where the motion has another number of joints.
+    **Raises:** `ValueError` if the motion has another number of joints.
     """
     poses = motion.poses if isinstance(motion, Motion) else rest_pose(skeleton) if motion is None else motion
     if poses.rotations.ndim == 2:

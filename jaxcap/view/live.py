@@ -1,6 +1,6 @@
-"""A run of `jaxcap track` while it goes on: its frames as soon as they are solved, from its journal.
+"""A live view of `jaxcap track`: frames are read from the run's journal as soon as they are solved.
 
-A record that is half written is not there yet, and a journal that does not exist yet may come.
+An incomplete record is ignored until it is complete, and the journal may not exist yet.
 """
 
 import threading
@@ -20,16 +20,16 @@ from .contents import Take
 from .figures.posing import PosedMotion
 
 JOURNAL = "journal"
-#: seconds between two looks
+#: seconds between two reads
 OFTEN = 0.2
 
 
 def record_poses(
     path: Path, skeleton: Skeleton, header: Mapping[str, object], records: Float[np.ndarray, "N width"]
 ) -> Pose:
-    """The poses in a run's records: translations, rotations and scale, from the number on that the header tells.
+    """Decode the poses in a run's records: translations, rotations and scale, from the header's offset on.
 
-    **Raises:** `InputError` where the header tells of none, or of another skeleton.
+    **Raises:** `InputError` if the header has no offset, or is of another skeleton.
     """
     at, names = header.get("pose at"), header.get("joints")
     if not isinstance(at, int) or not isinstance(names, list):
@@ -51,9 +51,9 @@ def record_poses(
 
 
 def follow_run(folder: Path, body: Body, rate: float = 30.0) -> Take:
-    """The take of a run that is not over, with the frames that it has; one at rest where it has none yet.
+    """Make the take of an unfinished run from its frames so far, or from the rest pose if it has none.
 
-    **Raises:** `InputError` where its journal is none, or of another body.
+    **Raises:** `InputError` if its journal is invalid, or of another body.
     """
     motion = PosedMotion(body.skeleton, body, _one(rest_pose(body.skeleton)))
     take = Take(folder.name, motion, rate, running=folder)
@@ -62,21 +62,22 @@ def follow_run(folder: Path, body: Body, rate: float = 30.0) -> Take:
 
 
 class RunFollower:
-    """Looks after a running take: `look` once, or `start` to look again and again in a thread."""
+    """Reads new frames of a running take: `look` once, or `start` to repeat it in a thread."""
 
     def __init__(self, take: Take):
         assert take.running is not None
         self.take, self.path = take, take.running / JOURNAL
-        #: how many frames of the run are in the take: at first there may be one at rest, which is none
+        #: number of frames of the run in the take, not counting an initial rest pose
         self.count = 0
-        #: what was wrong when it last looked, in a sentence
+        #: the error of the last read, in a sentence
         self.told = ""
         self._size = -1
         self._header: object = None
         self._stop = threading.Event()
 
     def look(self) -> bool:
-        """Take up what is new; whether there was anything. Raises `InputError` where the run is of another body."""
+        """Read new frames; return whether there were any. Raises `InputError` if the run is of another
+        body."""
         try:
             size = self.path.stat().st_size
         except OSError:
@@ -85,7 +86,7 @@ class RunFollower:
             return False
         header = read_header(self.path)
         if header != self._header or size < self._size:
-            # it was begun anew
+            # the run was restarted
             self.count, self._header = 0, header
         records = read_records(self.path, self.count)
         if len(records):
@@ -95,12 +96,12 @@ class RunFollower:
             else:
                 self.take.motion.replace(poses)
             self.count += len(records)
-        # only now, so that what is wrong is found again by the next look
+        # set last, so that the next read finds the same error again
         self._size = size
         return len(records) > 0
 
     def start(self) -> None:
-        """Look every fifth of a second, until `stop`."""
+        """Read every fifth of a second, until `stop`."""
         threading.Thread(target=self._go_on, daemon=True).start()
 
     def stop(self) -> None:
@@ -112,10 +113,10 @@ class RunFollower:
                 self.look()
                 self.told = ""
             except InputError as error:
-                # a header that is half written is one that is not there yet
+                # an incomplete header counts as not written yet
                 self.told = sentence_of(error)
             except Exception as error:
-                # whatever it is, the next look may find it gone
+                # the cause may be gone at the next read
                 self.told = f"{self.path}: its frames could not be read ({type(error).__name__}: {error})."
 
 

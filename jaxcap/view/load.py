@@ -1,4 +1,5 @@
-"""Files into what a window shows: whatever `jaxcap info` knows, and the folders that runs and scans leave."""
+"""Load the contents of a window from files: every kind that `jaxcap info` knows, and the folders of runs and
+scans."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,7 +47,7 @@ from .contents import Contents, Markers, Meshes, Take, make_take
 from .figures.clouds import SeenClouds
 from .live import JOURNAL, follow_run
 
-#: what has numbers in it and no shape, and what tells about it instead
+#: files of numbers without a shape, and the command that describes each
 SHAPELESS = {
     LIMITS: "these are limits of joints; `jaxcap info` tells what they hold, and `jaxcap limits check` how a motion keeps them",
     PRIOR: "this is a prior of poses; `jaxcap info` tells what it holds",
@@ -70,20 +71,20 @@ def load(
     rate: float | None = None,
     follow: bool = False,
 ) -> Contents:
-    """What is in files, folders and patterns.
+    """Load files, folders and patterns.
 
-    **Arguments:** `files`, as a user names them; `bodies` by name, each of which is put on every motion that is
-    its own; `clouds`, sources that hold scans and nothing else; `unit` of lengths where a file does not say it;
-    `turn (3, 3)`, what brings scans and meshes upright; `rate` of a run that is not over; `follow`, whether a
-    run may not have begun yet, or goes on where it has been stopped.
+    **Arguments:** `files`, as a user names them; `bodies` by name, each applied to every motion of its
+    skeleton; `clouds`, sources that hold only scans; `unit` of lengths if a file has none; `turn (3, 3)`, the
+    rotation of scans and meshes to upright; `rate` of an unfinished run; `follow`, whether a run may not have
+    begun yet, or resumes after a stop.
 
-    **Raises:** `InputError` where a file is wrong, or a motion is of no body that was given.
+    **Raises:** `InputError` if a file is invalid, or a motion matches none of the given bodies.
     """
     return _Loader(list(bodies), unit, turn, rate, follow).load(files, clouds)
 
 
 class _Loader:
-    """What has been found so far. Motions come last, as their bodies may be named behind them."""
+    """The contents found so far. Motions are loaded last, as their bodies may be named after them."""
 
     def __init__(self, bodies, unit: str | None, turn, rate: float | None, follow: bool):
         self.bodies: list[tuple[str, Body]] = bodies
@@ -93,7 +94,7 @@ class _Loader:
         self.subjects: list[tuple[str, Subject]] = []
         self.skeletons: list[tuple[str, Skeleton]] = []
         self.runs: list[Path] = []
-        #: of bodies, subjects and skeletons that have a motion
+        #: ids of the bodies, subjects and skeletons that have a motion
         self.used: set[int] = set()
 
     def load(self, files: Sequence[str], clouds: Sequence[str]) -> Contents:
@@ -114,11 +115,11 @@ class _Loader:
         return self.found
 
     def free(self, named: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
-        """Those of a list that have no motion yet."""
+        """Select the entries that have no motion yet."""
         return [(name, one) for name, one in named if id(one) not in self.used]
 
     def freest(self, named: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
-        """All of a list, those without a motion first: several alike get a motion each, in order."""
+        """Sort the entries, those without a motion first: several equal ones get a motion each, in order."""
         return sorted(named, key=lambda pair: id(pair[1]) in self.used)
 
     def take(self, name: str) -> None:
@@ -202,7 +203,7 @@ class _Loader:
             )
 
     def skinned(self, path: Path) -> None:
-        """A file that has a body with or without a motion."""
+        """Load a file that has a body with or without a motion."""
         body, motion = read_skinned(path)
         several = clip_sentence(path)
         if several is not None:
@@ -226,9 +227,10 @@ class _Loader:
             )
 
     def moving(self, path: Path) -> Take:
-        """The take of a motion: of a body or a subject where it is of one, else of its own bones."""
+        """Load the take of a motion, with the body or subject that it matches, otherwise with its own
+        bones."""
         more = _statistics(path)
-        # that of a run is known by its folder
+        # a run is named by its folder
         name = path.resolve().parent.name if more else path.name
         why: list[str] = []
         for body_name, body in self.freest(self.bodies):
@@ -261,7 +263,7 @@ class _Loader:
         return make_take(name, skeleton, motion=motion, **more)
 
     def skeleton_of(self, path: Path, why: list[str]) -> tuple[Skeleton, Motion]:
-        """A motion that does not say its skeleton, with one that was given. Raises `InputError` where none fits."""
+        """Load a motion without a skeleton for one that was given. Raises `InputError` if none fits."""
         given = [name for name, _ in self.bodies]
         for name, one in self.freest([*self.subjects, *self.skeletons]):
             skeleton = one.skeleton if isinstance(one, Subject) else one
@@ -278,7 +280,7 @@ class _Loader:
         raise InputError(f"{path}: this motion does not say its skeleton{hint}")
 
     def running(self, folder: Path) -> Take:
-        """The take of a run that is not over."""
+        """Load the take of an unfinished run."""
         if not self.bodies:
             raise InputError(
                 f"{folder}: this run is not over, and its journal does not say of which body it is; give the body "
@@ -309,7 +311,7 @@ def _short(why: str, path: Path) -> str:
 
 
 def _statistics(path: Path) -> dict[str, Any]:
-    """What a run's statistics beside its motion tell of each frame."""
+    """Read the statistics of each frame from the file next to a run's motion, if there is one."""
     beside = path.with_name("statistics.json")
     if path.name != "motion.npz" or not beside.is_file():
         return {}

@@ -1,4 +1,4 @@
-"""Looking at what a program or a notebook holds in memory."""
+"""Display of a program's or a notebook's data in memory."""
 
 import html
 import webbrowser
@@ -21,7 +21,7 @@ from .windows.column import DISTANCE, Choice
 from .windows.serve import address, close_server, open_server
 from .windows.stage import Stage
 
-#: frames of a recording that are kept at most; one of 5,000 vertices is some 50 kB
+#: maximum number of frames of a recording; one of 5,000 vertices is some 50 kB
 RECORDED = 120
 #: points of a scan in a recording
 POINTS = 4_000
@@ -30,10 +30,10 @@ Points = Float[Array, "N 3"] | Float[np.ndarray, "N 3"]
 
 
 class Player:
-    """What `show` hands back: an animation where a notebook shows it, a window where it is opened.
+    """The result of `show`: an animation in a notebook, or a window after `open`.
 
-    A cell that ends with it holds a recording, which needs no server and stays in the page; `open` starts a
-    server with all of `jaxcap view`'s controls, until `close`.
+    A cell that ends with it contains a recording, which needs no server and stays in the page; `open` starts
+    a server with all controls of `jaxcap view`, until `close`.
     """
 
     def __init__(self, contents: Contents, heat: bool = False, height: int = 420):
@@ -56,9 +56,10 @@ class Player:
             self._server = None
 
     def page(self, frames: int = RECORDED) -> str:
-        """A whole HTML page that plays the animation anywhere, with some `frames` of it, evenly.
+        """Render a complete HTML page that plays the animation anywhere, with about `frames` frames, evenly
+        spaced.
 
-        Raises `InputError` where viser is not installed.
+        Raises `InputError` if viser is not installed.
         """
         count = self.contents.frames
         step = max(1, -(-count // frames))
@@ -94,13 +95,13 @@ def show(
     heat: bool = False,
     name: str = "body",
 ) -> Player:
-    """Look at a body, or a skeleton, as it moves.
+    """Show a body or a skeleton in motion.
 
-    **Arguments:** `motion`, or one pose, at rest where not given; `cloud`, the points of one scan or of one for
-    each frame, metres; `markers`; `cameras`; `heat`, whether a recording is coloured by the distance of the scans;
-    `name`, what it is called in the window.
+    **Arguments:** `motion`, or one pose, or the rest pose if not given; `cloud`, the points of one scan or of
+    one for each frame, metres; `markers`; `cameras`; `heat`, whether a recording is coloured by the distance
+    of the scans; `name`, its label in the window.
 
-    **Raises:** `ValueError` where the motion has another number of joints than the body.
+    **Raises:** `ValueError` if the motion has another number of joints than the body.
     """
     skeleton, surface = (body.skeleton, body) if isinstance(body, Body) else (body, None)
     contents = Contents(

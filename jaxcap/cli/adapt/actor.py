@@ -1,4 +1,4 @@
-"""The file of an adapted body: what it is, what is known of it beforehand, and the run that made it."""
+"""The file of an adapted body: the body, its priors, and the run that made it."""
 
 import json
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from ...io.skeletons.body_motion import read_motion_of
 from ...io.text import parse_json
 from .state import NEEDS, checkpoint_of, hash_of, state_of
 
-#: what a run's arrays are called in front
+#: prefix of the names of a run's arrays
 RUN = "run."
 
 
@@ -26,10 +26,10 @@ def save_actor(
     header: Mapping[str, object],
     motion: Path,
 ) -> None:
-    """Write a body that `load_body` reads, with what `beside` it is to say, as `save_body` has it, and with the few numbers
-    of its run that a report needs beyond it and its `motion`, a file that is there.
+    """Write a body that `load_body` reads, with the arrays `beside` it as in `save_body`, and with the values
+    of its run that a report needs in addition to the body and its existing file `motion`.
 
-    **Raises:** `InputError` where it cannot be written.
+    **Raises:** `InputError` if it cannot be written.
     """
     kept = checkpoint_of(state)
     run = {
@@ -44,9 +44,10 @@ def save_actor(
 
 
 def finished_run(path: Path, motion: Path, header: Mapping[str, object]) -> AdaptState:
-    """The last state of the run that wrote a body by `save_actor`, and its motion.
+    """Load the last state of the run that wrote a body by `save_actor`, and its motion.
 
-    **Raises:** `InputError` where it was another run than that of `header`, or the motion is not the one it wrote.
+    **Raises:** `InputError` if it was another run than that of `header`, or the motion is not the one it
+    wrote.
     """
     arrays = load_kind(path, "jaxcap body")
     run = {name.removeprefix(RUN): values for name, values in arrays.items() if name.startswith(RUN)}

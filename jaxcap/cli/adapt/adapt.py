@@ -1,4 +1,4 @@
-"""`jaxcap adapt`: the body becomes the actor of a sequence of scans."""
+"""`jaxcap adapt`: adapt a template body to the actor in a sequence of scans."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,10 +45,11 @@ from .prior import carried, prior_file, read_priors
 from .state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
 
 PriorForm = Literal["nearest", "mean"]
-#: what is paired with points of a scan, by the word for it
+#: assignment of scan points, by the name of the option's value
 PAIRS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
 Paired = Literal["vertices", "surface", "soft"]
-#: frames within a long stage after which its poses are kept, at least, and at most so many times: all poses are written
+#: minimum number of frames within a long stage between two checkpoints, and maximum number of checkpoints, as
+#: each one has all poses
 KEPT, TIMES = 25, 40
 UNORDERED = (
     "scans that follow each other are no more alike than any two, so they are taken without an order in time: nothing is "
@@ -143,11 +144,11 @@ class Adapt:
 
     @property
     def results(self) -> list[Path]:
-        """All files that the run writes."""
+        """All output files of the run."""
         return [path for path in (self.out, self.motion_path, self.report) if path is not None]
 
     def adapt_all(self) -> None:
-        """Read, adapt, write and report, with no other run that writes the same files."""
+        """Read, adapt, write and report, while the lock excludes other runs with the same output files."""
         known = prior_file(self.body, self.prior)
         header = {**self.settings(), "prior": hash_of(known), "limits": hash_of(self.limits)}
         body, _ = load_body(self.body, vertices=self.vertices, unit=self.unit, up=self.up)
@@ -179,7 +180,7 @@ class Adapt:
     def write(
         self, state: AdaptState, header: dict[str, object], scans: Scans, beside: dict[str, np.ndarray]
     ) -> None:
-        """The motion, and the body with what is to be said `beside` it; a line tells of both."""
+        """Write the motion, and the body with the arrays `beside` it; print a line about both."""
         try:
             write_motion(self.motion_path, state.body.skeleton, state.motion)
             save_actor(self.out, state, beside, header, self.motion_path)
@@ -195,7 +196,8 @@ class Adapt:
     def adapt(
         self, task: Task, state: AdaptState | None, header: dict[str, object], first: str
     ) -> AdaptState:
-        """All stages that are left, each kept when it is done and long ones within, too; `first` names the first scan."""
+        """Run all remaining stages, with a checkpoint after each and within long ones; `first` names the
+        first scan."""
         stages = plan(task.settings)
         with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
@@ -212,8 +214,8 @@ class Adapt:
         return state
 
     def write_report(self, path: Path, task: Task, state: AdaptState, known: Path | None) -> None:
-        """Measure the result and those it is compared with; `known` is the file of what was known beforehand. Stopped, or
-        later, --resume does only this."""
+        """Measure the result and its baselines, and write the report; `known` is the file of the prior. After
+        a stop, or later, --resume does only this."""
         names, stages = variant_names(task.settings), Stages(())
         with Rounds(len(names), 0, "measuring") as bar:
             try:
@@ -237,7 +239,7 @@ class Adapt:
 
     @property
     def kept(self) -> Path:
-        """The checkpoint."""
+        """The path of the checkpoint."""
         return self.out.with_name(self.out.name + ".partial")
 
     @property
@@ -245,7 +247,7 @@ class Adapt:
         return self.motion or self.out.with_name(self.out.stem + "-motion.npz")
 
     def check(self) -> None:
-        """That options are in their ranges and results can be written. Raises `InputError`."""
+        """Check that options are in range and results can be written. Raises `InputError`."""
         wrong = {
             "--frames": (self.frames, self.frames >= 2, "at least 2"),
             "--adapt-every": (self.adapt_every, self.adapt_every >= 0, "at least 0"),
@@ -277,7 +279,8 @@ class Adapt:
         check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
     def task(self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()) -> Task:
-        """What is to be done, with what is known beforehand, and cameras and first pose read. Raises `InputError`."""
+        """Make the task, with priors, cameras and the first pose read from their files. Raises
+        `InputError`."""
         skeleton = body.skeleton
         form = MahalanobisPrior if self.prior_form == "nearest" else LikelihoodPrior
         cameras = ()
@@ -319,7 +322,7 @@ class Adapt:
         )
 
     def settings(self) -> dict[str, object]:
-        """What the result depends on, by the names that the user knows."""
+        """Collect the settings that affect the result, by the names of the options."""
         names = (
             "frames",
             "adapt_every",
@@ -350,7 +353,7 @@ class Adapt:
 
 
 def _check_first(task: Task, state: AdaptState, where: str) -> None:
-    """That the first scan is of one person; the message says how to go on all the same."""
+    """Check that the first scan is of one person; the message names the option to continue anyway."""
     try:
         check_actor(task, state, where)
     except InputError as error:
@@ -360,7 +363,7 @@ def _check_first(task: Task, state: AdaptState, where: str) -> None:
 
 
 def _reached(task: Task, state: AdaptState, stages: Sequence[Stage]) -> str:
-    """What a user is told of a state."""
+    """Format the progress of a state for the user."""
     if state.within:
         stage = stages[state.done]
         return f"{stage}: {state.within} of {len(task.frames_of(stage))} frames"

@@ -1,4 +1,4 @@
-"""What `jaxcap adapt` is given, looked at before hours are spent on it."""
+"""Checks of the input of `jaxcap adapt`, before a run of hours."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -27,29 +27,29 @@ from ..console.console import progress, warn
 from ..motions import load_motion
 from ..sources import Up, up_rotation
 
-#: the least number of scans, and the least share of all, that have to be good
+#: minimum number, and minimum share, of usable scans
 LEAST, GOOD = 3, 0.5
-#: scans that cameras are held against, spread over all
+#: number of scans that are compared with the cameras, evenly spaced
 LOOKED_AT = 5
-#: scans that are told of one by one
+#: maximum number of scans with a warning each
 TOLD = 5
-#: lost frames that are named with their reasons
+#: maximum number of lost frames that are listed with their reasons
 NAMED = 20
 
 
 class Looked(NamedTuple):
     """What is seen of scans before any of them is met by a body."""
 
-    #: frames whose scan is empty, cannot be read, or cannot be of the body, each with the sentence that says so
+    #: frames whose scan is empty, unreadable, or impossible for the body, each with a sentence
     unusable: dict[int, str]
-    #: of every scan, what tells that it is the same: a hash of all that it has
+    #: a hash of the content of every scan
     digests: tuple[str, ...]
 
 
 def look_through(scans: Scans, body: Body) -> Looked:
     """Read every scan once.
 
-    **Raises:** `InputError` where the first scan is one of them, or too many are.
+    **Raises:** `InputError` if the first scan is unusable, or too many are.
     """
     found: dict[int, str] = {}
     digests = ["cannot be read"] * len(scans)
@@ -72,13 +72,13 @@ def look_through(scans: Scans, body: Body) -> Looked:
 
 
 def _digest(scan: Scan) -> str:
-    """Of all that a scan has beside its name."""
+    """Hash the content of a scan without its name."""
     parts = [np.ascontiguousarray(part) for part in scan[1:] if part is not None]
     return hashlib.sha256(b"|".join(part.tobytes() for part in parts)).hexdigest()[:16]
 
 
 def warn_of_unusable(reasons: Mapping[int, str]) -> None:
-    """Tell of scans that are left out, the first ones by what is wrong with them."""
+    """Warn of scans that are skipped, with reasons for the first ones."""
     for frame in list(reasons)[:TOLD]:
         warn(f"{reasons[frame].rstrip('.')}; frame {frame} goes without a scan.")
     if len(reasons) > TOLD:
@@ -86,13 +86,13 @@ def warn_of_unusable(reasons: Mapping[int, str]) -> None:
 
 
 def explained_words(state: AdaptState) -> str:
-    """Say in how many frames the body explains the scan."""
+    """Format the number of frames in which the body explains the scan."""
     frames, lost = len(state.motion), len(state.lost)
     return "all scans explained" if not lost else f"{frames - lost} of {frames} scans explained"
 
 
 def warn_of_lost(state: AdaptState, scans: Scans) -> None:
-    """Name the frames that the body does not explain, each with the reasons."""
+    """List the frames that the body does not explain, each with the reasons."""
     if not state.lost:
         return
     warn(f"{len(state.lost)} of {len(scans)} frames are lost, do not trust their poses:")
@@ -104,8 +104,8 @@ def warn_of_lost(state: AdaptState, scans: Scans) -> None:
 
 
 def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tuple[Camera, ...]:
-    """The cameras of a calibration in metres as the scans lie, y up. Raises `InputError` where they cannot have taken
-    the scans of these frames."""
+    """Load the cameras of a calibration in metres, in the coordinates of the scans with y up. Raises
+    `InputError` if they cannot have observed the scans of these frames."""
     cameras = [_upright(camera, up) for camera in read_cameras(path)]
     turn = up_rotation(up)
     check_cameras(cameras, [scans[n].points @ turn.T for n in some_of(frames, LOOKED_AT)], str(path))
@@ -113,13 +113,14 @@ def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tup
 
 
 def _upright(camera: Camera, up: Up) -> Camera:
-    """The same camera where the vertical of the world is y."""
+    """Rotate the world of a camera so that y is up."""
     turn = jnp.asarray(up_rotation(up), camera.rotation.dtype)
     return eqx.tree_at(lambda c: c.rotation, camera, camera.rotation @ turn.T)
 
 
 def first_pose(path: Path, skeleton: Skeleton) -> Pose:
-    """The first pose of a motion, carried over to a skeleton of other proportions. Raises `InputError`."""
+    """Load the first pose of a motion and retarget it to a skeleton of other proportions. Raises
+    `InputError`."""
     of, motion = load_motion(path)
     try:
         plan = plan_retarget(of, skeleton, None, motion)

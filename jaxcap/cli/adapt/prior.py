@@ -1,4 +1,4 @@
-"""What `jaxcap adapt` knows of the actor beforehand, and what of it the actor's file says on."""
+"""The priors of `jaxcap adapt`, and their copy in the actor's file."""
 
 from pathlib import Path
 
@@ -9,21 +9,21 @@ from ...io.archives.npz import load_limits
 from ...io.archives.prior import Priors, carries_prior, load_priors, prior_arrays
 from ..console.console import say
 
-#: what leaves a template's own prior out, in place of a file
+#: option value that disables a template's own prior
 NONE = "none"
 
 
 def prior_file(body: str, asked: Path | None) -> Path | None:
-    """The file whose priors count: the one asked for, or the template's where they are in it; None where there are none,
-    or `NONE` is asked for. Raises `InputError` where the template's file cannot be read."""
+    """Select the file of the priors: the requested one, or the template's if it has priors; None if there are
+    none, or `NONE` is requested. Raises `InputError` if the template's file cannot be read."""
     if asked is not None:
         return None if str(asked) == NONE else asked
     return Path(body) if _is_npz(body) and carries_prior(body) else None
 
 
 def read_priors(path: Path | None, body: Body, *, own: bool, reduced: bool) -> Priors | None:
-    """The priors of a file, if any; a line tells of the template's `own`, which were not asked for. Of a template that is
-    `reduced` the shape in its own file is left out, as its vertices are others.
+    """Load the priors of a file, if any; print a line if they are the template's `own`. For a `reduced`
+    template its own shape prior is omitted, as its vertices differ.
 
     **Raises:** `InputError` as `load_priors` does.
     """
@@ -40,10 +40,13 @@ def read_priors(path: Path | None, body: Body, *, own: bool, reduced: bool) -> P
 
 
 def carried(body: str, priors: Priors | None) -> dict[str, np.ndarray]:
-    """What the actor's file says beside its body, as `save_body` takes it: the prior and the ranges that counted, as the
-    actor's joints and their frames at rest are the template's, and other limits that are in the template's file.
+    """Collect the additional arrays of the actor's file, as `save_body` takes them: the pose prior and the
+    ranges in use, as the actor's joints and their rest frames are the template's, and other limits in the
+    template's file.
 
-    A shape prior is not carried over: it holds vertices to the template's shape, which the actor does not have."""
+    A shape prior is not copied: it constrains vertices to the template's shape, which the actor does not
+    have.
+    """
     others = load_limits(body) if _is_npz(body) else {}
     kept = {name: a for name, a in others.items() if not name.startswith(("prior.", "boxes.", "shape."))}
     return kept if priors is None else kept | prior_arrays(priors.prior, priors.boxes)

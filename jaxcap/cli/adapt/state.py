@@ -1,4 +1,4 @@
-"""Where `jaxcap adapt` writes: its results, and between its stages one file to go on from, replaced as a whole."""
+"""The output files of `jaxcap adapt`: its results, and a checkpoint after each stage, replaced atomically."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -20,14 +20,14 @@ from ..outputs import check_absent
 from ..track.frame_records import pack, row_template, unpack
 from ..track.results import make_writable
 
-#: arrays of a checkpoint beside body, motion and history
+#: required arrays of a checkpoint besides body, motion and history
 NEEDS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "terms")
 
 
 def check_results(out: Path, motion: Path, report: Path | None, resume: bool, overwrite: bool) -> None:
-    """That body, motion and report can be written, in folders that are made where they are not there.
+    """Check that body, motion and report can be written, and make missing folders.
 
-    **Raises:** `InputError` for other kinds of files, results in the way, and folders that cannot be written to.
+    **Raises:** `InputError` for other file types, existing results, and folders without write access.
     """
     if out.suffix.lower() != ".npz":
         raise InputError(f"{out}: bodies are written as .npz; give a name that ends in it.")
@@ -48,7 +48,7 @@ def check_results(out: Path, motion: Path, report: Path | None, resume: bool, ov
 
 
 def checkpoint_of(state: AdaptState) -> Checkpoint:
-    """A state as a file can hold it."""
+    """Convert a state to a checkpoint."""
     arrays = {
         "done": np.array(state.done),
         "within": np.array(state.within),
@@ -66,9 +66,9 @@ def checkpoint_of(state: AdaptState) -> Checkpoint:
 
 
 def state_of(kept: Checkpoint, path: Path) -> AdaptState:
-    """The state of a checkpoint that `checkpoint_of` made, to the last bit; `path`, its file, is for messages.
+    """Restore the state of a checkpoint by `checkpoint_of`, bit for bit; `path`, its file, is for messages.
 
-    **Raises:** `InputError` where an array is another than it has to be.
+    **Raises:** `InputError` if an array is invalid.
     """
     arrays, frames = kept.arrays, len(kept.motion)
 
@@ -105,7 +105,8 @@ def state_of(kept: Checkpoint, path: Path) -> AdaptState:
 
 
 def _tracked(kept: Checkpoint, path: Path) -> TrackedFrame | None:
-    """The frame that was tracked last, whose numbers may be infinite; None where there is none. Raises `InputError`."""
+    """Restore the last tracked frame, which may have infinite values; None if there is none. Raises
+    `InputError`."""
     row = kept.arrays.get("tracked", np.zeros(0))
     if not row.size:
         return None
@@ -116,7 +117,7 @@ def _tracked(kept: Checkpoint, path: Path) -> TrackedFrame | None:
 
 
 def fingerprint_of(body: Body, scans: Sequence[str]) -> dict[str, object]:
-    """What tells that inputs are the same: the template, how many scans there are, and of each of them the digest of
+    """Compute the fingerprint of the inputs: the template, the number of scans, and for each the digest of
     `Looked`."""
     skeleton = body.skeleton
     template = hashlib.sha256(repr((skeleton.names, skeleton.parents, skeleton.kinds)).encode())
@@ -127,7 +128,7 @@ def fingerprint_of(body: Body, scans: Sequence[str]) -> dict[str, object]:
 
 
 def hash_of(path: Path | None) -> str | None:
-    """What tells that a file, where one was given, is the same. Raises `InputError` where it cannot be read."""
+    """Hash a file, if one is given. Raises `InputError` if it cannot be read."""
     if path is None:
         return None
     try:
@@ -139,12 +140,12 @@ def hash_of(path: Path | None) -> str | None:
 def state_to_go_on_from(
     path: Path, header: Mapping[str, object], resume: bool, overwrite: bool
 ) -> AdaptState | None:
-    """The state that `keep_state` left; None to begin anew.
+    """Load the state that `keep_state` wrote; None to start again.
 
-    **Raises:** `InputError` where it was begun with another `header`, or one is in the way.
+    **Raises:** `InputError` if it is of another `header`, or a checkpoint exists and neither option is given.
     """
     if resume:
-        # without one the run was stopped before its first stage was kept
+        # without a file the run was stopped before its first checkpoint
         return state_of(load_checkpoint(path, header, NEEDS), path) if path.is_file() else None
     if path.exists() and not overwrite:
         raise InputError(
@@ -154,20 +155,20 @@ def state_to_go_on_from(
 
 
 def keep_state(path: Path, state: AdaptState, header: Mapping[str, object]) -> None:
-    """Write what is reached in place of what was reached before.
+    """Write the state in place of the previous checkpoint.
 
-    **Raises:** `InputError` where it cannot be written: what was kept before is there as it was.
+    **Raises:** `InputError` if it cannot be written; the previous checkpoint is kept.
     """
     try:
         save_checkpoint(path, checkpoint_of(state), header)
     except InputError as error:
-        # what is kept is of the stage before, or of this one so far
+        # the kept checkpoint is of the stage before, or of an earlier frame of this one
         done = state.done if state.within else state.done - 1
         raise InputError(f"{sentence_of(error)} {kept_words(path, done)}.") from None
 
 
 def kept_words(path: Path, done: int) -> str:
-    """What is left of a run that ends before its time."""
+    """Format the state of an interrupted run for the user."""
     if not (done and path.is_file()):
         return "0 stages were done"
     return f"{done} {'stage is' if done == 1 else 'stages are'} kept in {path}; --resume goes on"

@@ -1,1 +1,1 @@
-"""What the command line says, its verbs and their options."""
+"""The output of the command line, its verbs and their options."""

@@ -1,7 +1,8 @@
-"""Where the command line keeps compiled functions from run to run.
+"""The cache folder of compiled functions of the command line.
 
-Whoever can write to that folder can run programs as its user, so it is the user's own; and it is bounded. JAX's bound needs
-a file beside each entry, and without one, which a run that was killed leaves, keeps nothing more: the bound is ours.
+Write access to that folder allows running programs as its user, so it is the user's own; and its size is
+limited. JAX's own limit needs a file next to each entry, and caches nothing more if a killed run left one
+without it; so the limit is enforced here.
 """
 
 import contextlib
@@ -14,21 +15,21 @@ from pathlib import Path
 
 from ...errors import InputError
 
-#: bytes that a folder may hold when a run starts
+#: maximum size of the folder when a run starts, bytes
 LARGEST = 1 << 30
-#: seconds of compiling from which on a function is kept
+#: minimum compile time of a cached function, seconds
 WORTH = "0.1"
 
 
 def prepare_jax(keep: bool) -> None:
-    """Choose JAX's folder of compiled functions and silence its compiler; nothing is done where JAX is imported already, and
-    what the environment says of either stays as it is.
+    """Set JAX's cache folder of compiled functions and silence its compiler; do nothing if JAX is already
+    imported. Environment variables of the user take precedence.
 
-    **Raises:** `InputError` where the folder that `JAXCAP_CACHE` names cannot be used.
+    **Raises:** `InputError` if the folder that `JAXCAP_CACHE` names cannot be used.
     """
     if "jax" in sys.modules:
         return
-    # the compiler writes past Python, as "Very slow compile? If you want to file a bug ..."
+    # the compiler writes to stderr directly, for example "Very slow compile? If you want to file a bug ..."
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     if not keep:
         os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
@@ -46,14 +47,14 @@ def prepare_jax(keep: bool) -> None:
                 f"JAXCAP_CACHE is {named}: this folder cannot be used ({error.strerror}); name one that only you can write "
                 "to, or give --no-cache."
             ) from None
-        # a home that cannot be written to: compiled anew in each run
+        # a home without write access: compile in each run
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", WORTH)
 
 
 def make_private(folder: Path) -> Path:
-    """A folder that only its user can write to, made where it is not there. Raises `OSError`."""
+    """Make a folder, or check an existing one, that only its user can write to. Raises `OSError`."""
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     found = folder.stat()
     if os.name == "posix" and (found.st_uid != os.geteuid() or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
@@ -64,7 +65,7 @@ def make_private(folder: Path) -> Path:
 
 
 def trim(folder: Path, largest: int) -> None:
-    """Remove the files that were not used for the longest time until the others have at most `largest` bytes."""
+    """Remove the least recently used files until the others have at most `largest` bytes."""
     files = []
     for path in folder.rglob("*"):
         # another run may have removed it
@@ -88,7 +89,8 @@ def _users() -> Path:
 
 
 def _machine() -> str:
-    """The kind of processor: a home may be shared by machines whose compiled functions the others cannot run."""
+    """Return a name for the processor type: machines that share a home may not run each other's compiled
+    functions."""
     features = ""
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()

@@ -1,4 +1,4 @@
-"""What the command line says, and the bar of a long run."""
+"""The output of the command line, and the progress bar of a long run."""
 
 import contextlib
 import sys
@@ -7,27 +7,28 @@ from collections.abc import Callable, Iterable, Iterator
 
 from .heartbeat import doing, shown_by, write_line
 
-#: seconds between two lines where there is no terminal to draw a bar on
+#: seconds between two progress lines without a terminal
 QUIET = 5.0
 
 
 def say(text: str) -> None:
-    """A line of the result."""
+    """Print a line of the result."""
     write_line(sys.stdout, text)
 
 
 def warn(text: str) -> None:
-    """A line beside the result."""
+    """Print a message line on stderr."""
     write_line(sys.stderr, f"jaxcap: {text}")
 
 
 def counted(count: int, one: str, many: str = "") -> str:
-    """Write how many there are of something, as in "1 frame" and "3 bodies"; `many` where it is not `one` with an s."""
+    """Format a number and its noun, as in "1 frame" and "3 bodies"; `many` is the plural if it is not `one`
+    with an s."""
     return f"{count} {one if count == 1 else many or one + 's'}"
 
 
 def table(head: list[str], rows: list[list[str]]) -> None:
-    """A table with aligned columns, the first to the left."""
+    """Print a table with aligned columns, the first to the left."""
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
     for row in [head, *rows]:
         cells = [
@@ -40,14 +41,15 @@ def table(head: list[str], rows: list[list[str]]) -> None:
 def progress(
     frames: Iterable, total: int, done: int = 0, label: str = "tracking", what: str = "frames"
 ) -> Iterator:
-    """Pass frames, or `what` else there is, through; on a terminal with a bar, frames a second and the time
-    left, and else with a line every few seconds, all on stderr."""
+    """Iterate over frames (or `what`) and report progress on stderr: on a terminal a bar with frames a second
+    and the time left, otherwise a line every few seconds."""
     yield from (_bar if sys.stderr.isatty() else _lines)(frames, total, done, label, what)
 
 
 @contextlib.contextmanager
 def bar(label: str, total: int, done: int) -> Iterator[Callable[..., None]]:
-    """A bar on the terminal, and what moves it: `move(done, note, total)`, each as it was where not given."""
+    """Show a progress bar on the terminal and yield its update function `move(done, note, total)`, with None
+    for unchanged values."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

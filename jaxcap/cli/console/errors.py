@@ -1,4 +1,4 @@
-"""The one place where what went wrong becomes one line and an exit code."""
+"""The conversion of errors to one line on stderr and an exit code."""
 
 import contextlib
 import sys
@@ -7,19 +7,20 @@ from collections.abc import Iterator
 
 from ...errors import is_sentence, sentence_of
 
-#: what a user can mend, and Ctrl-C as shells count it
+#: exit codes of an input error, and of Ctrl-C as in shells
 WRONG, STOPPED = 2, 130
 
 
 @contextlib.contextmanager
 def told() -> Iterator[None]:
-    """Errors a user can mend end in one line on stderr and exit code 2, Ctrl-C in 130; warnings are lines, too."""
+    """Convert input errors to one line on stderr and exit code 2, and Ctrl-C to 130; warnings become lines,
+    too."""
     show = warnings.showwarning
     warnings.showwarning = _tell_warning
     try:
         yield
     except BrokenPipeError:
-        # the reader of our output has enough; Python would complain once more at the end
+        # the reader closed the pipe; without this Python would report it again at exit
         sys.stdout = None
         raise SystemExit(0) from None
     except (ValueError, OSError) as error:

@@ -1,4 +1,4 @@
-"""All verbs of the command line in their groups, by the class of each; nothing is imported before it is run."""
+"""All verbs of the command line in their groups, by class name; a verb is imported only when it runs."""
 
 from .verbs import Group, Verb
 

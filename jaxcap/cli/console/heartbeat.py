@@ -1,7 +1,8 @@
-"""No silence: where nothing is said for some seconds, a line on stderr says what the program does and for how long.
+"""Status lines on stderr: after some seconds without output, a line names the current activity and its
+duration.
 
-What it does is what `doing` said last. The library says it by `logging`, at the level INFO: it prints nothing by itself, and
-knows best when it begins to search, to adjust or to write.
+The activity is the last argument of `doing`. The library reports it by `logging`, at the level INFO: it
+prints nothing itself, but knows when it begins to search, to adjust or to write.
 """
 
 import contextlib
@@ -14,9 +15,9 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-#: seconds of silence before a word, and between two looks at the clock
+#: seconds without output before a status line, and between two checks
 QUIET, LOOK = 7.0, 1.0
-#: what JAX runs while it traces, lowers and compiles a function
+#: source files of JAX that trace, lower and compile a function
 _COMPILERS = tuple(
     os.path.join("jax", "_src", *names)
     for names in (("compiler.py",), ("interpreters", "partial_eval.py"), ("interpreters", "mlir.py"))
@@ -30,11 +31,11 @@ class _Voice:
         self.lock = threading.RLock()
         self.last = self.since = time.monotonic()
         self.doing = ""
-        #: what shows a word instead of a line: the bar of a run
+        #: callback that shows a status in the progress bar of a run instead of a line
         self.shown: Callable[[str], None] | None = None
-        #: nobody waits: a window is open
+        #: True while a window is open, as no user waits for output
         self.resting = False
-        #: a line on a terminal that the next one replaces
+        #: whether the last line on the terminal is to be replaced
         self._passing = False
 
     def line(self, stream: Any, text: str) -> None:
@@ -45,7 +46,7 @@ class _Voice:
             self.last = time.monotonic()
 
     def passing(self, text: str) -> None:
-        """A word that is of no more interest when the next one comes."""
+        """Print a temporary status, which the next line replaces."""
         with self.lock:
             self.last = time.monotonic()
             if self.shown is not None:
@@ -65,7 +66,7 @@ class _Voice:
             self._passing = False
 
     def beat(self) -> None:
-        """Say a word where it has been quiet for long."""
+        """Print a status after a long time without output."""
         with self.lock:
             now = time.monotonic()
             if self.resting or now - self.last < QUIET:
@@ -79,13 +80,13 @@ write_line = _VOICE.line
 
 
 def doing(text: str) -> None:
-    """Say what the program does from now on; shown only where it takes long."""
+    """Set the current activity; it is printed only if it takes long."""
     _VOICE.doing, _VOICE.since = text, time.monotonic()
 
 
 @contextlib.contextmanager
 def break_silence() -> Iterator[None]:
-    """Break every silence until the end of the block."""
+    """Print status lines after long times without output, until the end of the block."""
     stop, log, handler = threading.Event(), logging.getLogger("jaxcap"), _Listener(logging.INFO)
     before = log.level
 
@@ -111,7 +112,7 @@ def break_silence() -> Iterator[None]:
 
 @contextlib.contextmanager
 def shown_by(show: Callable[[str], None]) -> Iterator[None]:
-    """Give words to a bar that is on the terminal, instead of writing them below it."""
+    """Show statuses in a progress bar on the terminal instead of below it."""
     _VOICE.shown = show
     try:
         yield
@@ -121,7 +122,7 @@ def shown_by(show: Callable[[str], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def resting() -> Iterator[None]:
-    """Say nothing while a window is open."""
+    """Print no statuses while a window is open."""
     _VOICE.resting = True
     try:
         yield
@@ -137,7 +138,7 @@ class _Listener(logging.Handler):
 
 
 def _compiles() -> bool:
-    """Whether a thread is inside of JAX's compiler."""
+    """Check if a thread runs JAX's compiler."""
     for frame in sys._current_frames().values():
         while frame is not None:
             if frame.f_code.co_filename.endswith(_COMPILERS):

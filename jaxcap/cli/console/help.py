@@ -1,4 +1,4 @@
-"""The help of one verb: its options in groups that are the same for all verbs, the basic ones first."""
+"""The help of one verb: its options in the same groups for all verbs, the basic ones first."""
 
 import contextlib
 import io
@@ -7,7 +7,7 @@ import re
 import shutil
 import textwrap
 
-#: groups in their order, with the options in each; what is named nowhere is a setting of the verb itself
+#: groups in order, with their options; any other option is a setting of the verb itself
 BASICS, INPUT, OUTPUT, KINEBEN = "Basics", "Input", "Output", "Kineben files"
 GROUPS: dict[str, tuple[str, ...]] = {
     BASICS: ("out", "resume", "overwrite", "help"),
@@ -56,7 +56,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     KINEBEN: ("skl", "vj", "cst"),
 }
-#: what a verb's own settings are called; options of some verbs are in another group than elsewhere
+#: titles of a verb's own settings, and options that are in another group for some verbs
 TITLES = {
     "track": "Tracking",
     "adapt": "Adaptation",
@@ -79,18 +79,18 @@ MOVED = {
     "edit cut": {"frames": BASICS},
     "edit retarget": {"target-unit": INPUT},
 }
-#: columns before what an option means, and of a line at most
+#: column of the option descriptions, and maximum line width
 COLUMN, WIDEST = 26, 110
 _NAMES = re.compile(r"--(?:no-(?!browser))?([a-z0-9][a-z0-9-]*)")
 
 
 def verb_help(verb: type, prog: str) -> str:
-    """Return the help of a verb, whose fields are its options, with these in their groups."""
+    """Return the help of a verb, whose fields are its options, arranged in groups."""
     import tyro
 
     said, columns = io.StringIO(), os.environ.get("COLUMNS")
     try:
-        # tyro breaks lines within words
+        # a wide terminal, as tyro breaks lines within words
         os.environ["COLUMNS"] = "10000"
         with contextlib.suppress(SystemExit), contextlib.redirect_stdout(said):
             tyro.cli(verb, prog=prog, args=["--help"], config=(tyro.conf.FlagCreatePairsOff,))
@@ -102,9 +102,10 @@ def verb_help(verb: type, prog: str) -> str:
 
 
 def grouped(text: str, verb: str) -> str:
-    """Put the options in a help text of tyro's, drawn without boxes, into the groups of a verb.
+    """Arrange the options of a tyro help text without boxes in the groups of a verb.
 
-    There an entry is set in by two columns, the lines below it by more, and titles by one."""
+    In that text an entry is indented by two columns, its further lines by more, and titles by one.
+    """
     width = min(shutil.get_terminal_size().columns, WIDEST)
     rows = [line.rstrip() for line in text.splitlines()]
     start = next((number for number, row in enumerate(rows) if row.startswith(" ")), len(rows))
@@ -128,7 +129,7 @@ def grouped(text: str, verb: str) -> str:
 
 
 def _laid_out(entry: str, width: int) -> str:
-    """Names to the left, what they mean to the right or below."""
+    """Format an entry: names to the left, their description to the right or below."""
     names, _, meaning = entry.partition("  ")
     blank = " " * COLUMN
     text = textwrap.fill(
@@ -147,7 +148,7 @@ def _title(verb: str) -> str:
 
 
 def _group(entry: str, verb: str) -> str:
-    """The group of an entry, by the last of its names."""
+    """Find the group of an entry by the last of its names."""
     name = _name(entry)
     moved = MOVED.get(verb, {}).get(name)
     if name == "" or moved is not None:
@@ -156,11 +157,11 @@ def _group(entry: str, verb: str) -> str:
 
 
 def _place(entry: str) -> int:
-    """Where an entry of the basics stands: what has no dashes comes first."""
+    """Return the sort key of a basic option; positional ones come first."""
     name = _name(entry)
     return GROUPS[BASICS].index(name) if name in GROUPS[BASICS] else -1
 
 
 def _name(entry: str) -> str:
-    """An option without dashes; nothing for one that has its place on the line."""
+    """Extract the name of an option without dashes; empty for a positional one."""
     return _NAMES.findall(entry.split("  ")[0])[-1] if entry.startswith("-") else ""

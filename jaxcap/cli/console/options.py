@@ -1,4 +1,4 @@
-"""Types of options that several verbs share, with the names that help shows for their values."""
+"""Types of options that several verbs share, with their metavariables."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +10,7 @@ from ..sources import BODY_WORDS as BODY_WORDS
 from ..sources import Up as Up
 
 arg = tyro.conf.arg
-#: what a motion and a skeleton are, in every help; see `motions`
+#: descriptions of motion and skeleton files for every help text; see `motions`
 MOTION_WORDS = (
     ".bvh, .npz, .amc (with its .asf in the folder), or a skinned .glb, .gltf or USD with an animation (`character.glb:Walk` "
     "is one clip of several)"
@@ -18,7 +18,7 @@ MOTION_WORDS = (
 SKELETON_WORDS = (
     ".skl, .bvh, .asf, a body or motion .npz, a skinned .glb, .gltf or USD, or `human` with options"
 )
-#: bodies, motions and clouds as written by a user; see `sources`
+#: bodies, motions and clouds as command line arguments; see `sources`
 BodySpec = tyro.conf.Positional[Annotated[str, arg(metavar="BODY", help=f"{BODY_WORDS}.")]]
 MotionSpec = tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION", help=f"A motion: {MOTION_WORDS}.")]]
 MotionsSpec = tyro.conf.Positional[
@@ -54,7 +54,7 @@ Flag = Annotated[bool, arg(help_behavior_hint="")]
 
 
 def clouds_words(clouds: Sequence[str]) -> str:
-    """What clouds were asked for, in a few words: a shell makes many of one glob."""
+    """Abbreviate the list of cloud files, as a shell expands one glob to many."""
     if len(clouds) <= 1:
         return "".join(clouds)
     return f"{clouds[0]} ... {clouds[-1]} ({len(clouds)} files)"

@@ -1,4 +1,4 @@
-"""The bar of a run that goes round by round."""
+"""The progress bar of an iterative run."""
 
 import contextlib
 import sys
@@ -27,7 +27,7 @@ class Rounds:
         return self
 
     def tell(self, done: int, note: str) -> None:
-        """That so many rounds are done."""
+        """Report that `done` rounds are complete."""
         self.done = done
         if self._move is not None:
             self._move(done, note)

@@ -1,4 +1,4 @@
-"""Ctrl-C while libraries are imported."""
+"""Ctrl-C during the import of libraries."""
 
 import contextlib
 import os
@@ -11,8 +11,8 @@ from .errors import STOPPED
 
 @contextlib.contextmanager
 def leaving_at_once() -> Iterator[None]:
-    """Let Ctrl-C end the program without a word of Python: libraries that are being imported swallow the exception, or turn
-    it into one of theirs, and there is nothing to keep yet."""
+    """Exit on Ctrl-C without a traceback: libraries catch the exception during import, or convert it to their
+    own, and there are no results to save yet."""
     ours = threading.current_thread() is threading.main_thread()
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield

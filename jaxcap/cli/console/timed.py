@@ -1,4 +1,4 @@
-"""How long each of a stream of results took."""
+"""The computing time of each element of an iterator."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -7,7 +7,7 @@ import jax
 
 
 def timed(frames: Iterable) -> Iterator[tuple]:
-    """Each result, when it is there, with the seconds since the one before was asked for."""
+    """Yield each result, once computed, with the seconds since it was requested."""
     start = time.perf_counter()
     for frame in frames:
         jax.block_until_ready(frame)

@@ -1,4 +1,4 @@
-"""One of several verbs from the command line's words."""
+"""The choice of a verb from the command line's arguments."""
 
 import contextlib
 import difflib
@@ -14,16 +14,16 @@ from .heartbeat import doing
 from .help import verb_help
 from .stopping import leaving_at_once
 
-#: what tyro draws its boxes with, where a terminal has more than ASCII and where it has not
+#: horizontal lines of tyro's boxes, on terminals with Unicode and with ASCII only
 _RULE = re.compile("─+|-{3,}")
-#: columns by which what is missing is set in, and what explains it
+#: columns of indentation of a missing option, and of its description
 _SET_IN, _EXPLAINED = 4, 8
 
 
 class Verb(NamedTuple):
     """A verb that is not imported yet."""
 
-    #: its class in this package: `edit.cut.Cut`
+    #: its class relative to `jaxcap.cli`: `edit.cut.Cut`
     place: str
     #: one line of the help
     summary: str
@@ -38,10 +38,11 @@ class Group(NamedTuple):
 
 
 def run_verb(group: Group, prog: str, arguments: Sequence[str], keep: bool = True) -> None:
-    """Run the verb that the arguments name with the rest of them; without any, print the help. Only this verb is imported;
-    `keep` says whether what it compiles is kept for later runs.
+    """Run the verb named by the first arguments with the others; without arguments, print the help. Only this
+    verb is imported; `keep` enables the cache of compiled functions.
 
-    **Raises:** `InputError` where there is no such verb or option, one is missing, or has a value that it cannot have.
+    **Raises:** `InputError` if the verb or an option does not exist, or an option is missing or has an
+    invalid value.
     """
     word, *rest = arguments or ["--help"]
     if word in ("-h", "--help"):
@@ -60,7 +61,7 @@ def run_verb(group: Group, prog: str, arguments: Sequence[str], keep: bool = Tru
 
 
 def help_of(group: Group, prog: str) -> str:
-    """The help of a group of verbs."""
+    """Format the help of a group of verbs."""
     wide = max(map(len, group.verbs))
     lines = [f"  {name:{wide}}  {verb.summary}" for name, verb in group.verbs.items()]
     return "\n".join(
@@ -78,7 +79,7 @@ def help_of(group: Group, prog: str) -> str:
 
 
 def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
-    """A verb with the options that the words give. Raises `InputError` where they are wrong."""
+    """Parse arguments to an instance of a verb. Raises `InputError` if they are wrong."""
     module, _, name = verb.place.rpartition(".")
     with leaving_at_once():
         from .compiled import prepare_jax
@@ -101,9 +102,9 @@ def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
 
 
 def unboxed(box: str) -> str:
-    """What a box of tyro's says, in one sentence. Its parts are below each other with lines between them; what is missing
-    is set in, and explained further in, which the help does as well."""
-    # a title is in the box's upper edge, or stands above the first line
+    """Convert an error box of tyro to one sentence. Its parts are separated by horizontal lines; missing
+    options are indented, and their descriptions, which the help repeats, further."""
+    # the title is in the box's upper edge, or above the first line
     rows = [row.strip("│") for row in box.splitlines() if row.strip() and row[0] not in "╭╰"]
     rows = rows[0 if "╭" in box else 1 :]
     left = min((len(row) - len(row.lstrip()) for row in rows if not _RULE.fullmatch(row.strip())), default=0)
@@ -115,7 +116,7 @@ def unboxed(box: str) -> str:
         elif depth < _EXPLAINED:
             apart = ", " if depth == _SET_IN and not parts[-1].endswith(":") else " "
             parts[-1] += f"{apart}{text}" if parts[-1] else text
-    # how each type of several failed, of which one is that nothing is given
+    # remove the errors of each alternative of a union type, and None
     texts = [re.sub(r" Got errors:.*", "", part).replace("{None}|", "").rstrip(".") for part in parts]
     texts = [re.sub(r"'None', |, 'None'", "", text) for text in texts]
     return "; ".join(text[0].lower() + text[1:] for text in texts if text) + "."

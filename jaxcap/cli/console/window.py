@@ -1,4 +1,4 @@
-"""Windows that verbs open in the browser, until Ctrl-C."""
+"""Browser windows of verbs, open until Ctrl-C."""
 
 import threading
 import webbrowser
@@ -21,10 +21,10 @@ Port = Annotated[int | None, arg(metavar="PORT", help_behavior_hint="")]
 def keep_window(
     verb: str, shown: str, fill: Callable[[ViserServer], object], port: int | None, host: str, browser: bool
 ) -> None:
-    """Open a window, tell what is shown where, and wait for Ctrl-C, which closes it.
+    """Open a window, print its address, and wait for Ctrl-C, which closes it.
 
-    **Arguments:** `verb`, what the window is called; `shown`, what is in it; `fill` puts that there; `port` and `host`
-    as of `open_server`; `browser`, whether one is opened.
+    **Arguments:** `verb`, the name of the window; `shown`, a description of its contents; `fill` adds the
+    contents; `port` and `host` as of `open_server`; `browser`, whether to open one.
 
     **Raises:** `InputError` as `open_server` does.
     """

@@ -1,1 +1,1 @@
-"""What `jaxcap info` says of each kind of content."""
+"""The output of `jaxcap info` for each kind of content."""

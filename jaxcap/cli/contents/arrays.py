@@ -1,4 +1,4 @@
-"""What an `.npz` holds, in lines of text."""
+"""Text descriptions of the contents of an `.npz`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,7 +26,7 @@ from .listing import say_list
 
 @reads("an .npz file")
 def tell_arrays(path: Path, unit: str) -> str:
-    """Say what is in an `.npz`, by its kind, and return that."""
+    """Print a description of an `.npz`, and return its kind."""
     kind = kind_of_arrays(array_names(path), kind_of(path))
     tell = {
         "body": _body,
@@ -58,7 +58,7 @@ def tell_arrays(path: Path, unit: str) -> str:
 
 
 def tell_meshes(path: Path | str, unit: str) -> str:
-    """Say how many registered meshes there are, and how large."""
+    """Print the number and size of registered meshes."""
     sequence = read_meshes(path, unit)
     say(
         f"registered meshes: {len(sequence)} of {sequence.vertices.shape[1]} vertices and "

@@ -1,4 +1,4 @@
-"""Bodies, skeletons and motions in lines of text."""
+"""Text descriptions of bodies, skeletons and motions."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +18,7 @@ from .listing import indented, say_list
 
 
 def tell_body(body: Body) -> None:
-    """Say how large a body is, how it is skinned, and its joints."""
+    """Print a body's size, its skin type, and its joints."""
     size = np.ptp(np.asarray(body.vertices), axis=0)
     say(
         f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {metres(size)}, {type(body.skin).__name__}"
@@ -27,7 +27,7 @@ def tell_body(body: Body) -> None:
 
 
 def tell_skeleton(skeleton: Skeleton) -> None:
-    """Say which joints a skeleton has, each below its parent."""
+    """Print the joint tree of a skeleton."""
     kinds = [f"{skeleton.kinds.count(kind)} {kind}" for kind in dict.fromkeys(skeleton.kinds)]
     say(
         f"skeleton: {counted(skeleton.num_joints, 'joint')} ({', '.join(kinds)}), {skeleton.num_dofs} parameters"
@@ -44,13 +44,13 @@ def _joints(skeleton: Skeleton) -> Iterator[str]:
 
 
 def tell_motion(motion: Motion) -> None:
-    """Say how long a motion is."""
+    """Print the length of a motion."""
     count = motion.num_frames
     say(f"motion: {counted(count, 'frame')} at {motion.rate:g} a second, {count / motion.rate:.2f} s")
 
 
 def tell_skinned(path: Path) -> str:
-    """Say what a skinned `.glb`, `.gltf` or USD holds."""
+    """Print a description of a skinned `.glb`, `.gltf` or USD."""
     body, motion = read_skinned(path)
     tell_clip(path)
     if motion is not None:
@@ -60,7 +60,8 @@ def tell_skinned(path: Path) -> str:
 
 
 def tell_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
-    """Say what a BVH file holds, which does not say its unit, and return its kind and the unit that a verb has to be given."""
+    """Print a description of a BVH file; return its kind and the unit that a verb needs, as the file has
+    none."""
     skeleton, motion = load_motion(path, unit)
     tell_motion(motion)
     tell_skeleton(skeleton)
@@ -75,7 +76,7 @@ def tell_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
 
 
 def tell_moving(path: Path, unit: str | None) -> str:
-    """Say what a motion with its skeleton holds."""
+    """Print a description of a motion with its skeleton."""
     skeleton, motion = load_motion(path, unit)
     tell_motion(motion)
     tell_skeleton(skeleton)
@@ -83,7 +84,7 @@ def tell_moving(path: Path, unit: str | None) -> str:
 
 
 def tell_mesh(path: Path, unit: str) -> str:
-    """Say how large a mesh or a cloud is, and whether it can be the surface of a body."""
+    """Print the size of a mesh or a cloud, and check if it can be the surface of a body."""
     mesh = read_mesh(path, unit)
     what = "mesh" if len(mesh.faces) else "cloud"
     normals = ", with normals" if mesh.normals is not None else ""
@@ -101,5 +102,5 @@ def tell_mesh(path: Path, unit: str) -> str:
 
 
 def metres(size: np.ndarray) -> str:
-    """Write the sides of a box."""
+    """Format the sides of a box."""
     return " x ".join(f"{length:.3g}" for length in size) + " m"

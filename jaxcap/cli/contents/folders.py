@@ -1,4 +1,4 @@
-"""What a folder, a pattern or a sequence of clouds holds, in lines of text."""
+"""Text descriptions of a folder, a pattern or a sequence of clouds."""
 
 from collections import Counter
 from pathlib import Path
@@ -16,12 +16,13 @@ from ..console.console import counted, say
 from .bodies import metres, tell_motion
 from .texts import tell_journal, tell_statistics
 
-#: files of a folder that are looked at one by one
+#: maximum number of files of a folder that are identified
 LOOKED_AT = 1000
 
 
 def tell_folder(folder: Path, unit: str) -> str:
-    """Say what a folder holds, and return its kind. Raises `InputError` where there is nothing that a verb reads."""
+    """Print a description of a folder, and return its kind. Raises `InputError` if no verb can read any file
+    in it."""
     kind = identify(folder)
     if kind == "run":
         return _run(folder)
@@ -43,7 +44,7 @@ def tell_folder(folder: Path, unit: str) -> str:
 
 
 def tell_clouds(source: str, unit: str, kind: str = "clouds") -> str:
-    """Say how many clouds there are; meshes of the same triangles are registered ones."""
+    """Print the number of clouds; meshes with the same triangles are registered ones."""
     scans = read_clouds(source, unit=unit)
     first = scans[0]
     if kind == "clouds" and _registered(scans):
@@ -61,7 +62,7 @@ def tell_clouds(source: str, unit: str, kind: str = "clouds") -> str:
 
 
 def _registered(scans: Scans) -> bool:
-    """Whether the first, the middle and the last frame have the same triangles, of as many vertices."""
+    """Check if the first, the middle and the last frame have the same triangles and number of vertices."""
     if len(scans) < 2 or not len(scans[0].faces):
         return False
     first = scans[0]
@@ -89,7 +90,7 @@ def first_of(folder: Path, kind: str) -> Path | None:
 
 
 def _kinds(folder: Path) -> dict[Path, str]:
-    """What the first files of a folder are; those beside a mesh that make it a body are of the body."""
+    """Identify the first files of a folder; skeleton files of a mesh count as part of its body."""
     files = [path for path in sorted(folder.iterdir())[:LOOKED_AT] if path.is_file()]
     kinds = {path: kind for path in files if (kind := _kind(path)) is not None}
     beside = {path for mesh, kind in kinds.items() if kind == "rigged" for path in bones_beside(mesh) or ()}
@@ -97,7 +98,7 @@ def _kinds(folder: Path) -> dict[Path, str]:
 
 
 def _kind(path: Path) -> str | None:
-    """What a file of a folder is, a mesh by its suffix, as a folder may have thousands."""
+    """Identify a file of a folder, meshes by suffix only, as a folder may have thousands."""
     if path.suffix.lower() in SUFFIXES:
         return "rigged" if bones_beside(path) else "mesh"
     return identify(path)

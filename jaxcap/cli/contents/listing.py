@@ -1,16 +1,16 @@
-"""Lists of what a file holds, of as many lines as anyone reads."""
+"""Lists of a file's contents, of limited length."""
 
 import itertools
 from collections.abc import Iterable
 
 from ..console.console import say
 
-#: lines of a list, and steps of an indentation
+#: maximum number of lines of a list, and maximum depth of an indentation
 MOST, DEEPEST = 200, 20
 
 
 def say_list(lines: Iterable[str], count: int, what: str) -> None:
-    """Say the first of `count` lines, and how many more of `what` there are."""
+    """Print the first of `count` lines, and the number of further `what`."""
     for line in itertools.islice(lines, MOST):
         say(line)
     if count > MOST:
@@ -18,5 +18,5 @@ def say_list(lines: Iterable[str], count: int, what: str) -> None:
 
 
 def indented(text: str, depth: int) -> str:
-    """Write a line of a tree below its parent; what is very deep is no further to the right."""
+    """Indent a line of a tree by its depth, up to a maximum."""
     return "  " * (min(depth, DEEPEST) + 1) + text

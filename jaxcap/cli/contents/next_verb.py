@@ -1,10 +1,10 @@
-"""The command that follows, for each kind of content."""
+"""The suggested next command for each kind of content."""
 
 from pathlib import Path
 
 from .folders import first_of
 
-#: what is done with each kind of content: commands with `{file}` in place of its name, and what each is for
+#: commands for each kind of content, with `{file}` in place of its name, and their purposes
 COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "body": (("track {file} CLOUDS -o tracked", "fits it to clouds"), ("view {file}", "shows it")),
     "skinned": (
@@ -78,9 +78,9 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "folder of bvh": (("prior learn {file}/*.bvh -o prior.npz", "learns which poses are likely"),),
     "folder of amc": (("prior learn {file}/*.amc -o prior.npz", "learns which poses are likely"),),
 }
-#: what kinds of folders begin with
+#: prefix of the kinds of folders
 FOLDER = "folder of "
-#: what no verb reads
+#: sentences about kinds that no verb reads
 OTHERS = {
     "arrays": "no verb reads these arrays; clouds are an array points (F, N, 3), meshes vertices (F, V, 3) with faces (T, 3)",
     "report": "no verb reads a report; it is for other programs",
@@ -90,9 +90,9 @@ OTHERS = {
 
 
 def next_verbs(kind: str, file: str, unit: str | None = None) -> str:
-    """Return a line with the commands that follow for a file of some kind, or what else can be done with it.
+    """Return a line with the suggested commands for a file of some kind, or a sentence about its use.
 
-    **Arguments:** `unit` of lengths, where the commands have to be given it.
+    **Arguments:** `unit` of lengths, if the commands need it.
     """
     if kind not in COMMANDS and kind.startswith(FOLDER):
         one = first_of(Path(file), kind.removeprefix(FOLDER))

@@ -1,4 +1,4 @@
-"""Markers, JSON, tables and Kineben's files in lines of text."""
+"""Text descriptions of markers, JSON, tables and Kineben's files."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from .bodies import tell_skeleton
 
 
 def tell_markers(path: Path, unit: str | None) -> str:
-    """Say how many markers a file has, for how long."""
+    """Print the number of markers and the length of a marker file."""
     file = read_marker_file(path, unit)
     frames = file.frames
     count, shown = len(frames), 100 * float(np.asarray(frames.seen).mean())
@@ -32,7 +32,7 @@ def tell_markers(path: Path, unit: str | None) -> str:
 
 @reads("a JSON file")
 def tell_json(path: Path) -> str:
-    """Say what a JSON file holds, and return its kind."""
+    """Print a description of a JSON file, and return its kind."""
     content = read_json(path)
     kind = kind_of_json(content)
     if kind == "cameras":
@@ -64,7 +64,7 @@ def tell_json(path: Path) -> str:
 
 
 def tell_statistics(path: Path) -> None:
-    """Say how a tracking run went, from its statistics, `.json` or `.csv`. Raises `InputError`."""
+    """Print a summary of a tracking run from its statistics, `.json` or `.csv`. Raises `InputError`."""
     text = read_text(path)
     try:
         if path.suffix.lower() == ".json":
@@ -78,7 +78,7 @@ def tell_statistics(path: Path) -> None:
 
 
 def tell_journal(path: Path) -> str:
-    """Say how far a run that was stopped has come."""
+    """Print the progress of a run that was stopped."""
     header, records = read_header(path), read_records(path)
     joints = header.get("joints")
     of = f" of {len(joints)} joints" if isinstance(joints, list) else ""
@@ -87,7 +87,7 @@ def tell_journal(path: Path) -> str:
 
 
 def tell_kineben(path: Path, unit: str | None) -> str:
-    """Say what one of Kineben's files holds; limits are read with the skeleton in their folder."""
+    """Print a description of a Kineben file; limits are read with the skeleton in their folder."""
     kind = path.suffix.lower()[1:]
     if kind == "skl":
         tell_skeleton(read_skeleton(path, unit))
@@ -103,7 +103,7 @@ def tell_kineben(path: Path, unit: str | None) -> str:
 
 
 def tell_asf(path: Path) -> str:
-    """Say what an `.asf` holds."""
+    """Print a description of an `.asf`."""
     asf = read_asf(path)
     tell_skeleton(asf.skeleton)
     say(f"limits: of {len(asf.boxes.joints)} joints")
@@ -112,7 +112,7 @@ def tell_asf(path: Path) -> str:
 
 @reads("a list")
 def tell_text(path: Path) -> str:
-    """Say which list a text file is. Raises `InputError` where it is none."""
+    """Print a description of a list in a text file. Raises `InputError` if it is none."""
     rows = [line.split() for _, line in numbered_lines(read_text(path))]
     widths = {len(row) for row in rows}
     if rows and widths <= {1, 2} and all(row[-1].isdecimal() for row in rows):

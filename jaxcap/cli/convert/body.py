@@ -1,4 +1,4 @@
-"""A body with its motion for other programs, which blend linearly."""
+"""Export of a body with its motion to programs with linear blend skinning."""
 
 from pathlib import Path
 
@@ -13,9 +13,9 @@ from ..console.console import say, warn
 def write_linear_body(
     target: Path, body: Body, motion: Motion | None, tolerance: float, influences: int
 ) -> None:
-    """Linearise a body over its motion, or over poses of chance where it has none, write it, and tell how far it is off.
+    """Linearise a body over its motion, or over random poses if it has none, write it, and print its error.
 
-    **Raises:** `InputError` where the file cannot be written; `ValueError` where a number is not positive.
+    **Raises:** `InputError` if the file cannot be written; `ValueError` if a number is not positive.
     """
     poses = sample_poses(body.skeleton) if motion is None else motion.poses
     linearised = linearise(body, poses, tolerance, influences=influences)

@@ -1,4 +1,4 @@
-"""What `jaxcap convert` makes of which suffixes, and which of its options go with that."""
+"""The conversions of `jaxcap convert` by suffixes, and their options."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ from ...io.registry import (
 from ...io.skinned.clip import suffix_of
 
 Way = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
-#: what each option is for, and the ways that take it
+#: purpose of each option, and the conversions that take it
 PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
     "motion": ("a body that becomes a .glb or USD", ("body",)),
     "body": ("a motion that is to be a body's own", ("motion", "points")),
@@ -35,17 +35,17 @@ PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
     "tolerance": ("a body that becomes a .glb or USD", ("body",)),
     "influences": ("a body that becomes a .glb or USD", ("body",)),
 }
-#: these are in metres, or say what they are in
+#: suffixes of files in metres, or with a unit
 OWN_UNIT = (".npz", *SKINNED_READERS, ".asf", ".amc")
 
 
-#: all suffixes that something becomes
+#: all suffixes of target files
 WRITTEN = {*BODY_WRITERS, *MOTION_WRITERS, *MARKER_WRITERS, *SKELETON_WRITERS, *MESH_WRITTEN}
 
 
 def find_way(source: Path, target: Path, human: bool = False) -> Way:
-    """What the suffixes ask for; `human`, where the source is the embedded body. Raises `InputError` where there is no such
-    way."""
+    """Choose the conversion by the suffixes; `human`, whether the source is the embedded body. Raises
+    `InputError` if there is none."""
     here, there = ".npz" if human else suffix_of(source), target.suffix.lower()
     if there not in WRITTEN and there in INSTEAD:
         raise InputError(f"{target}: '{there}' files are not written; write {INSTEAD[there]}.")
@@ -81,8 +81,8 @@ def _files(suffix: str) -> str:
 
 
 def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
-    """That the options given, by their names in `PURPOSES` (None, nothing, or False where one is not), go with what is
-    written. Raises `InputError`."""
+    """Check that the given options, by their names in `PURPOSES` (None, empty, or False if not given), apply
+    to the conversion. Raises `InputError`."""
     for name, (purpose, ways) in PURPOSES.items():
         if given[name] and way not in ways:
             raise InputError(f"{target}: --{name} is for {purpose}.")
@@ -93,7 +93,7 @@ def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
 
 
 def check_units(way: Way, source: Path, target: Path, unit: str | None, target_unit: str | None) -> None:
-    """That units are given where files have none of their own. Raises `InputError`."""
+    """Check that units are given only for files without their own. Raises `InputError`."""
     if unit and way != "mesh" and suffix_of(source) in OWN_UNIT:
         raise InputError(
             f"{source}: '{suffix_of(source)}' files say their unit themselves; leave --unit {unit} out."

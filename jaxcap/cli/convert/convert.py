@@ -32,7 +32,7 @@ from .body import write_linear_body
 from .conversion_kind import PURPOSES, Way, check_options, check_units, find_way
 from .points import read_labels, write_points
 
-#: metres, and bones a vertex
+#: metres, and bones per vertex
 TOLERANCE, INFLUENCES = 0.001, 4
 
 
@@ -79,7 +79,7 @@ class Convert:
         human = names_human(str(self.source))
         if not human and not split_clip(self.source)[0].exists():
             raise InputError(f"{self.source}: there is no such file; check the path.")
-        # the human is what a body file would be
+        # the human counts as a body file
         own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
         way: Way = "own" if own else find_way(self.source, self.target, human)
         self.check(way)
@@ -94,7 +94,7 @@ class Convert:
         }[way]()
 
     def check(self, way: Way) -> None:
-        """That the options given go with what is written. Raises `InputError`."""
+        """Check that the given options apply to the conversion. Raises `InputError`."""
         given = {
             "motion": self.motion,
             "body": self.body,
@@ -114,7 +114,7 @@ class Convert:
             )
 
     def read_motion(self) -> tuple[Skeleton, Motion, Body | None]:
-        """The source's motion: of the body where one is given."""
+        """Read the source's motion, with the given body if any."""
         if self.body is None:
             return *self.motion_of(self.source, None), None
         body = load_body(str(self.body), unit=self.unit or "m")[0]
@@ -156,7 +156,7 @@ class Convert:
         say(f"{self.target}: {counted(motion.num_frames, 'frame')} at {motion.rate:g} a second")
 
     def write_points(self) -> None:
-        # a label that is wrong is told before a long motion is read
+        # labels are checked before a long motion is read
         labels = read_labels(self.vertices)
         skeleton, motion, body = self.read_motion()
         write_points(self.target, skeleton, motion, body, labels, self.target_unit)

@@ -1,4 +1,4 @@
-"""What a motion takes through space, as points: joint centres, and vertices of its body."""
+"""The paths of a motion as points: joint centres, and vertices of its body."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,8 @@ from ..console.console import counted, say
 
 
 def read_labels(words: Sequence[str]) -> dict[str, int]:
-    """Vertices by the labels of their markers, of `NUMBER`, `NAME=NUMBER`, or files of these. Raises `InputError`."""
+    """Parse marker labels with their vertices, from `NUMBER`, `NAME=NUMBER`, or files of these. Raises
+    `InputError`."""
     found: dict[str, int] = {}
     for word in words:
         name, _, number = word.rpartition("=")
@@ -45,10 +46,10 @@ def write_points(
     labels: Mapping[str, int],
     unit: str | None,
 ) -> None:
-    """Write joint centres, and behind them markers on vertices of the body where there are any.
+    """Write the paths of joint centres, followed by markers at vertices of the body, if any.
 
-    **Raises:** `InputError` where the body has no such vertex, a marker is called as a joint, or the file cannot be
-    written.
+    **Raises:** `InputError` if the body has no such vertex, a marker has the name of a joint, or the file
+    cannot be written.
     """
     frames = joint_frames(skeleton, motion)
     if body is not None and labels:

@@ -1,1 +1,1 @@
-"""`jaxcap edit`: what is done with motions that are there, one file a verb."""
+"""`jaxcap edit`: edits of existing motions, one file per verb."""

@@ -1,4 +1,4 @@
-"""`jaxcap edit cut`: some frames of a motion."""
+"""`jaxcap edit cut`: a range of frames of a motion."""
 
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Motions that the verbs of `jaxcap edit` read and write."""
+"""Reading and writing of motions for the verbs of `jaxcap edit`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,13 +18,13 @@ MotionFile = MotionSpec
 OutMotion = Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
 Frames = Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="")]
 
-#: longest and shortest that somebody's joints reach, metres
+#: minimum and maximum extent of a person's joints, metres
 REACH = (0.2, 5.0)
 
 
 def read_edited(path: Path, unit: str | None, body: Body | None = None) -> tuple[Skeleton, Motion]:
-    """A motion with frames, of a person's size, and of a body where one is given, which then tells the skeleton that the
-    file may not have. Raises `InputError`."""
+    """Read a motion that has frames and a person's size; if `body` is given, its skeleton replaces that of
+    the file, which may have none. Raises `InputError`."""
     if unit and suffix_of(path) in OWN_UNIT:
         raise InputError(
             f"{path}: '{suffix_of(path)}' files say their unit themselves; leave --unit {unit} out."
@@ -33,7 +33,7 @@ def read_edited(path: Path, unit: str | None, body: Body | None = None) -> tuple
         skeleton, motion = load_motion(path, unit)
         check_reach(path, skeleton)
     else:
-        # lengths are looked at before they are held against the body's
+        # the size is checked before the skeleton is compared with the body's
         if suffix_of(path) in SKELETON_READERS and suffix_of(path) not in OWN_UNIT:
             check_reach(path, read_skeleton(path, unit))
         skeleton, motion = body.skeleton, load_motion_of(body, path, unit)
@@ -43,7 +43,7 @@ def read_edited(path: Path, unit: str | None, body: Body | None = None) -> tuple
 
 
 def check_reach(path: Path, skeleton: Skeleton) -> None:
-    """That a motion is in the unit that it was read in. Raises `InputError`."""
+    """Check by the extent of the joints that a motion was read in the right unit. Raises `InputError`."""
     reach = extent(skeleton)
     if skeleton.num_joints > 1 and not REACH[0] < reach < REACH[1]:
         raise InputError(
@@ -52,7 +52,7 @@ def check_reach(path: Path, skeleton: Skeleton) -> None:
 
 
 def frames_of(motion: Motion, frames: tuple[int, int] | None, path: Path) -> tuple[int, int]:
-    """First and last frame, the whole motion where none are given. Raises `InputError`."""
+    """Return the first and the last frame, of the whole motion if none are given. Raises `InputError`."""
     first, last = (0, len(motion) - 1) if frames is None else frames
     if not 0 <= first <= last < len(motion):
         raise InputError(
@@ -62,6 +62,6 @@ def frames_of(motion: Motion, frames: tuple[int, int] | None, path: Path) -> tup
 
 
 def save(path: Path, skeleton: Skeleton, motion: Motion, what: str = "") -> None:
-    """Write a motion and say so."""
+    """Write a motion and print its path and length."""
     write_motion(path, skeleton, motion)
     say(f"written: {path}, {counted(len(motion), 'frame')} at {motion.rate:g} a second{what}")

@@ -1,4 +1,4 @@
-"""`jaxcap edit gaze`: where a person looks."""
+"""`jaxcap edit gaze`: the direction in which a person looks."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,7 +18,7 @@ from ..sources import load_body
 from .files import Frames, MotionFile, OutMotion, frames_of, read_edited, save
 
 Place = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z", help_behavior_hint="")]
-#: what is further away than this is likely to be in another unit, metres
+#: distance of a target above which it is likely in another unit, metres
 FAR = 50.0
 
 
@@ -86,7 +86,7 @@ class Gaze:
         save(self.out, skeleton, found.motion)
 
     def check(self) -> None:
-        """That the options go together. Raises `InputError`."""
+        """Check that the options are compatible. Raises `InputError`."""
         check_motion(self.out, self.overwrite)
         if (self.target is None) == (self.direction is None):
             raise InputError("Say where to look by --target or by --direction, and by one of them.")

@@ -1,4 +1,4 @@
-"""`jaxcap edit glue`: a raw scan that moves."""
+"""`jaxcap edit glue`: animate a raw scan."""
 
 import re
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from ..track.results import make_writable
 from .files import Frames, frames_of, read_edited
 
 _pose_body = eqx.filter_jit(pose_body)
-#: points further from the body than this are told of, metres
+#: distance of points from the body above which a warning is given, metres
 LOOSE = 0.05
 
 
@@ -100,7 +100,7 @@ class Glue:
             )
 
     def begin(self) -> None:
-        """Make the folder ready. Raises `InputError`."""
+        """Make the folder and remove glued scans from it, if --overwrite is given. Raises `InputError`."""
         make_writable(self.out)
         there = [path for path in self.out.iterdir() if re.fullmatch(r"glued_\d{4,}\.(ply|obj)", path.name)]
         if there and not self.overwrite:

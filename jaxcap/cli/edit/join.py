@@ -1,4 +1,4 @@
-"""`jaxcap edit join`: one motion goes over into another."""
+"""`jaxcap edit join`: a transition from one motion into another."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -15,7 +15,7 @@ from ..outputs import check_motion
 from .files import OutMotion, read_edited, save
 from .skeletons import check_same
 
-#: windows that are further apart than this show a jump, metres
+#: distance of the blended windows above which a jump is visible, metres
 UNLIKE = 0.15
 
 

@@ -1,4 +1,4 @@
-"""`jaxcap edit keys`: a motion by few keys."""
+"""`jaxcap edit keys`: keyframe reduction of a motion."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,7 +81,7 @@ def tell(name: str, skeleton: Skeleton, found: Found, per_joint: bool) -> None:
 
 
 def write_keys(path: Path, skeleton: Skeleton, motion: Motion, found: Found) -> None:
-    """Keys with the frames that they are of: as JSON by joint, as .npz all keys one behind the other.
+    """Write the keys with their frames: as JSON by joint, as .npz all keys concatenated.
 
     Rotations are `wxyz` from rest, in the frame of the parent; translations in metres. Raises `InputError`.
     """

@@ -1,4 +1,4 @@
-"""`jaxcap edit loop`: a motion that begins again where it ends."""
+"""`jaxcap edit loop`: a periodic motion."""
 
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`jaxcap edit mirror`: left for right."""
+"""`jaxcap edit mirror`: left and right exchanged."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Tables of pairs as text: what of the source goes with what of the target, line by line."""
+"""Text files of matched pairs of source and target, one per line."""
 
 from pathlib import Path
 
@@ -9,9 +9,9 @@ from ...io.text import parse_floats, parse_int, read_text
 
 
 def table_of(path: Path) -> list[list[str]]:
-    """The words of every line of a text file that is not empty; what follows `#` is a remark.
+    """Split every non-empty line of a text file into words; `#` begins a comment.
 
-    **Raises:** `InputError` where the file cannot be read or a line has other than two or three words.
+    **Raises:** `InputError` if the file cannot be read or a line has other than two or three words.
     """
     rows = []
     for number, line in enumerate(read_text(path).splitlines(), 1):
@@ -30,7 +30,8 @@ def table_of(path: Path) -> list[list[str]]:
 
 
 def names_of(path: Path) -> dict[str, str | None]:
-    """The table of joints in a `.json` file, or in a text file with two names to a line. Raises `InputError`."""
+    """Read the table of joints in a `.json` file, or in a text file with two names per line. Raises
+    `InputError`."""
     if path.suffix.lower() == ".json":
         return read_joint_names(path)
     names: dict[str, str | None] = {}
@@ -44,7 +45,7 @@ def names_of(path: Path) -> dict[str, str | None]:
 
 
 def point_pair(path: Path, row: list[str]) -> PointPair:
-    """A line of `table_of`, with its number before it. Raises `InputError`."""
+    """Parse a row of `table_of`, which begins with its line number. Raises `InputError`."""
     number, here, there, *weight = row
     where = f"{path}:{number}"
     heavy = parse_floats(weight, where, "the weight")[0] if weight else 1.0

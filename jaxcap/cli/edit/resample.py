@@ -9,7 +9,7 @@ from ..console.options import Flag, OptionalUnit, arg
 from ..outputs import check_motion
 from .files import MotionFile, OutMotion, read_edited, save
 
-#: frames that a memory holds
+#: maximum number of frames, as a limit of memory
 MOST = 1_000_000
 
 

@@ -29,7 +29,7 @@ from .files import MotionFile, OutMotion, read_edited, save
 from .pairs import names_of, point_pair, table_of
 from .skeletons import OTHER_UNIT, load_target, says_unit, skeleton_of
 
-#: a floor that is further from the lowest joint is likely to be in another unit, metres
+#: distance of a floor from the lowest joint above which it is likely in another unit, metres
 FAR = 5.0
 
 
@@ -39,7 +39,7 @@ class Found(NamedTuple):
     motion: Motion
     #: target metres for one source metre
     ratio: float
-    #: metres along `up`
+    #: height along `up`, metres
     floor: float
     up: Float[np.ndarray, "3"]
 
@@ -116,7 +116,7 @@ class Retarget:
         save(self.out, skeleton_of(target), found.motion)
 
     def check(self) -> None:
-        """That the options go together. Raises `InputError`."""
+        """Check that the options are compatible. Raises `InputError`."""
         check_motion(self.out, self.overwrite)
         if self.by == "surface" and self.source is None:
             raise InputError("--by surface takes the body that the motion is of; give it by --source.")
@@ -133,7 +133,7 @@ class Retarget:
             raise InputError(f"--floor is {self.floor}; it must be a number of metres.")
 
     def check_table(self, path: Path) -> None:
-        """That a table of joints may be written there. Raises `InputError`."""
+        """Check that a table of joints can be written to a path. Raises `InputError`."""
         if path.suffix.lower() != ".json":
             raise InputError(f"{path}: a table of joints is written as .json; give it that ending.")
         if path.exists() and not self.overwrite:
@@ -162,7 +162,7 @@ class Retarget:
             )
 
     def units_to_say(self) -> str:
-        """What to do where the two are of other sizes than people are."""
+        """Format the advice for a source and a target of very different sizes."""
         says = [
             f"by {option} what the {which}'s lengths are in"
             for option, which, file in (
@@ -174,7 +174,7 @@ class Retarget:
         return f"say {' or '.join(says)}" if says else "one of the files is wrong about its unit"
 
     def floor_for(self, motion: Motion, source: Body | Skeleton, up: np.ndarray) -> float:
-        """What the user says, or what the source stands on."""
+        """Return the user's floor height, or the height of the source's lowest point."""
         low = floor_under(source if self.floor is None else skeleton_of(source), motion.poses, up)
         if self.floor is not None and abs(self.floor - low) > FAR:
             warn(
@@ -234,7 +234,8 @@ class Retarget:
         return Found(moved, plan.ratio, floor, plan.up)
 
     def table_to_start(self, error: UnmatchedJoints, target: Skeleton) -> str:
-        """Write the table that a refusal offers beside the motion that was asked for, and say where it is."""
+        """Write an incomplete table of joints next to the requested motion, and return a sentence with its
+        path."""
         path = self.write_names or self.out.with_name(f"{self.out.stem}_names.json")
         if path.exists() and not self.overwrite:
             return f"{path} is there already; fill it in and give it by --names, or give --overwrite to have a new one."

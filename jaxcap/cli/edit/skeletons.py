@@ -1,4 +1,4 @@
-"""Bodies and skeletons that the verbs of `jaxcap edit` are given, and whether two are alike."""
+"""The bodies and skeletons of the verbs of `jaxcap edit`, and their comparison."""
 
 from pathlib import Path
 
@@ -14,14 +14,14 @@ from ..convert.conversion_kind import OWN_UNIT
 from ..motions import load_skeleton
 from ..sources import load_body, names_human
 
-#: skeletons whose joints are no further apart at rest are the same, metres
+#: maximum distance of the rest joints of equal skeletons, metres
 SAME = 1e-3
-#: people are not so many times as large as each other, and every other unit is but feet for metres
+#: ratio of sizes that no two people have, but that a wrong unit causes, except feet for metres
 OTHER_UNIT = 5.0
 
 
 def load_target(spec: str, unit: str | None = None) -> Body | Skeleton:
-    """A body, or a skeleton from any file that has one and no body. Raises `InputError`."""
+    """Load a body, or a skeleton from any file that has one and no body. Raises `InputError`."""
     if unit and says_unit(spec):
         raise InputError(f"{spec}: this says its unit itself; leave --target-unit {unit} out.")
     alone = suffix_of(spec) in SKELETON_READERS and suffix_of(spec) not in BODY_SUFFIXES
@@ -31,7 +31,7 @@ def load_target(spec: str, unit: str | None = None) -> Body | Skeleton:
 
 
 def says_unit(spec: str | Path) -> bool:
-    """Whether a body or a motion is in metres, or says what it is in."""
+    """Check if a body or a motion is in metres, or its file has a unit."""
     return names_human(str(spec)) or suffix_of(spec) in OWN_UNIT
 
 
@@ -40,7 +40,7 @@ def skeleton_of(owner: Body | Skeleton) -> Skeleton:
 
 
 def check_same(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> None:
-    """That two motions are of one skeleton. Raises `InputError`."""
+    """Check that two motions have the same skeleton. Raises `InputError`."""
     (_, one), (path, other) = a, b
     if not same_joints(one, other):
         strangers = sorted(set(one.names) ^ set(other.names))
@@ -52,7 +52,7 @@ def check_same(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> None:
         raise InputError(
             f"{path}: this motion is of another skeleton than {a[0]} ({what}); give it that one by `jaxcap edit retarget`."
         )
-    # bones count here, and not where the root stands at rest
+    # bones are compared, and not the rest position of the root
     offsets = [np.asarray(s.centres, float) - np.asarray(s.centres, float)[0] for s in (one, other)]
     apart = float(np.linalg.norm(offsets[0] - offsets[1], axis=1).max())
     if apart > SAME:

@@ -1,1 +1,1 @@
-"""`jaxcap limits`: what is done with joint limits, one file a verb."""
+"""`jaxcap limits`: the verbs of joint limits, one file per verb."""

@@ -1,4 +1,4 @@
-"""`jaxcap limits check`: what of a motion is beyond limits."""
+"""`jaxcap limits check`: violations of joint limits in a motion."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +64,7 @@ def summary(name: str, held: Held) -> str:
 
 
 def comfort_of(held: Held) -> dict[str, np.ndarray]:
-    """The comfort of every frame by joint, where limits were learned."""
+    """Compute the comfort of every frame by joint, for learned limits."""
     if not isinstance(held.limits, SurfaceLimits):
         return {}
     found = np.asarray(comfort_frames(held.limits, held.skeleton, held.motion), float)
@@ -72,7 +72,7 @@ def comfort_of(held: Held) -> dict[str, np.ndarray]:
 
 
 def report(held: Held, comforts: dict[str, np.ndarray], limited: list[int]) -> dict:
-    """What is written as JSON: angles in degrees, comfort as a share of the samples."""
+    """Build the report for JSON: angles in degrees, comfort as a share of the samples."""
     joints = {}
     for joint in limited:
         name = held.skeleton.names[joint]

@@ -1,4 +1,4 @@
-"""`jaxcap limits compare`: how alike the ranges of two performers are."""
+"""`jaxcap limits compare`: the similarity of two performers' ranges of motion."""
 
 from dataclasses import dataclass
 from typing import Annotated

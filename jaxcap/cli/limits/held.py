@@ -1,4 +1,4 @@
-"""A motion and the limits that it is held to, as the verbs read them."""
+"""A motion with its joint limits, as the verbs read them."""
 
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -25,15 +25,15 @@ class Held(NamedTuple):
     skeleton: Skeleton
     motion: Motion
     limits: AbstractLimits
-    #: (F, J) joints beyond their limits; (F, J) by how much, about degrees
+    #: (F, J) whether joints violate their limits; (F, J) by how many degrees, approximately
     beyond: np.ndarray
     degrees: np.ndarray
 
 
 def read_held(motion: Path, limits: Path, unit: str | None, body: str | None = None) -> Held:
-    """Read a motion, that of `body` where one is given, and judge it by limits.
+    """Read a motion, that of `body` if one is given, and check it against limits.
 
-    **Raises:** `InputError` where a file is wrong, or the limits are of another skeleton.
+    **Raises:** `InputError` if a file is invalid, or the limits are of another skeleton.
     """
     if not limits.is_file():
         raise InputError(f"{limits}: there is no such file; learn limits with `jaxcap limits learn`.")
@@ -46,7 +46,7 @@ def read_held(motion: Path, limits: Path, unit: str | None, body: str | None = N
 
 
 def judge(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> Held:
-    """What of a motion is beyond limits."""
+    """Check a motion against limits."""
     beyond = ~np.asarray(allowed_frames(limits, skeleton, motion))
     amounts = np.abs(np.asarray(residual_frames(limits, skeleton, motion)))
     degrees = np.zeros(beyond.shape)
@@ -56,7 +56,7 @@ def judge(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> Held:
 
 
 def runs_of(frames: np.ndarray, most: int = 4) -> str:
-    """Marked frames as runs, the longest first: `12-40, 3`."""
+    """Format marked frames as runs, the longest first: `12-40, 3`."""
     found = sorted(runs(np.asarray(frames)), key=lambda run: run[0] - run[1])
     text = ", ".join(f"{first}-{end - 1}" if end - first > 1 else f"{first}" for first, end in found[:most])
     return (text or "-") + (", ..." if len(found) > most else "")

@@ -1,4 +1,4 @@
-"""`jaxcap limits learn`: limits of joints from motions in which they go where they can."""
+"""`jaxcap limits learn`: learn joint limits from motions that show the full range."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from ..console.options import MOTION_WORDS, Flag, MotionsSpec, OptionalUnit, arg
 from ..motions import load_motion
 from ..outputs import check_npz, make_folder
 
-#: a joint that turns through less than so many degrees tells little of its limits
+#: range in degrees below which a joint's motion shows little of its limits
 HARDLY = 5.0
 
 
@@ -78,7 +78,7 @@ class Learn:
             self.draw(limits, samples)
 
     def check(self) -> None:
-        """That options are in their ranges and go together. Raises `InputError`."""
+        """Check that options are in range and compatible. Raises `InputError`."""
         if not self.motions:
             raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
         check_npz(self.out, self.overwrite, "a set of limits")
@@ -93,7 +93,7 @@ class Learn:
             make_folder(self.report)
 
     def samples(self) -> dict[str, JointSamples]:
-        """What the joints did in all files, by joint."""
+        """Collect the rotations of the joints in all files, by joint."""
         pairs = parse_joints(self.joints)
         suffixes = {Path(path).suffix.lower() for path in self.motions}
         if suffixes & set(MARKER_READERS):
@@ -139,7 +139,7 @@ class Learn:
 
 
 def tell(limits: SurfaceLimits, samples: dict[str, JointSamples]) -> None:
-    """A line for each joint: its angles and range, its voxels, its parent's keyframes."""
+    """Print a row for each joint: its angles and range, its voxels, its parent's keyframes."""
     table(
         ["joint", "depends on", "angles", "samples", "range", "voxels", "from", "keyframes"],
         [_row(surface, samples[surface.joint]) for surface in limits.surfaces],

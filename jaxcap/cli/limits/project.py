@@ -1,4 +1,4 @@
-"""`jaxcap limits project`: a motion turned back into limits."""
+"""`jaxcap limits project`: project a motion onto its joint limits."""
 
 from dataclasses import dataclass
 from pathlib import Path

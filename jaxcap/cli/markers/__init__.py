@@ -1,1 +1,1 @@
-"""`jaxcap markers`: what is done with optical markers, one file a verb."""
+"""`jaxcap markers`: the verbs of optical markers, one file per verb."""

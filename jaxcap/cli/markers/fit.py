@@ -1,4 +1,4 @@
-"""`jaxcap markers fit`: a subject, its skeleton and where markers sit on it, from takes alone."""
+"""`jaxcap markers fit`: a subject, with its skeleton and marker placements, from takes alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -99,7 +99,7 @@ class Fit:
             self.fit(pairs)
 
     def fit(self, pairs: tuple[tuple[str, str], ...]) -> None:
-        """Read, fit and write, with no other run that writes the same files."""
+        """Read, fit and write, while the lock excludes other runs with the same output files."""
         doing("reading the takes")
         takes = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.files]
         united = unite_takes(takes)
@@ -187,7 +187,8 @@ class Fit:
         say(f"report.json, segments.txt and pictures are in {folder}")
 
     def check(self) -> tuple[tuple[str, str], ...]:
-        """That options are in their ranges and go together; the pairs of `--symmetry`. Raises `InputError`."""
+        """Check that options are in range and compatible; return the pairs of `--symmetry`. Raises
+        `InputError`."""
         if not self.files:
             raise InputError(
                 "There are no files to fit to; give takes of one performer, such as static.c3d rom.c3d."
@@ -210,7 +211,7 @@ class Fit:
     def named(
         self, template: Skeleton, corrections: dict[str, tuple[str, float]]
     ) -> tuple[Skeleton, dict[str, str]]:
-        """The template with which segment is which of its bones: the one of its name. Raises `InputError`."""
+        """Match the segments to the template's bones by name; return both. Raises `InputError`."""
         given = dict.fromkeys(segment for segment, weight in corrections.values() if weight > 0)
         bones = {name: name for name in given if name in template.names}
         if len(bones) < 2:
@@ -222,7 +223,7 @@ class Fit:
 
 
 def read_symmetry(words: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Pairs of names from `left:right`, also several with commas between. Raises `InputError`."""
+    """Parse pairs of names from `left:right`, also several separated by commas. Raises `InputError`."""
     pairs = []
     for word in (part for words_ in words for part in words_.split(",")):
         left, colon, right = (side.strip() for side in word.partition(":"))
@@ -235,7 +236,7 @@ def read_symmetry(words: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
 
 def joint_figures(found: LocalFit) -> list[dict[str, object]]:
-    """What joints one by one tell, for `report.json`; metres and radians."""
+    """Collect the estimates of the separately fitted joints for `report.json`; metres and radians."""
     names = found.segments.names
     return [
         {

@@ -1,4 +1,4 @@
-"""Tables of what was found: segments with their markers, joints, bones."""
+"""Tables of the results: segments with their markers, joints, bones."""
 
 from collections.abc import Sequence
 
@@ -11,12 +11,12 @@ from ...markers.local import LocalFit
 from ...report.markers.markers import bones_between
 from ..console.console import say, table
 
-#: metres that a marker is out of its place, and the share of frames from which on that is told
+#: residual of a stray marker, metres, and the share of frames above which it is reported
 STRAY, OFTEN = 0.05, 0.02
 
 
 def tell_segments(found: LocalFit) -> None:
-    """A line for each segment: its markers with their weights of attachment; then the loose ones."""
+    """Print a row for each segment, with its markers and their attachment weights; then the loose ones."""
     labels, weights = found.markers.labels, found.segments.weights
     seen = np.any(np.asarray(found.markers.seen), axis=0)
     loose = [labels[m] for m in np.flatnonzero(found.segments.loose) if seen[m]]
@@ -40,13 +40,14 @@ def tell_segments(found: LocalFit) -> None:
 
 
 def tell_joints(found: LocalFit) -> None:
-    """A line for each joint: how far apart its two segments carry it, and how well its place is known."""
+    """Print a row for each joint: the residual between its two segments, and the precision of its
+    position."""
     names, rows = found.segments.names, []
     for joint in found.joints:
         if joint is None or names[joint.child] not in found.skeleton.names:
             continue
         hinge = joint.axis_in_parent is not None
-        # along a hinge's axis the centre is a matter of convention
+        # along a hinge's axis the centre is arbitrary
         across = joint.precision[:-1] if hinge else joint.precision
         rows.append(
             [
@@ -63,7 +64,8 @@ def tell_joints(found: LocalFit) -> None:
 
 
 def strays(labels: Sequence[str], residuals: Float[np.ndarray, "F M"]) -> tuple[str, ...]:
-    """A sentence where markers stay far from where the subject has them, which a median over all does not show."""
+    """Return a sentence about markers with frequent large residuals, which a median over all does not
+    show."""
     seen = np.isfinite(residuals)
     shares = ((residuals > STRAY) & seen).sum(0) / np.maximum(seen.sum(0), 1)
     found = [m for m in np.argsort(-shares, kind="stable") if shares[m] > OFTEN]
@@ -78,7 +80,8 @@ def strays(labels: Sequence[str], residuals: Float[np.ndarray, "F M"]) -> tuple[
 
 
 def tell_bones(found: LocalFit, calibrated: Calibration | None) -> None:
-    """A line for each bone between two joints: its length joint by joint, and by all together."""
+    """Print a row for each bone between two joints: its length from separate joints, and from the joint
+    fit."""
     rows = []
     bones = bones_between(found.skeleton)
     if calibrated is None:
@@ -102,7 +105,7 @@ def tell_bones(found: LocalFit, calibrated: Calibration | None) -> None:
 
 
 def table_of(rows: list[list[str]], head: list[str]) -> None:
-    """A table where there are rows."""
+    """Print a table, unless it has no rows."""
     if rows:
         say(f"bones between joints: {len(rows)}")
         table(head, rows)

@@ -17,7 +17,7 @@ from ..console.console import counted, say, table, warn
 from ..console.options import OptionalFile, OptionalUnit, arg
 from .takes import UNIT_ASKED
 
-#: characters of a marker's bar of time
+#: width of a marker's time bar, characters
 WIDTH = 40
 
 
@@ -70,7 +70,7 @@ class Info:
 
 
 def _gaps(frames: MarkerFrames, most: int) -> None:
-    """The table of gaps, the least seen first."""
+    """Print the table of gaps, sorted by visibility, the least visible marker first."""
     seen, gaps = np.asarray(frames.seen), gap_statistics(frames)
     gappy = np.flatnonzero(gaps.count)
     whole = 100 * seen.mean()
@@ -100,14 +100,14 @@ def _gaps(frames: MarkerFrames, most: int) -> None:
 
 
 def bar(seen: np.ndarray, width: int = WIDTH) -> str:
-    """Time from left to right: full where a marker is seen throughout, empty where never."""
+    """Format a time bar from left to right: full if a marker is always visible, empty if never."""
     marks = " ░▒▓█"
     try:
         marks.encode(sys.stdout.encoding or "ascii")
     except UnicodeEncodeError:
         marks = " .:+#"
     parts = np.array_split(seen, min(width, len(seen)))
-    # a short gap may not vanish in a bar: only a whole part is full, and only an empty one is empty
+    # short gaps must show: only a gapless part is full, and only a part without observations is empty
     shares = [float(part.mean()) for part in parts]
     inner = len(marks) - 3
     return "".join(

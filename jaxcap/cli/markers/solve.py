@@ -39,7 +39,7 @@ from .takes import (
 
 TrialsSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="TRIALS...", help_behavior_hint="")]]
 OptionalUp = Annotated[Up | None, arg(help_behavior_hint="")]
-#: markers that are listed, the worst first
+#: number of markers in the table, the worst first
 LISTED = 10
 
 
@@ -95,7 +95,7 @@ class Solve:
         )
         header = {**self.settings(), "subject": digest(self.subject)}
         doing("reading the trials")
-        # a trial that is wrong is told before any has results; one that changes from now on is solved as it is now
+        # an invalid trial is reported before any has results; later changes of a file are not read
         digests = {path: digest(path) for path in self.trials}
         trials = [read_take(path, self.unit, self.performer, self.up, self.pieces, "--performer") for path in self.trials]  # fmt: skip
         if self.into_folder:
@@ -111,7 +111,7 @@ class Solve:
                     say(f"{path}: solved before")
                     continue
                 doing(f"solving {path}")
-                # from now on results in the way are of this run
+                # from now on existing results belong to this run
                 write_solved(self.kept, header, solved)
                 try:
                     self.solve(subject, path, frames, terms)
@@ -128,11 +128,11 @@ class Solve:
 
     @property
     def kept(self) -> Path:
-        """The file of the trials that are solved."""
+        """The file of the solved trials."""
         return self.out.with_name(f"{self.out.name}.partial")
 
     def settings(self) -> dict[str, object]:
-        """What the results depend on, by the names that the user knows."""
+        """Collect the settings that affect the results, by the names of the options."""
         files = {"joints": self.joints, "filled": self.filled}
         names = ("unit", "performer", "up", "pieces", "stream", "floor", "limit_weight")
         terms = {"limits": self.limits, "prior": self.prior}
@@ -145,11 +145,11 @@ class Solve:
 
     @property
     def into_folder(self) -> bool:
-        """Whether results go into a folder, for one trial or several."""
+        """True if results go into a folder, for one trial or several."""
         return len(self.trials) > 1 or self.out.suffix.lower() not in MOTION_WRITERS
 
     def check(self) -> None:
-        """That options go together and results can be written. Raises `InputError`."""
+        """Check that options are compatible and results can be written. Raises `InputError`."""
         if not self.trials:
             raise InputError("There are no trials to solve; give .c3d, .trc or .csv files.")
         if len(self.trials) > 1 and self.out.suffix:
@@ -190,16 +190,16 @@ class Solve:
         return [file for path in self.trials for file in self.results_of(path)]
 
     def results_of(self, trial: str) -> list[Path]:
-        """The files of one trial."""
+        """List the output files of one trial."""
         return [*self.motions(trial), *self.named(self.joints, trial), *self.named(self.filled, trial)]
 
     def motions(self, trial: str) -> tuple[Path, ...]:
-        """The files of a trial's motion."""
+        """List the files of a trial's motion."""
         stem = Path(trial).stem
         return (self.out / f"{stem}.bvh", self.out / f"{stem}.npz") if self.into_folder else (self.out,)
 
     def named(self, files: tuple[Path, ...], trial: str) -> tuple[Path, ...]:
-        """Files for one trial, in the folder of all where there is one."""
+        """List the paths of files for one trial, in the output folder if there is one."""
         if not self.into_folder:
             return files
         return tuple(self.out / f"{Path(trial).stem}-{file.name}" for file in files)
@@ -262,7 +262,7 @@ class Solve:
 
 
 def _tell(subject: Subject, solution: MarkerSolution) -> None:
-    """Residuals over all, and the markers with the largest."""
+    """Print the residuals over all markers, and the markers with the largest ones."""
     kept = held_residuals(subject, solution.residuals, solution.lost)
     totals = total_residuals(kept)
     out = np.isfinite(kept) & (solution.weights < 0.5)

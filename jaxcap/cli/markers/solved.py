@@ -1,4 +1,4 @@
-"""The trials of a run that have their results, in one file that is replaced as a whole after each of them."""
+"""The solved trials of a run, in one file that is replaced atomically after each of them."""
 
 import hashlib
 import json
@@ -11,7 +11,7 @@ from ...io.table import write_json
 
 
 def digest(path: str | Path) -> str:
-    """The SHA-256 of a file. Raises `InputError` where it cannot be read."""
+    """Compute the SHA-256 of a file. Raises `InputError` if it cannot be read."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError as error:
@@ -19,10 +19,10 @@ def digest(path: str | Path) -> str:
 
 
 def read_solved(path: Path, header: Mapping[str, object]) -> dict[str, str]:
-    """Read the digests of the trials that are solved, by their paths; none where the file is not there.
+    """Read the digests of the solved trials, by their paths; empty if the file does not exist.
 
-    **Raises:** `InputError` where it is no such file, or its run was begun with another `header`: the first difference is
-    named.
+    **Raises:** `InputError` if the file is invalid, or its run has another `header`: the message names the
+    first difference.
     """
     if not path.is_file():
         return {}
@@ -40,5 +40,5 @@ def read_solved(path: Path, header: Mapping[str, object]) -> dict[str, str]:
 
 
 def write_solved(path: Path, header: Mapping[str, object], solved: Mapping[str, str]) -> None:
-    """Write the digests of the trials that are solved. Raises `InputError` where the file cannot be written."""
+    """Write the digests of the solved trials. Raises `InputError` if the file cannot be written."""
     write_json(path, {"run": header, "solved": solved})

@@ -1,4 +1,4 @@
-"""A trial solved frame by frame as live use would, with the time that each frame takes."""
+"""Frame-by-frame solution of a trial, as in live use, with the computing time of each frame."""
 
 import time
 from collections.abc import Sequence
@@ -26,12 +26,12 @@ class Latency(NamedTuple):
     seconds: Float[np.ndarray, "F"]
 
     def report(self) -> dict[str, float]:
-        """For JSON, seconds."""
+        """Return the statistics for JSON, seconds."""
         median, late, worst = self._figures()
         return {"median": median, "p99": late, "worst": worst, "frames": len(self.seconds)}
 
     def sentence(self) -> str:
-        """One line of it."""
+        """Format the statistics as one line."""
         median, late, worst = (1e3 * figure for figure in self._figures())
         return (
             f"latency: median {median:.2f} ms a frame, 99 % within {late:.2f} ms, the slowest {worst:.2f} ms "
@@ -49,9 +49,9 @@ class Latency(NamedTuple):
 def solve_streamed(
     subject: Subject, frames: MarkerFrames, terms: Sequence[AbstractEnergy] = ()
 ) -> tuple[MarkerSolution, Latency]:
-    """The motion through frames that come one by one, and how long each took.
+    """Solve the motion of frames that arrive one by one, and measure the time of each.
 
-    **Raises:** `ValueError` where frames and subject share no label.
+    **Raises:** `ValueError` if frames and subject share no label.
     """
     matched = match_markers(subject, frames)
     places, seen = np.asarray(matched.places), np.asarray(matched.seen)

@@ -1,4 +1,4 @@
-"""Takes of markers as verbs read them: options they share, pieces of trajectories, and what is up."""
+"""Input takes of the marker verbs: shared options, fragmented trajectories, and the up axis."""
 
 import os
 from collections.abc import Sequence
@@ -25,19 +25,19 @@ TakesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES..
 OptionalSubject = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Files = Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]
-#: what is done with trajectories that look like one under several names
+#: treatment of trajectories that look like one under several names
 Pieces = Literal["refuse", "join", "keep"]
-#: how a verb says that a unit looks wrong
+#: the advice to the user if a unit looks wrong
 UNIT_ASKED = "give --unit {} if it is"
 
 
 def read_take(
     path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces, chosen: str = "--subject"
 ) -> MarkerFrames:
-    """The markers of a file, turned so that y is up where `up` says what was; `chosen` is the option that
-    `subject` comes from.
+    """Read the markers of a file, rotated to y up if `up` gives the up axis; `chosen` is the name of the
+    option for `subject`.
 
-    **Raises:** `InputError` where the file is wrong, or has trajectories in pieces that are to be refused.
+    **Raises:** `InputError` if the file is invalid, or has fragmented trajectories that are to be refused.
     """
     file = read_marker_file(path, unit)
     frames = pick_subject(file.frames, path, subject, f"{chosen} {{}}")
@@ -75,7 +75,7 @@ def _whole(frames: MarkerFrames, path: str, join: bool) -> MarkerFrames:
 
 
 def check_points(paths: Sequence[Path], what: str) -> None:
-    """That files of points can be written. Raises `InputError`."""
+    """Check that files of points can be written. Raises `InputError`."""
     for path in paths:
         if path.suffix.lower() not in MARKER_WRITERS:
             raise InputError(
@@ -85,7 +85,7 @@ def check_points(paths: Sequence[Path], what: str) -> None:
 
 
 def check_folder(folder: Path | None) -> None:
-    """That a folder is there or can be made; it is made with the results. Raises `InputError`."""
+    """Check that a folder exists or can be made; it is made with the results. Raises `InputError`."""
     above = folder
     while above is not None and not above.exists() and above != above.parent:
         above = above.parent
@@ -96,7 +96,8 @@ def check_folder(folder: Path | None) -> None:
 
 
 def check_new(paths: Sequence[Path], overwrite: bool) -> None:
-    """That nothing is replaced unasked, and no two results are one file. Raises `InputError`."""
+    """Check that no file is replaced without --overwrite, and no two results are one file. Raises
+    `InputError`."""
     check_absent(paths, overwrite)
     if len({path.absolute() for path in paths}) < len(paths):
         raise InputError("Two results would be the same file; give each its own name.")
@@ -105,7 +106,7 @@ def check_new(paths: Sequence[Path], overwrite: bool) -> None:
 def write_joints(
     paths: Sequence[Path], skeleton: Skeleton, motion: Motion, lost: np.ndarray | None = None
 ) -> None:
-    """The joints' centres, as points with the joints' names."""
+    """Write the joint centres as points with the joints' names."""
     if paths:
         centres = joint_frames(skeleton, motion, lost)
         for path in paths:

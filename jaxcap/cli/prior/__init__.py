@@ -1,1 +1,1 @@
-"""`jaxcap prior`: what poses are likely, one file a verb."""
+"""`jaxcap prior`: the verbs of pose priors, one file per verb."""

@@ -1,4 +1,4 @@
-"""`jaxcap prior info`: what a prior has learned."""
+"""`jaxcap prior info`: the contents of a prior."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +37,8 @@ class Info:
 
 
 def tell_pairs(prior: PairPrior) -> None:
-    """A line for each pair: its Gaussians, the widest and the narrowest, and the likeliest turns."""
+    """Print a row for each pair: its Gaussians, the widest and the narrowest, and the rotation angles of its
+    mode."""
     rows = []
     for pair, weights, precisions, mode in zip(
         prior.pairs,
@@ -60,7 +61,7 @@ def tell_pairs(prior: PairPrior) -> None:
 
 
 def tell_boxes(boxes: PoseBoxes) -> None:
-    """A line for each joint: from where to where it turns, degrees about its own axes."""
+    """Print a row for each joint: its range of rotation, degrees about its own axes."""
     lower, upper = (np.degrees(np.asarray(bound, float)).tolist() for bound in (boxes.lower, boxes.upper))
     rows = [
         [name, *(f"{round(low)}° to {round(high)}°" for low, high in zip(*bounds, strict=True))]

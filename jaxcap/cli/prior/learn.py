@@ -1,4 +1,4 @@
-"""`jaxcap prior learn`: which poses are likely, from motions, and which shape, from meshes."""
+"""`jaxcap prior learn`: a pose prior from motions, and a shape prior from meshes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ from .shape import learn_shape
 
 OptionalMeshes = Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]
 
-#: sine of an angle by which bones may differ at rest: 3 degrees
+#: maximum sine of the angle between equal bones at rest: 3 degrees
 ALIKE = 0.05
 
 
@@ -99,7 +99,7 @@ class Learn:
         say(f"written: {self.out}")
 
     def check(self) -> None:
-        """That options are in their ranges and go together. Raises `InputError`."""
+        """Check that options are in range and compatible. Raises `InputError`."""
         if not self.motions:
             raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
         check_npz(self.out, self.overwrite, "a prior")
@@ -117,13 +117,13 @@ class Learn:
             raise InputError("--meshes are of a body; give it by --body.")
 
     def read(self, body: Body | None) -> tuple[Skeleton, list[Motion]]:
-        """The skeleton that the prior is of, and the thinned motions. Raises `InputError` where they are
-        of different skeletons, and cannot be carried over to the body's."""
+        """Read the skeleton of the prior, and the subsampled motions. Raises `InputError` if they are of
+        different skeletons, and cannot be retargeted to the body's."""
         pairs = [load_motion(path, self.unit) for path in self.motions]
         skeleton = pairs[0][0] if body is None else body.skeleton
         motions, carried = [], 0
         for path, (other, motion) in zip(self.motions, pairs, strict=True):
-            # a hair off, so that a rate that is not quite whole is thinned like a whole one
+            # a tolerance, so that a slightly inexact rate is subsampled like an integer one
             step = max(1, int(motion.rate / self.rate + 1e-3))
             motion = motion.slice(slice(None, None, step))
             if not same_bones(skeleton, other):
@@ -146,13 +146,13 @@ class Learn:
         return skeleton, motions
 
     def read_shape(self, body: Body | None) -> ShapePrior | None:
-        """The shape that meshes show; None where there are none."""
+        """Learn the shape prior of the meshes; None if there are none."""
         return learn_shape(body, self.meshes, self.unit or "m") if self.meshes and body is not None else None
 
 
 def same_bones(one: Skeleton, other: Skeleton) -> bool:
-    """Whether the rotations of one skeleton are those of the other: the same joints, whose bones point the same way at
-    rest, however long they are."""
+    """Check if rotations of one skeleton apply to the other: the same joints, with parallel bones at rest, of
+    any length."""
     if not same_joints(one, other):
         return False
     below = [joint for joint, parent in enumerate(one.parents) if parent >= 0]
@@ -165,7 +165,7 @@ def same_bones(one: Skeleton, other: Skeleton) -> bool:
 
 
 def tell(learned: tuple[LearnedPair, ...]) -> None:
-    """A line for each pair: its Gaussians, and how likely poses that were left out are."""
+    """Print a row for each pair: its Gaussians, and the likelihood of held-out poses."""
     rows = []
     for (above, below), chosen in learned:
         zeroed, all_of_them = num_zeroed(chosen.mixture.precisions)

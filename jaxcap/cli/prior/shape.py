@@ -14,15 +14,15 @@ from ...io.meshes.meshes import read_named_meshes
 from ..console.console import say, warn
 from ..fit import check_size, same_triangles
 
-#: more meshes of one body say little new, and a file grows with every one
+#: more meshes of one body add little, and a file grows with every one
 MOST_MESHES = 30
 
 
 def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
-    """The Laplacian vectors of the meshes that are posed most unlike each other, at most `MOST_MESHES`, and a
-    line that tells them.
+    """Compute the Laplacian vectors of the meshes with the most different poses, at most `MOST_MESHES`, and
+    print a line about them.
 
-    **Raises:** `InputError` where a file is wrong, or the meshes are not of the body.
+    **Raises:** `InputError` if a file is invalid, or the meshes are not of the body.
     """
     sequence, names = read_named_meshes(meshes, unit)
     check_size(body, sequence, meshes[0])

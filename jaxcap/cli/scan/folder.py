@@ -1,4 +1,4 @@
-"""The folder of a scanned motion: what is in it, and what it was begun with."""
+"""The folder of a scanned motion: its files, and the settings of its run."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ from ...io.system.atomic import replacing
 from ...io.table import write_json
 from ...io.text import read_json
 
-#: what the scans were made with
+#: the settings of the scans
 HEADER = "scan.json"
 CLOUDS = "clouds.npz"
 FILES = (HEADER, "cameras.json", "truth.npz", CLOUDS)
@@ -23,17 +23,17 @@ _SCAN = re.compile(r"scan_\d{4,}\.ply$")
 
 
 def frame_path(folder: Path, frame: int) -> Path:
-    """Where the scan of a frame is."""
+    """Return the path of the scan of a frame."""
     return folder / f"scan_{frame:04d}.ply"
 
 
 def begin_folder(
     folder: Path, settings: Mapping[str, object], inputs: tuple, resume: bool, overwrite: bool
 ) -> None:
-    """Make a folder ready for scans made with `settings` of `inputs`, whose arrays count.
+    """Prepare a folder for scans with `settings` of `inputs`, of which the arrays are compared.
 
-    **Raises:** `InputError` where it holds scans that are neither to be gone on
-    with nor to be replaced, or ones that were made with something else.
+    **Raises:** `InputError` if it contains scans without permission to resume or replace them, or scans with
+    other settings or inputs.
     """
     header = {**settings, **fingerprint(inputs)}
     scans = [path for path in folder.iterdir() if _SCAN.match(path.name)]
@@ -50,7 +50,7 @@ def begin_folder(
 
 
 def fingerprint(inputs: tuple) -> dict[str, str]:
-    """Hashes that tell whether body, motion and cameras are the same."""
+    """Compute hashes of body, motion and cameras."""
     found = {}
     for name, part in zip(("body", "motion", "cameras"), inputs, strict=True):
         digest = hashlib.sha256()
@@ -61,7 +61,7 @@ def fingerprint(inputs: tuple) -> dict[str, str]:
 
 
 def gather_clouds(folder: Path, count: int) -> None:
-    """All scans of a folder as one `.npz`, points and normals one after the other with their offsets."""
+    """Write all scans of a folder as one `.npz`, with concatenated points and normals and their offsets."""
     clouds = [read_mesh(frame_path(folder, frame)) for frame in range(count)]
     normals = [np.zeros_like(c.vertices) if c.normals is None else c.normals for c in clouds]
     offsets = np.cumsum([0, *(len(cloud.vertices) for cloud in clouds)])
@@ -75,7 +75,8 @@ def gather_clouds(folder: Path, count: int) -> None:
 
 
 def check_same_scans(path: Path, header: Mapping[str, object]) -> None:
-    """Check that scans were made with what a header says. Raises `InputError` that names the first difference."""
+    """Check that scans were made with the settings of a header. Raises `InputError` that names the first
+    difference."""
     if not path.is_file():
         raise InputError(
             f"{path}: this file, which tells how the scans were made, is missing; give --overwrite to begin anew."
@@ -83,7 +84,7 @@ def check_same_scans(path: Path, header: Mapping[str, object]) -> None:
     earlier = read_json(path)
     if not isinstance(earlier, dict):
         raise InputError(f"{path}: this file is damaged; give --overwrite to begin anew.")
-    # as JSON tells them, so that a tuple is a list
+    # converted by JSON, so that tuples compare equal to lists
     now = json.loads(json.dumps(header))
     changed = [name for name in now if name not in earlier or earlier[name] != now[name]]
     if changed:

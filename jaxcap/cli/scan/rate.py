@@ -1,4 +1,4 @@
-"""How many scans a second clouds are: as a user says, as the scanner wrote beside them, or as many as is usual."""
+"""The rate of the scans: from the user, from the scanner's file next to them, or the default."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from ..console.console import say
 from ..console.options import arg
 from .folder import HEADER
 
-#: where nothing says it
+#: default rate, frames a second
 USUAL = 30.0
 ScanRate = Annotated[
     float | None,
@@ -31,9 +31,9 @@ class Rate(NamedTuple):
 
 
 def rate_of(given: float | None, clouds: Sequence[str]) -> Rate:
-    """Return the rate that was given, else that of the scans, else the usual one.
+    """Return the given rate, or else that of the scans, or else the default.
 
-    **Raises:** `InputError` where what stands beside the clouds is no rate, or there are several.
+    **Raises:** `InputError` if the rate next to the clouds is invalid, or there are several.
     """
     if given is not None:
         return Rate(given)
@@ -49,13 +49,13 @@ def rate_of(given: float | None, clouds: Sequence[str]) -> Rate:
 
 
 def tell_rate(rate: Rate) -> None:
-    """Say a rate that a file says."""
+    """Print a rate that was read from a file."""
     if rate.file is not None:
         say(f"{rate.frames:g} frames a second, as {rate.file} says")
 
 
 def _beside(path: Path) -> Rate | None:
-    """The rate in a file of the scanner's; None where there is no such file, or it says none."""
+    """Read the rate in a scanner's file; None if there is no such file, or it has none."""
     if identify(path) != "scan":
         return None
     rate = read_json(path).get("rate")

@@ -1,4 +1,4 @@
-"""`jaxcap scan`: a body's motion as depth cameras around it would see it."""
+"""`jaxcap scan`: simulated depth camera scans of a body's motion."""
 
 import functools
 from collections import defaultdict
@@ -29,7 +29,7 @@ from ..track.results import make_writable
 from .folder import begin_folder, frame_path, gather_clouds
 
 _pose_body = eqx.filter_jit(pose_body)
-#: frames of a motion in which a camera has to see something
+#: number of frames in which a camera has to see part of the body at least once
 LOOKED_AT = 24
 
 
@@ -102,7 +102,7 @@ class Scan:
             self.scan_all(scanner, cameras, body, motion)
 
     def scan_all(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion) -> None:
-        """Scan all frames that are left, alone in the folder."""
+        """Scan all remaining frames, while the lock excludes other runs in the folder."""
         settings = {**self.settings(), "rate": motion.rate}
         begin_folder(self.out, settings, (body, motion, cameras), self.resume, self.overwrite)
         write_cameras(self.out / "cameras.json", cameras)
@@ -134,7 +134,7 @@ class Scan:
         )
 
     def check(self) -> None:
-        """That options are in their ranges, before anything is read. Raises `InputError`."""
+        """Check that options are in range, before any file is read. Raises `InputError`."""
         if self.seed < 0:
             raise InputError(f"--seed is {self.seed}; it must be at least 0.")
         if self.rate is not None and not 0 < self.rate < np.inf:
@@ -155,7 +155,7 @@ class Scan:
             )
 
     def scanner(self) -> Scanner:
-        """The scanner that the options describe. Raises `InputError`."""
+        """Make the scanner of the options. Raises `InputError`."""
         shared = set(Scanner._fields) & set(self.__dataclass_fields__)
         scanner = Scanner(**{name: getattr(self, name) for name in shared}, mesh=self.kind == "mesh")
         try:
@@ -166,13 +166,13 @@ class Scan:
         return scanner
 
     def settings(self) -> dict[str, object]:
-        """What scans depend on, by the names that the user knows."""
+        """Collect the settings that affect the scans, by the names of the options."""
         apart = ("body", "motion", "out", "cameras", "resume", "overwrite", "npz", "kind")
         names = [name for name in self.__dataclass_fields__ if name not in apart]
         return {"as": self.kind, **{name: getattr(self, name) for name in names}}
 
     def place(self, places: Float[np.ndarray, "F V 3"]) -> list[Camera]:
-        """The cameras, which all see something of the body somewhere. Raises `InputError`."""
+        """Make the cameras, and check that each sees part of the body in some frame. Raises `InputError`."""
         corners = places.reshape(-1, 3)
         low, high = corners.min(0), corners.max(0)
         if self.cameras is None:
@@ -186,7 +186,7 @@ class Scan:
         return cameras
 
     def scan(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion, frame: int) -> Fused:
-        """Scan one frame and write it. Raises `InputError` where no view sees anything."""
+        """Scan one frame and write it. Raises `InputError` if all views are empty."""
         vertices = np.asarray(_pose_body(body, motion[frame]).vertices, float)
         fused = scan_frame(scanner, cameras, vertices, np.asarray(body.faces), self.seed, frame)
         if len(fused.points) == 0 or (scanner.mesh and len(fused.faces) == 0):
@@ -199,7 +199,7 @@ class Scan:
 
 
 def thin_motion(motion: Motion, rate: float | None) -> Motion:
-    """The frames of a motion that are nearest to those of a lower rate, frames a second.
+    """Subsample a motion to a lower rate, frames a second, by the nearest frames.
 
     **Raises:** `InputError` for a higher rate than the motion's.
     """

@@ -1,4 +1,4 @@
-"""A tracked frame as a row of numbers, which a run that was stopped goes on from."""
+"""Encoding of a tracked frame as a row of numbers, from which a stopped run resumes."""
 
 import zlib
 from pathlib import Path
@@ -19,29 +19,29 @@ from ...fit.tracking.em import FrameStatistics
 from ...fit.tracking.recover import Patience, TrackedFrame, reasons_of, unseen_of, verdict_of
 from ...fit.tracking.track_frame import Tracker, start_state
 
-#: column of a row that tells its cloud, and numbers of a row in front of its pose
+#: column of a row with the hash of its cloud's name, and number of values before the pose
 CLOUD_AT, POSE_AT = 1, 2
 
 
 def whose_poses(skeleton: Skeleton) -> dict[str, object]:
-    """What tells one who follows a run where poses are in its rows, and whose."""
+    """Return the joint names and the offset of poses in a row, for readers that follow a run."""
     return {"joints": list(skeleton.names), "pose at": POSE_AT}
 
 
 def cloud_sum(name: str) -> float:
-    """A number that tells clouds apart, by the name of their file without its folder."""
+    """Hash the name of a cloud's file, without its folder, to a number."""
     return float(zlib.crc32(Path(name).name.encode("utf-8", "surrogateescape")))
 
 
 def pack(frame: TrackedFrame, seconds: float, cloud: str = "") -> Float[np.ndarray, "R"]:
-    """A frame as one row of numbers, exact in both precisions; `cloud` is its cloud's name."""
+    """Encode a frame as one row of numbers, exact in both precisions; `cloud` is its cloud's name."""
     return np.concatenate(
         [[seconds, cloud_sum(cloud)], *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(frame))]
     )
 
 
 def unpack(template: TrackedFrame, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame, float]:
-    """The frame of a row that `pack` made, to the last bit, with the shapes and types of a `row_template`."""
+    """Decode the frame of a row by `pack`, bit for bit, with the shapes and types of a `row_template`."""
     leaves, tree = jax.tree.flatten(template)
     numbers, at = [], POSE_AT
     for leaf in leaves:
@@ -67,7 +67,7 @@ class Results(NamedTuple):
 
 
 def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Results:
-    """Return the results in rows that `pack` made, or in their first `results_width` columns."""
+    """Decode the results in rows by `pack`, or in their first `results_width` columns."""
     leaves, tree = jax.tree.flatten(_results_in(template))
     arrays, at = [], POSE_AT
     for leaf in leaves:
@@ -80,7 +80,7 @@ def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Result
     judgements = jax.tree.map(np.asarray, judgements)
     verdicts: list[tuple[str, tuple[str, ...]]] = [("good", ())] * len(rows)
     unseen: list[tuple[str, ...]] = [()] * len(rows)
-    # of most frames there is nothing to tell: the others alone are looked at one by one
+    # most frames are plainly good: only the others are examined one by one
     plain = (judgements.shares.max((1, 2)) < judgements.doubt) & (judgements.support.min(1) >= UNSEEN)
     for number in np.flatnonzero(lost | ~plain):
         there = jax.tree.map(lambda leaf, row=number: leaf[row, ...], judgements)
@@ -91,7 +91,7 @@ def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Result
 
 
 def results_width(template: TrackedFrame) -> int:
-    """Count the numbers of a row that are results."""
+    """Count the values of a row that are results."""
     return POSE_AT + sum(np.size(leaf) for leaf in jax.tree.leaves(_results_in(template)))
 
 
@@ -100,15 +100,15 @@ def _results_in(frame: TrackedFrame) -> tuple[Pose, FrameStatistics, bool, Judge
 
 
 def row_width(template: TrackedFrame) -> int:
-    """Count the numbers of a row."""
+    """Count the values of a row."""
     return len(pack(template, 0.0))
 
 
 def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
     """Make a frame with the shapes and types of all frames of a run.
 
-    `like` is a pose of the precision that the run was begun with, the body's where not given. Samples the body's
-    surface, so make it once.
+    `like` is a pose of the precision that the run began with, that of the body by default. The function
+    samples the body's surface, so call it once.
     """
     pose = rest_pose(tracker.body.skeleton) if like is None else like
     number = jnp.zeros((), pose.rotations.dtype)

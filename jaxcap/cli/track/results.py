@@ -1,4 +1,4 @@
-"""The folder of a tracking run: what is in it, what it was begun with, what a frame is there."""
+"""The folder of a tracking run: its files, its fingerprint, and the columns of a frame."""
 
 import hashlib
 import os
@@ -23,10 +23,10 @@ FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
 
 def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> Path:
-    """The path of the journal in a folder, which is made where it is not there.
+    """Make a folder if it does not exist, and return the path of its journal.
 
-    **Raises:** `InputError` where it cannot be written to, or holds results that are neither to
-    be gone on with nor to be replaced.
+    **Raises:** `InputError` if it has no write access, or contains results without permission to resume or
+    replace them.
     """
     make_writable(folder)
     there = [name for name in (*FILES, journal) if (folder / name).exists()]
@@ -46,7 +46,7 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
 
 
 def make_writable(folder: Path) -> None:
-    """A folder that can be written to, made where it is not there. Raises `InputError`."""
+    """Make a folder if it does not exist, and check write access. Raises `InputError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK):
@@ -58,8 +58,8 @@ def make_writable(folder: Path) -> None:
 
 
 def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
-    """What tells that inputs are the same: hashes of the body with its limits and of the first
-    cloud. Clouds further on may be mended or added before a run goes on, behind those that are solved (`check_same_clouds`)."""
+    """Compute the fingerprint of the inputs: hashes of the body with its limits and of the first cloud. Later
+    clouds may be repaired, or added after the solved ones, before a run resumes (`check_same_clouds`)."""
     body = hashlib.sha256()
     for leaf in jax.tree.leaves(tracker):
         body.update(np.asarray(leaf).tobytes())
@@ -72,9 +72,10 @@ def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
 
 
 def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:
-    """That the frames of a run that goes on are those of the first clouds that are there now.
+    """Check that the frames of a resumed run are those of the first clouds present now.
 
-    **Raises:** `InputError` with the first that is another one, as where files were added in front of others.
+    **Raises:** `InputError` that names the first different one, for example if files were added before
+    others.
     """
     solved = journal.read(slice(CLOUD_AT, CLOUD_AT + 1))[:, 0]
     for number, (name, was) in enumerate(zip(names, solved, strict=False)):
@@ -88,13 +89,13 @@ def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:
 def write_results(
     folder: Path, skeleton: Skeleton, results: Results, rate: float, names: Sequence[str]
 ) -> None:
-    """Write motion and statistics of the frames of a run; `names` are those of the clouds."""
+    """Write the motion and the statistics of a run; `names` are those of the clouds."""
     motion = Motion(results.poses, rate)
     write_bvh(folder / "motion.bvh", skeleton, motion)
     save_motion(folder / "motion.npz", motion, skeleton, [verdict for verdict, _ in results.verdicts])
     statistics = results.statistics
     columns = {
-        # of a mean point, per metre^3: what expectation maximisation makes small
+        # per point, per metre^3: the objective that expectation maximisation minimises
         "energy": -statistics.log_likelihood,
         "sigma": statistics.sigma,
         "outlier_share": statistics.outlier_share,
@@ -106,7 +107,7 @@ def write_results(
     }
     rows = [
         {"frame": number, "cloud": Path(name).name, **dict(zip(columns, values, strict=True))}
-        # the names go on where a run was stopped
+        # a stopped run has fewer frames than names
         for number, (name, *values) in enumerate(
             zip(names, *(column.tolist() for column in columns.values()), strict=False)
         )

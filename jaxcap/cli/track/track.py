@@ -28,7 +28,7 @@ from .frame_records import pack, results_of, results_width, row_template, row_wi
 from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
 
 JOURNAL = "journal"
-#: of --initialise
+#: values of --initialise
 SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": False}
 
 
@@ -94,7 +94,7 @@ class Track:
         )
         rate = rate_of(self.rate, self.clouds)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
-        # the first cloud shows most of what may be wrong, before anything is written
+        # the first cloud shows most input errors, before any file is written
         load_cloud(scans, 0, body, self.up)
         tracker = self.tracker(body, terms)
         header = {**self.settings(), **fingerprint(tracker, scans), **whose_poses(body.skeleton)}
@@ -104,7 +104,8 @@ class Track:
             self.track(tracker, scans, rate, header)
 
     def track(self, tracker: Tracker, scans: Scans, rate: Rate, header: dict[str, object]) -> None:
-        """Track all frames that are left, and write the results, alone in the folder."""
+        """Track all remaining frames, and write the results, while the lock excludes other runs in the
+        folder."""
         path, body = check_folder(self.out, JOURNAL, self.resume, self.overwrite), tracker.body
         template = row_template(tracker)
         going_on = self.resume and path.is_file()
@@ -138,7 +139,7 @@ class Track:
             )
 
     def check(self) -> None:
-        """That options are in their ranges. Raises `InputError`."""
+        """Check that options are in range. Raises `InputError`."""
         wrong = {
             "--normal-angle": (
                 self.normal_angle,
@@ -158,7 +159,7 @@ class Track:
             raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
 
     def settings(self) -> dict[str, object]:
-        """The numbers on which the result depends, by the names that the user knows."""
+        """Collect the settings that affect the result, by the names of the options."""
         numbers = ("normal_angle", "sigma0", "outlier", "damping", "iterations", "limit_weight")
         choices = ("vertices", "unit", "up", "estimate_priors", "initialise")
         return {name: getattr(self, name) for name in (*numbers, *choices)}
@@ -173,7 +174,7 @@ class Track:
         return make_tracker(body, mixture, terms, iterations=self.iterations)
 
     def follow(self, tracker: Tracker, scans: Scans, journal: Journal, last: TrackedFrame | None) -> None:
-        """Track all frames behind the `last` of the journal, into it; fewer after Ctrl-C."""
+        """Track all frames after the `last` of the journal, and append them; Ctrl-C stops early."""
         steps = self.steps(tracker, scans, journal.count, last)
         try:
             for frame, took in progress(steps, len(scans), min(journal.count, len(scans))):
@@ -189,7 +190,7 @@ class Track:
     def steps(
         self, tracker: Tracker, scans: Scans, begin: int, last: TrackedFrame | None
     ) -> Iterator[tuple[TrackedFrame, float]]:
-        """Yield the frames from `begin` on, each with the seconds it took."""
+        """Yield the frames from `begin` on, each with its computing time in seconds."""
         return timed(
             track_frames(
                 tracker,
@@ -204,7 +205,7 @@ class Track:
 
 
 def announcing() -> Callable[[Search], None]:
-    """A function that says which frame is searched for and why, before that begins."""
+    """Return a function that prints the frame of a pose search and its reason, before the search begins."""
     compiled = False
 
     def announce(search: Search) -> None:

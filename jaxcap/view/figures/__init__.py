@@ -1,1 +1,1 @@
-"""What is drawn in a window: bodies, skeletons, points, light."""
+"""Figures of a window: bodies, skeletons, points, light."""

@@ -1,4 +1,4 @@
-"""Scans to look at: read when they are first seen, thinned to what a browser draws, and a few kept."""
+"""Scans for display: read on first use, subsampled for a browser, and cached."""
 
 import threading
 from collections import OrderedDict
@@ -9,14 +9,14 @@ from jaxtyping import Float, Int
 
 from ...io.meshes.clouds import Scans
 
-#: points of a scan that are drawn; more are not told apart on a screen
+#: maximum number of drawn points of a scan; more cannot be distinguished on a screen
 MOST = 20_000
-#: bytes of scans that are kept
+#: size of the cache of scans, bytes
 KEPT = 128 * 2**20
 
 
 class SeenCloud(NamedTuple):
-    """Points of one scan, metres, with their normals where the file has them."""
+    """The points of one scan, metres, with normals if the file has them."""
 
     name: str
     points: Float[np.ndarray, "N 3"]
@@ -24,10 +24,10 @@ class SeenCloud(NamedTuple):
 
 
 class SeenClouds:
-    """The scans of a sequence, for several windows at once.
+    """The scans of a sequence, shared by several windows.
 
-    **Arguments:** `scans`; `turn (3, 3)`, what brings them upright; `most` points of each, evenly over
-    the file's order and so over the surface.
+    **Arguments:** `scans`; `turn (3, 3)`, the rotation to upright; `most`, the maximum number of points of
+    each scan, sampled uniformly over the file's order and so over the surface.
     """
 
     def __init__(self, scans: Scans, turn: Float[np.ndarray, "3 3"] | None = None, most: int = MOST):
@@ -40,7 +40,8 @@ class SeenClouds:
         return len(self.scans)
 
     def __getitem__(self, frame: int) -> SeenCloud:
-        """One scan. Raises `InputError` where its file is wrong, as one that is still being written may be."""
+        """Return one scan. Raises `InputError` if its file is invalid, for example while it is still being
+        written."""
         with self._lock:
             if frame not in self._kept:
                 self._kept[frame] = self._read(frame)
@@ -57,8 +58,8 @@ class SeenClouds:
 
 
 def some_rows(count: int, most: int) -> Int[np.ndarray, "N"]:
-    """At most so many of the rows of an array, in order and the same ones for every array of a size. They are drawn by
-    chance, as a stride would alias with the rows of a depth picture."""
+    """Sample at most `most` row indices of an array, in order and the same ones for every array of one size.
+    The sample is random, as a stride would alias with the rows of a depth image."""
     if count <= most:
         return np.arange(count)
     return np.sort(np.random.default_rng(0).choice(count, most, replace=False))

@@ -1,20 +1,20 @@
-"""Places that an eye sees everything from."""
+"""Camera positions from which the whole scene is visible."""
 
 import numpy as np
 from jaxtyping import Float
 
-#: of all windows, radians; wider ones bend what is near
+#: field of view of all windows, radians; wider ones distort near objects
 FIELD = np.radians(40.0)
-#: from what is seen towards the eye, where y is up and z the front
+#: directions from the target to the camera; y is up and z the front
 BEGIN, FRONT, SIDE, TOP = "Begin", "Front", "Side", "Top"
 DIRECTIONS = {
     BEGIN: (0.22, 0.2, 1.0),
     FRONT: (0.0, 0.0, 1.0),
     SIDE: (1.0, 0.0, 0.0),
-    # not quite, as an eye that turns about the vertical must not look along it
+    # not exactly vertical, as an orbit camera must not look along its up axis
     TOP: (0.0, 1.0, 1e-3),
 }
-#: how much of the picture is filled
+#: share of the image that is filled
 FILLED = 0.88
 
 
@@ -25,10 +25,10 @@ def place_eye(
     height: float = 600.0,
     field: float = float(FIELD),
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Place an eye so that it sees a whole box, metres; returns where it is and what it looks at.
+    """Place a camera so that a whole box, metres, is visible; return its position and its target.
 
-    **Arguments:** `name` of a direction; `width` and `height` of the picture, pixels; `field` of view from top to
-    bottom, radians.
+    **Arguments:** `name` of a direction; `width` and `height` of the image, pixels; `field`, the vertical
+    field of view, radians.
     """
     back = np.array(DIRECTIONS[name]) / np.linalg.norm(DIRECTIONS[name])
     right = np.cross([0.0, 1.0, 0.0], back)

@@ -1,14 +1,13 @@
-"""A body in a window, by its surface.
+"""The surface of a body in a window.
 
-Every change of a number goes over the wire as that number's array and nothing else, and three.js
-writes it into the buffer that it has. For a surface of 5,000 vertices that is 60 kB a frame.
+Every change of an array sends that array and nothing else, and three.js writes it into its existing buffer.
+For a surface of 5,000 vertices that is 60 kB a frame.
 
-viser's plain mesh has one colour. Its meshes with colours at the vertices are `.glb` files: the
-browser parses a whole new one for each frame and shows nothing meanwhile, so a heat map in motion
-would flicker. A skinned mesh is sent by its bones alone, but bends by four bones a vertex and by
-linear blending, which is not what our skins do. So a coloured surface is one plain mesh for each
-colour of a palette, with the triangles that have it: faces are sent when they change colour, and
-vertices as they move. A palette of a dozen colours is what a legend tells apart, too.
+viser's plain mesh has one colour. Its meshes with vertex colours are `.glb` files: the browser parses a new
+one for each frame and shows nothing meanwhile, so an animated heat map would flicker. A skinned mesh is sent
+by its bones alone, but it uses linear blending of four bones a vertex, unlike our skins. So a coloured
+surface is one plain mesh for each colour of a palette, with the triangles of that colour: faces are sent when
+they change colour, and vertices when they move. A legend cannot distinguish more than a dozen colours either.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -26,20 +25,19 @@ else:
     SceneApi = Any
 
 Colour = tuple[int, int, int]
-#: of a body of which nothing else is said
+#: default colour of a body
 CLAY: Colour = (176, 186, 200)
-#: opacity of a body whose bones are seen
+#: opacity of a body whose bones are shown
 GLASS = 0.45
-#: a mesh must have a triangle: one of no size
+#: one degenerate triangle, as a mesh must have one
 NOTHING = np.zeros((1, 3), np.uint32)
 
 
 class BodyFigure:
-    """The surface of a body or a mesh, or its vertices as points where it has no faces.
+    """The surface of a body or a mesh, or its vertices as points if it has no faces.
 
-    **Arguments:** `scene` of a server (all browsers see it) or of one client; `name` in the tree of
-    the scene, such as `/body`; `body`; `colour`, red, green and blue to 255; `at (3,)` metres, where
-    the origin of its world stands.
+    **Arguments:** `scene` of a server (all browsers see it) or of one client; `name` in the scene tree, such
+    as `/body`; `body`; `colour`, red, green and blue to 255; `at (3,)` metres, the position of its origin.
     """
 
     def __init__(
@@ -62,16 +60,16 @@ class BodyFigure:
         self._whole = self._add_whole()
 
     def show(self, vertices: Float[Array, "V 3"] | Float[np.ndarray, "V 3"]) -> None:
-        """Move the vertices, metres. A figure that is not visible sends them when it is."""
+        """Move the vertices, metres. A hidden figure sends them when it is shown again."""
         self._vertices = np.asarray(vertices, np.float32)
         self._group.changed()
 
     def colours(
         self, classes: Int[np.ndarray, "V"] | None, palette: UInt8[np.ndarray, "K 3"] | None = None
     ) -> None:
-        """Paint every vertex with `palette[classes]`, or the whole with its own colour again (None).
+        """Colour every vertex with `palette[classes]`, or reset the surface to its own colour (None).
 
-        A triangle has the middle one of its corners' classes, so a palette in order makes bands.
+        A triangle has the median of its corners' classes, so an ordered palette makes bands.
         """
         if classes is None or palette is None:
             self._classes = self._palette = None
@@ -89,7 +87,7 @@ class BodyFigure:
 
     @property
     def translucent(self) -> bool:
-        """Whether what is inside shines through; points are as they are."""
+        """True if the surface is see-through; points are always opaque."""
         return self._translucent
 
     @translucent.setter
@@ -139,7 +137,7 @@ class BodyFigure:
 
 
 class _Part:
-    """The triangles of one colour, with the vertices that they touch and no others."""
+    """The triangles of one colour, with only the vertices that they use."""
 
     def __init__(self, scene: SceneApi, name: str):
         self._mesh = _surface(scene, name, np.zeros((1, 3), np.float32), NOTHING, CLAY)
@@ -153,7 +151,7 @@ class _Part:
             corners = faces[chosen]
             touched = np.zeros(len(vertices), bool)
             touched[corners] = True
-            # no face may name a vertex that is not there, not even for a moment
+            # no face may index a missing vertex, not even between two messages
             fewer = touched.sum() < len(self._kept)
             self._chosen, self._kept = chosen, np.flatnonzero(touched)
             corners = (np.cumsum(touched) - 1)[corners].astype(np.uint32)

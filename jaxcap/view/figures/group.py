@@ -1,4 +1,4 @@
-"""A node in a window that a figure hangs on, and which of its changes go over the wire."""
+"""The parent node of a figure in a window, which sends changes only while it is visible."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -10,10 +10,10 @@ else:
 
 
 class Group:
-    """What is hidden sends nothing while it is; what has changed meanwhile it sends when it is seen again.
+    """A scene node that sends nothing while it is hidden, and sends its last state when it is shown again.
 
-    **Arguments:** `scene` and `name` as of `BodyFigure`; `at (3,)` metres, where its origin stands; `send` writes a
-    figure as it is now to its nodes, which are below this one.
+    **Arguments:** `scene` and `name` as of `BodyFigure`; `at (3,)` metres, the position of its origin; `send`
+    writes the current state of a figure to its nodes, which are children of this one.
     """
 
     def __init__(self, scene: SceneApi, name: str, at: tuple[float, float, float], send: Callable[[], None]):
@@ -24,12 +24,12 @@ class Group:
         return self._node.visible
 
     def show(self, visible: bool) -> None:
-        """Show it or hide it."""
+        """Show or hide the node."""
         if visible and not self._node.visible:
             self._send()
         self._node.visible = visible
 
     def changed(self) -> None:
-        """Send the figure, now or when it is seen again."""
+        """Send the figure, now or when it is shown again."""
         if self._node.visible:
             self._send()

@@ -1,11 +1,11 @@
-"""Which point of a posed body a click means."""
+"""Picking: the point of a posed body that a click selects."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
 
-#: a click this share of the body's size beside a joint, or beside a vertex that has no triangle, means it
+#: radius of a click around a joint, or around a vertex without triangles, as a share of the body's size
 NEAR = 0.02
 
 
@@ -17,10 +17,11 @@ def pick_point(
     joints: Float[np.ndarray, "J 3"] | None = None,
     names: Sequence[str] = (),
 ) -> int | str | None:
-    """The point that a ray from `origin` along `direction` meets: the name of a joint, the index of a vertex, or None.
+    """Pick the point that a ray from `origin` along `direction` hits: a joint's name, a vertex index, or
+    None.
 
-    A joint that the ray passes by is meant, also behind the surface; joints that are not shown are not given. Else it
-    is the corner nearest to where the ray meets the first triangle, and where there are no triangles, the vertex
+    A joint near the ray is preferred, even behind the surface; joints that are not shown are not passed.
+    Otherwise it is the corner nearest to the ray's hit on the first triangle, or without triangles the vertex
     nearest to the ray.
     """
     direction = np.asarray(direction, float) / np.linalg.norm(direction)
@@ -43,7 +44,7 @@ def nearest_handle(
     direction: Float[np.ndarray, "3"],
     radius: float,
 ) -> int | None:
-    """The first of spheres with a `radius` in metres around `places` that a ray meets; None where it meets none."""
+    """Find the first sphere of `radius` metres around `places` that a ray hits; None if it hits none."""
     direction = np.asarray(direction, float) / np.linalg.norm(direction)
     along = (places - origin) @ direction
     beside = np.linalg.norm(places - origin - along[:, None] * direction, axis=1)
@@ -71,7 +72,7 @@ def _nearest_corner(
     corners = np.asarray(vertices[faces[triangle]], float)
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     steep = float(normal @ direction)
-    # Embree says which triangle; where the ray meets its plane is one division
+    # Embree gives the triangle; the intersection with its plane is one division
     along = (
         float(normal @ (corners[0] - origin)) / steep
         if steep

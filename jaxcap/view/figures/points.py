@@ -1,4 +1,4 @@
-"""Points in a window: scans, markers, and meshes that have no faces."""
+"""Points in a window: scans, markers, and meshes without faces."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 else:
     SceneApi = Any
 
-#: of a scan, and of markers
+#: colours of a scan and of markers
 SAND: Colour = (214, 160, 74)
 MARKER: Colour = (66, 138, 219)
-#: metres across
+#: diameter, metres
 DOT = 0.008
 
 
 class PointFigure:
-    """Points that move and change in number, of one colour or each of its own.
+    """Points that move and change in number, with one colour or one each.
 
     **Arguments:** `scene` and `name` as of `BodyFigure`; `colour`; `size` of a point, metres.
     """
@@ -34,10 +34,10 @@ class PointFigure:
         )  # fmt: skip
 
     def show(self, points: Float[np.ndarray, "N 3"], colours: UInt8[np.ndarray, "N 3"] | None = None) -> None:
-        """Move them, metres. Without points there is nothing to see."""
+        """Set the positions, metres. Without points the figure is hidden."""
         self.node.visible = len(points) > 0
         if len(points):
-            # colours of another number than the points must not meet them
+            # the numbers of colours and of points must agree after every message
             if colours is None or len(colours) != len(self.node.points):
                 self.node.colors = self._colour
             self.node.points = np.asarray(points, np.float32)
@@ -45,12 +45,12 @@ class PointFigure:
                 self.node.colors = colours
 
     def hide(self) -> None:
-        """Send nothing, and show nothing."""
+        """Hide the points; nothing is sent."""
         self.node.visible = False
 
 
 class LabelledPoints:
-    """Points with names beside them where they are asked for; one that is not seen has neither."""
+    """Points with optional name labels; a point that is not observed has neither dot nor label."""
 
     def __init__(
         self, scene: SceneApi, name: str, labels: Sequence[str], colour: Colour = MARKER, size: float = 0.016
@@ -60,7 +60,7 @@ class LabelledPoints:
         self._texts: list[Any] = []
 
     def show(self, places: Float[np.ndarray, "M 3"], seen: np.ndarray, names: bool) -> None:
-        """Move them, metres, those that are `seen (M,)`, with their names or without."""
+        """Set the positions, metres, of the observed points `seen (M,)`, with or without names."""
         self._points.show(places[seen])
         if names and not self._texts:
             self._texts = [
@@ -73,7 +73,7 @@ class LabelledPoints:
                 text.position = place
 
     def hide(self) -> None:
-        """Send nothing, and show nothing."""
+        """Hide the points and their names; nothing is sent."""
         self._points.hide()
         for text in self._texts:
             text.visible = False

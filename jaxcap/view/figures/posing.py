@@ -1,4 +1,4 @@
-"""The frames of a motion, posed ahead of the eye: chunks of one size in one compiled call, a few of them kept."""
+"""The posed frames of a motion, computed ahead in chunks of one size, one compiled call each, and cached."""
 
 import threading
 from collections import OrderedDict
@@ -18,24 +18,24 @@ from ...body.skeleton import Skeleton
 
 #: frames that are posed in one call
 CHUNK = 32
-#: bytes of posed vertices that are kept for each motion
+#: size of the cache of posed vertices of each motion, bytes
 KEPT = 256 * 2**20
 
 
 class PosedFrame(NamedTuple):
-    """What a window shows of a frame, metres."""
+    """The drawn geometry of one frame, metres."""
 
-    #: of the body, or none where there is a skeleton alone
+    #: vertices of the body; empty for a skeleton without a body
     vertices: Float[np.ndarray, "V 3"]
     joints: Float[np.ndarray, "J 3"]
-    #: of the bones from rest, with the pose's scale
+    #: rotations of the bones from rest, times the pose's scale
     rotations: Float[np.ndarray, "J 3 3"]
 
 
 class PosedMotion:
-    """A motion that may grow while it is looked at, by several windows at once.
+    """A motion that may grow while several windows show it.
 
-    **Arguments:** `skeleton`; its `body`, where there is one; `poses`, stacked.
+    **Arguments:** `skeleton`; its `body`, if any; `poses`, stacked.
     """
 
     def __init__(self, skeleton: Skeleton, body: Body | None, poses: Pose):
@@ -43,18 +43,18 @@ class PosedMotion:
         self._poses = [np.asarray(leaf) for leaf in (poses.translations, poses.rotations, poses.scale)]
         size = 4 * 3 * CHUNK * max(1, 0 if body is None else len(body.vertices))
         self._most = max(3, KEPT // size)
-        #: changes with every change of the frames
+        #: counter that increases with every change of the frames
         self.version = 0
         self._chunks: OrderedDict[int, tuple[int, Future]] = OrderedDict()
         self._lock = threading.Lock()
-        # one thread, so that what is ahead never takes more than a core from what is shown
+        # one thread, so that posing ahead takes at most one core from the shown frame
         self._worker = ThreadPoolExecutor(1)
 
     def __len__(self) -> int:
         return len(self._poses[2])
 
     def extend(self, poses: Pose) -> None:
-        """Add frames at the end."""
+        """Append frames."""
         added = (poses.translations, poses.rotations, poses.scale)
         with self._lock:
             self._poses = [
@@ -64,16 +64,16 @@ class PosedMotion:
             self.version += 1
 
     def replace(self, poses: Pose) -> None:
-        """Put other frames in place of all there are."""
+        """Replace all frames."""
         with self._lock:
             self._poses = [np.asarray(leaf) for leaf in (poses.translations, poses.rotations, poses.scale)]
             self._chunks.clear()
             self.version += 1
 
     def frame(self, number: int) -> PosedFrame:
-        """One frame, once it is posed; the chunk behind its own is then on its way."""
+        """Return one frame once it is posed, and start to pose the next chunk."""
         with self._lock:
-            # it may have become shorter since it was asked for its length
+            # the motion may have become shorter since the caller read its length
             chunk, row = divmod(min(number, len(self) - 1), CHUNK)
             posed = self._chunk(chunk, row)
             if (chunk + 1) * CHUNK < len(self):
@@ -81,7 +81,7 @@ class PosedMotion:
         return PosedFrame(*(values[row] for values in posed.result()))
 
     def _chunk(self, chunk: int, row: int) -> Future:
-        """A chunk that has its row, posed or on its way."""
+        """Return a chunk that contains `row`, posed or scheduled."""
         there = self._chunks.get(chunk)
         if there is None or there[0] <= row:
             start, end = chunk * CHUNK, min((chunk + 1) * CHUNK, len(self))

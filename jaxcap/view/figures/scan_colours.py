@@ -1,4 +1,4 @@
-"""Colours that say something: how far scans are from a body, and which part of it each point is taken for."""
+"""Colours of scans and bodies by scan distance and by body part posterior."""
 
 import functools
 from typing import NamedTuple
@@ -19,29 +19,29 @@ from ...report.pictures import HEAT
 from ...report.render import distinct_colours
 from .clouds import SeenCloud, some_rows
 
-#: colours of a heat map: bands that can be told apart
+#: number of colours of a heat map: bands that a viewer can distinguish
 BANDS = 12
-#: points that distances and posteriors are computed for; more would not be drawn otherwise
+#: number of points that get distances and posteriors; more would not look different
 JUDGED = 4_000
-#: metres of deviation where a run's statistics do not tell it
+#: default standard deviation, metres, if a run's statistics have none
 SIGMA = 0.02
-#: no scan was nearest to it
+#: colour of a vertex that is nearest to no scan point
 UNSEEN = (158, 163, 168)
 
 
 class ScanHeat(NamedTuple):
     """Distances between a scan and a surface, metres."""
 
-    #: of the points that were judged, and where they are
+    #: the sampled points, and their positions
     points: Float[np.ndarray, "N 3"]
     distances: Float[np.ndarray, "N"]
-    #: mean over the points nearest to the triangles around a vertex; NaN where there are none
+    #: mean over the points nearest to the triangles around a vertex; NaN if there are none
     vertices: Float[np.ndarray, "V"]
 
 
 @functools.cache
 def heat_palette() -> UInt8[np.ndarray, "13 3"]:
-    """The bands of the reports' heat maps, and behind them what was not seen; not to be written to."""
+    """Return the bands of the reports' heat maps, and last the colour of unobserved vertices; read-only."""
     from matplotlib.colors import LinearSegmentedColormap
 
     bands = LinearSegmentedColormap.from_list("heat", HEAT)((np.arange(BANDS) + 0.5) / BANDS)[:, :3]
@@ -51,8 +51,8 @@ def heat_palette() -> UInt8[np.ndarray, "13 3"]:
 
 
 def heat_classes(heat: Float[np.ndarray, "N"], limit: float) -> Int[np.ndarray, "N"]:
-    """The row of `heat_palette` of each distance, where the last band begins `limit / 12` below `limit`, the
-    unit of both, and holds all that is beyond. NaN is what was not seen."""
+    """Map each distance to its row of `heat_palette`. The last band begins `limit / 12` below `limit`, in the
+    same unit, and includes everything beyond. NaN maps to the colour of unobserved vertices."""
     known = np.isfinite(heat)
     bands = np.minimum(np.where(known, heat, 0.0) * (BANDS / limit), BANDS - 1).astype(int)
     return np.where(known, bands, BANDS)
@@ -61,9 +61,9 @@ def heat_classes(heat: Float[np.ndarray, "N"], limit: float) -> Int[np.ndarray, 
 def scan_heat(
     cloud: SeenCloud, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> ScanHeat:
-    """How far a scan is from a surface, exactly, at its points and on average at the vertices they are nearest to.
+    """Measure exact distances of a scan to a surface, at its points and averaged at their nearest vertices.
 
-    A body without faces is its vertices.
+    Without faces the distances are to the vertices.
     """
     points = cloud.points[some_rows(len(cloud.points), JUDGED)]
     sums = np.zeros((len(vertices), 2))
@@ -80,7 +80,7 @@ def scan_heat(
 
 
 def heat_legend(limit: float) -> str:
-    """A bar of the colours as HTML, with `limit` in metres."""
+    """Format a colour bar as HTML, with `limit` in metres."""
     colours = [f"rgb{tuple(int(value) for value in row)}" for row in heat_palette()[:BANDS]]
     stops = ", ".join(
         f"{colour} {100 * i / BANDS:.1f}% {100 * (i + 1) / BANDS:.1f}%" for i, colour in enumerate(colours)
@@ -96,11 +96,11 @@ def heat_legend(limit: float) -> str:
 
 
 class PartColours(eqx.Module):
-    """What the posterior of a body's parts at points needs of the body, and a colour for each part."""
+    """The inputs of the part posterior of a body, and a colour for each part."""
 
     body: Body
     parts: Parts
-    #: one for each joint, and one for what belongs to none
+    #: one colour for each joint, and the last for outliers
     palette: UInt8[np.ndarray, "K 3"]
 
     @property
@@ -110,7 +110,7 @@ class PartColours(eqx.Module):
 
 
 def make_part_colours(body: Body) -> PartColours:
-    """Colours of a body's parts, those of the reports' pictures."""
+    """Assign a colour to each part of a body, the same as in the reports' figures."""
     count = body.skeleton.num_joints
     palette = _with_unseen(distinct_colours(count))
     return PartColours(body, make_parts(body.skin.parts(), count, body.vertices), palette)
@@ -119,16 +119,16 @@ def make_part_colours(body: Body) -> PartColours:
 def posterior_colours(
     colours: PartColours, vertices: Float[np.ndarray, "V 3"], cloud: SeenCloud, sigma: float = SIGMA
 ) -> tuple[Float[np.ndarray, "N 3"], UInt8[np.ndarray, "N 3"]]:
-    """Some points of a scan, and the colours of the parts they are taken for, mixed by their posteriors; grey is
-    the share of no part (Kineben, eq. 20). `sigma` is the mixture's deviation, metres."""
+    """Sample points of a scan and colour them by part, mixed by their posteriors; grey is the share of
+    outliers (Kineben, eq. 20). `sigma` is the mixture's standard deviation, metres."""
     rows = some_rows(len(cloud.points), JUDGED)
     points = cloud.points[rows]
     if len(colours.body.faces) == 0:
-        # without a side to its vertices any normal will do
+        # vertices without faces have no side, so any normal will do
         normals = np.zeros_like(points)
     else:
         normals = estimate_normals(points) if cloud.normals is None else cloud.normals[rows]
-    # what is shown may be of any unit
+    # the unit of shown clouds is unknown
     judged = ordered_cloud(points, unit_normals(normals), np.ones(len(points)))
     found = _posterior(colours, np.asarray(vertices), judged, np.asarray(sigma))
     parts, weights, outlier = (
@@ -136,7 +136,7 @@ def posterior_colours(
     )
     palette = colours.palette.astype(float)
     mixed = np.einsum("nc,ncd->nd", weights, palette[parts]) + outlier[:, None] * palette[-1]
-    # what is left out of the likeliest parts is shared out among them
+    # normalise over the likeliest parts, as the others are left out
     total = weights.sum(1) + outlier
     mixed = mixed / np.maximum(total, 1e-9)[:, None]
     return np.asarray(judged.points)[: len(points)], np.clip(np.rint(mixed), 0, 255).astype(np.uint8)
@@ -150,5 +150,5 @@ def _posterior(colours: PartColours, vertices, cloud: Cloud, sigma):
 
 
 def _with_unseen(colours: Float[np.ndarray, "K 3"]) -> UInt8[np.ndarray, "L 3"]:
-    """Colours to 1 as a palette to 255, and behind them that of what was not seen."""
+    """Convert colours to 1 into a palette to 255, and append the colour of unobserved vertices."""
     return np.concatenate([np.rint(255 * colours), [UNSEEN]]).astype(np.uint8)

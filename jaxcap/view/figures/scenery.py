@@ -1,5 +1,5 @@
-"""The surroundings of the figures in a window: light, a background and a floor, from which bodies, bones and scans stand
-out."""
+"""The surroundings of the figures in a window: light, a background and a floor, in contrast to bodies, bones
+and scans."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -10,14 +10,15 @@ if TYPE_CHECKING:
 else:
     GridHandle = SceneApi = Any
 
-#: of the background, above and below; light enough for titles, dark enough for a grey body
+#: colours of the background, above and below; light enough for titles, dark enough for a grey body
 SKY, HORIZON = (247, 249, 252), (196, 205, 217)
 FLOOR, LINES, SECTIONS = (176, 184, 195), (150, 159, 172), (112, 122, 138)
 
 
 def add_light(scene: SceneApi) -> None:
-    """Light a scene by the sky, the ground and a sun without shadows. viser's own picture of surroundings and its
-    shadows look no better on a grey body, and take a browser that draws in software three times as long."""
+    """Light a scene by a hemisphere light and a sun without shadows. viser's own environment map and its
+    shadows look no better on a grey body, and software rendering in a browser takes three times as long with
+    them."""
     scene.configure_default_lights(False)
     scene.configure_environment_map(None)
     scene.add_light_hemisphere("/lights/sky", ground_color=(120, 116, 112), intensity=2.2)
@@ -25,7 +26,7 @@ def add_light(scene: SceneApi) -> None:
 
 
 def add_background(scene: SceneApi) -> None:
-    """Put a background behind everything that goes from light above to a darker grey below."""
+    """Set a background image with a gradient from light above to a darker grey below."""
     share = np.linspace(0.0, 1.0, 256)[:, None, None] ** 1.5
     rows = (1 - share) * np.array(SKY) + share * np.array(HORIZON)
     scene.set_background_image(np.tile(rows, (1, 16, 1)).round().astype(np.uint8), format="png")

@@ -1,4 +1,4 @@
-"""A skeleton in a window, by its bones and the frames and names of its joints."""
+"""A skeleton in a window: its bones, and the frames and names of its joints."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 else:
     SceneApi = Any
 
-#: of bones
+#: default colour of bones
 BONE: Colour = (226, 122, 42)
 
 
 class SkeletonFigure:
-    """The joints of a skeleton, its bones as solids between them, and, where asked for, the axes of
-    every joint's own frame (x, its twist axis, in red) and its name.
+    """The joints of a skeleton, its bones as solids, and optionally the axes of every joint's local frame (x,
+    its twist axis, in red) and its name.
 
     **Arguments:** as of `BodyFigure`; `colour` is that of the bones.
     """
@@ -54,7 +54,7 @@ class SkeletonFigure:
             f"{name}/joints", self._joints, colour, point_size=self._size(0.015), point_shape="circle",
             precision="float32", point_shading="gradient",
         )  # fmt: skip
-        # made when they are first asked for, as most windows never do
+        # created on first use, as most windows never show them
         self._axes: Any = None
         self._labels: list[Any] = []
         self._frames = self._names = False
@@ -64,9 +64,9 @@ class SkeletonFigure:
         joints: Float[Array, "J 3"] | Float[np.ndarray, "J 3"],
         rotations: Float[Array, "J 3 3"] | Float[np.ndarray, "J 3 3"],
     ) -> None:
-        """Move the joints, metres, and turn their frames: `Posed.joints` and `Transforms.rotations`.
+        """Set the joint positions, metres, and their frames: `Posed.joints` and `Transforms.rotations`.
 
-        A figure that is not visible sends them when it is.
+        A hidden figure sends them when it is shown again.
         """
         self._joints = np.asarray(joints, np.float32)
         self._rotations = np.asarray(rotations, float)
@@ -82,7 +82,7 @@ class SkeletonFigure:
 
     @property
     def frames(self) -> bool:
-        """Whether the joints' own frames are shown."""
+        """True if the joints' local frames are shown."""
         return self._frames
 
     @frames.setter
@@ -103,7 +103,7 @@ class SkeletonFigure:
 
     @property
     def names(self) -> bool:
-        """Whether the joints' names stand beside them."""
+        """True if the joints' names are shown."""
         return self._names
 
     @names.setter
@@ -132,25 +132,25 @@ class SkeletonFigure:
                 label.position = joint
 
     def _wxyzs(self) -> np.ndarray:
-        # SciPy takes a pose's scale off
+        # SciPy removes the pose's scale
         return (
             Rotation.from_matrix(self._rotations @ self._rest).as_quat(scalar_first=True).astype(np.float32)
         )
 
     def _size(self, share: float) -> float:
-        """A length in proportion to the skeleton: a hand's frames are not those of a body."""
+        """Scale a length with the skeleton, as a hand's frames are smaller than a body's."""
         return share * float(np.ptp(np.asarray(self.skeleton.centres), axis=0).max() or 1.0)
 
 
 def bone_solids(
     bones: Float[np.ndarray, "B 2 3"], thickness: float
 ) -> tuple[Float[np.ndarray, "6*B 3"], UInt32[np.ndarray, "8*B 3"]]:
-    """Return the vertices and triangles of a slim octahedron for each bone from its joint to the next, thickest near
-    its own joint, at most `thickness` metres from its axis."""
+    """Return the vertices and triangles of a slim octahedron for each bone, from its joint to the next,
+    thickest near its own joint, with a radius of at most `thickness` metres."""
     begin, along = bones[:, 0], bones[:, 1] - bones[:, 0]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     axis = along / np.maximum(length, 1e-12)
-    # the axis of the world that is least along the bone
+    # the world axis least parallel to the bone
     other = np.eye(3)[np.argmin(np.abs(axis), axis=1)]
     first = np.cross(axis, other)
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
@@ -166,7 +166,7 @@ def bone_solids(
 def sample_bones(
     skeleton: Skeleton, joints: Float[np.ndarray, "J 3"]
 ) -> tuple[Float[np.ndarray, "N 3"], list[str]]:
-    """Return points along the bones, joints first, with the name of the bone that each one is on."""
+    """Return points along the bones, joints first, and the name of each point's bone."""
     names, points = list(skeleton.names), [np.asarray(joints)]
     for joint, parent in enumerate(skeleton.parents):
         if parent >= 0:

@@ -1,1 +1,1 @@
-"""A window in which a body is posed by hand."""
+"""The window to pose a body by hand."""

@@ -1,4 +1,4 @@
-"""The knobs of inverse kinematics in one window. They ask for verbs, and tell what a session is."""
+"""The controls of inverse kinematics in one window. They request edits and show the state of a session."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 else:
     ClientHandle = HotkeyKey = Any
 
-#: what the solvers are called on a knob
+#: labels of the solvers
 SOLVERS: dict[str, Solver] = {
     "Levenberg-Marquardt": "levenberg-marquardt",
     "Gauss-Newton": "gauss-newton",
@@ -27,9 +27,9 @@ NOTHING = "no constraint is chosen"
 
 
 class IkControls:
-    """**Arguments:** `client`; the `session` that its knobs begin with; `ask` takes a verb; `hold` a point
-    to be held; `redraw` is called where only the picture changes; `save` takes a suffix, `load` a file's name and
-    content; `see` the name of a direction to look from."""
+    """**Arguments:** `client`; the `session` that sets the initial values; `ask` receives an edit; `hold` a
+    point to constrain; `redraw` is called if only the display changes; `save` takes a suffix, `load` a file's
+    name and content; `see` the name of a direction to look from."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class IkControls:
         clear.on_click(lambda event: ask(ik.remove_all))
         self._remove.on_click(lambda event: self._of_selected(ik.remove_constraint))
         self._turn.on_click(lambda event: self._of_selected(ik.free_orientation))
-        # values that are set here call these, too; a browser's has a client
+        # these are called for values set by the program, too; only a browser's event has a client
         self._weight.on_update(lambda event: event.client and self._of_selected(ik.weigh, event.target.value))
         self._pinned.on_update(lambda event: event.client and self._of_selected(ik.pin, event.target.value))
         self._arrows.on_update(lambda event: self._see(arrows=event.target.value))
@@ -106,7 +106,7 @@ class IkControls:
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda event: ask(ik.redo))
 
     def draw(self, session: IkSession, selected: int | str | None, note: str) -> None:
-        """Tell what a session is, and what is wrong."""
+        """Show the state of a session, and an error message."""
         self._selected = selected
         chosen = next((one for one in session.state.constraints if one.point == selected), None)
         _put(self._note, "content", as_markdown(note))
@@ -160,6 +160,6 @@ def _told(session: IkSession) -> str:
 
 
 def _put(knob: Any, name: str, value: Any) -> None:
-    """Set what is different, as everything that is set goes over the wire."""
+    """Set a value only if it differs, as every assignment is sent to the browser."""
     if getattr(knob, name) != value:
         setattr(knob, name, value)

@@ -1,4 +1,4 @@
-"""Poses and constraints that go to the browser's user and come from there, as the files that all verbs read."""
+"""Poses and constraints that a browser downloads and uploads, in the file formats of the command line."""
 
 import tempfile
 from pathlib import Path
@@ -13,7 +13,7 @@ from ...io.skeletons.body_motion import read_motion_of
 
 
 def pose_file(session: IkSession, suffix: str) -> bytes:
-    """The pose as a motion of one frame, `.npz` or `.bvh`."""
+    """Encode the pose as a motion of one frame, `.npz` or `.bvh`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"pose{suffix}"
         write_motion(path, session.body.skeleton, stack_poses([session.state.pose]))
@@ -21,7 +21,7 @@ def pose_file(session: IkSession, suffix: str) -> bytes:
 
 
 def constraints_file(session: IkSession) -> bytes:
-    """The constraints as JSON."""
+    """Encode the constraints as JSON."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "constraints.json"
         write_constraints(path, session.state.constraints, session.body)
@@ -29,9 +29,9 @@ def constraints_file(session: IkSession) -> bytes:
 
 
 def with_file(session: IkSession, name: str, content: bytes) -> IkSession:
-    """The session with the constraints of a `.json` file, or with the first pose of a motion.
+    """Load the constraints of a `.json` file, or the first pose of a motion, into a session.
 
-    **Raises:** `InputError` that names the file where it is neither, or of another body.
+    **Raises:** `InputError` that names the file if it is neither, or is of another body.
     """
     suffix = Path(name).suffix.lower()
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Handles that a hand drags in a window: a ball at a target, and a line to the point that is to reach it."""
+"""Draggable handles in a window: a ball at a target, and a line to the constrained point."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,25 +14,25 @@ else:
     SceneApi = SceneNodeDragEvent = TransformControlsEvent = Any
 
 Phase = Literal["start", "update", "end"]
-#: what is told of a drag: which point, how far it is, where its target is now, and how a joint is turned
+#: callback of a drag: the point, the phase, the target position, and the rotation of a joint
 Told = Callable[[int | str, Phase, Place | None, Turn | None], None]
 
-#: of a target that is met, that is not, and that is pinned
+#: colours of a target that is reached, that is not, and that is pinned
 MET: Colour = (72, 168, 92)
 APART: Colour = (212, 64, 56)
 PINNED: Colour = (58, 110, 200)
 LINE: Colour = (60, 60, 60)
-#: of the dot at a point, in the radius of its ball
+#: radius of the dot at a point, relative to its ball
 DOT = 0.35
-#: a point within so many metres of its target has met it
+#: distance below which a target counts as reached, metres
 CLOSE = 0.005
 
 
 class Handles:
     """The handles of one window's constraints.
 
-    **Arguments:** `scene` of one client; `radius` of the balls, metres; `told` is called while a hand drags one,
-    in viser's own loop, so it must not wait.
+    **Arguments:** `scene` of one client; `radius` of the balls, metres; `told` is called during a drag in
+    viser's event loop, so it must not block.
     """
 
     def __init__(self, scene: SceneApi, radius: float, told: Told):
@@ -43,8 +43,8 @@ class Handles:
         self._made = 0
 
     def resize(self, radius: float) -> None:
-        """Give all balls another radius, metres."""
-        # the size of a ball goes over the wire
+        """Set the radius of all balls, metres."""
+        # only for a visible change, as each new size is sent to the browser
         if abs(radius - self.radius) > 0.1 * self.radius:
             self.radius = radius
             for ball in self._balls.values():
@@ -58,8 +58,8 @@ class Handles:
         selected: int | str | None,
         arrows: bool,
     ) -> None:
-        """Draw a handle for each constraint, whose point is at its place, and for joints is turned so; with arrows
-        at the selected one."""
+        """Draw a handle for each constraint, with the current positions and rotations of its point; with
+        arrows at the selected one."""
         here = {constraint.point for constraint in constraints}
         for point in [point for point in self._balls if point not in here]:
             self._balls.pop(point).remove()
@@ -91,7 +91,7 @@ class Handles:
 
 
 class _Handle:
-    """One ball, its line, and the dot at the point itself."""
+    """A ball, its line, and the dot at the constrained point."""
 
     def __init__(self, scene: SceneApi, name: str, constraint: Constraint, radius: float, told: Told):
         self.point, self.held = constraint.point, False
@@ -102,7 +102,7 @@ class _Handle:
         )
         self._dot = scene.add_icosphere(f"{name}/dot", DOT * radius, LINE, subdivisions=1, cast_shadow=False)
         self._ball = scene.add_icosphere(f"{name}/ball", radius, APART, subdivisions=2, cast_shadow=False)
-        # in the plane that faces the eye, under the mouse; async, as only these keep their order
+        # in the plane that faces the camera, under the mouse; async, as only async callbacks keep their order
         self._ball.on_drag("left")(self._dragged)
 
     def show(self, constraint: Constraint, place: Place, selected: bool) -> None:
@@ -127,7 +127,7 @@ class _Handle:
 
     async def _dragged(self, event: SceneNodeDragEvent) -> None:
         if event.phase == "start":
-            # where the ball was taken stays under the mouse
+            # the grabbed point of the ball stays under the mouse
             self.held, self._offset = True, self._target - np.array(event.start_position)
         place = _place(np.array(event.end_position) + self._offset)
         if event.phase == "end":
@@ -138,7 +138,7 @@ class _Handle:
 
 
 class _Arrows:
-    """Arrows along the axes at one handle, and rings for a joint's turn."""
+    """Translation arrows at one handle, and rotation rings for a joint."""
 
     def __init__(self, scene: SceneApi, point: int | str, size: float, told: Told):
         self.point, self.held = point, False
@@ -165,7 +165,7 @@ class _Arrows:
             self.held, self._before = True, np.array(event.target.wxyz)
         place = _place(np.array(event.target.position))
         turn = np.array(event.target.wxyz, float)
-        # a joint that was only moved may turn as before
+        # a joint that was only moved keeps a free rotation
         turned = isinstance(self.point, str) and float(np.abs(turn - self._before).max()) > 1e-4
         if event.phase == "end":
             self.held = False

@@ -1,4 +1,4 @@
-"""What the browser asks for, until the one thread that solves has time for it."""
+"""The queue of requests from the browser to the solver thread."""
 
 import threading
 from collections.abc import Hashable
@@ -7,15 +7,15 @@ from ...edit.ik.session import Verb
 
 
 class Inbox:
-    """Verbs in their order; of the moves of one drag only the newest is kept, so that a solver that is slower than the
-    hand is never behind it."""
+    """A queue of edits in order. Of the moves of one drag only the newest is kept, so that a solver slower
+    than the hand does not lag behind."""
 
     def __init__(self):
         self._waiting: list[tuple[Hashable, Verb]] = []
         self._something = threading.Condition()
 
     def put(self, verb: Verb, kind: Hashable = None) -> None:
-        """Add a verb; in place of the last one where both are of the same kind, unless that is None."""
+        """Append an edit, or replace the last one if both have the same `kind` that is not None."""
         with self._something:
             if kind is not None and self._waiting and self._waiting[-1][0] == kind:
                 self._waiting.pop()
@@ -23,7 +23,7 @@ class Inbox:
             self._something.notify_all()
 
     def take(self, seconds: float) -> list[Verb]:
-        """All there are, or none if none comes for so long."""
+        """Take all waiting edits; wait up to `seconds` for the first."""
         with self._something:
             if not self._waiting:
                 self._something.wait(seconds)

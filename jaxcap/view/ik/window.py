@@ -1,8 +1,6 @@
-"""Inverse kinematics in a window: click a point of the body, drag it, and the body follows (Kineben, section 4.2.1).
-
-Each browser has a session of its own, and one thread that solves for it. What a hand drags faster than that thread solves
-is passed over: it always takes the newest target.
-"""
+"""Inverse kinematics in a window: click a point of the body and drag it, and the body follows (Kineben,
+section 4.2.1). Each browser has its own session and its own solver thread. The solver always takes the newest
+target; targets that arrive while it runs are skipped."""
 
 import threading
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -37,26 +35,26 @@ if TYPE_CHECKING:
 else:
     ClientHandle = SceneClickEvent = ViserServer = Any
 
-#: seconds in which a browser that has closed is noticed
+#: seconds within which a closed browser is noticed
 PATIENCE = 0.25
-#: radius of a handle's ball on the screen, pixels: 24 across are hit without aiming
+#: radius of a handle's ball on the screen, pixels: a diameter of 24 is easy to hit
 BALL = 12.0
-#: and in the body's size, at least and at most
+#: its minimum and maximum, relative to the body's size
 BALLS = (0.004, 0.04)
-#: about a click
+#: the answer to a click that hits nothing
 NOTHING = "There is nothing where you clicked: click the body to hold a point, or drag a ball."
 
 
 class Shown(NamedTuple):
-    """What of a session a window has drawn, metres."""
+    """The geometry of a session that a window has drawn, metres."""
 
     vertices: Float[np.ndarray, "V 3"]
     joints: Float[np.ndarray, "J 3"]
 
 
 def serve_ik(server: ViserServer, session: IkSession) -> list["IkWindow"]:
-    """Give every browser that comes a window with a session that begins as `session`. The list that comes back holds the
-    windows that are open."""
+    """Open a window for every browser that connects, with a session that begins as `session`. The returned
+    list holds the open windows."""
     windows: list[IkWindow] = []
 
     def visit(client: ClientHandle, gone: threading.Event) -> None:
@@ -72,12 +70,12 @@ def serve_ik(server: ViserServer, session: IkSession) -> list["IkWindow"]:
 
 
 class IkWindow:
-    """One browser's window; its `session` changes in the thread of `run` alone."""
+    """The window of one browser; only the thread of `run` changes its `session`."""
 
     def __init__(self, client: ClientHandle, session: IkSession):
         self.client, self.session = client, session
         self.selected: int | str | None = None
-        #: what was wrong with what was asked for last, in a sentence
+        #: the error of the last request, in a sentence
         self.note = "Preparing the solver."
         self._inbox, body = Inbox(), session.body
         with client.atomic():
@@ -105,9 +103,9 @@ class IkWindow:
         client.scene.on_click()(self._clicked)
 
     def run(self, gone: threading.Event) -> None:
-        """Do what is asked for and show it, until the browser closes."""
+        """Apply requests and show the result, until the browser closes."""
         self._resize()
-        # the first solve compiles, better before a hand waits for it; it changes nothing
+        # the first solve compiles, before a user waits for it; it changes nothing
         preparing = self.note
         self._tried(ik.solved)
         self.note = "" if self.note == preparing else self.note
@@ -125,7 +123,7 @@ class IkWindow:
                     self.shown = self._show()
 
     def camera(self, name: str) -> None:
-        """Turn the eye to the body, from a direction of `eye.DIRECTIONS`."""
+        """Set the camera to view the body, from a direction of `eye.DIRECTIONS`."""
         camera = self.client.camera
         camera.fov = float(FIELD)
         places = self.shown.vertices if name != BEGIN else self._home
@@ -133,12 +131,12 @@ class IkWindow:
         size = float(camera.image_width), float(camera.image_height)
         eye, target = place_eye(box, name, *size, camera.fov)
         with self.client.atomic():
-            # in this order, as what is looked at moves with the eye
+            # in this order, as the target moves with the camera
             camera.position = eye
             camera.look_at = target
 
     def _resize(self) -> None:
-        """Keep the balls as large on the screen, however far the eye is."""
+        """Keep the balls at one size on the screen at any camera distance."""
         camera = self.client.camera
         away = float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
         pixel = 2 * away * np.tan(camera.fov / 2) / max(camera.image_height, 1)
@@ -151,12 +149,12 @@ class IkWindow:
         except ValueError as error:
             self.note = sentence_of(error)
         except Exception as error:
-            # whatever a solver or an energy of somebody's own may raise: the session before it is whole
+            # a solver or a user's energy may raise anything: the session before it is intact
             self.note = f"This could not be done ({type(error).__name__}: {error}); the pose is as it was."
         return self.session
 
     def _unfinished(self) -> bool:
-        """Whether a drag goes on whose last solve had too few steps."""
+        """Check if a drag goes on and its last solve ran out of steps."""
         solution = self.session.solution
         if self.session.grabbed is None or solution is None:
             return False
@@ -184,7 +182,7 @@ class IkWindow:
         return Shown(vertices, joints)
 
     def _clicked(self, event: SceneClickEvent) -> None:
-        """A handle is chosen, a point of the body held."""
+        """Select the clicked handle, or constrain the clicked point of the body."""
         shown, session = self.shown, self.session
         eye, ray = np.array(event.ray_origin), np.array(event.ray_direction)
         held = session.state.constraints
@@ -251,7 +249,7 @@ def _missed(session: IkSession) -> IkSession:
 def posed_arrays(
     body: Body, pose: Pose
 ) -> tuple[Float[Array, "V 3"], Float[Array, "J 3"], Float[Array, "J 3 3"]]:
-    """The vertices, the joints and the bones' turns of a posed body, in single precision for a window."""
+    """Compute the vertices, joints and bone rotations of a posed body, in single precision for a window."""
     posed = pose_body(body, pose)
     found = posed.vertices, posed.joints, posed.transforms.rotations
     return jax.tree.map(lambda values: values.astype(jnp.float32), found)

@@ -1,1 +1,1 @@
-"""Windows in a browser, and the server that opens them."""
+"""Windows in a browser, and their server."""

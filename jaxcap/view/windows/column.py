@@ -1,4 +1,4 @@
-"""A place in a window where one take stands, with the scans it is compared with."""
+"""One take in a window, with the scans it is compared with."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -32,17 +32,17 @@ else:
     SceneApi = Any
 
 PLAIN, DISTANCE, POSTERIOR = "plain", "distance to the scan", "parts of the posterior"
-#: of takes beside each other
+#: colours of the takes side by side
 TAKES: tuple[Colour, ...] = (CLAY, (121, 178, 160), (201, 151, 166), (158, 154, 205), (200, 183, 120))
-#: the same of bones without a surface
+#: colours of the bones of takes without a surface
 BONES: tuple[Colour, ...] = (BONE, (52, 120, 190), (62, 150, 92), (190, 74, 96), (126, 88, 178))
-#: frames whose distances are kept; each is some 80 kB
+#: number of frames in the cache of distances; each is some 80 kB
 HEATS = 1_000
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What one browser has chosen to see."""
+    """The display choices of one browser."""
 
     surface: bool = True
     skeleton: bool = False
@@ -51,26 +51,26 @@ class Choice:
     scan: bool = True
     markers: bool = True
     colours: str = PLAIN
-    #: where the scale of distances ends, metres
+    #: upper end of the scale of distances, metres
     limit: float = 0.02
 
 
 class Look(NamedTuple):
-    """What a column shows of one moment."""
+    """The computed appearance of a column at one time."""
 
     posed: PosedFrame | None
     #: colours of the vertices
     classes: Int[np.ndarray, "V"] | None
     palette: UInt8[np.ndarray, "K 3"] | None
-    #: of the scan
+    #: points and colours of the scan
     points: Float[np.ndarray, "N 3"] | None
     colours: UInt8[np.ndarray, "N 3"] | None
-    #: what is wrong with the scan, in a sentence
+    #: the error of the scan, in a sentence
     wrong: str
 
 
 class Column:
-    """One take, or scans alone, as one browser sees it."""
+    """One take, or scans alone, in one browser."""
 
     def __init__(self, scene: SceneApi, name: str, number: int, take: Take | None, clouds: SeenClouds | None):
         self.take, self.clouds, self.name = take, clouds, name
@@ -88,14 +88,14 @@ class Column:
             if take.subject is not None:
                 self.attached = LabelledPoints(scene, f"{name}/markers", take.subject.labels)
         self.scan = None if clouds is None else PointFigure(scene, f"{name}/scan")
-        #: what was drawn last
+        #: the last drawn appearance
         self.drawn: Look | None = None
         self._heats: OrderedDict[int, ScanHeat] = OrderedDict()
         self._parts: PartColours | None = None
         self._cloud_of = {} if clouds is None else _by_name(take, clouds)
 
     def look(self, time: float, frame: int, choice: Choice) -> Look:
-        """All that is to be computed for a time of the takes, seconds, which is a `frame` of scans."""
+        """Compute everything to draw at a time of the takes, seconds, which is `frame` of the scans."""
         posed, body = None, None
         if self.take is not None:
             frame = min(round(time * self.take.rate), len(self.take.motion) - 1)
@@ -115,7 +115,7 @@ class Column:
         return Look(posed, classes, palette, points, colours, wrong)
 
     def draw(self, look: Look, choice: Choice) -> None:
-        """Send what was computed."""
+        """Send a computed appearance."""
         self.drawn = look
         if look.posed is not None:
             if self.body is not None:
@@ -130,7 +130,8 @@ class Column:
                 self.scan.hide()
 
     def extent(self, now: bool = False) -> Float[np.ndarray, "2 3"]:
-        """The box around the first frame, or the one that is shown `now`, without its place beside others, metres."""
+        """Return the bounding box of the first frame, or of the current one (`now`), without the column's
+        offset, metres."""
         points = np.zeros((0, 3))
         if self.take is not None:
             shown = self.drawn.posed if now and self.drawn is not None else None
@@ -144,7 +145,8 @@ class Column:
     def pick(
         self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"], choice: Choice
     ) -> tuple[str, Float[np.ndarray, "3"]] | None:
-        """What a ray meets of what is drawn, in words, and where; both in the column's own world."""
+        """Pick the drawn object that a ray hits: its description and position, both in the column's own
+        world."""
         look = self.drawn
         if look is None:
             return None
@@ -182,7 +184,7 @@ class Column:
         return f"vertex {point}, part {part}", posed.vertices[point]
 
     def _cloud(self, frame: int) -> tuple[SeenCloud | None, str]:
-        """The scan that belongs to a frame of the take, where there is one, or why there is none."""
+        """Return the scan of a frame of the take, if there is one, or the reason why there is none."""
         number = self._cloud_of.get(frame, -1) if self._cloud_of else frame
         if self.clouds is None or not 0 <= number < len(self.clouds):
             return None, ""
@@ -193,7 +195,7 @@ class Column:
 
     def _draw_bones(self, posed: PosedFrame, choice: Choice) -> None:
         assert self.take is not None and self.skeleton is not None
-        # without a surface its bones are all there is to see
+        # without a surface the bones are always shown
         self.skeleton.visible = self.body is None or choice.skeleton or choice.frames or choice.names
         if self.body is not None:
             self.body.translucent = self.skeleton.visible
@@ -228,7 +230,8 @@ class Column:
 
 
 def _by_name(take: Take | None, clouds: SeenClouds) -> dict[int, int]:
-    """Which scan each frame of a take saw, by the names in its statistics; none where they are of other scans."""
+    """Match each frame of a take to its scan by the names in its statistics; empty if they are of other
+    scans."""
     numbers = {
         name.replace("\\", "/").rsplit("/", 1)[-1]: number for number, name in enumerate(clouds.scans.names)
     }

@@ -1,4 +1,4 @@
-"""The knobs of one window: the timeline, and what is to be seen."""
+"""The controls of one window: the timeline, and the display choices."""
 
 import dataclasses
 import time
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 else:
     GuiApi = HotkeyKey = Any
 
-#: times a second that the slider follows a motion; drawing it costs the browser more than a frame does
+#: slider updates a second; drawing one costs the browser more than a frame does
 FOLLOWING = 8.0
 PLAY, PAUSE = "Play", "Pause"
 BACK, NEXT = "Back", "Next"
@@ -26,7 +26,7 @@ HELP = "Click a body or a bone: what it is stands here."
 
 
 class Controls:
-    """The controls of one browser. `changed` is called after each choice, which `timeline` and `choice` have; `see`
+    """The controls of one browser. `changed` is called after each change of `timeline` or `choice`; `see`
     takes the name of a direction to look from."""
 
     def __init__(
@@ -39,9 +39,9 @@ class Controls:
     ):
         self.timeline = Timeline(contents.frames, contents.rate)
         self.choice = Choice()
-        #: metres between takes: None as their widths ask, 0 over each other
+        #: metres between takes: None for automatic by their widths, 0 to overlay them
         self.spacing = self._beside = spacing
-        #: whether a run that grows is seen at its newest frame
+        #: whether a growing run is shown at its newest frame
         self.newest = any(take.running is not None for take in contents.takes)
         self._changed, self._drawn = changed, 0.0
         with gui.add_folder("Time"):
@@ -64,7 +64,7 @@ class Controls:
         self._clicked = gui.add_markdown(HELP)
         self._told = "\n\n".join(map(as_markdown, contents.told))
         self._note = gui.add_markdown(self._told, visible=bool(contents.told))
-        # values that are set here call these, too; a browser's has a client
+        # these are called for values set by the program, too; only a browser's event has a client
         self._frame.on_update(lambda event: self._seek(int(event.target.value), event.client is not None))
         self._play.on_click(lambda event: self._turn())
         self._speed.on_update(lambda event: self._run_at(float(event.target.value.split()[0])))
@@ -72,7 +72,7 @@ class Controls:
         self._steps = steps
         steps.on_click(lambda event: self._step(1 if event.target.value == NEXT else -1))
         views.on_click(lambda event: see(event.target.value))
-        # the arrow keys are the slider's and the camera's
+        # the slider and the camera use the arrow keys
         keys: tuple[tuple[str, HotkeyKey, Callable[[], None]], ...] = (
             ("Play or pause", "P", self._turn),
             ("One frame back", "B", lambda: self._step(-1)),
@@ -85,11 +85,11 @@ class Controls:
             gui.add_command(label, hotkey=key).on_trigger(lambda event, act=act: act())
 
     def say(self, text: str) -> None:
-        """Tell what was clicked."""
+        """Show the description of the clicked object."""
         self._clicked.content = as_markdown(text)
 
     def draw(self, frame: int, note: str) -> None:
-        """Tell the frame that is shown, and what is wrong with it."""
+        """Show the current frame number, and an error message."""
         now, timeline = time.monotonic(), self.timeline
         text = "\n\n".join(filter(None, (as_markdown(note), self._told)))
         if text != self._note.content:
@@ -101,7 +101,7 @@ class Controls:
         self._time.value = f"{frame / timeline.rate:.2f} of {(timeline.frames - 1) / timeline.rate:.2f} s"
 
     def grow(self, frames: int) -> None:
-        """There are so many frames now; the newest is shown where that is asked for."""
+        """Set the number of frames; show the newest one if the user chose so."""
         now = time.monotonic()
         self.timeline.grow(frames, now)
         self._frame.max, self._frame.disabled = max(frames - 1, 1), frames < 2

@@ -1,6 +1,6 @@
-"""A server of windows: opened on a port that is free, behind a door, and a window of its own for every browser.
+"""The window server: opened on a free port with access control, and with a separate window for every browser.
 
-viser is imported when a window is opened and not before, as it comes with an extra.
+viser is imported when a window is opened and not before, as it is an optional dependency.
 """
 
 import atexit
@@ -21,28 +21,28 @@ from .door import Door, guarding
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
 else:
-    # what only a type checker sees
+    # for the type checker alone
     ClientHandle = ViserServer = Any
 
-#: where a window is looked for first
+#: the preferred port
 PORT = 8080
-#: nobody but this machine
+#: this machine only
 HOST = "127.0.0.1"
 
 _doors: "weakref.WeakKeyDictionary[ViserServer, Door]" = weakref.WeakKeyDictionary()
 
 
 def open_server(port: int | None = None, host: str = HOST, title: str | None = None) -> ViserServer:
-    """Open a server with y up, light, a background and nothing to see. It prints nothing.
+    """Open a server with y up, light, a background and an empty scene. It prints nothing.
 
-    It answers at `address(server)` alone, which holds a random token; a request from another page, for another
+    It answers only at `address(server)`, which holds a random token; a request from another page, for another
     host or without the token is refused (`Door`).
 
-    **Arguments:** `port`, where None is 8080 if that is free and any free one else; `host`, the
-    address of this machine that it listens at: `0.0.0.0` is every one, for browsers elsewhere;
-    `title`, which stands above the controls.
+    **Arguments:** `port`; None for 8080 if that is free and otherwise any free one; `host`, the address of
+    this machine that it listens at: `0.0.0.0` for every one, for browsers on other machines; `title`, shown
+    above the controls.
 
-    **Raises:** `InputError` where viser is not installed or of a version that cannot be guarded, the port is
+    **Raises:** `InputError` if viser is not installed or of a version that cannot be guarded, the port is
     taken or the host is not of this machine.
     """
     try:
@@ -52,11 +52,11 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
         raise InputError(
             'viser: the windows need it and it is not installed; run pip install "jaxcap[view]".'
         ) from None
-    # viser goes on to the next port without a word, so it is given one that we have held
+    # viser silently tries the next port, so it gets one that we have just bound
     free = _free_port(host, port)
-    # a browser that closes while a frame is on its way is no fault; a filter that is there already is not added again
+    # a browser that closes while a frame is sent is no error; a repeated filter is not added again
     warnings.filterwarnings("ignore", message="Queued an? .* on a closed connection")
-    # its own table tells ports and not what is shown; only what this thread says is held back
+    # viser's table shows ports and not contents; only the output of this thread is suppressed
     door = Door(host, free)
     with rich.get_console().capture(), guarding(door):
         server = viser.ViserServer(host=host, port=free, label=title, verbose=False)
@@ -70,12 +70,12 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
     if server.get_port() != free:
         close_server(server)
         raise _taken(host, free)
-    # viser's tunnel would show the window to the world
+    # viser's tunnel would publish the window
     server.request_share_url = lambda verbose=True: None
     server.gui.configure_theme(show_share_button=False)
-    # beside the picture, not over it
+    # next to the scene, not over it
     server.gui.main_panel.dock_right()
-    # before viser's own, which tells of its end
+    # registered after viser's own, so it runs before it
     atexit.register(_ending(server))
     server.scene.set_up_direction("+y")
     add_light(server.scene)
@@ -84,43 +84,43 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
 
 
 def close_server(server: ViserServer) -> None:
-    """End a server, its port and its windows. Once more does nothing."""
+    """Close a server, its port and its windows. A second call does nothing."""
     import rich
 
     atexit.unregister(_ending(server))
-    # the loop of one that has ended is closed
+    # the event loop of a stopped server is closed
     with contextlib.suppress(RuntimeError):
-        # viser's thread tells of its end, to nobody
+        # suppress the message of viser's thread
         server.get_event_loop().call_soon_threadsafe(rich.get_console().begin_capture)
         server.stop()
 
 
 def _ending(server: ViserServer) -> Callable[[], None]:
-    """`close_server` of one server; two of the same server are equal, as `atexit` compares."""
+    """Bind `close_server` to one server; two of the same server are equal, as `atexit` compares."""
     return types.MethodType(close_server, server)
 
 
 def address(server: ViserServer) -> str:
-    """The address to give a browser, with the token; nothing else opens the window."""
+    """Return the address for a browser, with the token; no other address opens the window."""
     return _doors[server].address
 
 
 def address_elsewhere(server: ViserServer) -> str | None:
-    """The address to give a browser of another machine; None where the server listens for this machine alone."""
+    """Return the address for a browser of another machine; None if the server listens for this machine
+    only."""
     return _doors[server].address_elsewhere
 
 
 def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Event], None]) -> None:
     """Call `build(client, gone)` for every browser that opens the window, in a thread of its own.
 
-    What `build` puts into `client.scene` and `client.gui` no other browser sees. `gone` is set
-    when this browser closes: a loop of `build` ends with `while not gone.wait(...)`. What is sent
-    afterwards goes nowhere, without a traceback, so a solve need not be stopped. A `ValueError` is
-    told in the browser.
+    Additions to `client.scene` and `client.gui` are visible in that browser only. `gone` is set when this
+    browser closes: a loop of `build` ends with `while not gone.wait(...)`. Later messages are dropped without
+    a traceback, so a solve need not be stopped. A `ValueError` is shown in the browser.
     """
     leaving: dict[int, threading.Event] = {}
 
-    # both in the server's loop and in its order, so that no browser leaves before it came
+    # both in the server's loop and in its order, so that no browser leaves before it connects
     @server.on_client_connect
     async def _(client: ClientHandle) -> None:
         gone = leaving[client.client_id] = threading.Event()
@@ -133,7 +133,7 @@ def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Ev
 
 
 def tell(client: ClientHandle, title: str, text: str) -> None:
-    """A sentence in a corner of one browser, until it is closed there."""
+    """Show a notification in a corner of one browser, until the user closes it."""
     client.add_notification(title, text, color="orange", auto_close_seconds=None)
 
 
@@ -145,7 +145,7 @@ def _visit(
     except ValueError as error:
         tell(client, "This cannot be shown", sentence_of(error))
     except Exception:
-        # half of a window is gone with its browser
+        # an error is expected after the browser has closed
         if not gone.is_set():
             raise
 
@@ -160,13 +160,13 @@ def _free_port(host: str, port: int | None) -> int:
 
 
 def _hold(host: str, port: int) -> int:
-    """The number of a port that nobody listens at, let go again; for 0 the system chooses."""
+    """Find a free port by binding and releasing it; for 0 the system chooses."""
     try:
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as door:
-            # one that was just left is free, as it is for viser
+            # a port that was just released is free, as for viser
             door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             door.bind((host, port))
-            # bound is not enough: two may be, and one may listen
+            # bind alone is not enough: two sockets may bind, and one may listen
             door.listen(1)
             return door.getsockname()[1]
     except OverflowError:

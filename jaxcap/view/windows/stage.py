@@ -1,4 +1,4 @@
-"""All that one browser sees: columns of takes, and around them meshes, markers, cameras and the ground."""
+"""The scene of one browser: columns of takes, and around them meshes, markers, cameras and the floor."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 else:
     SceneApi = Any
 
-#: metres of air between two takes
+#: gap between two takes, metres
 AIR = 0.3
-#: of a mesh beside a body, and of what is not the matter
+#: colours of a mesh next to a body, and of cameras
 MESH, FAINT = (205, 190, 160), (110, 112, 124)
-#: of what was clicked
+#: colour of the pin at the clicked point
 PIN = (214, 40, 57)
 
 
@@ -34,10 +34,10 @@ class Stage:
         self.contents, self._shown = contents, 0
         clouds = contents.clouds
         takes = contents.takes or [None] * max(1, len(clouds))
-        # one source of scans is for every take; several go with the takes in turn
+        # a single source of scans is for every take; several are assigned to the takes in order
         solid = [take is not None and take.motion.body is not None for take in takes]
         self.columns = [
-            # bodies and bare bones have colours of their own, each in its order
+            # bodies and skeletons without a surface have separate colours, each in order
             Column(scene, f"/{number}", solid[:number].count(solid[number]), take, _of(clouds, number))
             for number, take in enumerate(takes)
         ]
@@ -65,11 +65,12 @@ class Stage:
         self.place(spacing=None)
 
     def place(self, spacing: float | None) -> None:
-        """Put takes beside each other, `spacing` metres from one to the next, as far as their widths ask where None;
-        or over each other, where each one was recorded, at zero.
+        """Arrange the takes in a row, `spacing` metres from one to the next, or automatically by their widths
+        if None; or at zero overlay them, each at its recorded position.
 
-        The first stays where it was recorded, as markers, meshes and cameras are in its world. The others stand in
-        line with it on its floor."""
+        The first stays at its recorded position, as markers, meshes and cameras are in its world. The others
+        follow in line with it on its floor.
+        """
         boxes = [column.extent() for column in self.columns]
         widths = [float(np.ptp(box[:, 0])) for box in boxes]
         wide = max(widths) + AIR if spacing is None else spacing
@@ -83,12 +84,13 @@ class Stage:
         for column, place in zip(self.columns, self._places, strict=True):
             column.group.position = place
         for label, own, place in zip(self._labels, boxes, self._places, strict=False):
-            # all at one height, each over its own
+            # all at one height, each over its own take
             label.position = (own[:, 0].mean(), box[1, 1] - place[1] + 0.06, own[:, 2].mean())
             label.visible = wide > 0 and len(self._labels) > 1
 
     def box(self, now: bool = False) -> Float[np.ndarray, "2 3"]:
-        """The box around all but cameras as they are placed, in the first frame or as they are shown `now`, metres."""
+        """Return the bounding box of everything but cameras as placed, in the first frame or the current one
+        (`now`), metres."""
         there = [
             column.extent(now) + place
             for column, place in zip(self.columns, self._places, strict=True)
@@ -100,7 +102,7 @@ class Stage:
     def pick(
         self, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"], choice: Choice
     ) -> str | None:
-        """Mark what a ray meets first and say what it is, or None where it meets nothing that is shown."""
+        """Mark the first object that a ray hits and return its description, or None if it hits nothing."""
         found = []
         for column, place in zip(self.columns, self._places, strict=True):
             picked = column.pick(origin - place, direction, choice)
@@ -114,7 +116,7 @@ class Stage:
         return name
 
     def look(self, frame: int, choice: Choice) -> list[Look]:
-        """What takes time to compute for one frame of the timeline; nothing is sent."""
+        """Compute the slow parts of one frame of the timeline; nothing is sent."""
         return [column.look(frame / self.contents.rate, frame, choice) for column in self.columns]
 
     def draw(self, frame: int, looks: list[Look], choice: Choice) -> None:
@@ -145,7 +147,8 @@ def _of(clouds: list, number: int):
 
 
 def _boxes(contents: Contents) -> list[Float[np.ndarray, "2 3"]]:
-    """The boxes around the first frame of meshes and markers, or around cameras that are alone, metres."""
+    """Return the bounding boxes of the first frame of meshes and markers, or of the cameras if nothing else
+    is shown, metres."""
     points = [meshes.vertices[0] for meshes in contents.meshes]
     for markers in contents.markers:
         points.append(np.asarray(markers.frames.places)[np.asarray(markers.frames.seen)][:200])

@@ -1,4 +1,4 @@
-"""Text for viser's markdown, which renders HTML as it comes: names in a file of somebody else are no markup."""
+"""Text for viser's markdown, which renders HTML unescaped: names in a foreign file must not become markup."""
 
 import re
 
@@ -6,5 +6,5 @@ _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
 
 
 def as_markdown(text: str) -> str:
-    """Escape a text so that markdown shows it as it is, in one paragraph."""
+    """Escape a text so that markdown shows it literally, in one paragraph."""
     return _PUNCTUATION.sub(r"\\\1", " ".join(text.split()))

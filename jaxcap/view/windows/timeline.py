@@ -1,67 +1,67 @@
-"""Which frame is to be seen now: a clock that can be stopped, turned and run at other speeds.
+"""The current frame: a clock that can be paused, moved and played at other speeds.
 
-The frame follows from the time alone. A window that is slow therefore leaves frames out and is never late.
+The frame depends on the time alone. A slow window therefore skips frames and never lags.
 """
 
 import math
 from dataclasses import dataclass
 
-#: how much faster or slower a motion may be played
+#: factors of the playback speed
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 @dataclass
 class Timeline:
-    """`frames` frames, `rate` of them a second, from the first on again after the last.
+    """A loop over `frames` frames, `rate` of them a second.
 
-    Times are seconds of any clock that does not go back, such as `time.monotonic`.
+    Times are seconds of any monotonic clock, such as `time.monotonic`.
     """
 
     frames: int
     rate: float
     playing: bool = False
     speed: float = 1.0
-    #: where it was, as a number of frames, when it was last touched
+    #: the position in frames at the last change, and the time of it
     _frame: float = 0.0
     _since: float = 0.0
 
     def frame(self, now: float) -> int:
-        """The frame to show."""
+        """Return the frame to show."""
         return min(int(self._at(now)), self.frames - 1)
 
     def play(self, now: float) -> None:
-        """Go on; from the first frame where it has come to the last."""
+        """Play; restart from the first frame if at the last."""
         at = self.frame(now)
         self._touch(0 if at == self.frames - 1 else at, now)
         self.playing = True
 
     def pause(self, now: float) -> None:
-        """Stay at the frame that is shown."""
+        """Pause at the current frame."""
         self._touch(self.frame(now), now)
         self.playing = False
 
     def seek(self, frame: int, now: float) -> None:
-        """Go to a frame, the nearest there is, and go on from there where it plays."""
+        """Seek a frame, clamped to the timeline, and continue from there if playing."""
         self._touch(min(max(frame, 0), self.frames - 1), now)
 
     def step(self, frames: int, now: float) -> None:
-        """Stop so many frames further on, or back where negative, at the first or last at most."""
+        """Stop and step by `frames`, back if negative, clamped to the first or last frame."""
         at = self.frame(now)
         self.playing = False
         self.seek(at + frames, now)
 
     def run_at(self, speed: float, now: float) -> None:
-        """Play `speed` times as fast."""
+        """Set the playback speed to `speed` times the rate."""
         self._touch(self._at(now), now)
         self.speed = speed
 
     def grow(self, frames: int, now: float) -> None:
-        """There are more frames now, or fewer; the one that is shown stays where it can."""
+        """Set the number of frames, larger or smaller; the current frame stays if possible."""
         self._touch(min(self._at(now), frames - 1), now)
         self.frames = max(frames, 1)
 
     def wait(self, now: float) -> float:
-        """Seconds until there is another frame to show; infinite where it stands."""
+        """Compute the seconds until the next frame; infinite if paused."""
         if not self.playing or self.frames < 2:
             return math.inf
         place = self._at(now)
