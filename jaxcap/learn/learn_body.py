@@ -113,7 +113,7 @@ def learn_body(
     given = None if skeleton is None else Given(skeleton.centres, keep_joints)
     whole = sum_of((terms,) if isinstance(terms, AbstractEnergy) else terms)
     if whole is not None:
-        # the energies refer to the joints by name and index
+        # the energies belong to the current tree of joints
         exchanging = "no"
     fine = _stage(
         meshes, alpha, "", given, None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
