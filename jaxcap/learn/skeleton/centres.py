@@ -10,7 +10,7 @@ from ..parts.surface import Surface, label_edges
 
 #: rounds of updating the residual variance, and with it the weight of the prior
 ROUNDS = 5
-#: this many frames count as one independent observation, as skin deformation is alike in similar poses
+#: all frames together count as at most this many independent ones, as skin deforms alike in similar poses
 INDEPENDENT = 3
 #: least residual, as a share of the boundary radius, so that exactly rigid data can be solved
 FLOOR = 1e-3

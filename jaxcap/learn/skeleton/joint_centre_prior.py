@@ -16,9 +16,9 @@ from ...body.pose import Pose
 from ...geometry import rotation
 from ...geometry.laplacian import Conformance, neighbour_pairs
 
-#: mean squared rotation, squared radians, below which a motion does not determine a centre: 1 degree
+#: mean squared rotation, squared radians, below which a motion does not determine a centre: (1 degree)²
 LITTLE = 0.02**2
-#: the same with a given skeleton: 17 degrees
+#: the same with a given skeleton: (17 degrees)²
 LITTLE_GIVEN = 0.3**2
 #: weight of a fixed centre, relative to the information of a rotation by one radian
 KEPT = 1e4

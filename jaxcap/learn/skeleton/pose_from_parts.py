@@ -109,7 +109,7 @@ def _back(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
 def world_motions(
     centres: np.ndarray, parents: np.ndarray, local: np.ndarray, shifts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute world transforms of bones, (J, F, 3, 3) and (J, F, 3), from local rotations and translations."""
+    """Compute world transforms of bones, (J, F, 3, 3) and (J, F, 3), from local rotations and shifts."""
     world_r, world_t = np.empty_like(local), np.empty_like(shifts)
     for j, parent in enumerate(parents):
         shift = shifts[j] + centres[j] - np.einsum("fab,b->fa", local[j], centres[j])

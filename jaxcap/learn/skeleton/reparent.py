@@ -15,7 +15,7 @@ from .centres import Seams, find_centres, find_seams
 from .pose_from_parts import world_motions
 from .tree import least_tree
 
-#: standard deviation of the prior on a joint with a new parent, as a share of the body's diagonal
+#: distance, as a share of the body's diagonal, within which the centre of a joint with a new parent may move
 REACH = 0.03
 #: a new joint replaces an existing one if its gap is below this share of the existing gap
 CLEARLY = 0.8
