@@ -28,13 +28,13 @@ class Coarse(NamedTuple):
 
 
 def coarsen(meshes: MeshSequence, enough: int = ENOUGH) -> Coarse:
-    """Decimate meshes to at most `enough` vertices by collapsing short edges.
+    """Decimate meshes by merging vertices along short edges until at most `enough` vertices are left.
 
-    No two kept vertices share a short edge. The threshold grows until few enough vertices are left. Vertices
-    keep their positions, so that a body learned from them is also valid on the whole mesh. Edge lengths are
-    divided by the square root of the original vertex spacing. Dense regions such as a face are therefore
-    decimated first, but hands stay denser than the trunk, as their bones are smaller. Small meshes are
-    returned unchanged.
+    No two kept vertices share a short edge; the threshold for short grows in steps. Vertices keep their
+    positions, so that a body learned from them is also valid on the whole mesh. Edge lengths are divided by
+    the square root of the original vertex spacing. Dense regions such as a face are therefore decimated
+    first, but hands stay denser than the trunk, as their bones are smaller. Small meshes are returned
+    unchanged.
     """
     faces, shape = np.asarray(meshes.faces), np.asarray(meshes.vertices[0], float)
     kept = nearest = np.arange(len(shape))

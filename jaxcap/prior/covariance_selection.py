@@ -30,7 +30,7 @@ def partial_correlations(precisions: Float[np.ndarray, "*K D D"]) -> Float[np.nd
 def zero_weak(mixture: Mixture, threshold: float) -> Mixture:
     """Set couplings with a partial correlation below `threshold` to zero (Adaptation, section 4.1.1).
 
-    Where this would make a matrix indefinite, its weak couplings are lowered as far as it stays positive
+    If this would make a matrix indefinite, its weak couplings are lowered as far as it stays positive
     definite.
     """
     weak = partial_correlations(mixture.precisions) < threshold

@@ -73,9 +73,9 @@ def improve_weights(
     """Improve the skinning weights of a body with fixed poses and rest vertices; Q never rises.
 
     **Arguments:** `poses` stacked over F frames; `targets` are the registered meshes, metres; `sweeps` is the
-    most sweeps with full alpha, which end after two in a row that lower Q by less than a share `tolerance`;
-    `coarse` enables sweeps with less of alpha first; `influences` is the most bones per vertex of a linear
-    skin (None: any number). A vertex that begins with more is reduced only if that lowers Q.
+    most sweeps with full alpha, which end when two in a row lower Q by less than a share `tolerance` each, in
+    the mean; `coarse` enables sweeps with less of alpha first; `influences` is the most bones per vertex of a
+    linear skin (None: any number). A vertex that begins with more is reduced only if that lowers Q.
 
     **Raises:** `ValueError` for a skin that is neither swing-twist, linear nor rigid, and for targets with
     another number of frames or vertices.
