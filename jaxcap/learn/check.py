@@ -1,4 +1,4 @@
-"""Whether meshes can teach a body anything, before minutes are spent on them."""
+"""Validation of registered meshes before a body is learned from them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,23 +12,23 @@ from ..errors import InputError
 from ..geometry.mesh import mesh_edges, triangle_sides
 from ..observe import MeshSequence
 
-#: a body outside of the first is likely in another unit, outside of the second certainly, metres
+#: sizes of a body in metres: outside the first range the unit is probably wrong, outside the second certainly
 USUAL, POSSIBLE = (0.3, 3.0), (0.02, 30.0)
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "dm": 0.1, "ft": 0.3048}
-#: poses change the size of a body by less than this factor, units by more
+#: poses change the size of a body by less than this factor, a wrong unit by more
 POSES = 2.0
-#: an edge that is so many times as long or short has another pair of vertices at its ends
+#: an edge whose length differs by more than this factor is taken to join other vertices
 STRETCH = 2.5
-#: two meshes of which more than this share of edges do so have another order of vertices
+#: two meshes where more than this share of the edges differs have different vertex orders
 SHUFFLED = 0.25
-#: edges that are looked at; the others tell the same
+#: the number of edges sampled for the comparison of vertex orders
 EDGES = 3000
-#: an edge as long as so many usual ones, and as many times its own usual length, is torn
+#: an edge is torn if it is longer than its median length and than the mean median length by this factor
 TORN = 8.0
 
 
 class _Group(NamedTuple):
-    """Meshes whose edges agree with those of the first of them."""
+    """Meshes whose edge lengths agree with those of the first mesh in the group."""
 
     members: list[int]
     logs: Float[np.ndarray, "E"]
@@ -36,16 +36,18 @@ class _Group(NamedTuple):
 
 
 def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> list[str]:
-    """That a body can be learned from meshes; `names` are what to call them.
+    """Check that a body can be learned from registered meshes.
 
-    Returns what a user should know and may be meant so, one sentence each: pieces that nothing joins,
-    edges of more than two triangles, vertices that stand twice, triangles without area, single torn
-    vertices, an unusual size.
+    Returns warnings, one sentence each, about properties that may be intended: disconnected pieces, edges of
+    more than two triangles, duplicate vertices, triangles without area, single torn vertices, an unusual
+    size.
 
-    **Raises:** `InputError` for what cannot be meant: fewer than two meshes, numbers that are not
-    finite, faces of vertices that are not there, vertices of no triangle, meshes of another order of
-    vertices or in another unit than the others (told by the lengths of their edges), meshes all alike,
-    a surface that falls apart because vertices stand twice, an impossible size.
+    **Arguments:** `names` are the names of the meshes in messages.
+
+    **Raises:** `InputError` for fewer than two meshes, numbers that are not finite, faces with invalid vertex
+    indices, vertices of no triangle, meshes with another vertex order or unit than the others (detected by
+    edge lengths), meshes that differ by a rigid motion only, a surface that is disconnected because of
+    duplicate vertices, an impossible size.
     """
     vertices, faces = np.asarray(sequence.vertices, float), np.asarray(sequence.faces)
     called = list(names) if names is not None else [f"mesh {number}" for number in range(len(vertices))]
@@ -100,9 +102,10 @@ def _lengths(vertices: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, "F E"
 
 
 def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> None:
-    """Meshes whose edges agree form groups; all must be in one.
+    """Check that all meshes share one vertex order and one unit.
 
-    The poses of a body stretch few of its edges; another order of vertices joins others everywhere.
+    Meshes are grouped by their edge lengths, and all must be in one group. The poses of a body stretch few of
+    its edges; another vertex order changes edges everywhere.
     """
     few = edges[np.random.default_rng(0).permutation(len(edges))[:EDGES]]
     lengths = _lengths(vertices, few)
@@ -134,7 +137,7 @@ def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> N
 
 
 def _disagreement(ratios: Float[np.ndarray, "E"], growth: float) -> float:
-    """The share of edges that differ, apart from a unit and a pose that make all longer."""
+    """Return the share of edges that differ in length, after removing a change of unit and a global scale."""
     ratios = ratios - (growth if abs(growth) > np.log(POSES) else 0.0)
     ratios = ratios - np.clip(np.median(ratios), -np.log(POSES), np.log(POSES))
     return float(np.mean(np.abs(ratios) > np.log(STRETCH)))
@@ -157,14 +160,14 @@ def _size(extent: float) -> list[str]:
 
 
 def _torn(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> list[str]:
-    """Single vertices that are elsewhere in some mesh, as after an error of the registration."""
+    """Warn of single vertices that are displaced in some mesh, as after a registration error."""
     lengths = _lengths(vertices, edges)
     usual = np.median(lengths, axis=0)
     far = (lengths > TORN * usual) & (lengths > TORN * usual.mean())
     frames = np.flatnonzero(far.any(1)).tolist()
     if not frames:
         return []
-    # the end that most torn edges have in common
+    # find the vertex that most torn edges share
     ends = np.bincount(edges[far[frames[0]]].reshape(-1))
     return [
         f"{_listed(frames, names)} {'is' if len(frames) == 1 else 'are'} torn: edges are more than {TORN:g} times as "
@@ -212,7 +215,7 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent:
 
 
 def _motion(vertices: np.ndarray, extent: float) -> list[str]:
-    """Whether anything moves but the whole: distances between a few vertices."""
+    """Raise an error if the distances between some sampled vertices are constant (rigid motion only)."""
     few = vertices[:, np.linspace(0, vertices.shape[1] - 1, min(60, vertices.shape[1])).astype(int)]
     apart = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
     if np.ptp(apart, axis=0).max() < 1e-4 * extent:
@@ -223,7 +226,7 @@ def _motion(vertices: np.ndarray, extent: float) -> list[str]:
 
 
 def _twins(vertices: np.ndarray, near: float) -> Int[np.ndarray, "V"]:
-    """For each vertex the first one that stands where it does in all meshes, or itself."""
+    """Map each vertex to the first vertex with the same position in all meshes, or to itself."""
     cells = np.round(np.concatenate([vertices[0], vertices[-1]], axis=1) / near).astype(np.int64)
     _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     twin = first[inverse.reshape(-1)]

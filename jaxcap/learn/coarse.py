@@ -1,4 +1,4 @@
-"""Fewer vertices of the same meshes, on which learning begins: most of the way at a fraction of the cost."""
+"""Decimation of a mesh sequence. Learning begins on fewer vertices, at a fraction of the cost."""
 
 from typing import NamedTuple
 
@@ -9,30 +9,32 @@ from jaxtyping import Float, Int
 from ..geometry.mesh import mesh_edges
 from ..observe import MeshSequence
 
-#: meshes are thinned until they have no more vertices than this, or than so many for each part where their number is known
+#: the most vertices of a decimated mesh; the number for each part where the number of parts is known; the
+#: least such bound
 ENOUGH, FOR_A_PART, LEAST = 4000, 105, 1000
-#: the share of the edges that are short at first, how that grows, and how often beyond the longest edge
+#: the share of edges that are short at first, the factor by which the threshold grows, and the limit beyond
+#: the longest edge as a power of that factor
 SHORT, STRETCH, MOST = 0.1, 1.25, 8
 
 
 class Coarse(NamedTuple):
-    """Some vertices of a mesh sequence, joined by triangles across their neighbourhoods."""
+    """A subset of the vertices of a mesh sequence, with triangles between their neighbourhoods."""
 
     meshes: MeshSequence
-    #: (S,) which vertices are kept
+    #: (S,) indices of the kept vertices
     kept: Int[np.ndarray, "S"]
-    #: (V,) the place among the kept ones of the one nearest to each vertex
+    #: (V,) for each vertex, the position in `kept` of the nearest kept vertex
     nearest: Int[np.ndarray, "V"]
 
 
 def coarsen(meshes: MeshSequence, enough: int = ENOUGH) -> Coarse:
-    """Keep vertices no two of which are joined by a short edge, where short grows until there are few
-    enough.
+    """Decimate meshes by merging vertices along short edges until at most `enough` vertices are left.
 
-    Vertices stay what they are, so that a body learned from them is one of the whole mesh. Short is
-    meant against the root of the spacing that there was: what is dense, like a face, is thinned
-    first, but hands stay denser than a trunk, as their bones are smaller. Nothing is left out of a
-    mesh that is small already.
+    No two kept vertices share a short edge; the threshold for short grows in steps. Vertices keep their
+    positions, so that a body learned from them is also valid on the whole mesh. Edge lengths are divided by
+    the square root of the original vertex spacing. Dense regions such as a face are therefore decimated
+    first, but hands stay denser than the trunk, as their bones are smaller. Small meshes are returned
+    unchanged.
     """
     faces, shape = np.asarray(meshes.faces), np.asarray(meshes.vertices[0], float)
     kept = nearest = np.arange(len(shape))
@@ -59,21 +61,28 @@ def coarsen(meshes: MeshSequence, enough: int = ENOUGH) -> Coarse:
 
 
 def enough_vertices(joints: int | None) -> int:
-    """Return how many vertices show a body of so many joints between rigid parts, or of an unknown number."""
+    """Return the number of vertices sufficient for a body with this number of joints, or with an unknown
+    number."""
     return ENOUGH if joints is None else min(max(FOR_A_PART * (joints + 1), LEAST), ENOUGH)
 
 
 def coarse_alpha(alpha: float, fine: int, coarse: int) -> float:
-    """The weight of shape on a coarse mesh that counts smooth errors as `alpha` does on the fine one:
-    a Laplacian grows with the square of the edges' length, its square with the fourth power."""
+    """Scale the weight of the Laplacian term so that smooth errors count on the coarse mesh as on the fine
+    one.
+
+    A Laplacian grows with the square of the edge length, and its square with the fourth power.
+    """
     return alpha * (coarse / fine) ** 2
 
 
 def _thinned(
     shape: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"], short: Float[np.ndarray, "V"]
 ) -> tuple[Int[np.ndarray, "S"], Int[np.ndarray, "V"]]:
-    """A set of vertices, to which none can be added, no two of which share an edge that is short for
-    both; and for every vertex the one of the set that it is or that its shortest edge leads to."""
+    """Select a maximal set of vertices in which no two share an edge that is short for both.
+
+    Also returns, for each vertex, itself if it is selected, or else the selected neighbour along its shortest
+    edge.
+    """
     edges, lengths = _edges(shape, faces)
     joined = lengths < short[edges].mean(1)
     edges, lengths = edges[joined], lengths[joined]
@@ -85,7 +94,7 @@ def _thinned(
     for vertex in range(len(shape)):
         if is_open[vertex]:
             is_open[neighbours[ends[vertex] : ends[vertex + 1]]] = False
-    # an open vertex was never next to one before it
+    # the set is maximal: every vertex outside it has a selected neighbour
     for vertex in np.flatnonzero(~is_open):
         near = neighbours[ends[vertex] : ends[vertex + 1]]
         source[vertex] = near[is_open[near]][0]
@@ -95,7 +104,7 @@ def _thinned(
 def _edges(
     shape: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]
 ) -> tuple[Int[np.ndarray, "E 2"], Float[np.ndarray, "E"]]:
-    """The edges of a mesh and their lengths."""
+    """Return the edges of a mesh and their lengths."""
     edges = mesh_edges(faces)
     return edges, np.linalg.norm(shape[edges[:, 0]] - shape[edges[:, 1]], axis=1)
 

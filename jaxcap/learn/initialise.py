@@ -1,4 +1,4 @@
-"""Where learning starts: rigid parts, joints between them, and every limb placed by itself."""
+"""Initialisation of learning: rigid parts, the joints between them, and their poses."""
 
 from typing import Literal, NamedTuple
 
@@ -25,11 +25,11 @@ SkinName = Literal["swing_twist", "lbs", "rigid"]
 
 
 class Start(NamedTuple):
-    """A body whose skin has binary weights, rigid kinematics (Adaptation, 3.2.1), and its poses."""
+    """The initial body with binary weights and rigid kinematics (Adaptation, 3.2.1), and its poses."""
 
     body: Body
     poses: Pose
-    #: left and right joints
+    #: pairs of left and right joints
     pairs: Int[np.ndarray, "P 2"]
     #: root mean square error over the number of parts, metres; empty for a given skeleton
     curve: Float[np.ndarray, "N"]
@@ -38,13 +38,13 @@ class Start(NamedTuple):
 def start_from_motion(
     meshes: MeshSequence, joints: int | None, skin: SkinName, symmetry: bool | Int[np.ndarray, "P 2"]
 ) -> Start:
-    """Parts by their motion, the tree between them, and its poses.
+    """Segment the meshes into rigid parts, connect the parts by joints, and pose the skeleton.
 
-    **Arguments:** `joints` between parts, one less than there are parts; as many as the motion
-    shows where None. `symmetry` finds the pairs, leaves them out, or gives them.
+    **Arguments:** `joints` is the number of joints, one less than the number of parts; None chooses it from
+    the motion. `symmetry` finds the pairs (True), uses none (False), or is the array of pairs.
 
-    **Raises:** `ValueError` for meshes in which there are not so many parts, and for pairs of
-    joints that there are not.
+    **Raises:** `ValueError` for meshes with fewer parts than requested, and for pairs with invalid joint
+    indices.
     """
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
     rest = shapes[choose_rest(shapes, faces)]
@@ -60,9 +60,9 @@ def start_from_motion(
 def start_from_skeleton(
     meshes: MeshSequence, skeleton: Skeleton, skin: SkinName, symmetry: bool | Int[np.ndarray, "P 2"]
 ) -> Start:
-    """A given skeleton, which stands in the first mesh; parts from its bones' heat in that mesh.
+    """Bind a given skeleton, posed as in the first mesh, by heat weights, and fit its poses to all meshes.
 
-    **Raises:** `InputError` where the mesh is none that the skeleton can be bound to.
+    **Raises:** `InputError` if the skeleton cannot be bound to the mesh.
     """
     shapes, faces = np.asarray(meshes.vertices, float), np.asarray(meshes.faces)
     labels = np.asarray(rig_mesh(shapes[0], faces, skeleton, "heat").skin.parts())
@@ -76,9 +76,9 @@ def start_from_skeleton(
 
 
 def start_free(meshes: MeshSequence, joints: int | None) -> Start:
-    """Bones that hang on nothing: a skeleton of free roots, each in the middle of its part.
+    """Build a body of independent bones: each rigid part has a free root at its mean vertex.
 
-    **Raises:** `ValueError` for meshes in which there are not so many parts.
+    **Raises:** `ValueError` for meshes with fewer parts than requested.
     """
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
     rest = shapes[choose_rest(shapes, faces)]
@@ -94,7 +94,10 @@ def start_free(meshes: MeshSequence, joints: int | None) -> Start:
 def choose_pairs(
     symmetry: bool | Int[np.ndarray, "P 2"], skeleton: Skeleton, areas: Float[np.ndarray, "J"]
 ) -> Int[np.ndarray, "P 2"]:
-    """The pairs found, none, or those given. **Raises:** `ValueError` for a joint that there is not."""
+    """Return the detected pairs of joints, none, or those given.
+
+    **Raises:** `ValueError` for an invalid joint index.
+    """
     if isinstance(symmetry, bool):
         return find_pairs(skeleton, areas) if symmetry else np.zeros((0, 2), int)
     pairs = np.asarray(symmetry, int).reshape(-1, 2)

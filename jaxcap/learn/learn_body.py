@@ -1,4 +1,4 @@
-"""Learn an animatable body from registered meshes: three improvements in turn, until Q is least."""
+"""Learn an animatable body from registered meshes by alternating minimisation of Q."""
 
 import logging
 from collections.abc import Callable
@@ -33,40 +33,40 @@ from .weights.weights import improve_weights
 
 _LOG = logging.getLogger(__name__)
 
-#: a round that lowers Q by less than this share is the last on its mesh
+#: rounds on a mesh end when one lowers Q by less than this share
 ENOUGH = 8e-3
-#: the share of all rounds that may go to the coarse mesh
+#: the share of all rounds that may be spent on the coarse mesh
 COARSE_SHARE = 2 / 3
-#: the alpha up to which bodies under a linear skin are learned by bones, with all that vertices can make of them
+#: below this alpha, bodies with a linear skin are learned by variable projection
 LOOSE = 1.0
-#: what a unit of an energy of a user's own counts for each vertex, metres squared
+#: the weight of a unit of a user's energy for each vertex, metres squared
 UNIT = 1e-3**2
-#: damping of the first step of joints and poses
+#: initial damping for joints and poses
 FIRST_DAMPING = 1e-3
-#: improvements of joints and poses, some steps each, before the first round and in each
+#: updates of joints and poses, some steps each: before the first round, and in each round
 FIRST_STEPS, STEPS = 2, 1
-#: rounds after which joints are exchanged, rounds of each trial, and how many of these
+#: rounds before joints are first exchanged, rounds of each trial, and the most trials
 EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 3
-#: sweeps over the weights, at most, in the first round on a mesh and in others
+#: the most sweeps over the weights in the first round on a mesh, and in later ones
 FIRST_SWEEPS, SWEEPS = 8, 4
-#: what steps on the coarse mesh are called by in the history
+#: prefix of the names of steps on the coarse mesh in the history
 COARSE = "coarse "
 
 
-#: whether joints are exchanged, and whether their number stays
+#: whether joints are exchanged, and whether their number is fixed
 Exchanging = Literal["no", "fixed", "free"]
 
 
 class Learned(NamedTuple):
-    """A learned body, the poses of the meshes it was learned from, and how it came about."""
+    """A learned body, the poses of its meshes, and the history of learning."""
 
     body: Body
     motion: Motion
-    #: left and right joints
+    #: pairs of left and right joints
     pairs: Int[np.ndarray, "P 2"]
-    #: (step, Q): after the start, and after every improvement; Q never rises
+    #: (step, Q) after the start and after every update; Q never rises
     history: tuple[tuple[str, float], ...]
-    #: root mean square error over the number of rigid parts, metres; empty where it was not asked
+    #: root mean square error over the number of rigid parts, metres; empty if it was not computed
     curve: Float[np.ndarray, "N"]
 
 
@@ -86,34 +86,34 @@ def learn_body(
     on_round: Callable[[LearnState], None] | None = None,
     resume: LearnState | None = None,
 ) -> Learned:
-    """A body that follows registered meshes of one actor (Adaptation, section 3.2).
+    """Learn a body that follows registered meshes of one actor (Adaptation, section 3.2).
 
-    Rigid parts, joints and poses are found first (3.2.1). Then skinning weights, rest vertices,
-    and joints with all poses are improved in turn, each by what it can lower of
+    Rigid parts, joints and poses are initialised first (3.2.1). Then skinning weights, rest vertices, and
+    joints with all poses are updated in turn. Each update lowers
 
         Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2        (eq. 3.19)
 
-    until a round lowers it by little, or `rounds` are over. A mesh of many vertices is learned on
-    some of them first (`coarsen`), and on all of them only then.
+    until a round lowers it by little, or for at most `rounds` rounds. A mesh with many vertices is first
+    learned on a subset of them (`coarsen`), then on all.
 
-    **Arguments:** `joints` between parts, as many as the motion shows and as are worth it in the
-    end where None; `skin` says how
-    vertices follow; `alpha` weighs shape against distance; `symmetry` keeps left and right bones
-    equally long, in pairs that are found or given as `(P, 2)` indices of joints; `skeleton`, which
-    stands in the first mesh, replaces the joints that would be found: a prior for them beside what motion
-    tells, or with `keep_joints` all that counts; `free_bones` hang on
-    nothing, and blend linearly; `terms`, an energy or several, are of the posed body with all vertices, and move joints and
-    poses: a unit of them weighs as much as vertices that are a millimetre off in the mean. With them no joints are exchanged. `on_round` sees the state after every round; `resume` goes on
-    from one, to the same result.
+    **Arguments:** `joints` is the number of joints between parts; None chooses it from the motion, and joints
+    must then be worth their cost. `skin` is the skinning model. `alpha` weighs shape against distance.
+    `symmetry` keeps left and right bones equally long, in pairs that are detected or given as `(P, 2)`
+    indices of joints. `skeleton`, posed as in the first mesh, replaces the detected joints: as a prior on
+    joint centres, or as fixed centres with `keep_joints`. `free_bones` learns bones without parents and with
+    linear blending. `terms` is an energy or several of the posed body with all vertices, which act on joints
+    and poses: one unit weighs as much as a mean vertex error of a millimetre. With `terms`, no joints are
+    exchanged. `on_round` is called with the state after every round. `resume` continues from a state, with
+    the same result.
 
-    **Raises:** `ValueError` with one sentence for meshes or options from which nothing is learned, and `InputError` for
-    energies of vertices or joints that there are not.
+    **Raises:** `ValueError` with one sentence for meshes or options from which nothing can be learned, and
+    `InputError` for energies of vertices or joints that do not exist.
     """
     exchanging: Exchanging = "no" if skeleton is not None else "free" if joints is None else "fixed"
     given = None if skeleton is None else Given(skeleton.centres, keep_joints)
     whole = sum_of((terms,) if isinstance(terms, AbstractEnergy) else terms)
     if whole is not None:
-        # trees of other joints would be told by other energies
+        # the energies belong to the current tree of joints
         exchanging = "no"
     fine = _stage(
         meshes, alpha, "", given, None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
@@ -124,7 +124,7 @@ def learn_body(
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("finding parts and joints")
-        # a given skeleton is bound by heat, for which a mesh has to be whole, and terms are of all vertices
+        # heat weights need the whole mesh, and terms need all vertices
         on_coarse = skeleton is None and whole is None
         start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, skeleton, free_bones)
         own_terms("learn_body", terms, start.body)
@@ -141,14 +141,14 @@ def learn_body(
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
         _LOG.info("carrying the body over to all vertices")
         state = state._replace(body=_refine(state, meshes, coarse, loose))
-    # joints that were exchanged on the coarse mesh stay
+    # no exchange on the fine mesh after one on the coarse mesh
     if not (thinned and loose):
         state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging, loose)
     return Learned(state.body, state.motion, state.pairs, state.history, state.curve)
 
 
 class _Stage(NamedTuple):
-    """The meshes that rounds work on, their metric, and what their steps are called by."""
+    """The meshes that rounds work on, their metric, and the prefix of their steps in the history."""
 
     meshes: MeshSequence
     metric: Conformance
@@ -170,7 +170,7 @@ def _stage(
 
 
 def _value(body: Body, poses: Pose, stage: _Stage) -> float:
-    """Q, and what a user's own energies add."""
+    """Evaluate Q and the user's energies."""
     return float(objective(body, poses, stage.meshes.vertices, stage.metric, stage.terms))
 
 
@@ -187,8 +187,11 @@ def _thin(body: Body, coarse: Coarse) -> Body:
 
 
 def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse, loose: bool) -> Body:
-    """The body on all vertices: each with the weights of the kept one nearest to it, and at rest
-    where its own places in the meshes call for."""
+    """Transfer the body to all vertices.
+
+    Each vertex takes the weights of the nearest kept one, and the rest position that best fits its own
+    positions in the meshes.
+    """
     body = take_vertices(state.body, jnp.asarray(coarse.nearest), meshes.faces)
     rest = carry_back(body, state.motion.poses, meshes.vertices)
     body = eqx.tree_at(lambda b: b.vertices, body, rest)
@@ -203,9 +206,11 @@ def _improve(
     exchanging: Exchanging,
     loose: bool,
 ) -> LearnState:
-    """Rounds on one mesh until one of them lowers Q by little, or as many are over. After the first
-    few, and where rounds alone gain little, joints that are too many are exchanged for joints that
-    are missing, until that gains nothing either."""
+    """Run rounds on one mesh until one lowers Q by little, or until the most rounds are reached.
+
+    After the first few rounds, and when rounds gain little, superfluous joints are exchanged for missing
+    ones, until that gains nothing either.
+    """
     if not _values(state, stage):
         value = _value(state.body, state.motion.poses, stage)
         state = state._replace(history=(*state.history, (stage.prefix + "start", value)))
@@ -258,16 +263,16 @@ def _has(state: LearnState, stage: _Stage, step: str) -> bool:
 
 
 def _values(state: LearnState, stage: _Stage) -> list[float]:
-    """Q after every step on this mesh."""
+    """Return Q after every step on this mesh."""
     first = stage.prefix + "start"
     names = [name for name, _ in state.history]
     return [value for _, value in state.history[names.index(first) :]] if first in names else []
 
 
 def _settled(state: LearnState, stage: _Stage) -> bool:
-    """Whether the last round on this mesh lowered Q by little."""
+    """Test whether the last round on this mesh lowered Q by little."""
     values, length = _values(state, stage), 2 + STEPS
-    # that is no part of a round
+    # an exchange is not part of a round
     if any(name == stage.prefix + "exchange" for name, _ in state.history[-length:]):
         return False
     return len(values) > 2 * length and values[-1] > (1 - ENOUGH) * values[-1 - length]
@@ -275,7 +280,7 @@ def _settled(state: LearnState, stage: _Stage) -> bool:
 
 def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     poses, targets = state.motion.poses, stage.meshes.vertices
-    # the first weights on a mesh have far to go
+    # the first update on a mesh needs more sweeps
     far = far or not _has(state, stage, "weights")
     effort = FIRST_SWEEPS if far else SWEEPS
     _LOG.info("round %d: weights", state.round + 1)
@@ -290,7 +295,7 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
 
 
 def _keep(state: LearnState, body: Body, stage: _Stage, step: str) -> LearnState:
-    """The state with a better body; where rounding made it worse, as it was."""
+    """Update the body if Q does not rise; rounding can raise it."""
     before = state.history[-1][1]
     value = _value(body, state.motion.poses, stage)
     kept = body if value <= before else state.body

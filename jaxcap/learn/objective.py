@@ -1,4 +1,4 @@
-"""What learning minimises: how far a posed body is from registered meshes, and from their shape."""
+"""The objective of learning: distances of a posed body from registered meshes, and a Laplacian term."""
 
 import equinox as eqx
 import jax
@@ -19,8 +19,10 @@ def objective(
     metric: Conformance,
     terms: AbstractEnergy | None = None,
 ) -> Float[Array, ""]:
-    """`Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2` over all meshes (Adaptation, eq. 3.19), and what energies of the posed
-    body add."""
+    """Evaluate `Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2` over all meshes (Adaptation, eq. 3.19).
+
+    Energies `terms` of the posed body add their sums of squares.
+    """
 
     def of_frame(frame):
         pose, target = frame

@@ -1,4 +1,4 @@
-"""Where learning stands."""
+"""The state of learning between rounds."""
 
 from typing import NamedTuple
 
@@ -10,16 +10,16 @@ from ..body.pose import Motion
 
 
 class LearnState(NamedTuple):
-    """Where learning stands after a round: all that is needed to go on."""
+    """The state of learning after a round: sufficient to resume."""
 
     body: Body
     #: the poses of the meshes
     motion: Motion
-    #: left and right joints of which the bones stay equally long
+    #: pairs of left and right joints whose bones stay equally long
     pairs: Int[np.ndarray, "P 2"]
     damping: float
-    #: (step, Q) from the start on, Q in squared metres
+    #: (step, Q) from the start, Q in squared metres
     history: tuple[tuple[str, float], ...]
     round: int
-    #: root mean square error over the number of rigid parts, metres; empty where it was not asked
+    #: root mean square error over the number of rigid parts, metres; empty if it was not computed
     curve: Float[np.ndarray, "N"] = np.zeros(0)

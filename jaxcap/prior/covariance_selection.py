@@ -1,6 +1,6 @@
-"""Couplings that samples hardly show, taken out of inverse covariances.
+"""Covariance selection: set weak couplings in inverse covariances to zero.
 
-Where an entry of an inverse covariance is zero, two numbers are independent given all others.
+A zero entry of an inverse covariance means that two variables are conditionally independent given all others.
 """
 
 import numpy as np
@@ -8,25 +8,30 @@ from jaxtyping import Float
 
 from .gaussian_mixture import Mixture
 
-#: a coupling is lowered no further than leaves this share of the least eigenvalue, which bounds how
-#: much wider than learned a component may become
+#: lowering a coupling keeps the eigenvalues above this share of the least one, which bounds how far a
+#: component widens
 LEFT = 0.1
-#: the share of the way to the bound that a coupling goes at most, so that rounding does not carry it beyond
+#: the most of the distance to that bound that a coupling moves, as a margin for rounding
 SHORT = 1 - 1e-6
-#: a coupling below this is none
+#: partial correlations below this count as zero
 NONE = 1e-6
 
 
 def partial_correlations(precisions: Float[np.ndarray, "*K D D"]) -> Float[np.ndarray, "*K D D"]:
-    """Size of every off-diagonal entry, as a share of the diagonal: zero where two numbers are
-    independent given the others, one where they determine each other; ones along the diagonal."""
+    """Compute absolute partial correlations from inverse covariances.
+
+    An entry is zero where two variables are independent given the others, and one where they determine each
+    other. The diagonal is one.
+    """
     scales = np.sqrt(np.diagonal(precisions, axis1=-2, axis2=-1))
     return np.abs(precisions) / (scales[..., :, None] * scales[..., None, :])
 
 
 def zero_weak(mixture: Mixture, threshold: float) -> Mixture:
-    """A mixture without the couplings whose partial correlation is below `threshold`; those that the
-    matrix needs to stay positive definite are lowered as far as it does (Adaptation, section 4.1.1).
+    """Set couplings with a partial correlation below `threshold` to zero (Adaptation, section 4.1.1).
+
+    If this would make a matrix indefinite, its weak couplings are lowered as far as it stays positive
+    definite.
     """
     weak = partial_correlations(mixture.precisions) < threshold
     weak[:, np.arange(weak.shape[1]), np.arange(weak.shape[1])] = False
@@ -41,8 +46,7 @@ def zero_weak(mixture: Mixture, threshold: float) -> Mixture:
 def lower_weak(
     precision: Float[np.ndarray, "D D"], weak: np.ndarray, least: float
 ) -> Float[np.ndarray, "D D"]:
-    """The matrix with its weak entries lowered one after the other, the weakest first, each as far as
-    leaves no eigenvalue below `least`."""
+    """Lower weak entries of a matrix in turn, the weakest first, keeping eigenvalues above `least`."""
     rows, columns = np.nonzero(np.triu(weak, 1))
     order = np.argsort(partial_correlations(precision)[rows, columns], kind="stable")
     lowered = precision
@@ -52,10 +56,11 @@ def lower_weak(
 
 
 def _lower(matrix: np.ndarray, i: int, j: int, least: float) -> np.ndarray:
-    """One entry as near to zero as leaves no eigenvalue below `least`.
+    """Move one entry towards zero as far as all eigenvalues stay above `least`.
 
-    With `C` the inverse of `A = M - least I`, a change of both entries by `t` changes the determinant of `A` by the factor
-    `(1 + t C_ij)^2 - t^2 C_ii C_jj`. `A` stays positive definite between the roots of this factor.
+    With `C` the inverse of `A = M - least I`, a change of both entries by `t` changes the determinant of `A`
+    by the factor `(1 + t C_ij)^2 - t^2 C_ii C_jj`. `A` stays positive definite between the roots of this
+    factor.
     """
     if matrix[i, j] == 0:
         return matrix
@@ -71,7 +76,7 @@ def _lower(matrix: np.ndarray, i: int, j: int, least: float) -> np.ndarray:
 
 
 def num_zeroed(precisions: Float[np.ndarray, "K D D"]) -> tuple[int, int]:
-    """How many couplings are zero, and how many there could be."""
+    """Count the couplings that are zero, and all couplings."""
     above = np.triu_indices(precisions.shape[-1], 1)
     couplings = partial_correlations(precisions)[:, above[0], above[1]]
     return int((couplings < NONE).sum()), couplings.size

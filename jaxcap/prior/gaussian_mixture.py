@@ -1,6 +1,6 @@
-"""Gaussian mixtures by expectation maximisation, from a start by k-means++.
+"""Gaussian mixtures by expectation maximisation (EM), initialised by k-means++.
 
-Plain NumPy, float64: a few thousand poses of six numbers are no work for a compiler.
+Plain NumPy in float64: compilation does not pay off for a few thousand poses of six numbers.
 """
 
 from typing import NamedTuple
@@ -10,16 +10,16 @@ from jaxtyping import Float, Int
 
 from ..geometry.linear import factor_symmetric
 
-#: least standard deviation of a component in any direction, radians: captured joints are not known better
+#: least standard deviation of a component in any direction, radians; captured joints are not more accurate
 FLOOR = np.radians(2.0)
-#: rounds of EM at most, and the mean gain of log-likelihood that ends them
+#: the most rounds of EM, and the gain in mean log-likelihood below which they end
 ROUNDS, GAIN = 200, 1e-5
-#: tries of k-means, of which the tightest is where EM starts
+#: runs of k-means; the one with the least sum of squares initialises EM
 TRIES = 5
 
 
 class Mixture(NamedTuple):
-    """Weights, which sum to one, means and inverse covariances of K Gaussians in D numbers."""
+    """Weights (with sum one), means and inverse covariances of K Gaussians in D dimensions."""
 
     weights: Float[np.ndarray, "K"]
     means: Float[np.ndarray, "K D"]
@@ -27,7 +27,7 @@ class Mixture(NamedTuple):
 
 
 class MixtureFit(NamedTuple):
-    """A mixture, and the mean log-likelihood of the samples at its start and after each round."""
+    """A mixture, and the mean log-likelihood of the samples at the start and after each round."""
 
     mixture: Mixture
     history: Float[np.ndarray, "R"]
@@ -42,12 +42,12 @@ def fit_mixture(
     rounds: int = ROUNDS,
     gain: float = GAIN,
 ) -> MixtureFit:
-    """A mixture of `count` Gaussians by EM (Adaptation, section 4.1.1); the likelihood never falls.
+    """Fit a mixture of `count` Gaussians by EM (Adaptation, section 4.1.1); the likelihood never falls.
 
-    **Arguments:** `floor`, radians, the least deviation of a component in any direction; `rounds` at
-    most, fewer where one gains less than `gain` by sample.
+    **Arguments:** `floor` is the least standard deviation of a component in any direction, radians; `rounds`
+    is the most rounds, which end early if one gains less than `gain` per sample.
 
-    **Raises:** `ValueError` where there are fewer samples than components, or one is not finite.
+    **Raises:** `ValueError` if there are fewer samples than components, or if a sample is not finite.
     """
     if not 1 <= count <= len(samples):
         raise ValueError(f"{len(samples)} samples cannot be split among {count} components; give more.")
@@ -66,13 +66,13 @@ def fit_mixture(
         if len(history) > rounds or (len(history) > 1 and history[-1] - history[-2] < gain):
             break
         mixture = _maximise(samples, np.exp(joint - total[:, None]), mixture.means, floor)
-    # a component that lost all its samples says nothing
+    # drop components without samples
     kept = mixture.weights > 0
     return MixtureFit(Mixture(*(part[kept] for part in mixture)), np.array(history))
 
 
 def log_joint(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N K"]:
-    """Logarithm of weight times density of each component at each sample."""
+    """Compute the logarithm of weight times density of each component at each sample."""
     factors = factor_symmetric(mixture.precisions)
     offsets = (samples[None] - mixture.means[:, None]) @ factors
     scales = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(1) - 0.5 * samples.shape[1] * np.log(
@@ -84,12 +84,12 @@ def log_joint(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.n
 
 
 def log_density(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N"]:
-    """Logarithm of the mixture's density at each sample (Adaptation, eq. 4.1)."""
+    """Compute the logarithm of the mixture density at each sample (Adaptation, eq. 4.1)."""
     return log_sum(log_joint(mixture, samples))
 
 
 def log_sum(joint: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N"]:
-    """`log(sum(exp(joint)))` of every row."""
+    """Compute `log(sum(exp(joint)))` of each row."""
     top = joint.max(1, keepdims=True)
     return top[:, 0] + np.log(np.exp(joint - top).sum(1))
 
@@ -97,13 +97,15 @@ def log_sum(joint: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N"]:
 def spread_labels(
     samples: Float[np.ndarray, "N D"], count: int, rng: np.random.Generator, rounds: int = 10
 ) -> tuple[Int[np.ndarray, "N"], float]:
-    """Clusters by k-means++ (Arthur and Vassilvitskii 2007), and the sum of squared distances to their
-    centres: each centre is drawn with a chance that grows with the squared distance to those before it;
-    a few rounds of k-means then settle them."""
+    """Cluster samples by k-means++ (Arthur and Vassilvitskii 2007) and a few rounds of k-means.
+
+    Each initial centre is sampled with a probability in proportion to the squared distance from the previous
+    ones. Returns the labels, and the sum of squared distances to the centres.
+    """
     centres = samples[[rng.integers(len(samples))]]
     apart = ((samples - centres[0]) ** 2).sum(1)
     while len(centres) < count:
-        # where all samples are the same, any is as good
+        # sample uniformly if all samples are equal
         chances = apart / apart.sum() if apart.sum() > 0 else None
         centres = np.vstack([centres, samples[rng.choice(len(samples), p=chances)]])
         apart = np.minimum(apart, ((samples - centres[-1]) ** 2).sum(1))
@@ -124,11 +126,14 @@ def _closest(samples, centres) -> np.ndarray:
 
 
 def _maximise(samples, shares, means, floor) -> Mixture:
-    """The M step. Among covariances with no deviation below the floor, the likeliest has the samples'
-    own eigenvectors and their variances raised to it, so the step maximises exactly what the E step
-    set up, and the likelihood cannot fall."""
+    """Perform the M step, with standard deviations bounded from below.
+
+    Among covariances with no deviation below the floor, the most likely has the eigenvectors of the samples,
+    and their variances raised to the floor. The step is therefore an exact maximiser, and the likelihood
+    cannot fall.
+    """
     sizes = shares.sum(0)
-    # a component without samples stays where it is
+    # keep the mean of a component without samples
     divisor = np.where(sizes > 0, sizes, 1.0)[:, None]
     means = np.where(sizes[:, None] > 0, shares.T @ samples / divisor, means)
     offsets = samples[None] - means[:, None]

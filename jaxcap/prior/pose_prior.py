@@ -1,4 +1,4 @@
-"""Which poses are likely, and which can be at all, from poses that somebody took."""
+"""Pose priors and joint limits learned from sample poses."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
@@ -18,14 +18,14 @@ from ..geometry.linear import factor_symmetric
 from .gaussian_mixture import FLOOR
 from .model_selection import Chosen, choose_mixture
 
-#: poses to learn from: a motion, several of one skeleton, or poses stacked over frames
+#: training poses: a motion, several motions of one skeleton, or poses stacked over frames
 Poses = Motion | Pose | Sequence[Motion]
 
 _own_vectors = eqx.filter_jit(jax.vmap(own_vectors, (None, 0)))
 
 
 class LearnedPair(NamedTuple):
-    """A pair of successive joints, the nearer to the root first, and what was chosen for it."""
+    """A pair of successive joints, the one nearer to the root first, and its selected mixture."""
 
     pair: tuple[str, str]
     chosen: Chosen
@@ -35,14 +35,16 @@ class LearnedPair(NamedTuple):
 def learn_pair_prior(
     skeleton: Skeleton, poses: Poses, *, most: int = 10, floor: float = FLOOR, seed: int = 0
 ) -> PairPrior:
-    """A Gaussian mixture over the turns of each pair of successive joints (Adaptation, section 4.1.1
-    and eq. 4.1), each with the number of components, 1 to `most`, that foretells left-out poses best.
+    """Fit a Gaussian mixture over the rotations of each pair of successive joints.
 
-    **Arguments:** `floor`, radians, the least deviation of a component in any direction, which is all
-    that holds a joint that never moved.
+    Each mixture has the number of components, 1 to `most`, that best predicts left-out poses (Adaptation,
+    section 4.1.1 and eq. 4.1).
 
-    **Raises:** `ValueError` where no two joints turn one after the other, there are fewer than 4 poses,
-    they are of another number of joints, or one is not finite.
+    **Arguments:** `floor` is the least standard deviation of a component in any direction, radians. It is the
+    only regularisation of a joint that never moved.
+
+    **Raises:** `ValueError` if no two successive joints rotate, if there are fewer than 4 poses, if poses
+    have another number of joints, or if one is not finite.
     """
     return pair_prior_of(skeleton, learn_pairs(skeleton, poses, most=most, floor=floor, seed=seed))
 
@@ -56,7 +58,8 @@ def learn_pairs(
     seed: int = 0,
     progress: Callable[[Iterable, int], Iterable] = lambda pairs, total: pairs,
 ) -> tuple[LearnedPair, ...]:
-    """What `learn_pair_prior` learns, with how it was chosen; `progress` passes pairs through."""
+    """Fit the mixtures of `learn_pair_prior` and return how each was selected; `progress` wraps the loop over
+    pairs."""
     vectors = turn_vectors(skeleton, poses)
     pairs = successive_pairs(skeleton)
     if not pairs:
@@ -69,7 +72,7 @@ def learn_pairs(
 
 
 def pair_prior_of(skeleton: Skeleton, learned: Sequence[LearnedPair]) -> PairPrior:
-    """The prior of learned pairs, all padded to the most components of one."""
+    """Build the prior from learned pairs, padded to the largest number of components."""
     width = max(len(one.chosen.mixture.weights) for one in learned)
     weights, means = np.zeros((len(learned), width)), np.zeros((len(learned), width, 6))
     factors = np.tile(np.eye(6), (len(learned), width, 1, 1))
@@ -84,10 +87,12 @@ def pair_prior_of(skeleton: Skeleton, learned: Sequence[LearnedPair]) -> PairPri
 
 @checked
 def learn_ranges(skeleton: Skeleton, poses: Poses, margin: float = 0.0) -> PoseBoxes:
-    """The least and the largest of every number of every joint's turn (Adaptation, section 4.1.1), as
-    hard limits; `margin` radians are added at both ends. Roots are free.
+    """Learn hard limits: the least and the largest value of each rotation vector component of each joint.
 
-    **Raises:** `ValueError` where there is no pose, poses are of another number of joints, or one is not finite.
+    `margin` radians are added at both ends. Roots are free (Adaptation, section 4.1.1).
+
+    **Raises:** `ValueError` if there is no pose, if poses have another number of joints, or if one is not
+    finite.
     """
     joints = list(turning_joints(skeleton))
     vectors = turn_vectors(skeleton, poses)[:, joints]
@@ -96,9 +101,11 @@ def learn_ranges(skeleton: Skeleton, poses: Poses, margin: float = 0.0) -> PoseB
 
 
 def turn_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J 3"]:
-    """Every joint's turn from rest in every pose: rotation vectors in the joints' own frames, radians.
+    """Compute the rotation of each joint from rest in each pose: rotation vectors in the joint frames,
+    radians.
 
-    **Raises:** `ValueError` where there is no pose, poses are of another number of joints, or one is not finite.
+    **Raises:** `ValueError` if there is no pose, if poses have another number of joints, or if one is not
+    finite.
     """
     stacked = stack_of(poses)
     if stacked.rotations.ndim != 3 or not len(stacked.rotations):
@@ -114,7 +121,7 @@ def turn_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J 3"]
 
 
 def stack_of(poses: Poses) -> Pose:
-    """Poses of motions one after the other."""
+    """Concatenate the poses of motions."""
     if isinstance(poses, Pose):
         return poses
     motions = [poses] if isinstance(poses, Motion) else list(poses)

@@ -1,1 +1,1 @@
-"""Linearly blended bodies by all of their unknowns at once."""
+"""Joint optimisation of all unknowns of a body with linear blend skinning."""

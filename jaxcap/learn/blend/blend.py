@@ -1,18 +1,19 @@
-"""All unknowns of a linearly blended body at once, by variable projection.
+"""Variable projection of a body with linear blend skinning.
 
-Without a Laplacian, vertices are independent of each other given the poses and the joints: each has
-a rest place `v` and weights `w` on the simplex of its own, so that
+Without a Laplacian term, vertices are independent of each other given poses and joints. Each has a rest
+position `v` and weights `w` on the simplex, so that
 
     r(p) = sum_v  min_{w, v}  sum_m | sum_j w_j T_mj(p) v - x_m |^2
 
-is a function of poses and joints `p` alone (Golub and Pereyra 1973). In turns, `p` moves only as far
-as weights and vertices that stay let it, and learning creeps; steps on `r` know that these follow.
-With `J_v` the derivatives of a vertex by `p`, and `K_v` those by its own unknowns, weights at zero
-left out, Gauss-Newton's matrix is (Kaufman 1975)
+is a function of poses and joints `p` alone (Golub and Pereyra 1973). Alternating minimisation converges
+slowly, as fixed weights and vertices limit each step of `p`. Steps on `r` account for their change. With
+`J_v` the derivatives of a vertex by `p`, and `K_v` those by its own unknowns, without weights at zero, the
+Gauss-Newton matrix is (Kaufman 1975)
 
     H = sum_v J_v^T (I - K_v K_v^+) J_v,    with the gradient  sum_v J_v^T (I - K_v K_v^+) e_v.
 
-A weight leaves its bound in the inner minimum, which is found anew for every trial, so that bounds do not stop the steps.
+A weight can leave its bound in the inner minimum, which is solved anew for every trial step. Bounds therefore
+do not block the steps.
 """
 
 import equinox as eqx
@@ -30,18 +31,18 @@ from ..skeleton.limbs import Limbs, Tree, bone_rates, bones_of, move_limbs
 from ..weights.weights_and_rest import images, settle, spread_weights
 from .projected import Moves, Own, Projected, flat_bones
 
-#: what a joint's turn by one radian, and a centre's shift by one metre, may cost, as shares of r
+#: stiffness of a joint rotation by one radian, and of a centre shift by one metre, as shares of r
 STIFF_TURN, STIFF_SHIFT = 1e-2, 1.0
-#: steps of the inner minimum for a trial
+#: steps of the inner minimum for a trial step
 INNER = 2
-#: what is left of directions of a vertex that depend on each other
+#: ridge for linearly dependent directions of a vertex
 RIDGE = 1e-6
-#: conjugate gradients: the share of the right side at which they end, and steps at most
+#: conjugate gradients: tolerance relative to the right-hand side, and the most steps
 TOLERANCE, STEPS = 5e-2, 25
 
 
 class Blend(eqx.Module):
-    """Bones, and vertices that they blend."""
+    """Bones, and the weights and rest positions of the vertices that they blend."""
 
     limbs: Limbs
     weights: Float[Array, "V J"]
@@ -49,12 +50,13 @@ class Blend(eqx.Module):
 
 
 class BlendProblem(AbstractProblem[Blend]):
-    """Half the squares left between blended vertices and where they should be, by bones alone: a step takes the vertices with it."""
+    """Half the squared residual of blended vertices as a function of bones alone; vertices adapt to each
+    step."""
 
     tree: Tree
     near: Int[Array, "V K"]
     aims: Float[Array, "V N"]
-    #: joints of the left and right, and the parents of each: left, parent, right, parent
+    #: left joint, its parent, right joint, its parent
     twins: Int[Array, "P 4"]
     units: Unknowns
 
@@ -62,7 +64,7 @@ class BlendProblem(AbstractProblem[Blend]):
         return 0.5 * jnp.sum(self.errors(y) ** 2)
 
     def errors(self, y: Blend) -> Float[Array, "V N"]:
-        """How far each vertex is from where it should be in all frames."""
+        """Compute the residual of each vertex in all frames."""
         return errors_of(y, self.tree, self.aims)
 
     def retract(self, y: Blend, d: Unknowns) -> Blend:
@@ -81,7 +83,7 @@ class BlendProblem(AbstractProblem[Blend]):
         value = 0.5 * jnp.sum(errors**2)
         none = jax.tree.map(jnp.zeros_like, self.units)
         hessian = Projected(arrow, none, moves, own, jnp.asarray(TOLERANCE, errors.dtype), jnp.asarray(STEPS))
-        # what hardly counts is kept from going far
+        # damp directions with little effect on the residual
         stiff = jax.tree.map(lambda u, s: 2.0 * value * s * u**2, self.units, (STIFF_TURN, STIFF_SHIFT))
         hessian = hessian.add_diagonal(stiff)
         constraints = Constraints(equalities=self._equalities(y.limbs))
@@ -101,25 +103,25 @@ class BlendProblem(AbstractProblem[Blend]):
 
 
 def spread_places(y: Blend) -> Float[Array, "V B"]:
-    """Weigh the rest place of each vertex, and one, for every bone."""
+    """Multiply the homogeneous rest position of each vertex by its weight for each bone."""
     places = jnp.concatenate([y.rest, jnp.ones_like(y.rest[:, :1])], 1)
     return (y.weights[:, :, None] * places[:, None]).reshape(len(places), -1)
 
 
 def errors_of(y: Blend, tree: Tree, aims: Float[Array, "V N"]) -> Float[Array, "V N"]:
-    """Compute how far each vertex is from where it should be in all frames."""
+    """Compute the residual of each vertex in all frames."""
     return jnp.matmul(spread_places(y), flat_bones(bones_of(tree, y.limbs)), precision="highest") - aims
 
 
 def settle_blend(y: Blend, tree: Tree, near, aims, steps: int) -> Blend:
-    """Give each vertex the weights and the rest place that are best for it."""
+    """Optimise the weights and the rest position of each vertex."""
     weights = jnp.take_along_axis(y.weights, near, 1)
     found = settle(weights, y.rest, near, bones_of(tree, y.limbs), aims, steps)
     return Blend(y.limbs, spread_weights(found.weights, near, y.weights.shape[1]), found.rest)
 
 
 def arrow_of(tree: Tree, y: Blend) -> BlockArrow:
-    """Sum `J^T J` by frames: the vertices enter by the moments of what each bone counts in them."""
+    """Assemble `J^T J` by frames; vertices enter through moments of their weighted rest positions."""
     spread = spread_places(y)
     moments = jnp.matmul(spread.T, spread, precision="highest")
     joints = len(tree.parents)
@@ -140,7 +142,8 @@ def arrow_of(tree: Tree, y: Blend) -> BlockArrow:
 
 
 def own_directions(tree: Tree, near, aims, y: Blend) -> Own:
-    """Find the directions of each vertex by its place and by shares that bones exchange."""
+    """Compute the directions of each vertex with respect to its rest position and to weight exchanges between
+    bones."""
     bones = bones_of(tree, y.limbs)
     weights = jnp.take_along_axis(y.weights, near, 1)
     apart = images(bones, y.rest, near) - aims[:, None]

@@ -1,4 +1,4 @@
-"""Rounds on a linearly blended body whose vertices hardly hang together: bones, with all that vertices can make of them."""
+"""Learning rounds for a body with linear blend skinning and a weak Laplacian term, by variable projection."""
 
 from collections.abc import Callable
 
@@ -10,13 +10,14 @@ from ..structure.skeleton_edit import Graft
 from ..structure.structure_search import exchange
 from .variable_projection import improve_all
 
-#: vertices from which bones are learned
+#: the number of vertices from which bones are learned
 VERTICES = 2000
-#: times that the bones near a vertex are chosen anew in a round and for a trial, and steps of each
+#: updates of the candidate bones of vertices in a round and in a trial, and steps after each
 PASSES, TRIAL_PASSES, STEPS = 2, 1, 5
-#: the share of Q by which a round falls that needs no exchange yet; a round that lowers Q by less than the last share is the last
+#: joints are exchanged once a round keeps more than the first share of Q; rounds end when one lowers Q by
+#: less than the second
 FALLS, ENOUGH = 0.5, 0.05
-#: root mean square error, as a share of the body's height, below which nothing is left to learn
+#: root mean square error below which learning ends, as a share of the body's height
 EXACT = 5e-6
 #: trials of an exchange
 TRIALS = 3
@@ -31,10 +32,12 @@ def improve_linear(
     free: bool,
     prefix: str,
 ) -> LearnState:
-    """Improve a body until a round lowers Q, here the squares alone, by little. From the second round on, joints are exchanged
-    where steps alone no longer lower it by much.
+    """Improve a body until a round lowers Q, here the squared distances alone, by little.
 
-    **Arguments:** `exchanging` whether joints are, and `free` whether their number is; `prefix` of what steps are called in the history.
+    From the second round on, joints are exchanged when steps alone no longer lower Q by much.
+
+    **Arguments:** `exchanging` allows the exchange of joints, and `free` a change of their number; `prefix`
+    begins the names of steps in the history.
     """
     while state.round < rounds and not _done(state, targets, exchanging, prefix):
         if exchanging and _slow(state, prefix):
@@ -62,7 +65,7 @@ def _improve(state: LearnState, made: Graft, targets, step: str, passes: int) ->
 
 
 def _rounds(state: LearnState, prefix: str) -> list[tuple[float, float]]:
-    """Q before and after the steps of each round."""
+    """Return Q before and after each round."""
     values = [value for _, value in state.history]
     return [
         (values[i - 1], values[i])

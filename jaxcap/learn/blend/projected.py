@@ -1,4 +1,4 @@
-"""Normal equations of bones from which the unknowns of every vertex are eliminated."""
+"""Normal equations of bones with the unknowns of each vertex eliminated."""
 
 from collections.abc import Callable
 
@@ -16,39 +16,39 @@ from ..skeleton.limbs import Limbs, Tree, bone_rates
 
 
 class Moves(eqx.Module):
-    """How blended vertices move with the bones: linear, and nothing of the size vertices by unknowns is kept."""
+    """The linear map from bone tangents to vertex displacements, without a stored Jacobian."""
 
     tree: Tree
     limbs: Limbs
-    #: weights times rest places, and weights: what a bone's `(R, t)` counts in a vertex
+    #: weights times rest positions, and weights: the coefficients of a bone's `(R, t)` in a vertex
     spread: Float[Array, "V B"]
-    #: what counts as one unit of a tangent
+    #: the unit of each component of a tangent
     scales: Unknowns
 
     def push(self, d: Unknowns) -> Float[Array, "V N"]:
-        """Compute the moves of the vertices in all frames along a tangent."""
+        """Compute the displacements of the vertices in all frames along a tangent."""
         rates = bone_rates(self.tree, self.limbs, jax.tree.map(jnp.multiply, self.scales, d))
         return jnp.matmul(self.spread, flat_bones(rates), precision="highest")
 
     def pull(self, errors: Float[Array, "V N"]) -> Unknowns:
-        """Compute the products of errors with the moves by every number of a tangent."""
+        """Apply the transpose of `push` to errors."""
         (found,) = jax.linear_transpose(self.push, jax.tree.map(jnp.zeros_like, self.scales))(errors)
         return found
 
 
 def flat_bones(bones: Float[Array, "F J 3 4"]) -> Float[Array, "B N"]:
-    """Lay out bones so that the weighted places of vertices times them are the posed vertices."""
+    """Reshape bones so that the matrix of weighted rest positions times them gives the posed vertices."""
     return bones.transpose(1, 3, 0, 2).reshape(4 * bones.shape[1], -1)
 
 
 class Own(eqx.Module):
-    """The directions `C` in which each vertex moves by unknowns of its own, in all frames, and `(C C^T)^-1`."""
+    """The directions `C` of each vertex by its own unknowns, in all frames, and `(C C^T)^-1`."""
 
     rows: Float[Array, "V K N"]
     inverse: Float[Array, "V K K"]
 
     def without(self, errors: Float[Array, "V N"]) -> Float[Array, "V N"]:
-        """Leave out of errors what these directions can make good."""
+        """Project errors onto the orthogonal complement of these directions."""
         with jax.default_matmul_precision("highest"):
             inner = jnp.einsum("vij,vj->vi", self.inverse, jnp.einsum("vjn,vn->vj", self.rows, errors))
             return errors - jnp.einsum("vin,vi->vn", self.rows, inner)
@@ -57,16 +57,17 @@ class Own(eqx.Module):
 class Projected(AbstractStructured):
     """The matrix `J^T (1 - C^T (C C^T)^-1 C) J` over tangents of bones.
 
-    `J^T J` is an arrow, the rest joins all frames. It is known by its products; the arrow is the preconditioner of conjugate
-    gradients, which stay on the equations that a step keeps (Gould, Hribar and Nocedal 2001).
+    `J^T J` is an arrow matrix; the rest couples all frames. The matrix is available by its products only. The
+    arrow is the preconditioner of projected conjugate gradients, which satisfy the equality constraints of a
+    step (Gould, Hribar and Nocedal 2001).
     """
 
-    #: of `J^T J`, and all that was added to the diagonal
+    #: `J^T J` plus `added`, and the amounts added to the diagonal
     arrow: BlockArrow
     added: Unknowns
     moves: Moves
     own: Own
-    #: the share of the right side at which conjugate gradients end, and their steps at most
+    #: tolerance of conjugate gradients relative to the right-hand side, and their most steps
     tolerance: Float[Array, ""]
     steps: Int[Array, ""]
 
@@ -84,7 +85,7 @@ class Projected(AbstractStructured):
         return self.arrow.in_structure()
 
     def diagonal(self) -> Unknowns:
-        """The diagonal of the arrow, which bounds that of the matrix."""
+        """Return the diagonal of the arrow, an upper bound of the diagonal of the matrix."""
         return self.arrow.diagonal()
 
     def add_diagonal(self, amounts: Unknowns) -> "Projected":
@@ -122,7 +123,10 @@ class ProjectedFactor(AbstractFactor):
 
 
 def _along(equalities: Equalities | None) -> Callable[[Array], Array]:
-    """Leave out of a right side what only presses on equations: else it would be a residual for ever."""
+    """Build the projection of a right-hand side onto the null space of equality constraints.
+
+    The other component is balanced by constraint forces, and would remain as a residual.
+    """
     if equalities is None or len(equalities.rows) == 0:
         return lambda s: s
     rows = equalities.rows

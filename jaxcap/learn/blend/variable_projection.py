@@ -1,4 +1,4 @@
-"""A linearly blended body improved by all of its unknowns at once: rounds of one `BlendProblem`."""
+"""Rounds of `BlendProblem` on a body with linear blend skinning."""
 
 from typing import NamedTuple
 
@@ -19,20 +19,20 @@ from ..skeleton.limbs import Limbs, Tree, bones_of, is_simple, make_limbs, read_
 from ..weights.weights_and_rest import promising_bones
 from .blend import Blend, BlendProblem, arrow_of, errors_of, settle_blend
 
-#: vertices on which steps rest, and of each part at least
+#: vertices sampled for the steps, and the least number from each part
 SAMPLES, LEAST = 1200, 12
-#: vertices that settle at once; as many, so that this is compiled once
+#: vertices per block; a constant size avoids recompilation
 BLOCK = SAMPLES
-#: bones that may move a vertex
+#: the number of candidate bones of a vertex
 NEAR = 12
-#: steps of the inner minimum before a round; times that the bones near a vertex are chosen anew there
+#: steps of the inner minimum before a round, and updates of the candidate bones in it
 OUTER, PASSES = 10, 4
-#: curvature of what does not count at all, as a share of the largest
+#: the least curvature, as a share of the largest
 LITTLE = 1e-9
 
 
 class Improved(NamedTuple):
-    """A body with its poses, and the squares left on all vertices, at alpha = 0, before and after."""
+    """A body with its poses, and the squared residual on all vertices at alpha = 0, before and after."""
 
     body: Body
     poses: Pose
@@ -53,14 +53,17 @@ def improve_all(
     samples: int = SAMPLES,
     enough: float = 0.02,
 ) -> Improved:
-    """Levenberg-Marquardt on the sum of squared distances over poses and joints, with the best
-    weights and rest vertices for each: never more than before.
+    """Minimise the sum of squared distances over poses and joints, with optimal weights and rest vertices for
+    each.
 
-    **Arguments:** `poses` stacked over F frames, of scale one; `targets` the registered meshes, metres; `pairs` of
-    joints whose bones stay equally long; `rounds` of `steps`, fewer where one gains less than a
-    share `enough`: before each the bones that may move a vertex are chosen anew. They rest on some `samples` vertices, to which all others then adapt.
+    Levenberg-Marquardt steps use about `samples` vertices, to which all others then adapt. The sum never
+    rises.
 
-    **Raises:** `ValueError` for a skin that is not linear, and for joints that are no balls below free roots.
+    **Arguments:** `poses` stacked over F frames, of scale one; `targets` are the registered meshes, metres;
+    `pairs` of joints whose bones stay equally long; `rounds` of `steps` steps, which end early if one gains
+    less than a share `enough`. The candidate bones of each vertex are updated before each round.
+
+    **Raises:** `ValueError` for a skin that is not linear, and for joints other than balls below free roots.
     """
     if not isinstance(body.skin, LinearSkin):
         raise ValueError(f"A {type(body.skin).__name__} cannot be projected; give the body a LinearSkin.")
@@ -94,7 +97,7 @@ def improve_all(
 
 
 def adapt_all(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> tuple[Body, float]:
-    """Find the weights and the rest place of each vertex that are best, and the squares left."""
+    """Optimise the weights and the rest position of each vertex; also returns the squared residual."""
     tree, limbs = make_limbs(body.skeleton, poses)
     return _adapt_body(body, tree, limbs, targets)
 
@@ -106,7 +109,7 @@ def _adapt_body(body: Body, tree: Tree, limbs: Limbs, targets) -> tuple[Body, fl
     size = min(BLOCK, count)
     parts = []
     for first in range(0, count, size):
-        # blocks are equally long; what is in the last one twice is cut from its head
+        # blocks have equal size; the overlap of the last block is dropped
         begin = min(first, count - size)
         some = slice(begin, begin + size)
         found = _settled(
@@ -129,7 +132,7 @@ def _settled(y: Blend, tree: Tree, aims, count) -> tuple[Blend, Float[Array, "V"
 
 @eqx.filter_jit
 def _prepared(y: Blend, tree: Tree, aims, count) -> tuple[Int[Array, "V K"], Unknowns]:
-    """The bones that may move each vertex, and units in which all numbers of a joint count alike."""
+    """Choose the candidate bones of each vertex, and units that equalise the curvature within each joint."""
 
     def unit(diagonal):
         threes = diagonal.reshape(*diagonal.shape[:-1], -1, 3)
@@ -156,7 +159,7 @@ def _twins(body: Body, pairs, width: int) -> Int[Array, "P 4"]:
 
 
 def spread_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray, "S"]:
-    """Choose so many of the vertices, or all, more than their share from parts that have few."""
+    """Sample `count` of the vertices, or all, with more than their share from small parts."""
     sizes = np.bincount(labels)
     shares = np.minimum(sizes, np.maximum(LEAST, count * np.sqrt(sizes) / np.sqrt(sizes).sum())).astype(int)
     groups = (np.flatnonzero(labels == part) for part in range(len(sizes)))
@@ -167,7 +170,7 @@ def spread_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray,
     ]
     some = np.concatenate(picked)
     others = np.setdiff1d(np.arange(len(labels)), some)
-    # always as many, so that trees of any shape share what is compiled
+    # a constant number of vertices, so that trees of any shape share compiled code
     missing = min(count, len(labels)) - len(some)
     if missing < 0:
         some = some[np.linspace(0, len(some) - 1, count).astype(int)]

@@ -1,1 +1,1 @@
-"""Rigid parts of a surface that moves."""
+"""Segmentation of a moving surface into rigid parts."""

@@ -1,4 +1,4 @@
-"""Merging neighbours in the order that costs least rigidity: the whole curve of error over parts."""
+"""Agglomerative clustering by rigid errors, with the whole curve of the error over the number of parts."""
 
 import heapq
 from typing import NamedTuple
@@ -10,19 +10,19 @@ from ...geometry.procrustes import Moments, rigid_errors
 
 
 class Merging(NamedTuple):
-    """How N sets became one, pair by pair, each time the neighbours whose union costs least."""
+    """The sequence of merges of N sets into one; each merges the neighbours whose union costs least."""
 
-    #: (N - 1, 2): the set that grows, and the one that goes into it
+    #: (N - 1, 2): the set that remains, and the one merged into it
     steps: Int[np.ndarray, "M 2"]
     #: (N,) total error with 1, 2, ... N sets
     errors: Float[np.ndarray, "N"]
 
 
 def agglomerate(moments: Moments, neighbours: Int[np.ndarray, "B 2"]) -> Merging:
-    """Ward's method with the exact rigid error over all frames in place of the variance.
+    """Merge neighbouring sets by Ward's method, with the exact rigid error over all frames as the cost.
 
-    **Arguments:** `moments` of N sets; `neighbours` pairs of sets that touch, which must connect
-    them all. **Source:** Ward 1963; the error of a union is that of summed moments.
+    **Arguments:** `moments` of N sets; `neighbours` are pairs of adjacent sets, which must connect all of
+    them. **Source:** Ward 1963; the error of a union follows from summed moments.
     """
     count = len(moments.mass)
     moments = Moments(*(field.copy() for field in moments))
@@ -59,7 +59,7 @@ def agglomerate(moments: Moments, neighbours: Int[np.ndarray, "B 2"]) -> Merging
 
 
 def merged_labels(merging: Merging, count: int) -> Int[np.ndarray, "N"]:
-    """The set of each of the N first sets, 0 to `count` - 1, when `count` are left."""
+    """Return the label, 0 to `count` - 1, of each of the N initial sets when `count` sets are left."""
     size = len(merging.errors)
     owner = np.arange(size)
     for a, b in merging.steps[: size - count]:

@@ -1,4 +1,4 @@
-"""Whether the motion in the meshes tells the parts of a body apart."""
+"""Checks that the motion of the meshes distinguishes the rigid parts of a body."""
 
 from collections.abc import Sequence
 
@@ -12,9 +12,10 @@ from ...body.kinematics import Transforms, forward_kinematics
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
 
-#: parts that stay this near to one another or to their place are not told apart, share of the body's length
+#: parts that stay within this distance of each other or of their position are not distinguishable, share of
+#: the body's length
 ALIKE = 0.003
-#: vertices of a part that are looked at
+#: vertices sampled from each part
 FEW = 40
 
 
@@ -25,11 +26,13 @@ def check_parts(
     translations: Float[np.ndarray, "F K 3"],
     names: Sequence[str] | None = None,
 ) -> list[str]:
-    """What a user should know of K rigid parts, a sentence each: parts without vertices, parts that never
-    move, and pairs that move alike, so that a joint between them is a guess.
+    """Return warnings about K rigid parts, one sentence each.
 
-    **Arguments:** vertex `v` of part `labels[v]` goes from `rest[v]` to `rotations[f, k] v + translations[f, k]`
-    in mesh `f`, metres; `names` are what to call the parts.
+    They concern parts without vertices, parts that never move, and pairs that move alike, so that the joint
+    between them is undetermined.
+
+    **Arguments:** vertex `v` of part `labels[v]` moves from `rest[v]` to `rotations[f, k] v + translations[f,
+    k]` in mesh `f`, metres; `names` are the names of the parts.
     """
     count = rotations.shape[1]
     called = [f"part {part}" for part in range(count)] if names is None else list(names)
@@ -42,7 +45,7 @@ def check_parts(
         for part, rows in enumerate(members)
         if rows.size
     ]
-    # where the vertices of one part go with each of the parts
+    # positions of the vertices of one part under the motion of each part
     carried = {
         part: np.einsum("fkab,nb->fkna", rotations, few) + translations[:, :, None] for part, few in chosen
     }
@@ -62,8 +65,10 @@ def check_parts(
 
 
 def check_learned(body: Body, motion: Motion) -> list[str]:
-    """`check_parts` of a learned body in the poses of its meshes: parts are called by their joints, and a vertex
-    belongs to the one that moves it most."""
+    """Run `check_parts` on a learned body in the poses of its meshes.
+
+    Parts are named by their joints, and a vertex belongs to the joint with the largest influence.
+    """
     transforms = _transforms(body.skeleton, motion.poses)
     return check_parts(
         np.asarray(body.vertices, float),

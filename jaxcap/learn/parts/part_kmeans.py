@@ -1,4 +1,4 @@
-"""Parts made better: k-means with rigid motions, and splits and drops out of its local minima."""
+"""Refinement of rigid parts: k-means with rigid motions, and split-and-drop moves out of local minima."""
 
 from typing import NamedTuple
 
@@ -11,18 +11,18 @@ from .rigid_residuals import Scene, part_costs, part_moments
 from .surface import adjacency, connect, cut_patches, label_edges, membership
 from .two_bone_blend import Mixed, Motions, make_motions, mix, mix_parts
 
-#: patches of a part by which it may be split in two
+#: patches into which a part is cut before it is split in two
 SPLIT_PATCHES = 24
-#: rounds of k-means, and how little may change for it to be done
+#: the most rounds of k-means, and the relative change at which it has converged
 ROUNDS, SETTLED = 30, 1e-3
-#: how often, for each part, a drop and a split are tried
+#: split-and-drop moves tried per part
 TRIES = 1
-#: rounds in which borders of patches move, and the share of its cost for which a vertex changes over
+#: rounds in which patch borders move, and the share of its cost below which a vertex changes patch
 BORDER_ROUNDS, CLEARLY = 5, 0.5
 
 
 class State(NamedTuple):
-    """Parts as they stand."""
+    """The current parts, their motions and their blends."""
 
     labels: Int[np.ndarray, "V"]
     moments: Moments
@@ -30,20 +30,19 @@ class State(NamedTuple):
     mixed: Mixed
 
     def error(self, scene: Scene) -> float:
-        """The error of mixtures, vertices weighted by area, summed over frames."""
+        """Compute the blend error, vertices weighted by area, summed over frames."""
         return float(scene.surface.areas @ self.mixed.errors)
 
 
 def improve_parts(scene: Scene, labels: Int[np.ndarray, "V"], count: int) -> State:
-    """K-means; then one part is dropped and another split in two, again and again, as long as both
-    together lower the error.
+    """Refine parts by k-means, then drop one part and split another as long as both together lower the error.
 
-    That error is of vertices moved by their own part mixed with one that touches it (`mixing`), as
-    any skin moves them: parts that stand for nothing but the bend of the skin around a joint give
-    way to parts that move by themselves.
+    The error is that of vertices moved by a blend of their own part and an adjacent one (`mix`), as under a
+    skin. Parts that only model the bend of the skin around a joint are therefore replaced by parts that move
+    independently.
     """
     state = _settle(scene, labels, count)
-    # of parts that have not changed; those around them count for little, and the test is the error after
+    # splits are cached by part; neighbours affect them little, and the error after the move decides
     splits: dict[bytes, tuple[float, np.ndarray]] = {}
     refused: set[tuple[bytes, bytes]] = set()
     for _ in range(TRIES * count if count > 2 else 0):
@@ -74,8 +73,10 @@ def improve_parts(scene: Scene, labels: Int[np.ndarray, "V"], count: int) -> Sta
 
 
 def sharpen_patches(scene: Scene, patches: Int[np.ndarray, "V"]) -> Int[np.ndarray, "V"]:
-    """Patches that were cut without a look at the motion, with the vertices at their borders given
-    to the neighbour that moves them clearly better: none then lies across a joint."""
+    """Move vertices at patch borders to a neighbouring patch that fits their motion clearly better.
+
+    Patches are cut without regard to motion. After this, none crosses a joint.
+    """
     ring = adjacency(scene.surface)
     rows = np.arange(len(patches))
     for _ in range(BORDER_ROUNDS):
@@ -100,8 +101,10 @@ def _settle(scene: Scene, labels: np.ndarray, count: int) -> State:
 
 
 def _drop(scene: Scene, state: State, part: int, touching: np.ndarray) -> tuple[float, np.ndarray]:
-    """How much the error rises without a part, and the labels then: of its vertices, the greater
-    share of the best mixture of two parts around it."""
+    """Compute the rise of the error without a part, and the labels after that.
+
+    Each of its vertices goes to the part with the larger share in the best blend of two parts around it.
+    """
     around = np.unique(touching[(touching == part).any(1)])
     around = around[around != part]
     own = np.flatnonzero(state.labels == part)
@@ -116,7 +119,7 @@ def _drop(scene: Scene, state: State, part: int, touching: np.ndarray) -> tuple[
 
 
 def _split(scene: Scene, state: State, part: int) -> tuple[float, np.ndarray]:
-    """How much the error falls when a part becomes two, and the vertices of one of them."""
+    """Compute the fall of the error when a part is split in two, and the vertices of one half."""
     own = np.flatnonzero(state.labels == part)
     patches = cut_patches(scene.surface, scene.rest, SPLIT_PATCHES, own)
     if patches.max() < 1:
@@ -141,8 +144,11 @@ def _split(scene: Scene, state: State, part: int) -> tuple[float, np.ndarray]:
 
 
 def _refine(scene: Scene, labels: np.ndarray, count: int) -> tuple[np.ndarray, Moments]:
-    """Vertices go to the part that moves them best, parts move as their vertices do (Le and Deng
-    2012), parts staying connected, until nearly nothing changes. The best labels met and their moments."""
+    """Alternate between assigning vertices to parts and fitting rigid motions (Le and Deng 2012), until
+    convergence.
+
+    Parts stay connected. Returns the best labels found, and their moments.
+    """
     ring = adjacency(scene.surface)
     degree = np.asarray(ring.sum(1))
     labels = connect(
@@ -160,7 +166,7 @@ def _refine(scene: Scene, labels: np.ndarray, count: int) -> tuple[np.ndarray, M
         else:
             break
         costs = part_costs(scene, *rigid_motions(moments))
-        # a vertex and its neighbours decide together, which keeps the borders short
+        # averaging costs over neighbours keeps borders short
         smooth = 0.5 * costs + 0.5 * (ring @ costs) / np.maximum(degree, 1)
         labels = connect(scene.surface, np.argmin(smooth, axis=1), smooth)
         if len(np.unique(labels)) < count:

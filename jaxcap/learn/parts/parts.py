@@ -1,4 +1,4 @@
-"""Rigid parts of a surface that moves: which vertices move together, and how."""
+"""Segmentation of a moving surface into rigid parts, with their motions."""
 
 from typing import NamedTuple
 
@@ -13,34 +13,33 @@ from .rigid_residuals import Scene, carried_back, part_moments
 from .ssdr_motions import unmix
 from .surface import cut_patches, label_edges, make_surface
 
-#: patches that are merged into parts
+#: the number of patches that are merged into parts
 PATCHES = 300
 #: one more part has to lower the root mean square error by this share
 LEAST_GAIN = 0.024
-#: share of the body's diagonal below which an error is that of numbers, not of parts
+#: share of the body's diagonal below which an error is negligible
 NEGLIGIBLE = 2e-4
-#: the most parts that are found unasked
+#: the most parts when the number is chosen automatically
 MOST_PARTS = 60
 
 
 class Parts(NamedTuple):
-    """K rigid parts of V vertices in F frames; part `k` takes vertex `p` to
-    `rotations[f, k] p + translations[f, k]`, metres.
+    """K rigid parts of V vertices in F frames.
 
-    The motions are those of bones under a skin: around a joint, vertices move as mixtures of two.
+    Part `k` moves vertex `p` to `rotations[f, k] p + translations[f, k]`, metres. The motions are those of
+    bones under a skin: around a joint, vertices move as blends of two parts.
     """
 
     labels: Int[np.ndarray, "V"]
     rotations: Float[np.ndarray, "F K 3 3"]
     translations: Float[np.ndarray, "F K 3"]
-    #: where the vertices are best at rest, by all frames, posed as the mesh given as rest
+    #: rest positions that best fit all frames, in the pose of the given rest mesh
     rest: Float[np.ndarray, "V 3"]
     #: (N,) root mean square error in metres with 1, 2, ... N parts, before they are refined
     curve: Float[np.ndarray, "N"]
-    #: root mean square distance in metres of the vertices, weighted by area, to their rigid parts
+    #: root mean square distance of the vertices from their rigid parts, weighted by area, metres
     error: float
-    #: the part, one that touches its own, with which a vertex's motion is mixed, and its own part's
-    #: share, 0 to 1, in that mixture of two
+    #: the adjacent part with which a vertex is blended, and the weight of its own part in the blend, 0 to 1
     partners: Int[np.ndarray, "V"]
     shares: Float[np.ndarray, "V"]
 
@@ -56,20 +55,19 @@ def find_parts(
     count: int | None = None,
     rest: Float[np.ndarray, "V 3"] | None = None,
 ) -> Parts:
-    """Connected parts of the surface that move rigidly, as nearly as so many parts can.
+    """Segment a surface into connected parts that move as rigidly as possible.
 
-    Some hundred small patches are merged in the order that costs least rigidity, which gives the
-    error over the number of parts; the parts are then refined by k-means with rigid motions
-    (Le and Deng 2012), and where splitting one and dropping another lowers what mixtures of
-    touching parts leave, that is done. Last, the motions are freed of the mixtures (`unmix`). Each
-    vertex counts by its area.
+    Some hundred small patches are merged by least rigid error, which gives the error over the number of
+    parts. The parts are then refined by k-means with rigid motions (Le and Deng 2012), and by moves that
+    split one part and drop another if that lowers the error of blended vertices. Finally, motions are
+    estimated under blending (`unmix`). Each vertex is weighted by its area.
 
-    **Arguments:** `meshes` in one topology, metres; `faces` triangles; `count` how many parts,
-    by default as many as each lower the error by `LEAST_GAIN`; `rest` the mesh in whose pose the
-    parts rest, by default the one nearest to all others (`choose_rest`).
+    **Arguments:** `meshes` in one topology, metres; `faces` are triangles; `count` is the number of parts, by
+    default as many as each lower the error by `LEAST_GAIN`; `rest` is the mesh in whose pose the parts rest,
+    by default the one nearest to all others (`choose_rest`).
 
-    **Raises:** `ValueError` for fewer than two meshes, numbers that are not finite, faces beyond
-    the vertices, and a count that is not between one and the number of patches.
+    **Raises:** `ValueError` for fewer than two meshes, numbers that are not finite, faces with invalid vertex
+    indices, and a count that is not between one and the number of patches.
     """
     meshes, faces = np.asarray(meshes), np.asarray(faces)
     _check(meshes, faces, count)
@@ -91,7 +89,7 @@ def find_parts(
     error = float(np.sqrt(rigid_errors(moved).sum() / len(meshes)))
     motions, mixed, back = unmix(scene, labels, state.motions)
     rotations, translations = motions.rotations, motions.translations
-    # about the world's origin again
+    # move the origin back to that of the world
     translations = translations + middles - np.einsum("kfab,b->kfa", rotations, middle)
     return Parts(
         labels,
@@ -106,8 +104,11 @@ def find_parts(
 
 
 def choose_count(curve: Float[np.ndarray, "N"], size: float) -> int:
-    """The number of parts at which one more no longer lowers the error by `LEAST_GAIN`, by the mean of
-    the next three, or at which the error is negligible against the `size` of the body, metres."""
+    """Choose the number of parts beyond which the error falls by less than `LEAST_GAIN` per part.
+
+    The gain is the mean of the next three parts. The search also ends where the error is negligible against
+    the `size` of the body, metres.
+    """
     for count in range(1, min(len(curve), MOST_PARTS)):
         ahead = min(count + 3, len(curve))
         share = 1 - (curve[ahead - 1] / max(curve[count - 1], 1e-300)) ** (1 / (ahead - count))
@@ -117,8 +118,11 @@ def choose_count(curve: Float[np.ndarray, "N"], size: float) -> int:
 
 
 def _merge_patches(scene: Scene, count: int) -> tuple[np.ndarray, Merging, Scene]:
-    """Small patches, how they merge, and the scene with its rest mesh the mean over frames of
-    the patches carried back, free of what is peculiar to the one mesh it started as."""
+    """Cut the surface into patches and merge them.
+
+    Returns the patches, their merges, and the scene with a rest mesh that is the mean over frames of the
+    patches moved back to rest, without the peculiarities of the initial mesh.
+    """
     patches = sharpen_patches(scene, cut_patches(scene.surface, scene.rest, count))
     number = int(patches.max()) + 1
     rotations, translations = rigid_motions(part_moments(scene, patches, number))

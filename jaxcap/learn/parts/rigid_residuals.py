@@ -1,4 +1,4 @@
-"""Surfaces that move, and what rigid motions of sets of their vertices leave unexplained."""
+"""Moving surfaces, and the residuals of rigid motions of sets of their vertices."""
 
 from typing import NamedTuple
 
@@ -10,16 +10,17 @@ from .surface import Surface, membership
 
 
 class Scene(NamedTuple):
-    """What parts are found in: frames about their middles, so that little is lost to cancellation."""
+    """A moving surface with each frame centred at its mean, against cancellation."""
 
     surface: Surface
     rest: Float[np.ndarray, "V 3"]
-    #: vertex by vertex, where it is in every frame
+    #: the path of each vertex over the frames
     paths: Float[np.ndarray, "V F 3"]
 
 
 def part_moments(scene: Scene, labels: Int[np.ndarray, "V"], count: int) -> Moments:
-    """The moments of `count` parts, vertices weighted by area; a negative label is no part."""
+    """Compute the moments of `count` parts, vertices weighted by area; vertices with negative labels are
+    ignored."""
     held = np.flatnonzero(labels >= 0)
     groups = membership(labels[held], scene.surface.areas[held], count)
     return group_moments(groups, scene.rest[held], scene.paths[held])
@@ -28,8 +29,10 @@ def part_moments(scene: Scene, labels: Int[np.ndarray, "V"], count: int) -> Mome
 def part_costs(
     scene: Scene, rotations: Float[np.ndarray, "K F 3 3"], translations: Float[np.ndarray, "K F 3"]
 ) -> Float[np.ndarray, "V K"]:
-    """Squared distances, summed over frames, of every vertex to where each part would take it from
-    the rest position that suits it best there."""
+    """Compute the squared residuals, summed over frames, of each vertex under the motion of each part.
+
+    The rest position of the vertex is optimal for each part.
+    """
     frames = scene.paths.shape[1]
     flat = scene.paths.reshape(len(scene.paths), -1)
     sums = _sums_back(flat, rotations, translations)
@@ -41,7 +44,7 @@ def part_costs(
 def carried_back(
     scene: Scene, labels: np.ndarray, rotations: np.ndarray, translations: np.ndarray
 ) -> Float[np.ndarray, "V 3"]:
-    """The mean over frames of every vertex carried back by its part."""
+    """Compute the mean over frames of each vertex moved back to rest by its part."""
     frames = scene.paths.shape[1]
     back = np.zeros_like(scene.rest)
     for part in range(len(rotations)):
@@ -52,7 +55,7 @@ def carried_back(
 
 
 def _sums_back(flat: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:
-    """(V, K, 3) sums over frames of `R^T (x - t)`."""
+    """Sum `R^T (x - t)` over frames, (V, K, 3)."""
     count = len(rotations)
     columns = rotations.reshape(count, -1, 3).transpose(1, 0, 2).reshape(-1, 3 * count)
     shift = np.einsum("kfab,kfa->kb", rotations, translations)

@@ -1,4 +1,4 @@
-"""The motions of bones under a skin that mixes them, two at every vertex."""
+"""Bone motions under linear blending of two bones per vertex."""
 
 from typing import NamedTuple
 
@@ -11,12 +11,12 @@ from .rigid_residuals import Scene
 from .surface import label_edges, membership
 from .two_bone_blend import Mixed, Motions, carried_sums, make_motions, mix_parts, with_one
 
-#: rounds of shares, rest vertices and motions: later ones fit better, by bones that come apart at the joints
+#: rounds of weights, rest vertices and motions; more rounds fit better, but bones separate at the joints
 ROUNDS = 3
 
 
 class Unmixed(NamedTuple):
-    """Two-bone skinning of a moving surface."""
+    """Two-bone linear blend skinning of a moving surface."""
 
     motions: Motions
     mixed: Mixed
@@ -24,12 +24,12 @@ class Unmixed(NamedTuple):
 
 
 def unmix(scene: Scene, labels: Int[np.ndarray, "V"], motions: Motions) -> Unmixed:
-    """Rigid motions freed of what the skin around the joints mixes into them.
+    """Estimate bone motions from rigid part motions under two-bone blending (Le and Deng 2012, section 4).
 
-    The best rigid motion of all vertices of a part is drawn towards its neighbours by the vertices
-    that move with both. In turn: each vertex's share in its own part and in one that touches it;
-    its rest position; and each part's motion, in closed form by Procrustes from what the other
-    part leaves of its vertices (Le and Deng 2012, section 4). Each of them lowers the error.
+    The best rigid motion of all vertices of a part is biased towards its neighbours by blended vertices. In
+    turn, the method updates each vertex's weight of its own part against an adjacent one, its rest position,
+    and the motion of each part, by Procrustes on the residual of the other part. Each update lowers the
+    error.
     """
     touching = np.unique(label_edges(scene.surface, labels)[0], axis=0)
     rest = scene.rest
@@ -42,7 +42,8 @@ def unmix(scene: Scene, labels: Int[np.ndarray, "V"], motions: Motions) -> Unmix
 
 
 def _rest_vertices(scene: Scene, labels: np.ndarray, motions: Motions, mixed: Mixed) -> np.ndarray:
-    """The least squares of `M p + m = x` over the frames, `[M m]` the mixture at the vertex."""
+    """Solve `M p + m = x` for rest positions by least squares over the frames, `[M m]` the blend at the
+    vertex."""
     count, frames = motions.translations.shape[:2]
     rows = np.arange(len(labels))
     w = mixed.shares[:, None]
@@ -53,7 +54,7 @@ def _rest_vertices(scene: Scene, labels: np.ndarray, motions: Motions, mixed: Mi
     both = w**2 * motions.products[labels, labels]
     both = both + (1 - w) ** 2 * motions.products[mixed.partners, mixed.partners]
     both = both + w * (1 - w) * (cross + cross.swapaxes(1, 2))
-    # opposite turns can leave a direction open, in which the vertex stays
+    # opposite rotations can make the system singular; regularise towards the current position
     ridge = 1e-6 * frames * np.eye(3)
     right = carried[:, :3] - both[:, :3, 3] + 1e-6 * frames * scene.rest
     return solve_symmetric(both[:, :3, :3] + ridge, right)
@@ -62,7 +63,7 @@ def _rest_vertices(scene: Scene, labels: np.ndarray, motions: Motions, mixed: Mi
 def _bone_motions(
     scene: Scene, rest: np.ndarray, labels: np.ndarray, motions: Motions, mixed: Mixed
 ) -> Motions:
-    """Part by part, the best rigid motion given those of all others."""
+    """Update the rigid motion of each part in turn, with all others fixed."""
     count = len(motions.rotations)
     areas, shares, partners = scene.surface.areas, mixed.shares, mixed.partners
     alone = partners == labels

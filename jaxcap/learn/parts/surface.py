@@ -1,4 +1,4 @@
-"""The graph of a mesh's vertices, always connected, and sets of vertices on it."""
+"""The connected graph of a mesh's vertices, and sets of vertices on it."""
 
 from typing import NamedTuple
 
@@ -9,35 +9,35 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from ...geometry.mesh import mesh_edges
 
-#: frames by which pieces of a mesh are judged to lie close
+#: frames used to measure distances between pieces of a mesh
 BRIDGE_FRAMES = 16
-#: vertices by which a large piece is joined to others
+#: vertices sampled from a large piece to join it to others
 BRIDGE_SAMPLES = 64
-#: rounds in which the seeds of patches move to their middles
+#: rounds of Lloyd's algorithm for the seeds of patches
 LLOYD_ROUNDS = 4
 
 
 class Surface(NamedTuple):
-    """A connected graph over the vertices of a mesh, with their areas.
+    """A connected graph over the vertices of a mesh, with vertex areas.
 
-    Edges are those of the triangles; edges between vertices that coincide in every frame; and, as
-    far as that leaves pieces unconnected, an edge between the closest vertices of two pieces.
+    Edges are those of the triangles, edges between vertices that coincide in every frame, and, between pieces
+    that are still disconnected, an edge between their closest vertices.
     """
 
     #: (E, 2), first less than second
     edges: Int[np.ndarray, "E 2"]
     #: metres in the rest mesh
     lengths: Float[np.ndarray, "E"]
-    #: share of every vertex in the area of the surface, more than zero, with sum one
+    #: share of each vertex in the surface area, positive, with sum one
     areas: Float[np.ndarray, "V"]
-    #: (E,) false for edges that only join pieces
+    #: (E,) false for edges that only connect pieces
     real: np.ndarray
 
 
 def make_surface(
     rest: Float[np.ndarray, "V 3"], meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"]
 ) -> Surface:
-    """The graph of a mesh whose vertices stand at `rest` and move as in `meshes`."""
+    """Build the graph of a mesh with vertices `rest` at rest and `meshes` over time."""
     count = len(rest)
     edges = mesh_edges(faces)
     chosen = np.unique(np.linspace(0, len(meshes) - 1, BRIDGE_FRAMES).round().astype(int))
@@ -51,7 +51,7 @@ def make_surface(
 
 
 def adjacency(surface: Surface, values: np.ndarray | None = None) -> sparse.csr_matrix:
-    """The symmetric matrix of the graph, ones where no values of the edges are given."""
+    """Build the symmetric adjacency matrix of the graph, with ones by default."""
     values = np.ones(len(surface.edges)) if values is None else values
     count = len(surface.areas)
     first, second = surface.edges.T
@@ -62,7 +62,7 @@ def adjacency(surface: Surface, values: np.ndarray | None = None) -> sparse.csr_
 def membership(
     labels: Int[np.ndarray, "V"], weights: Float[np.ndarray, "V"], count: int
 ) -> sparse.csr_matrix:
-    """(S, V) weights of the vertices in the set that each belongs to; a negative label is none."""
+    """Build the (S, V) matrix of vertex weights by set; vertices with negative labels are ignored."""
     held = np.flatnonzero(labels >= 0)
     return sparse.csr_matrix((weights[held], (labels[held], held)), shape=(count, len(labels)))
 
@@ -70,14 +70,14 @@ def membership(
 def cut_patches(
     surface: Surface, rest: Float[np.ndarray, "V 3"], count: int, among: np.ndarray | None = None
 ) -> Int[np.ndarray, "V"]:
-    """At most `count` connected patches of about equal width: cells of geodesic distance around seeds
-    that start far from each other and move to the middles of their cells.
+    """Partition a surface into at most `count` connected patches of about equal width.
 
-    With `among`, a connected set of vertices, only that set is cut; others have the label -1.
+    Patches are geodesic Voronoi cells of seeds from farthest point sampling, moved by Lloyd's algorithm. With
+    `among`, a connected set of vertices, only that set is partitioned; other vertices have the label -1.
     """
     vertices = np.arange(len(rest)) if among is None else np.asarray(among)
     points, areas = rest[vertices], surface.areas[vertices]
-    # zero would be "no edge" to the sparse matrix
+    # a sparse matrix treats zero as no edge
     graph = adjacency(surface, np.maximum(surface.lengths, 1e-9 * np.ptp(rest, axis=0).max()))
     graph = graph[vertices][:, vertices]
     seeds = _far_apart(points, min(count, len(points)))
@@ -99,7 +99,7 @@ def cut_patches(
 def label_edges(
     surface: Surface, labels: Int[np.ndarray, "V"]
 ) -> tuple[Int[np.ndarray, "B 2"], Int[np.ndarray, "B"]]:
-    """The edges of the graph between two sets: the pair of labels, the lesser first, and which edge."""
+    """Return the graph edges between two sets: pairs of labels, the lesser first, and the edge indices."""
     pairs = labels[surface.edges]
     crossing = np.flatnonzero((pairs[:, 0] != pairs[:, 1]) & (pairs >= 0).all(1))
     return np.sort(pairs[crossing], axis=1), crossing
@@ -108,8 +108,8 @@ def label_edges(
 def connect(
     surface: Surface, labels: Int[np.ndarray, "V"], costs: Float[np.ndarray, "V K"]
 ) -> Int[np.ndarray, "V"]:
-    """Labels of connected sets: each keeps its largest piece, and what is left goes to the
-    neighbours that cost it least."""
+    """Make sets connected: each keeps its largest piece, and other vertices go to the neighbouring set of
+    least cost."""
     same = labels[surface.edges[:, 0]] == labels[surface.edges[:, 1]]
     inside = adjacency(surface, same.astype(float))
     inside.eliminate_zeros()
@@ -136,14 +136,14 @@ def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
     triangles = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
     areas = np.bincount(faces.ravel(), np.repeat(triangles, 3), len(rest))
     total = areas.sum()
-    # a vertex without a triangle still belongs to some part
+    # vertices without triangles also belong to a part
     areas = areas / total if total > 0 else areas
     areas = np.maximum(areas, 1e-3 / len(rest))
     return areas / areas.sum()
 
 
 def _far_apart(points: np.ndarray, count: int) -> np.ndarray:
-    """Indices of points, sorted, each the farthest from those before it."""
+    """Sample points by farthest point sampling; returns sorted indices."""
     seeds = [int(np.argmax(np.sum((points - points.mean(0)) ** 2, 1)))]
     gaps = np.sum((points - points[seeds[0]]) ** 2, 1)
     while len(seeds) < count and gaps.max() > 0:
@@ -153,7 +153,7 @@ def _far_apart(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def _coincident(places: np.ndarray) -> np.ndarray:
-    """Edges between vertices that are at one place in every frame."""
+    """Find edges between vertices that coincide in every frame."""
     _, inverse = np.unique(places, axis=0, return_inverse=True)
     order = np.argsort(inverse, kind="stable")
     alike = inverse[order][1:] == inverse[order][:-1]
@@ -161,7 +161,7 @@ def _coincident(places: np.ndarray) -> np.ndarray:
 
 
 def _bridges(places: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Edges that join all pieces, each as short as its piece allows over the frames (Borůvka)."""
+    """Find the shortest edges over all frames that connect all pieces (Borůvka's algorithm)."""
     count = len(places)
     found = [np.zeros((0, 2), int)]
     squares = np.sum(places * places, 1)

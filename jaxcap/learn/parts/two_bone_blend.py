@@ -1,7 +1,7 @@
-"""What two rigid motions mixed explain of a vertex: the error of parts as a skin would have it.
+"""Residuals of vertices under a blend of two rigid motions.
 
-Around a joint that bends, skin moves as a mixture of the two bones. Judged by rigid motions alone it
-looks like a small part of its own; judged by mixtures it does not.
+Around a bending joint, skin moves as a blend of the two bones. Under rigid motions alone it looks like a
+small part of its own; under blends it does not.
 """
 
 from typing import NamedTuple
@@ -11,18 +11,18 @@ from jaxtyping import Float, Int
 
 
 class Mixed(NamedTuple):
-    """How well each vertex is moved by its own part mixed with one other."""
+    """The best blend of each vertex's own part with one other part."""
 
     #: squared distance, summed over frames
     errors: Float[np.ndarray, "V"]
-    #: the share of the own part, 0 to 1
+    #: the weight of the own part, 0 to 1
     shares: Float[np.ndarray, "V"]
-    #: the other part; the own one where nothing is to be mixed
+    #: the other part; the own part if nothing is blended
     partners: Int[np.ndarray, "V"]
 
 
 class Motions(NamedTuple):
-    """Sums over frames of products of K rigid motions, from which all mixtures follow."""
+    """K rigid motions, and sums over frames of their products, sufficient to evaluate all blends."""
 
     rotations: Float[np.ndarray, "K F 3 3"]
     translations: Float[np.ndarray, "K F 3"]
@@ -31,7 +31,7 @@ class Motions(NamedTuple):
 
 
 def make_motions(rotations: np.ndarray, translations: np.ndarray) -> Motions:
-    """The motions `(K, F, 3, 3)` and `(K, F, 3)` with their products."""
+    """Compute the products of motions `(K, F, 3, 3)` and `(K, F, 3)`."""
     affine = np.concatenate([rotations, translations[..., None]], -1)
     count = len(affine)
     flat = np.ascontiguousarray(affine.transpose(0, 3, 1, 2)).reshape(4 * count, -1)
@@ -45,10 +45,10 @@ def mix(
     motions: Motions,
     pairs: Int[np.ndarray, "P 2"],
 ) -> tuple[Float[np.ndarray, "N P"], Float[np.ndarray, "N P"]]:
-    """The least squared distances, summed over frames, of points at rest to their paths under
-    mixtures `w T_a + (1 - w) T_b` with w from 0 to 1, for each pair; and those shares w.
+    """Fit the weight `w`, 0 to 1, of the blend `w T_a + (1 - w) T_b` to each point and pair of motions.
 
-    No frame is visited: every inner product is a quadratic form of the point.
+    Returns the squared distances of the blended points from their paths, summed over frames, and the weights.
+    Every inner product is a quadratic form of the point, so that no loop over frames is needed.
     """
     used = np.unique(pairs)
     place = np.searchsorted(used, pairs)
@@ -68,14 +68,14 @@ def mix(
 
 
 def with_one(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
-    """Points in homogeneous coordinates."""
+    """Convert points to homogeneous coordinates."""
     return np.concatenate([points, np.ones((len(points), 1))], 1)
 
 
 def carried_sums(
     paths: Float[np.ndarray, "N F 3"], motions: Motions, used: Int[np.ndarray, "U"]
 ) -> Float[np.ndarray, "N U 4"]:
-    """Sums over frames of `[R t]^T x`, for some of the motions."""
+    """Sum `[R t]^T x` over frames for the motions `used`."""
     affine = np.concatenate([motions.rotations[used], motions.translations[used][..., None]], -1)
     columns = affine.transpose(1, 2, 0, 3).reshape(3 * affine.shape[1], -1)
     return (paths.reshape(len(paths), -1) @ columns).reshape(len(paths), -1, 4)
@@ -88,7 +88,7 @@ def mix_parts(
     motions: Motions,
     touching: Int[np.ndarray, "P 2"],
 ) -> Mixed:
-    """The best mixture of each vertex's own part with one that touches it."""
+    """Fit the best blend of each vertex's own part with an adjacent part."""
     errors, shares, partners = np.zeros(len(points)), np.ones(len(points)), labels.copy()
     for part in np.unique(labels):
         own = np.flatnonzero(labels == part)
@@ -99,7 +99,7 @@ def mix_parts(
         best = np.argmin(found, axis=1)
         rows = np.arange(len(own))
         errors[own] = found[rows, best]
-        # with itself the whole is its own
+        # a part blended with itself has the whole weight
         shares[own] = np.where(around[best] == part, 1.0, weights[rows, best])
         partners[own] = around[best]
     return Mixed(errors, shares, partners)

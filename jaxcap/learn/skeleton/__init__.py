@@ -1,1 +1,1 @@
-"""The joints between rigid parts, where they are, and poses that follow."""
+"""Skeleton estimation: the joints between rigid parts, their centres and the poses."""

@@ -1,4 +1,4 @@
-"""Where two rigid parts are joined: the point that both of them move alike."""
+"""Joint centres between rigid parts: the point that both parts move alike."""
 
 from typing import NamedTuple
 
@@ -8,26 +8,26 @@ from scipy.spatial.distance import cdist
 
 from ..parts.surface import Surface, label_edges
 
-#: rounds in which the spread of the residual and the pull of the boundary are settled
+#: rounds of updating the residual variance, and with it the weight of the prior
 ROUNDS = 5
-#: how many frames count as independent: what skin does to a part's motion, it does in like poses alike
+#: all frames together count as at most this many independent ones, as skin deforms alike in similar poses
 INDEPENDENT = 3
-#: share of a boundary's radius that is trusted at the very least, so that rigid data are solved, too
+#: least residual, as a share of the boundary radius, so that exactly rigid data can be solved
 FLOOR = 1e-3
 
 
 class Seams(NamedTuple):
-    """Where parts touch, one row for each pair of parts that do."""
+    """Boundaries between parts, one row for each adjacent pair."""
 
     #: (P, 2), the lesser part first
     pairs: Int[np.ndarray, "P 2"]
-    #: the middle of the common boundary in the rest mesh
+    #: centroid of the common boundary in the rest mesh
     middles: Float[np.ndarray, "P 3"]
-    #: root mean square distance of the boundary from its middle, metres
+    #: root mean square distance of the boundary from its centroid, metres
     radii: Float[np.ndarray, "P"]
-    #: how long the boundary is, metres; zero for parts that do not touch
+    #: length of the boundary, metres; zero for parts that do not touch
     lengths: Float[np.ndarray, "P"]
-    #: the gap between parts that do not touch, metres
+    #: distance between parts that do not touch, metres
     gaps: Float[np.ndarray, "P"]
 
 
@@ -36,22 +36,25 @@ class Centres(NamedTuple):
 
     #: in the rest mesh
     points: Float[np.ndarray, "P 3"]
-    #: root mean square distance of where the two parts take the point, metres
+    #: root mean square distance between the positions of the point under the two parts, metres
     residuals: Float[np.ndarray, "P"]
 
 
 def find_seams(
     surface: Surface, labels: Int[np.ndarray, "V"], rest: Float[np.ndarray, "V 3"], count: int
 ) -> Seams:
-    """The boundaries between parts; where the parts of a mesh in several pieces do not all hang
-    together, also the gaps between every two parts of different pieces."""
+    """Find the boundaries between parts.
+
+    If the parts of a disconnected mesh are not all connected, also return the gaps between every two parts of
+    different pieces.
+    """
     pairs, crossing = label_edges(surface, labels)
     keys, place = np.unique(pairs, axis=0, return_inverse=True)
     place = place.ravel()
     ends = rest[surface.edges[crossing]]
     middles = ends.mean(1)
-    # on a mesh of even triangles every crossing edge stands for half an edge of boundary; an edge
-    # that only joins pieces stands for next to none
+    # on a mesh of equilateral triangles, each crossing edge represents half an edge length of boundary; edges
+    # that only connect pieces have almost no weight
     weights = np.where(surface.real[crossing], 0.5 * surface.lengths[crossing], 0.0)
     lengths = np.bincount(place, weights, len(keys))
     shares = np.maximum(weights, 1e-9)
@@ -71,13 +74,15 @@ def find_centres(
     size: float,
     error: float = 0.0,
 ) -> Centres:
-    """The points `c` with the least sum over frames of `|T_a c - T_b c|^2`.
+    """Find the points `c` with the least sum over frames of `|T_a c - T_b c|^2`.
 
-    A hinge leaves its axis open and parts that do not turn leave everything: the middle of the
-    boundary pulls, as a normal prior as wide as the boundary against residuals as large as they
-    turn out. Parts that bend, and do not turn about a point, have their best point far away: a
-    joint is held within the sphere through its boundary. `size` of the body, metres, bounds the
-    radius of a boundary from below; `error` of the parts, metres, that of the residuals.
+    A hinge leaves the position along its axis undetermined, and parts that do not rotate leave all of it. The
+    centroid of the boundary therefore serves as a normal prior with the standard deviation of the boundary
+    radius, against the estimated variance of the residuals. Parts that bend without a fixed centre have their
+    best point far away: a centre is constrained to the sphere through its boundary.
+
+    **Arguments:** `size` of the body, metres, bounds the boundary radius from below; `error` of the parts,
+    metres, bounds the residuals from below.
     """
     frames = len(rotations)
     a, b = seams.pairs.T
@@ -101,8 +106,7 @@ def find_centres(
 
 
 def _held_steps(values: np.ndarray, along: np.ndarray, pull: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """(P, 3) of `along / (values + pull)`, with the least pull from the given one on that keeps
-    each step within its radius."""
+    """Solve (P, 3) `along / (values + pull)`, with `pull` raised until each step is within its radius."""
     solve = lambda weight: along / (values + weight[:, None])  # noqa: E731
     low, high = pull, np.maximum(pull, np.linalg.norm(along, axis=1) / radii)
     for _ in range(40):

@@ -1,4 +1,8 @@
-"""Where joints stand that no motion tells: where a skeleton has them, or amid the cut between the parts they join."""
+"""Priors on joint centres that the motion does not determine.
+
+The prior mean is the centre in a given skeleton, or the middle of the cut between the parts that a joint
+connects.
+"""
 
 from typing import NamedTuple
 
@@ -12,49 +16,53 @@ from ...body.pose import Pose
 from ...geometry import rotation
 from ...geometry.laplacian import Conformance, neighbour_pairs
 
-#: mean squared turn, radians, below which a motion counts as too little to tell: 1 degree
+#: mean squared rotation, squared radians, below which a motion does not determine a centre: (1 degree)²
 LITTLE = 0.02**2
-#: the same where a skeleton says where its joints stand: 17 degrees
+#: the same with a given skeleton: (17 degrees)²
 LITTLE_GIVEN = 0.3**2
-#: how much a centre that is kept weighs beside a turn of one radian
+#: weight of a fixed centre, relative to the information of a rotation by one radian
 KEPT = 1e4
-#: how many times stiffer a centre is held where it stands than it is pulled
+#: damping of a centre relative to the weight of its prior
 HOLD = 30.0
-#: radii of its cut within which a centre may be
+#: radii of its cut within which a centre is not penalised
 REACH = 1.5
-#: error of a vertex, as a share of the body's diagonal, below which data are trusted to tell all they can
+#: vertex error, as a share of the body's diagonal, below which the data are trusted fully
 EXACT = 3e-4
 
 
 class Anchors(eqx.Module):
-    """A quadratic pull on joints' centres, along what their motion does not tell.
+    """A quadratic prior on joint centres along directions that their motion does not determine.
 
-    A hinge does not tell where along its axis it stands, and a joint that hardly turns tells
-    nothing: there the middle of the cut decides, or the place that a given skeleton has. Across a
-    hinge, and where joints turn freely, the pull is hundreds of times weaker than the data; that to
-    a cut fades where these are exact.
+    A hinge does not determine the centre along its axis, and a joint that hardly rotates determines nothing.
+    There the prior decides: the middle of the cut, or the centre in a given skeleton. Across a hinge, and
+    where joints rotate freely, the prior is hundreds of times weaker than the data. The prior of a cut fades
+    for exact data.
     """
 
     middles: Float[Array, "J 3"]
-    #: how much the pull weighs along each direction, beside what a turn of one radian tells; zero for
-    #: roots and where the parts of a joint do not touch
+    #: weight of the prior along each direction, relative to the information of a rotation by one radian; zero
+    #: for roots and where the parts of a joint do not touch
     weights: Float[Array, "J 3 3"]
-    #: the same for how stiffly a centre is held where it stands: where nothing is told, even a weak
-    #: misfit would drive it far in many steps
+    #: damping towards the current centre in the same unit: without information, even a weak misfit would move
+    #: a centre far over many steps
     hold: Float[Array, "J 3 3"]
-    #: how much the motion tells along each direction, in the same measure
+    #: information of the motion along each direction, in the same unit
     told: Float[Array, "J 3 3"]
 
 
 class Given(NamedTuple):
-    """Where a given skeleton has its joints, and whether they stay there."""
+    """Joint centres of a given skeleton; with `keep` they are fixed."""
 
     centres: Float[Array, "J 3"]
     keep: bool = False
 
 
 def given_anchors(body: Body, poses: Pose, given: Given) -> Anchors:
-    """Anchors where a given skeleton has its joints: a prior beside what motion tells, or all that counts. Bones that share their vertices with the next ones, as those of a spine do, have no cut, and would else wander along the limb."""
+    """Build anchors at the joint centres of a given skeleton: a prior, or fixed centres.
+
+    Bones that share their vertices with the next ones, such as those of a spine, have no cut, and would
+    otherwise drift along the limb.
+    """
     told, values, axes = _told(poses)
     pull = LITTLE_GIVEN**2 / (np.maximum(values, 0.0) + LITTLE_GIVEN)
     weights = (
@@ -66,12 +74,13 @@ def given_anchors(body: Body, poses: Pose, given: Given) -> Anchors:
 
 
 def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -> Anchors:
-    """Anchors amid the edges that lead from all that hangs below a joint to the rest of the body.
+    """Build anchors at the middle of the edges between the subtree of a joint and the rest of the body.
 
-    A centre that has left the sphere of one and a half times the cut's radius is pulled the more,
-    whatever its motion tells: bones with few vertices of their own would else use it to stretch.
+    A centre outside the sphere of 1.5 times the cut's radius is penalised even if its motion determines it.
+    Otherwise bones with few vertices of their own would use it to stretch.
 
-    **Arguments:** `metric` of the body's mesh, for its edges; `variance` of a coordinate's error, squared metres.
+    **Arguments:** `metric` of the body's mesh, for its edges; `variance` of a coordinate's error, squared
+    metres.
     """
     labels, rest = np.asarray(body.skin.parts()), np.asarray(body.vertices, float)
     inner, outer = neighbour_pairs(metric).T
@@ -97,8 +106,8 @@ def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -
 def _told(
     poses: Pose,
 ) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
-    """How much each joint's motion tells of its centre, and along which axes."""
-    # a turn that never changes could as well be in the rest shape
+    """Compute the information of each joint's motion on its centre, with eigenvalues and axes."""
+    # a constant rotation could also be part of the rest shape
     turns = np.asarray(rotation.to_matrix(poses.rotations), float)
     apart = turns - turns.mean(0)
     told = np.einsum("fjab,fjac->jbc", apart, apart) / len(turns)

@@ -1,4 +1,4 @@
-"""Joints' centres and orientations with the poses of all meshes, as one problem with an arrow."""
+"""Joint centres and orientations, optimised with the poses of all meshes as one block-arrow problem."""
 
 from typing import NamedTuple
 
@@ -31,14 +31,14 @@ from ...geometry.patches import Blocks, laplacian_rows, make_blocks
 from ..objective import objective
 from .joint_centre_prior import Anchors, Given, cut_anchors, given_anchors
 
-#: vertices from which curvature is estimated, at least
+#: the least number of vertices from which the curvature is estimated
 SAMPLES = 4000
-#: steps for the same anchors; the least damping of the next one; the share of Q that ends them
+#: steps with the same anchors; the least damping of the next update; the relative tolerance on Q
 STEPS, LEAST, RTOL = 2, 1e-7, 1e-12
 
 
 class Curvature(eqx.Module):
-    """The vertices over which `J^T A J` is summed, and what each of them counts."""
+    """The vertices over which `J^T A J` is summed, and their weight."""
 
     vertices: Int[Array, "S"]
     laplacian: Blocks
@@ -46,9 +46,12 @@ class Curvature(eqx.Module):
 
 
 def make_curvature(metric: Conformance, samples: int = SAMPLES) -> Curvature:
-    """Every vertex; of more than twice `samples`, every n-th one, counted n times. Thousands of
-    vertices say the same about some dozen numbers, and steps that rest on a good estimate of
-    their curvature converge alike."""
+    """Sample vertices for the curvature: all, or every n-th with weight n for more than twice `samples`
+    vertices.
+
+    Thousands of vertices are redundant for some dozen unknowns, and steps with a good estimate of the
+    curvature converge equally well.
+    """
     count = len(metric.neighbours)
     stride = max(1, count // samples)
     vertices = np.arange(stride // 2, count, stride)
@@ -57,7 +60,7 @@ def make_curvature(metric: Conformance, samples: int = SAMPLES) -> Curvature:
 
 
 class Standing(eqx.Module):
-    """Where joints are at rest, how they are turned there, and the poses."""
+    """Joint centres and orientations at rest, and the poses."""
 
     centres: Float[Array, "J 3"]
     orientations: Float[Array, "J 4"]
@@ -65,13 +68,13 @@ class Standing(eqx.Module):
 
 
 class JointProblem(AbstractProblem[Standing]):
-    """Half of Q by joints and poses, with energies of a user's own (Adaptation, 3.2.2).
+    """Half of Q as a function of joints and poses, with user-defined energies (Adaptation, 3.2.2).
 
-    The unknowns are the numbers of all poses, and of every joint below a root its centre and,
-    where the skin knows twist axes, two numbers of its orientation (a roll about the twist axis
-    changes nothing). The bones of left and right `pairs` of joints stay equally long, which is
-    the limit of the paper's heavy `lambda Q_sym` (eqs. 3.23 to 3.26). Anchors bend steps along what no motion tells of a
-    centre, and are no part of what is minimised: they hold, and pull with a `strength`.
+    The unknowns are the parameters of all poses and, for each joint below a root, its centre and, if the skin
+    has twist axes, two parameters of its orientation (a roll about the twist axis has no effect). The bones
+    of left and right `pairs` of joints stay equally long, the limit of the paper's heavily weighted `lambda
+    Q_sym` (eqs. 3.23 to 3.26). Anchors damp steps along directions of a centre that no motion determines, and
+    pull with a `strength`. They are not part of the objective.
     """
 
     body: Body
@@ -88,12 +91,12 @@ class JointProblem(AbstractProblem[Standing]):
         return shared_slots(self.body)
 
     def start(self, poses: Pose) -> Standing:
-        """Start from the joints as they are."""
+        """Return the current joints and the given poses as a starting point."""
         skeleton = self.body.skeleton
         return Standing(skeleton.centres, skeleton.orientations, poses)
 
     def body_at(self, y: Standing, s: Float[Array, "S"] | None = None) -> Body:
-        """Make the body of joints, moved along a tangent where one is given."""
+        """Build the body at given joints, optionally moved along a tangent."""
         there = eqx.tree_at(
             lambda b: (b.skeleton.centres, b.skeleton.orientations), self.body, (y.centres, y.orientations)
         )
@@ -135,11 +138,11 @@ class JointProblem(AbstractProblem[Standing]):
 
 
 class JointStep(NamedTuple):
-    """What one improvement of joints and poses leaves."""
+    """The result of one update of joints and poses."""
 
     body: Body
     poses: Pose
-    #: Q, and what a user's own energies add
+    #: Q plus the user's energies
     value: float
     damping: float
 
@@ -157,10 +160,10 @@ def improve_joints(
     given: Given | None = None,
     terms: AbstractEnergy | None = None,
 ) -> JointStep:
-    """Some steps of Levenberg-Marquardt on a `JointProblem` from Q = `value`, which they never raise.
+    """Run some Levenberg-Marquardt steps on a `JointProblem` from Q = `value`; Q never rises.
 
-    What no motion tells of a centre is left to where a skeleton has it, `given`, or else to the cut between parts. Anchors
-    that would raise Q only keep centres from going further.
+    Components of a centre that no motion determines follow the `given` skeleton or else the cut between
+    parts. If anchors that pull would raise Q, they only damp the motion of centres.
     """
     anchors = (
         cut_anchors(body, poses, metric, value / targets.size)
@@ -187,7 +190,7 @@ def _descend(problem: JointProblem, start: Standing, damping: Float[Array, ""], 
 
 
 def shared_slots(body: Body) -> tuple[int, ...]:
-    """Which numbers of `joint_rates` are unknown: centres, and orientations but for the roll."""
+    """Return the indices of unknowns in `joint_rates`: centres, and orientations without the roll."""
     numbers = [0, 1, 2, 4, 5] if isinstance(body.skin, SwingTwistSkin) else [0, 1, 2]
     below = [joint for joint, parent in enumerate(body.skeleton.parents) if parent >= 0]
     return tuple(6 * joint + number for joint in below for number in numbers)
@@ -202,8 +205,10 @@ def normal_equations(
     curvature: Curvature,
     slots: tuple[int, ...],
 ) -> tuple[BlockArrow, Unknowns]:
-    """The block-arrow normal equations of Q by poses and joints, frame by frame; the right-hand
-    sides are exact, the matrices summed over the vertices of `curvature`."""
+    """Assemble the block-arrow normal equations of Q over poses and joints, frame by frame.
+
+    The right-hand sides are exact; the matrices are summed over the vertices of `curvature`.
+    """
     skeleton, count = body.skeleton, len(body.vertices)
     dofs, chosen = skeleton.num_dofs, np.array(slots, int)
     every = jnp.broadcast_to(jnp.eye(3, dtype=body.vertices.dtype), (count, 3, 3))
@@ -236,8 +241,11 @@ def _anchored(
     slots: tuple[int, ...],
     strength: float | Float[Array, ""],
 ) -> tuple[BlockArrow, Unknowns]:
-    """The equations with the hold of anchors on centres, in the measure of the data: what the
-    curvature is for a turn of one radian; they also pull, with the given strength."""
+    """Add the anchors to the normal equations.
+
+    The damping is scaled by the curvature of the data per unit of information (a rotation of one radian). The
+    pull has the given strength.
+    """
     count, chosen = skeleton.num_joints, np.array(slots, int)
     known = jnp.zeros(6 * count, arrow.shared.dtype).at[chosen].set(jnp.diag(arrow.shared))
     total = jnp.sum(known.reshape(count, 6)[:, :3], 1)
@@ -255,7 +263,7 @@ def _anchored(
 def _with_terms(
     arrow: BlockArrow, side: Unknowns, terms: AbstractEnergy, y: Standing, problem: JointProblem
 ) -> tuple[BlockArrow, Unknowns]:
-    """The equations with energies of every frame."""
+    """Add the energies of every frame to the normal equations."""
     body, count = problem.body_at(y), len(problem.slots)
     dofs = body.skeleton.num_dofs
 
@@ -277,7 +285,7 @@ def _with_terms(
 
 
 def move_joints(skeleton: Skeleton, shifts: Float[Array, "J 3"], turns: Float[Array, "J 3"]) -> Skeleton:
-    """A skeleton with its centres shifted, metres, and its orientations turned on the right, radians."""
+    """Shift the centres of a skeleton, metres, and right-multiply its orientations by rotations, radians."""
     orientations = rotation.normalise(rotation.multiply(skeleton.orientations, rotation.exp(turns)))
     return eqx.tree_at(
         lambda s: (s.centres, s.orientations), skeleton, (skeleton.centres + shifts, orientations)

@@ -1,4 +1,4 @@
-"""Which joints of the left answer to which of the right, from the tree and its sizes alone."""
+"""Detection of left-right joint pairs from the tree, its bone lengths and its part areas alone."""
 
 from typing import NamedTuple
 
@@ -7,22 +7,21 @@ from jaxtyping import Float, Int
 
 from ...body.skeleton import Skeleton
 
-#: how unlike, by the logarithm of the ratio, two bones' lengths and two parts' areas are that count as one
-#: unit of doubt
+#: absolute log ratio of two bone lengths and of two part areas that counts as one unit of dissimilarity
 LENGTH, AREA = 0.25, 0.5
-#: the mean doubt of a pair of limbs up to which they are a pair, and how much less it has to be
-#: than that of any other match of either
+#: the largest mean dissimilarity of a pair, and the factor by which that of any other match of either must be
+#: larger
 DOUBT, LEAD = 1.0, 1.5
-#: share of the area of two branches, above which a branch that only one of them has speaks fully against them
+#: share of the area of two branches from which an unmatched branch counts fully
 LONELY = 0.1
-#: doubts below are not told apart
+#: dissimilarities below this are not distinguished
 CERTAIN = 0.1
 
 
 class _Match(NamedTuple):
-    """How well two branches answer to each other."""
+    """The dissimilarity of two branches."""
 
-    #: sum over their joints of squared doubts, and how many were summed
+    #: sum of squared dissimilarities over their joints, and the number of terms
     doubt: float
     terms: float
     pairs: tuple[tuple[int, int], ...]
@@ -33,12 +32,11 @@ class _Match(NamedTuple):
 
 
 def find_pairs(skeleton: Skeleton, areas: Float[np.ndarray, "J"]) -> Int[np.ndarray, "P 2"]:
-    """Pairs of joints that mirror each other, the lesser index first.
+    """Find pairs of joints that mirror each other, the lesser index first.
 
-    Two branches that hang on one joint are a pair where they match joint by joint in what no pose
-    changes: the lengths of their bones, the distance from the joint that they hang on, the areas
-    of their parts. Only what is sure is told: a pair has to fit, and to fit better than either of
-    its branches fits any other.
+    Two branches of one joint are a pair if they match joint by joint in pose-invariant properties: the
+    lengths of their bones, the distance from the parent joint, and the areas of their parts. Only unambiguous
+    pairs are returned: a pair must match, and match better than either branch matches any other.
 
     **Arguments:** `areas (J,)` of the surface parts in any unit.
     """
@@ -58,7 +56,7 @@ def find_pairs(skeleton: Skeleton, areas: Float[np.ndarray, "J"]) -> Int[np.ndar
 
 
 def _siblings(branches: list[int], children, lengths, areas) -> list[tuple[int, int]]:
-    """The sure pairs among the branches of one joint, best first."""
+    """Find the unambiguous pairs among the branches of one joint, best first."""
     matches = {
         (a, b): _match(a, b, children, lengths, areas)
         for i, a in enumerate(branches)
@@ -82,8 +80,10 @@ def _siblings(branches: list[int], children, lengths, areas) -> list[tuple[int, 
 
 
 def _match(a: int, b: int, children, lengths, areas) -> _Match:
-    """The doubt of two branches, theirs and that of the best match of their own branches; one that
-    has no partner counts by its share of the area."""
+    """Compute the dissimilarity of two branches, including the best match of their own branches.
+
+    A branch without a partner counts by its share of the area.
+    """
     doubt = (np.log(lengths[a] / lengths[b]) / LENGTH) ** 2 + (np.log(areas[a] / areas[b]) / AREA) ** 2
     terms, pairs = 2.0, [(a, b)]
     ours, theirs = list(children[a]), list(children[b])
@@ -94,8 +94,7 @@ def _match(a: int, b: int, children, lengths, areas) -> _Match:
         pairs += best.pairs
         ours.remove(p)
         theirs.remove(q)
-    # a branch that the other side lacks is as doubtful as one twice as large as its partner, unless
-    # it is a small share of the whole
+    # an unmatched branch counts as one twice as large as its partner, unless it is a small share of the whole
     alone = sum(_whole(j, children, areas) for j in ours + theirs)
     share = min(1.0, alone / (LONELY * (_whole(a, children, areas) + _whole(b, children, areas))))
     lonely = share * (len(ours) + len(theirs))
@@ -103,5 +102,5 @@ def _match(a: int, b: int, children, lengths, areas) -> _Match:
 
 
 def _whole(joint: int, children, areas) -> float:
-    """The area of a branch."""
+    """Return the area of a branch."""
     return float(areas[joint]) + sum(_whole(child, children, areas) for child in children[joint])

@@ -1,7 +1,8 @@
-"""Bones of a tree as arrays: trees of any shape share what is compiled for one.
+"""Bones of a tree as arrays. Trees of any shape share compiled code.
 
-A bone carries `v` to `G (v - c) + p`, with its rotation `G` in the world, the centre `c` of its joint at rest, and the place
-`p` of that joint. Unknown are the turn of every bone in the world, the places of the roots, and the centres.
+A bone maps `v` to `G (v - c) + p`, with its rotation `G` in the world, the centre `c` of its joint at rest,
+and the position `p` of that joint. The unknowns are the world rotations of all bones, the positions of the
+roots, and the centres.
 """
 
 from typing import NamedTuple
@@ -15,23 +16,25 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
 
-#: bones are filled up to one of these numbers, or to a multiple of the last: joints that come and go compile nothing
+#: bone arrays are padded to one of these sizes, or to a multiple of the last, so that added or removed joints
+#: need no compilation
 WIDTHS = (16, 40, 64)
-#: tangents of each frame, turns of the bones and shifts of the roots, `(F, 3 J + 3 R)`; shifts of the centres `(3 J,)`
+#: tangents of each frame, rotations of the bones and translations of the roots, `(F, 3 J + 3 R)`;
+#: translations of the centres `(3 J,)`
 Tangent = tuple[Float[Array, "F D"], Float[Array, "S"]]
 
 
 class Tree(eqx.Module):
-    """Which joint hangs on which; roots hang on themselves, as do bones that only fill up."""
+    """Parent indices; roots and padding bones are their own parents."""
 
     parents: Int[Array, "J"]
-    #: one where bone `b` is joint `j` or hangs below it
+    #: one if bone `b` is joint `j` or a descendant of it
     below: Float[Array, "J J"]
     roots: Int[Array, "R"]
 
 
 class Limbs(eqx.Module):
-    """Where bones are."""
+    """World rotations of bones, positions of roots, and joint centres."""
 
     turns: Float[Array, "F J 4"]
     places: Float[Array, "F R 3"]
@@ -46,13 +49,13 @@ class Grown(NamedTuple):
 
 
 def is_simple(skeleton: Skeleton) -> bool:
-    """Tell whether a skeleton can be written so: "free" roots, and "ball" joints below."""
+    """Test whether a skeleton has only "free" roots, and "ball" joints below, as this format requires."""
     pairs = zip(skeleton.kinds, skeleton.parents, strict=True)
     return all(kind == ("free" if parent < 0 else "ball") for kind, parent in pairs)
 
 
 def make_limbs(skeleton: Skeleton, poses: Pose) -> Grown:
-    """Write a skeleton in F poses, whose scale is one, as arrays."""
+    """Convert a skeleton and F poses with scale one to arrays."""
     count, dtype = skeleton.num_joints, skeleton.centres.dtype
     width = next((width for width in WIDTHS if width >= count), -(-count // WIDTHS[-1]) * WIDTHS[-1])
     room = width - count
@@ -75,7 +78,7 @@ def make_limbs(skeleton: Skeleton, poses: Pose) -> Grown:
 
 
 def read_limbs(skeleton: Skeleton, limbs: Limbs) -> tuple[Skeleton, Pose]:
-    """Read the skeleton with its centres, and its poses."""
+    """Convert arrays back to the skeleton with its centres, and its poses."""
     dtype, count = skeleton.centres.dtype, skeleton.num_joints
     parents = np.array(skeleton.parents)
     turns = limbs.turns[:, :count]
@@ -90,7 +93,7 @@ def read_limbs(skeleton: Skeleton, limbs: Limbs) -> tuple[Skeleton, Pose]:
 
 
 def bones_of(tree: Tree, limbs: Limbs) -> Float[Array, "F J 3 4"]:
-    """Compute where all bones are in all frames, `(R, t)` of each."""
+    """Compute the transforms `(R, t)` of all bones in all frames."""
     turns = rotation.to_matrix(limbs.turns)
     arms = limbs.centres - limbs.centres[tree.parents]
     joints = _sum_down(tree, _carry(turns[:, tree.parents], arms), limbs.places)
@@ -105,7 +108,7 @@ def move_limbs(tree: Tree, limbs: Limbs, d: Tangent) -> Limbs:
 
 
 def bone_rates(tree: Tree, limbs: Limbs, d: Tangent) -> Float[Array, "F J 3 4"]:
-    """Compute how the bones, `(R, t)` of each, change along a tangent."""
+    """Compute the derivatives of the bone transforms `(R, t)` along a tangent."""
     rates, shifts, slides = _parts(tree, d)
     turns, parents = rotation.to_matrix(limbs.turns), tree.parents
     above = turns[:, parents]
@@ -122,7 +125,7 @@ def _carry(turns, points):
 
 
 def _sum_down(tree: Tree, steps, roots):
-    """Sum what leads from each root, where steps are zero, down to every joint."""
+    """Accumulate offsets from each root, where they are zero, down to every joint."""
     return jnp.einsum("jb,fja->fba", tree.below, steps.at[:, tree.roots].add(roots), precision="highest")
 
 

@@ -10,21 +10,21 @@ from ...body.skeleton import KINDS, Skeleton
 from ...geometry import rotation
 from ...geometry.procrustes import Moments, nearest_rotation, rigid_motions
 
-#: sweeps over the joints, and how little of the error may fall in the last one
+#: the most sweeps over the joints, and the relative decrease of the error at which they end
 SWEEPS, SETTLED = 30, 1e-3
 
 _quaternions = jax.jit(rotation.from_matrix)
 
 
 def pose_moments(skeleton: Skeleton, moments: Moments) -> Pose:
-    """The poses, stacked over F frames, in which the bones carry their points best.
+    """Fit poses, stacked over F frames, in which the bones fit their points by least squares.
 
-    Each joint in turn takes the rotation, in closed form by Procrustes, with the least sum of
-    squares over all that hangs below it (Adaptation, section 3.2.1, for each limb by itself);
-    sweeps go on until the sum settles, which it does from above, as every step lowers it.
+    Each joint in turn takes the optimal rotation for its whole subtree, in closed form by Procrustes
+    (Adaptation, section 3.2.1, for each limb by itself). Each step lowers the sum of squares; sweeps end when
+    it has converged.
 
-    **Arguments:** `moments` of the J bones' points (`group_moments`), weights as they are to
-    count. Roots of kind "free" also translate; joints of other kinds than "free" and "ball" stay.
+    **Arguments:** `moments` of the points of J bones (`group_moments`), with their weights. Roots of kind
+    "free" also translate; joints of kinds other than "free" and "ball" are fixed.
     """
     centres = np.asarray(skeleton.centres, float)
     parents = np.array(skeleton.parents)
@@ -32,7 +32,7 @@ def pose_moments(skeleton: Skeleton, moments: Moments) -> Pose:
     turning = [j for j in range(count) if skeleton.kinds[j] in ("free", "ball")]
     free = [j for j in turning if KINDS[skeleton.kinds[j]][0] == 3 and parents[j] < 0]
     rotations, _ = rigid_motions(moments)
-    # parts without points, or that may not turn, go with their parents
+    # parts without points, and fixed joints, follow their parents
     for j in range(count):
         if moments.mass[j] <= 0 or j not in turning:
             rotations[j] = np.eye(3) if parents[j] < 0 else rotations[parents[j]]
@@ -41,7 +41,7 @@ def pose_moments(skeleton: Skeleton, moments: Moments) -> Pose:
     )
     shifts = np.zeros((count, frames, 3))
     descent = skeleton.descent
-    # turned as the parts are, each root's whole tree first goes where its points are
+    # translate each root so that its whole tree is at its points
     world_r, world_t = world_motions(centres, parents, local, shifts)
     for j in free:
         below = np.flatnonzero(descent[j])
@@ -54,7 +54,7 @@ def pose_moments(skeleton: Skeleton, moments: Moments) -> Pose:
             below = np.flatnonzero(descent[j] & (moments.mass > 0))
             if len(below) == 0:
                 continue
-            # sums over points of x and x' about the joint, x' where they are now
+            # sums over points of x and x' about the joint, x' the current positions
             pivot = np.einsum("fab,b->fa", world_r[j], centres[j]) + world_t[j]
             here, now, cross = _turned(moments.at(below), world_r[below], world_t[below])
             mass = moments.mass[below].sum()
@@ -88,7 +88,7 @@ def motion_moments(
     rotations: Float[np.ndarray, "F K 3 3"],
     translations: Float[np.ndarray, "F K 3"],
 ) -> Moments:
-    """The moments of points that are exactly where the rigid motions of their parts take them."""
+    """Compute the moments of points that move exactly with the rigid motions of their parts."""
     count = rotations.shape[1]
     r, t = rotations.swapaxes(0, 1), translations.swapaxes(0, 1)
     mass = np.bincount(labels, weights, count)
@@ -109,7 +109,7 @@ def _back(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
 def world_motions(
     centres: np.ndarray, parents: np.ndarray, local: np.ndarray, shifts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """World transforms of bones by their turns in their parents' frames and their shifts: (J, F, 3, 3) and (J, F, 3)."""
+    """Compute world transforms of bones, (J, F, 3, 3) and (J, F, 3), from local rotations and shifts."""
     world_r, world_t = np.empty_like(local), np.empty_like(shifts)
     for j, parent in enumerate(parents):
         shift = shifts[j] + centres[j] - np.einsum("fab,b->fa", local[j], centres[j])
@@ -122,15 +122,14 @@ def world_motions(
 
 
 def _turned(moments: Moments, r: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sums over the points of several bones of x, of x' and of x x'^T, with x' = r p + t: (F, 3),
-    (F, 3), (F, 3, 3)."""
+    """Sum x, x' and x x'^T over the points of several bones, with x' = r p + t: (F, 3), (F, 3), (F, 3, 3)."""
     now = np.einsum("dfab,db->dfa", r, moments.source) + moments.mass[:, None, None] * t
     cross = np.einsum("dfac,dfbc->fab", moments.cross, r) + np.einsum("dfa,dfb->fab", moments.target, t)
     return moments.target.sum(0), now.sum(0), cross
 
 
 def _error(moments: Moments, r: np.ndarray, t: np.ndarray) -> float:
-    """The sum of squares `|r p + t - x|^2`."""
+    """Compute the sum of squares `|r p + t - x|^2`."""
     frames = r.shape[1]
     turned = np.einsum("kfab,kb->kfa", r, moments.source)
     squares = moments.target_square.sum() + frames * moments.source_square.sum()

@@ -1,4 +1,4 @@
-"""Which of many meshes is the one to start from."""
+"""Choice of the reference mesh."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,17 +6,17 @@ from jaxtyping import Float, Int
 from ...geometry.procrustes import group_moments, nearest_rotation, rigid_motions
 from ..parts.surface import cut_patches, make_surface, membership
 
-#: patches by whose turns meshes are compared
+#: the number of patches whose rotations are compared
 PATCHES = 100
 #: the most meshes that are compared with each other
 FRAMES = 200
 
 
 def choose_rest(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"]) -> int:
-    """The index of the mesh nearest to all others: the medoid of the poses.
+    """Return the index of the mesh nearest to all others: the medoid of the poses.
 
-    Two meshes are as far apart as their small patches are turned against each other, the root mean
-    square over the area, the whole body's turn not counted.
+    The distance of two meshes is the root mean square rotation between their small patches, weighted by area,
+    after the rotation of the whole body is removed.
     """
     meshes = np.asarray(meshes)
     chosen = np.unique(np.linspace(0, len(meshes) - 1, min(len(meshes), FRAMES)).round().astype(int))
@@ -27,7 +27,7 @@ def choose_rest(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"
     paths = np.ascontiguousarray(meshes[chosen].transpose(1, 0, 2), float)
     turns, _ = rigid_motions(group_moments(groups, first, paths - paths.mean(0)))
     weights = np.asarray(groups.sum(1)).ravel()
-    # the best common turn of all patches from one mesh to another, and what it leaves
+    # residual of the best common rotation of all patches from one mesh to another
     apart = np.zeros((len(chosen), len(chosen)))
     weighted = weights[:, None, None, None] * turns
     for frame in range(len(chosen)):

@@ -1,4 +1,4 @@
-"""Bones as they move, and where those meet that had no joint between them."""
+"""World motions of bones, and new joints between bones that had none."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,21 +15,21 @@ from .centres import Seams, find_centres, find_seams
 from .pose_from_parts import world_motions
 from .tree import least_tree
 
-#: share of the body's diagonal within which a joint that hangs on another bone may move
+#: distance, as a share of the body's diagonal, within which the centre of a joint with a new parent may move
 REACH = 0.03
-#: share of a joint's gap that the gap of another has to be below to take its place
+#: a new joint replaces an existing one if its gap is below this share of the existing gap
 CLEARLY = 0.8
 
 
 class Bones(NamedTuple):
-    """World motions of J bones in F frames, without the poses' scale, which learning leaves at one."""
+    """World motions of J bones in F frames, without the scale of the poses, which is one in learning."""
 
     rotations: Float[np.ndarray, "F J 3 3"]
     translations: Float[np.ndarray, "F J 3"]
 
 
 def bone_motions(skeleton: Skeleton, poses: Pose) -> Bones:
-    """Where the bones are in every frame; in NumPy, as trees of other joints would each be compiled anew."""
+    """Compute the transforms of bones in every frame, in NumPy, to avoid compilation for each new tree."""
     local = np.asarray(_matrices(poses.rotations), float).swapaxes(0, 1)
     shifts = np.asarray(poses.translations, float).swapaxes(0, 1)
     centres = np.asarray(skeleton.centres, float)
@@ -40,8 +40,10 @@ def bone_motions(skeleton: Skeleton, poses: Pose) -> Bones:
 def hang_children(
     skeleton: Skeleton, bones: Bones, joint: int, rest: Float[np.ndarray, "V 3"]
 ) -> dict[int, tuple[int, Float[np.ndarray, "3"], float]]:
-    """On which bone, and where, each child of a joint hangs once that is gone, and the root mean
-    square gap there, metres: the tree with the least gaps."""
+    """Choose the new parent and centre of each child of a removed joint, by the spanning tree of least gaps.
+
+    Returns parent, centre and root mean square gap, metres, by child.
+    """
     parent, centres = skeleton.parents[joint], np.asarray(skeleton.centres, float)
     children = [j for j, above in enumerate(skeleton.parents) if above == joint]
     if not children:
@@ -74,18 +76,18 @@ def hang_joint(
     surface: Surface,
     rest: Float[np.ndarray, "V 3"],
 ) -> tuple[tuple[int, int, Float[np.ndarray, "3"]], ...]:
-    """Where a new bone hangs, the last one of `bones` and `labels`, and what hangs on it: rows of
-    joint, parent and centre.
+    """Choose the parent of a new bone and the joints below it, as rows of joint, parent and centre.
 
-    Of the joints there are and of those that may be between the new bone and what it touches, the
-    tree with the least gaps; a joint that there is has to be clearly worse than a new one to go.
+    The new bone is the last one of `bones` and `labels`. The result is the spanning tree of least gaps among
+    existing joints and possible joints between the new bone and adjacent parts. An existing joint is only
+    replaced by a clearly better one.
     """
     count, size = skeleton.num_joints, float(np.linalg.norm(np.ptp(rest, axis=0)))
     centres = np.asarray(skeleton.centres, float)
     reach = REACH * size
     old = [(joint, parent) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
     rows = [(parent, joint, centres[joint], reach) for joint, parent in old]
-    # bones without vertices touch nothing
+    # bones without vertices have no boundary
     shown, places = np.unique(labels, return_inverse=True)
     seams = find_seams(surface, places, rest, len(shown))
     rows += [
@@ -96,7 +98,7 @@ def hang_joint(
     points, gaps = common_points(rows, bones, size)
     costs = np.where(np.arange(len(rows)) < len(old), CLEARLY * gaps, gaps)
     edges = least_tree(costs, np.array([row[:2] for row in rows]), count + 1)
-    # a joint that only turned round stays where it was
+    # a joint whose direction alone is reversed keeps its centre
     return tuple(
         (child, above, points[edge] if edge >= len(old) else rows[edge][2])
         for child, above, edge in _outwards(edges, [row[:2] for row in rows])
@@ -105,7 +107,7 @@ def hang_joint(
 
 
 def _outwards(edges: Sequence[int], pairs: Sequence[tuple]) -> list[tuple[int, int, int]]:
-    """Child, parent and edge, from node 0 on along the edges of a tree."""
+    """List child, parent and edge along a tree from node 0 outwards."""
     found, reached, seen = [], [0], {0}
     while reached:
         here = reached.pop()
@@ -120,7 +122,8 @@ def _outwards(edges: Sequence[int], pairs: Sequence[tuple]) -> list[tuple[int, i
 
 
 def common_points(rows: Sequence[tuple], bones: Bones, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of rows (bone, bone, prior middle, radius): the points that both move alike, and the gaps."""
+    """Find the points that both bones of each row (bone, bone, prior centre, radius) move alike, and their
+    gaps."""
     first, second, middles, radii = zip(*rows, strict=True)
     none = np.zeros(len(rows))
     seams = Seams(np.stack([first, second], 1), np.stack(middles), np.array(radii), none, none)

@@ -1,4 +1,4 @@
-"""Joints and poses of a body whose surface is known, with derivatives."""
+"""Differentiable optimisation of joints and poses for fixed weights and rest vertices."""
 
 import equinox as eqx
 import jax
@@ -15,13 +15,14 @@ from .joints import Curvature, JointProblem, Standing
 
 
 class JointSolution(eqx.Module):
-    """The outcome of `solve_joints`."""
+    """The result of `solve_joints`."""
 
     body: Body
     poses: Pose
-    #: `RESULTS.successful`, or why the solver stopped before it converged: derivatives hold where it did
+    #: `RESULTS.successful`, or the reason for a stop before convergence; derivatives are valid after
+    #: convergence only
     result: optx.RESULTS
-    #: whether the solver converged and hardly anything is left to gain, so that derivatives hold
+    #: true if the solver converged and hardly any decrease is left, so that derivatives are valid
     trustworthy: Bool[Array, ""]
 
 
@@ -34,10 +35,11 @@ def solve_joints(
     curvature: Curvature,
     max_steps: int = 64,
 ) -> JointSolution:
-    """Find the joints and the poses that make Q least at the weights and rest vertices of a body, to convergence.
+    """Minimise Q over joints and poses to convergence, for the weights and rest vertices of a body.
 
-    `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to weights, rest vertices, targets and the
-    metric. Where motion tells nothing of a joint there is no such derivative. Bones of the left and the right may differ.
+    `jax.grad` and `jax.jvp` differentiate the solution by the implicit function theorem, with respect to
+    weights, rest vertices, targets and metric. No such derivative exists where the motion does not determine
+    a joint. Left and right bones may differ in length.
     """
     start = Standing(*jax.lax.stop_gradient((body.skeleton.centres, body.skeleton.orientations, poses)))
     problem = JointProblem(body, targets, metric, curvature)

@@ -15,37 +15,36 @@ from ..parts.surface import make_surface
 from .centres import Centres, Seams, find_centres, find_seams
 from .pose_from_parts import motion_moments, pose_moments
 
-#: how much of the parts' own error a joint has to win to stand at a short boundary
+#: cost of a short boundary, as a share of the error of the parts
 DOUBT = 0.5
-#: frames by which pieces of a mesh are brought together
+#: frames used to connect the pieces of a mesh
 FRAMES = 16
 
 _shortest_arc = jax.jit(rotation.shortest_arc)
 
 
 class Tree(NamedTuple):
-    """Parts joined to a skeleton: bone `j` is part `j` of `parts`."""
+    """A skeleton with its parts: bone `j` is part `j` of `parts`."""
 
     skeleton: Skeleton
     parts: Parts
-    #: (J,) root mean square distance, metres, between where a joint's two parts take its centre;
+    #: (J,) root mean square distance between the positions of a joint centre under its two parts, metres;
     #: zero at the root
     residuals: Float[np.ndarray, "J"]
-    #: (J,) area of every part, a share of the whole
+    #: (J,) area of each part, as a share of the whole
     areas: Float[np.ndarray, "J"]
 
 
 def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]) -> Tree:
-    """Joints where parts turn about a common point, and of those the tree with the least gaps.
+    """Connect rigid parts by joints at their common points, in the spanning tree with the least gaps.
 
-    Parts that touch are joined at the point that both move alike (`find_centres`); the spanning
-    tree with the least sum of the gaps there is the skeleton, where short boundaries count as a
-    doubt; the root is the part in whose middle the area hangs in balance. Every joint's x axis points to the
-    next joint, to the mean of the next ones where it forks, at the ends to the mean of the part's
-    vertices (Adaptation, section 3.2.1).
+    Adjacent parts are joined at the point that both move alike (`find_centres`). The skeleton is the spanning
+    tree with the least sum of gaps there, with a penalty for short boundaries. The root is the part that
+    balances the areas of the branches. The x axis of each joint points to the next joint, at a fork to the
+    mean of the next joints, at a leaf to the mean of the part's vertices (Adaptation, section 3.2.1).
 
-    **Returns:** a skeleton whose root is "free" and whose other joints are "ball", named `root`,
-    `joint1`, ... parents first, and the parts in the order of its bones.
+    **Returns:** a skeleton with a "free" root and "ball" joints, named `root`, `joint1`, ... parents first,
+    and the parts in the order of its bones.
     """
     rest, faces = np.asarray(rest, float), np.asarray(faces)
     count = parts.num_parts
@@ -68,8 +67,7 @@ def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarra
 
 
 def pose_parts(skeleton: Skeleton, parts: Parts, rest: Float[np.ndarray, "V 3"]) -> Pose:
-    """The poses, stacked over the frames, in which the bones follow the parts of the same number
-    best, over the vertices of the parts."""
+    """Fit poses, stacked over the frames, in which each bone follows the part of the same index."""
     rest = np.asarray(rest, float)
     moments = motion_moments(rest, parts.labels, np.ones(len(rest)), parts.rotations, parts.translations)
     return pose_moments(skeleton, moments)
@@ -78,8 +76,10 @@ def pose_parts(skeleton: Skeleton, parts: Parts, rest: Float[np.ndarray, "V 3"])
 def orient(
     parents: list[int], centres: Float[np.ndarray, "J 3"], ends: Float[np.ndarray, "J 3"]
 ) -> Float[np.ndarray, "J 4"]:
-    """Quaternions that turn x towards the mean of the next joints, at leaves towards `ends`; none
-    where there is no direction."""
+    """Compute quaternions that rotate x towards the mean of the next joints, and at leaves towards `ends`.
+
+    Joints without a direction get the identity.
+    """
     towards = np.array(ends, float)
     for j in range(len(parents)):
         children = [k for k, parent in enumerate(parents) if parent == j]
@@ -93,8 +93,10 @@ def orient(
 
 
 def _doubts(seams: Seams, centres: Centres, error: float) -> np.ndarray:
-    """What each possible joint costs, metres: its gap, and a doubt where the boundary is short against
-    the longest one of either part."""
+    """Compute the cost of each possible joint, metres: its gap, and a penalty for a short boundary.
+
+    The boundary is compared with the longest one of either part.
+    """
     longest = np.zeros(seams.pairs.max() + 1)
     np.maximum.at(longest, seams.pairs.ravel(), np.repeat(seams.lengths, 2))
     either = longest[seams.pairs].min(1)
@@ -103,7 +105,7 @@ def _doubts(seams: Seams, centres: Centres, error: float) -> np.ndarray:
 
 
 def least_tree(costs: np.ndarray, pairs: np.ndarray, count: int) -> list[int]:
-    """Kruskal's least spanning tree: which of the pairs are in it."""
+    """Compute the minimum spanning tree by Kruskal's algorithm; returns the indices of its pairs."""
     owner = np.arange(count)
     chosen = []
     for row in np.argsort(costs, kind="stable"):
@@ -117,8 +119,10 @@ def least_tree(costs: np.ndarray, pairs: np.ndarray, count: int) -> list[int]:
 def _from_root(
     pairs: np.ndarray, joints: list[int], areas: np.ndarray
 ) -> tuple[list[int], list[int], list[int]]:
-    """The parts from the root on, depth first with the larger branches first; the place of each
-    one's parent in that order; and the joint that leads there, -1 at the root."""
+    """Order the parts depth first from the root, the larger branches first.
+
+    Returns the order, the position of each parent in it, and the joint to each parent, -1 at the root.
+    """
     around: list[list[tuple[int, int]]] = [[] for _ in areas]
     for (a, b), joint in zip(pairs.tolist(), joints, strict=True):
         around[a].append((b, joint))
@@ -144,7 +148,7 @@ def _from_root(
 
 
 def _hang(parts: Parts, order, above, centres, ends, residuals, areas) -> Tree:
-    """The skeleton, and the parts in its order."""
+    """Build the skeleton, and reorder the parts to match."""
     count = len(order)
     place = np.empty(count, int)
     place[np.array(order)] = np.arange(count)

@@ -1,1 +1,1 @@
-"""Joints that come and go."""
+"""Insertion and removal of joints."""

@@ -1,4 +1,4 @@
-"""How well bones, blended linearly, follow vertices whose rest positions stay."""
+"""Linear blend fits of vertices with fixed rest positions."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +9,12 @@ from ...geometry.laplacian import vertex_adjacency
 from ..skeleton.reparent import Bones
 from ..weights.simplex import simplex_least_squares
 
-#: so many problems are solved at a time, with a multiple of so many columns: few shapes are compiled
+#: problems per batch, and the multiple to which columns are padded; few shapes are compiled
 BATCH, WIDTH = 2048, 8
 
 
 def bones_around(body: Body) -> list[list[int]]:
-    """For each bone those near it in the tree, up to two joints away, and on the surface."""
+    """List for each bone the bones up to two joints away in the tree, and those adjacent on the surface."""
     parents, labels = np.array(body.skeleton.parents), np.asarray(body.skin.parts())
     near = np.eye(len(parents), dtype=bool)
     below = np.flatnonzero(parents >= 0)
@@ -33,7 +33,8 @@ def blend_grams(
     goals: Float[np.ndarray, "F C 3"],
     width: int,
 ) -> Float[np.ndarray, "C K K"]:
-    """Products of the vertices' distances from their goals, bone by bone; columns filled up to `width`."""
+    """Compute Gram matrices, over bones, of the distances of each vertex from its goals; columns are padded
+    to `width`."""
     frames, count = len(goals), len(columns)
     flat = bones.rotations[:, columns].transpose(3, 1, 0, 2).reshape(3, -1)
     images = (rest @ flat).reshape(len(rest), count, frames, 3)
@@ -46,7 +47,7 @@ def blend_grams(
 def fit_blends(
     grams: Float[np.ndarray, "C K K"], real: Bool[np.ndarray, "C K"]
 ) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C K"]]:
-    """The least squares over the simplex, and the weights, of the real columns."""
+    """Solve least squares over the simplex for the real columns; returns the residuals and the weights."""
     count, columns = real.shape
     room = -columns % WIDTH
     wide = np.pad(grams, ((0, 0), (0, room), (0, room)))
@@ -59,7 +60,7 @@ def fit_blends(
 
 
 def _fit(grams: Float[np.ndarray, "C K K"], real: Bool[np.ndarray, "C K"]) -> Float[np.ndarray, "C K"]:
-    """The weights of at most `BATCH` problems."""
+    """Solve for the weights of at most `BATCH` problems."""
     own = np.where(real, np.einsum("ckk->ck", grams), np.inf)
     start = np.eye(grams.shape[1])[np.argmin(own, 1)]
     size = np.maximum(own.min(1), 1e-12)[:, None, None]

@@ -1,4 +1,4 @@
-"""Bones that are missing: what a body would gain by one joint more."""
+"""Candidate bones for insertion, and the gain of each."""
 
 from typing import NamedTuple
 
@@ -13,29 +13,29 @@ from ..skeleton.reparent import Bones, bone_motions, hang_joint
 from .blend_fit import blend_grams, bones_around, fit_blends
 from .skeleton_edit import Split
 
-#: patches that are tried as the seed of a bone, and how many of them go on
+#: patches evaluated as seeds of a bone, and the number of seeds that are refined
 PATCHES, SEEDS = 256, 12
-#: the least number of vertices that make a bone
+#: the least number of vertices of a bone
 LEAST = 8
-#: rounds in which a new bone and its vertices are found by turns
+#: rounds that alternate between the motion of a new bone and its vertices
 ROUNDS = 3
-#: share of the new bone in a vertex from which it is one that tells its motion; from which it counts at all
+#: weight of the new bone from which a vertex determines its motion; weight from which a vertex counts at all
 CORE, TOUCHED = 0.5, 0.1
 
 
 class _Seed(NamedTuple):
-    """A bone in the making: how it moves, and the patches about it."""
+    """A candidate bone: its motion, and the patches around it."""
 
     motion: Bones
     patches: Int[np.ndarray, "N"]
 
 
 class _Fit(NamedTuple):
-    """What it would do to the vertices there."""
+    """The fit of a candidate bone to the vertices around it."""
 
     gain: float
     vertices: Int[np.ndarray, "C"]
-    #: bones of the columns, the new one first
+    #: bone indices of the columns, the new one first
     columns: list[int]
     weights: Float[np.ndarray, "C K"]
 
@@ -49,18 +49,18 @@ class _Scene(NamedTuple):
     around: list[list[int]]
     surface: Surface
     patches: Int[np.ndarray, "V"]
-    #: (P, P) which patches touch, each itself
+    #: (P, P) adjacency of patches, including each itself
     touching: np.ndarray
 
 
 def find_splits(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
-    """New bones that would be worth most, each apart from the others, by what they gain.
+    """Find the most useful new bones, not adjacent to each other, in order of gain.
 
-    Every patch of the surface is tried as a bone of its own: it moves as its own vertices do most
-    nearly, and those nearby are blended, linearly, of it and the bones around by least squares over
-    the simplex. What that leaves less than the bones around alone is its gain: the same measure by
-    which bones are given up (`find_removals`). The best are then made better: the vertices that a
-    new bone gets tell how it moves. It hangs where its motion has a point in common with another's.
+    Every patch of the surface is evaluated as a new bone with the best rigid motion of its vertices. Nearby
+    vertices are blended linearly from the new bone and the bones around by least squares over the simplex.
+    The gain is the decrease of the residual against the bones around alone, the same measure as in
+    `find_removals`. The best candidates are then refined: vertices with a large weight of the new bone
+    determine its motion. A new bone is joined where its motion and that of another bone have a common point.
     """
     scene = _scene(body, poses, targets)
     number = len(scene.touching)
@@ -103,7 +103,7 @@ def _motions(scene: _Scene, groups) -> Bones:
 
 
 def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
-    """All seeds fitted at once."""
+    """Fit all seeds at once."""
     count = scene.bones.rotations.shape[1]
     places = [np.flatnonzero(np.isin(scene.patches, seed.patches)) for seed in seeds]
     columns = []
@@ -134,7 +134,7 @@ def _with(bones: Bones, motion: Bones) -> Bones:
 
 
 def _follow_own(scene: _Scene, seed: _Seed, fit: _Fit) -> _Seed:
-    """The seed with the motion of the vertices that are mostly its own."""
+    """Update the motion of a seed from the vertices that are mostly its own."""
     core = fit.weights[:, 0] > CORE
     if core.sum() < LEAST:
         return seed
@@ -153,7 +153,7 @@ def _split(body: Body, scene: _Scene, seed: _Seed, fit: _Fit) -> Split | None:
     shares[:, fit.columns] = fit.weights[touched]
     labels = scene.labels.copy()
     labels[core] = count
-    # free of the joints, as those may be wrong
+    # independent of the joints, which may be wrong
     sizes = np.bincount(labels, minlength=count + 1)
     free = _motions(scene, membership(labels, np.ones(len(labels)), count + 1))
     bones = _with(scene.bones, seed.motion)

@@ -1,4 +1,4 @@
-"""What a body would lose without one of its joints."""
+"""Candidate joints for removal, and the cost of each."""
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -9,15 +9,16 @@ from ..skeleton.reparent import Bones, bone_motions, hang_children
 from .blend_fit import blend_grams, bones_around, fit_blends
 from .skeleton_edit import Removal
 
-#: share of a bone in a vertex from which it counts
+#: weight of a bone from which a vertex counts
 TOUCHED = 0.02
 
 
 def find_removals(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Removal]:
-    """Every joint but the root dissolved into the bones around it, the cheapest first.
+    """Evaluate the removal of each joint but the root, the cheapest first.
 
-    A vertex that the bone moved is blended of the bones around instead, linearly, by least squares
-    over the simplex; the cost is what that leaves more than the same blend with the bone. Where children then hang with a gap, their own vertices pay for it.
+    A vertex that the bone moved is blended linearly from the bones around instead, by least squares over the
+    simplex. The cost is the increase of the residual against the same blend with the bone. If the new joints
+    of its children have gaps, these add to the cost by the number of vertices of the children.
     """
     skeleton = body.skeleton
     influence = np.asarray(body.skin.influence(skeleton.num_joints), float)

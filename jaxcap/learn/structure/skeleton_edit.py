@@ -1,4 +1,4 @@
-"""A joint more, a joint less: bodies and their poses with the tree changed, all else as it was."""
+"""Insertion and removal of a joint in a body and its poses; all else stays the same."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,40 +17,40 @@ from ..skeleton.pose_from_parts import motion_moments, pose_moments
 from ..skeleton.reparent import Bones, bone_motions, hang_children
 from ..skeleton.tree import orient
 
-#: how heavy the frame of a bone is beside its vertices, and how wide, as a share of the body's diagonal
+#: mass of a bone's frame relative to a vertex, and its width as a share of the body's diagonal
 FRAME_MASS, FRAME_WIDTH = 1e-2, 0.02
 
 
 class Split(NamedTuple):
-    """A bone more: the vertices that it moves, and how it moves itself."""
+    """A new bone: its vertices and its motion."""
 
-    #: the bone that most of them belonged to
+    #: the bone that most of the vertices belonged to
     joint: int
-    #: by how much the sum of squared distances falls, square metres
+    #: decrease of the sum of squared distances, square metres
     gain: float
-    #: the vertices that it moves, and the shares of all bones in them with the new one, which is the last
+    #: the vertices of the new bone, and their weights of all bones, the new one last
     vertices: Int[np.ndarray, "C"]
     shares: Float[np.ndarray, "C I"]
-    #: motions in the world, of what is left of that bone and of the new one
+    #: world motions of the rest of that bone and of the new one
     rotations: Float[np.ndarray, "F 2 3 3"]
     translations: Float[np.ndarray, "F 2 3"]
-    #: joint, parent and centre of itself and of all that hangs elsewhere with it
+    #: joint, parent and centre of the new bone and of all joints with a new parent
     hung: tuple[tuple[int, int, Float[np.ndarray, "3"]], ...]
 
 
 class Removal(NamedTuple):
-    """One bone dissolved into those around it."""
+    """A bone whose vertices go to the bones around it."""
 
     joint: int
-    #: by how much the sum of squared distances rises, square metres
+    #: increase of the sum of squared distances, square metres
     cost: float
-    #: the vertices that it moved, and the shares of all bones in them without it
+    #: the vertices of the bone, and their weights of all bones without it
     vertices: Int[np.ndarray, "C"]
     shares: Float[np.ndarray, "C J"]
 
 
 class Graft(NamedTuple):
-    """A body with another tree, its stacked poses, and the pairs of joints that the tree left whole."""
+    """A body with another tree, its stacked poses, and the pairs of joints that are still valid."""
 
     body: Body
     poses: Pose
@@ -58,8 +58,8 @@ class Graft(NamedTuple):
 
 
 def with_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: Split) -> Graft:
-    """The body with a new "ball" joint, moved as the split says; all other bones move as they did,
-    as nearly as the tree allows."""
+    """Insert a "ball" joint with the motion of a split; all other bones keep their motion as far as the tree
+    allows."""
     old = body.skeleton
     count = old.num_joints
     bones = bone_motions(old, poses)
@@ -89,16 +89,18 @@ def with_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: Sp
 
 
 def insert_share(shares: Float[np.ndarray, "V J"], split: Split) -> Float[np.ndarray, "V I"]:
-    """Shares with a last column for a new bone, and what the split makes of its vertices."""
+    """Append a column of weights for a new bone, and set the weights of the vertices of the split."""
     wide = np.pad(shares, ((0, 0), (0, 1)))
     wide[split.vertices] = split.shares
     return wide
 
 
 def without_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removal: Removal) -> Graft:
-    """The body without a joint that is no root: its children hang on its parent or on each other,
-    where both bones have a point that they move most nearly alike; all bones that are left move
-    as they did, as nearly as the tree allows."""
+    """Remove a joint that is no root; all other bones keep their motion as far as the tree allows.
+
+    Its children are joined to its parent or to each other, at the point that both bones move most nearly
+    alike.
+    """
     old, joint = body.skeleton, removal.joint
     bones = bone_motions(old, poses)
     rest = np.asarray(body.vertices, float)
@@ -110,7 +112,7 @@ def without_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], remova
     def dissolve(shares: np.ndarray) -> np.ndarray:
         shares = shares.copy()
         shares[removal.vertices] = removal.shares
-        # what little others have of the bone goes to its parent
+        # small weights of other vertices go to the parent
         shares[:, old.parents[joint]] += shares[:, joint]
         return shares
 
@@ -123,13 +125,13 @@ def _new_name(names: Sequence[str]) -> str:
 
 
 def _regrown(body: Body, pairs, names, parents, centres, orientations, bones: Bones, keep, change) -> Graft:
-    """The body over the joints to `keep`, with the skin's shares as `change` makes them."""
+    """Rebuild the body with the joints `keep` and with weights modified by `change`."""
     place = {j: k for k, j in enumerate(keep)}
     above = [-1 if parents[j] < 0 else place[parents[j]] for j in keep]
     kinds = [body.skeleton.kinds[j] if j < body.skeleton.num_joints else "ball" for j in keep]
     axes = np.concatenate([np.asarray(body.skeleton.axes, float), np.eye(3)[None, :2]])[keep]
     skeleton = make_skeleton([names[j] for j in keep], above, kinds, centres[keep], orientations[keep], axes)
-    # make_skeleton may sort: which of the given joints each of its own was
+    # make_skeleton may sort: map its joints to the given ones
     order = [names.index(name) for name in skeleton.names]
     dtype = body.vertices.dtype
     skeleton = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), skeleton)
@@ -142,7 +144,7 @@ def _regrown(body: Body, pairs, names, parents, centres, orientations, bones: Bo
 
 
 def _carry_pairs(pairs, old: Skeleton, parents, order) -> Int[np.ndarray, "P 2"]:
-    """Pairs by their new numbers, those left out of which a joint is gone or hangs elsewhere."""
+    """Renumber pairs, without those where a joint is removed or has a new parent."""
     whole = [
         (order.index(left), order.index(right))
         for left, right in np.asarray(pairs, int).reshape(-1, 2).tolist()
@@ -167,8 +169,7 @@ def _skin(body: Body, skeleton: Skeleton, change) -> AbstractSkin:
 
 
 def _follow(skeleton: Skeleton, bones: Bones, rest: np.ndarray, labels: np.ndarray) -> Pose:
-    """The poses in which the bones move most nearly as given. Bones without vertices count, too:
-    by the frame at their centre."""
+    """Fit poses to given bone motions; bones without vertices count by the frame at their centre."""
     centres = np.asarray(skeleton.centres, float)
     width = FRAME_WIDTH * float(np.linalg.norm(np.ptp(rest, axis=0)))
     frames = centres[:, None] + width * np.concatenate([np.eye(3), -np.eye(3)])

@@ -1,10 +1,9 @@
-"""Joints exchanged: one dissolved where two do the work of one, one made where a bone bends.
+"""Exchange of joints: redundant bones are removed, and bones that bend are split.
 
-Parts that move rigidly are where learning starts, and soft regions have some of their own there.
-Once weights blend, those are left over, while small parts that do move by themselves are still
-in one with their neighbours. The residual tells which: of a bone whose vertices all go where they
-should, nothing is gained by a split; and of a bone that is a blend of those around it, nothing is
-lost.
+Learning begins with rigid parts, and soft regions then have some parts of their own. Once weights blend,
+these are redundant, while small parts that move independently are still merged with their neighbours. The
+residual identifies both: a bone with no residual gains nothing by a split, and a bone that is a blend of the
+bones around loses nothing by removal.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,14 +19,14 @@ from .joint_insertion import find_splits
 from .joint_removal import find_removals
 from .skeleton_edit import Graft, Removal, Split, with_joint, without_joint
 
-#: the share of a removal's cost that is left when all else has adapted to it
+#: the share of a removal's cost that remains after all else has adapted
 LASTING = 0.1
-#: what a split has to promise, and what an exchange has to keep, as shares of the error
+#: the least gain predicted for a split, and the least decrease kept from an exchange, as shares of the error
 PROMISE, KEEP = 0.01, 0.005
-#: where the number of joints is free: what each further one has to gain, as a share of Q; and what one
-#: may cost that goes, with vertices of its own or without, as shares of the error
+#: with a free number of joints: the least gain of each further joint, as a share of Q; the largest cost of a
+#: removed joint with vertices of its own or without, as shares of the error
 WORTH, IDLE, BARE = 0.02, 0.02, 0.04
-#: the share of all joints that are exchanged at once, at most
+#: the largest share of joints that are exchanged at once
 AT_ONCE = 0.2
 
 
@@ -41,16 +40,16 @@ def exchange(
 ) -> LearnState:
     """Exchange joints as long as Q falls.
 
-    The body grows the joints that promise most and loses as many, those that are missed least. What
-    comes out is improved, and kept where Q is lower than before by more than a share `KEEP`; where it
-    is not, fewer are exchanged. Where the number is `free`, only those go that are hardly missed, and
-    each joint more has to be `WORTH` it; at last, joints go without which Q is no higher. The history
-    gets one entry of Q for each trial, named `step`; one, too, where nothing is worth a trial.
+    The joints with the largest predicted gain are inserted, and as many with the least cost are removed. The
+    result is improved, and kept if Q falls by more than a share `KEEP`; otherwise fewer joints are exchanged.
+    If the number is `free`, only joints with a small cost are removed, and each additional joint must gain
+    `WORTH`; finally, joints without which Q does not rise are removed. The history gets one entry of Q for
+    each trial, named `step`, and one if no trial is worthwhile.
 
-    **Arguments:** `targets` the meshes of the state's body; `improve` puts a grafted body in the
-    place of the state's and makes it better by a few rounds; `tries` at most.
+    **Arguments:** `targets` are the meshes of the state's body; `improve` replaces the body of the state by
+    an edited one and improves it by a few rounds; `tries` is the most trials.
 
-    Only trees of "ball" joints under one "free" root are changed; others are given back as they are.
+    Only trees of "ball" joints below one "free" root are changed; others are returned unchanged.
     """
     begun, most, splits = len(state.history), None, None
     for _ in range(tries if exchangeable(state.body) else 0):
@@ -61,7 +60,7 @@ def exchange(
         before = state.history[-1][1]
         made, trial = grown(state.body, state.motion.poses, state.pairs, splits), state
         if free:
-            # what grew shows by then whether it is idle
+            # after improvement, idle new bones can be recognised
             trial = improve(state, made)
             made = Graft(trial.body, trial.motion.poses, trial.pairs)
         removals = spare(made.body, made.poses, targets, len(splits), free)
@@ -85,7 +84,7 @@ def _thin_out(
     improve: Callable[[LearnState, Graft], LearnState],
     step: str,
 ) -> LearnState:
-    """Joints that are not missed once all else has adapted go, where Q is no higher than before."""
+    """Remove joints without which Q does not rise after all else has adapted."""
     body, poses, before = state.body, state.motion.poses, state.history[-1][1]
     count = max(1, round(AT_ONCE / 2 * body.skeleton.num_joints))
     removals = spare(body, poses, targets, count, idle=False)
@@ -98,14 +97,16 @@ def _thin_out(
 
 
 def exchangeable(body: Body) -> bool:
-    """Whether a tree is one that may be changed: balls under one free root."""
+    """Test whether a tree can be changed: "ball" joints below one "free" root."""
     kinds, parents = body.skeleton.kinds, body.skeleton.parents
     return kinds[0] == "free" and set(kinds[1:]) <= {"ball"} and parents.count(-1) == 1
 
 
 def worthwhile(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
-    """The splits that promise most and touch no joint of each other, as many as gain more than the
-    removals of as many joints may cost."""
+    """Select the splits of largest gain that share no joint.
+
+    As many are taken as gain more than the expected cost of as many removals.
+    """
     least = PROMISE * float(jnp.sum((targets - deform_all(body, poses)) ** 2))
     splits, taken = [], set()
     for split in find_splits(body, poses, targets):
@@ -121,8 +122,10 @@ def worthwhile(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[
 
 
 def spare(body: Body, poses: Pose, targets: Float[Array, "F V 3"], count: int, idle: bool) -> list[Removal]:
-    """So many removals that cost least, no joint of which hangs on another; of `idle` joints only, on
-    demand."""
+    """Select up to `count` removals of least cost, with no joint the parent of another.
+
+    With `idle`, only removals of small cost are selected.
+    """
     error = float(jnp.sum((targets - deform_all(body, poses)) ** 2))
     parents = body.skeleton.parents
     own = np.bincount(np.asarray(body.skin.parts()), minlength=len(parents))
@@ -138,7 +141,7 @@ def spare(body: Body, poses: Pose, targets: Float[Array, "F V 3"], count: int, i
 
 
 def grown(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], splits: Sequence[Split]) -> Graft:
-    """The body with the joints of splits that touch no joint of each other."""
+    """Insert the joints of splits that share no joint."""
     names, made = list(body.skeleton.names), Graft(body, poses, pairs)
     for split in splits:
         skeleton = made.body.skeleton
@@ -151,11 +154,11 @@ def grown(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], splits: Sequen
 
 
 def pruned(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removals: Sequence[Removal]) -> Graft:
-    """The body without some of its joints, of which none hangs on another."""
+    """Remove joints, none of which is the parent of another."""
     old, made, gone = body.skeleton, Graft(body, poses, pairs), []
     for removal in removals:
         shares = np.array(removal.shares)
-        # what it was to get of bones that are gone
+        # weights of removed bones go to their parents
         for joint in gone:
             shares[:, old.parents[joint]] += shares[:, joint]
         skeleton = made.body.skeleton
@@ -167,6 +170,6 @@ def pruned(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removals: Seq
 
 
 def _moved(split: Split) -> set[int]:
-    """The joints that a split hangs elsewhere, and those that they hang on, but for the new one."""
+    """Return the joints with a new parent in a split, and their parents, without the new joint."""
     ends = {split.joint, *(end for joint, parent, _ in split.hung for end in (joint, parent))}
     return ends - {split.shares.shape[1] - 1}

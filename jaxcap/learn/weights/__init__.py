@@ -1,1 +1,1 @@
-"""Skinning weights and rest vertices."""
+"""Optimisation of skinning weights and rest vertices."""

@@ -1,4 +1,4 @@
-"""One sweep of block coordinate descent over the vertices of a body, a colour at a time."""
+"""Sweeps of block coordinate descent over the vertices of a body, one colour at a time."""
 
 import functools
 from typing import Any, NamedTuple
@@ -17,14 +17,14 @@ from .swing_twist_weights import LENDERS, Slides
 
 
 class Field(NamedTuple):
-    """Errors of all vertices and the Laplacians of the errors, metres, frames last."""
+    """Errors of all vertices, and the Laplacians of the errors, metres, frames last."""
 
     errors: Float[Array, "V 3 F"]
     rough: Float[Array, "V 3 F"]
 
 
 class Swept(NamedTuple):
-    """Weights after a sweep, the field that belongs to them, and which vertices have changed."""
+    """Weights after a sweep, the matching error field, and the vertices that changed."""
 
     rows: Any
     field: Field
@@ -33,19 +33,19 @@ class Swept(NamedTuple):
 
 @eqx.filter_jit
 def error_field(body: Body, poses: Pose, targets: Float[Array, "F V 3"], metric: Conformance) -> Field:
-    """The field of a body in its poses."""
+    """Compute the errors of a body in its poses, and their Laplacians."""
     errors = jnp.transpose(targets - deform_all(body, poses), (1, 2, 0))
     return Field(errors, laplacian(metric, errors.reshape(len(errors), -1)).reshape(errors.shape))
 
 
 @jax.jit
 def field_energy(field: Field, metric: Conformance) -> Float[Array, ""]:
-    """Q (Adaptation, eq. 3.19), squared metres."""
+    """Compute Q (Adaptation, eq. 3.19), squared metres."""
     return jnp.sum(field.errors**2) + metric.alpha * jnp.sum(field.rough**2)
 
 
 def soften(metric: Conformance, share: float) -> Conformance:
-    """The metric with a share of its weight on shape."""
+    """Scale the weight of the Laplacian term in the metric."""
     softer = share * metric.alpha, 1.0 + share * (metric.diagonal - 1.0)
     return eqx.tree_at(lambda m: (m.alpha, m.diagonal), metric, softer)
 
@@ -63,17 +63,17 @@ def sweep(
     count: Int[Array, ""],
     turn: Int[Array, ""],
 ) -> Swept:
-    """Let the vertices of every block choose their weights, block after block.
+    """Update the weights of the vertices of every block, block after block.
 
-    **Arguments:** `rows` the weights of all vertices in the form of the `chooser`; `blocks`
-    vertices of which no two meet in the metric, padded with V; `slide`, `reach`, `count` as in
-    `Slides.choose`; `turn` says which neighbours lend their weights. `field` is used up.
+    **Arguments:** `rows` are the weights of all vertices in the format of the `chooser`; `blocks` are
+    vertices of which no two are coupled by the metric, padded with V; `slide`, `reach`, `count` as in
+    `Slides.choose`; `turn` selects the neighbours whose weights are tried. The buffer of `field` is donated.
     """
     total = len(rest)
     real = metric.neighbours != jnp.arange(total)[:, None]
     shares = metric.shares[:, None, None]
     slots = range(metric.neighbours.shape[1])
-    # what is gained below this is rounding
+    # gains below this are rounding errors
     least = 100 * jnp.finfo(rest.dtype).eps
 
     def visit(carry, block):
@@ -106,7 +106,7 @@ def sweep(
 def make_blocks(
     colours: Int[np.ndarray, "V"], active: Bool[np.ndarray, "V"], order: Int[np.ndarray, "V"]
 ) -> Int[np.ndarray, "B C"]:
-    """The active vertices in their order, a colour a row, padded with V to one of a few lengths."""
+    """Group the active vertices by colour, one row each, padded with V to one of a few widths."""
     order = order[active[order]]
     order = order[np.argsort(colours[order], kind="stable")]
     number = int(colours.max()) + 1

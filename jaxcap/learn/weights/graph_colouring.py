@@ -1,4 +1,5 @@
-"""Vertices in colours: those of one colour do not meet in the metric, and may move at once."""
+"""Graph colouring of vertices: vertices of one colour are not coupled by the metric, and can be updated at
+once."""
 
 import functools
 
@@ -9,11 +10,11 @@ from ...geometry.laplacian import Conformance
 
 
 def colour_vertices(metric: Conformance) -> Int[np.ndarray, "V"]:
-    """A colour for each vertex, from zero, so that `A_uv = 0` between any two of one colour:
-    they are neither neighbours nor have a neighbour in common.
+    """Colour the vertices so that `A_uv = 0` between any two of one colour.
 
-    Greedy, each vertex in the smallest of the colours that are open to it, so that colours are of
-    about the same size: some twenty for the usual mesh. Kept for the next call with the mesh.
+    Such vertices are neither neighbours nor have a common neighbour. The greedy method gives each vertex the
+    least used of the allowed colours, so that colours have similar sizes: some twenty for a usual mesh. The
+    result is cached for the next call with the same mesh.
     """
     neighbours = np.ascontiguousarray(metric.neighbours, np.int32)
     return _colours(neighbours.tobytes(), neighbours.shape[1])
@@ -28,7 +29,7 @@ def _colours(data: bytes, width: int) -> Int[np.ndarray, "V"]:
         taken = colours[np.append(neighbours[ring], ring)]
         open_to = np.ones(len(sizes) + 1, bool)
         open_to[taken[taken >= 0]] = False
-        # the last entry stands for a colour of its own
+        # the last entry is a new colour
         choices = np.flatnonzero(open_to[:-1])
         if choices.size == 0:
             choices, sizes = np.array([len(sizes)]), np.append(sizes, 0)
@@ -39,7 +40,7 @@ def _colours(data: bytes, width: int) -> Int[np.ndarray, "V"]:
 
 
 def within_two_rings(metric: Conformance, marked: np.ndarray) -> np.ndarray:
-    """`(V,)` of bool: the vertices that meet a marked one in the metric, those themselves too."""
+    """Mark the vertices that the metric couples to a marked one, including those, `(V,)` of bool."""
     neighbours = np.asarray(metric.neighbours)
     once = marked | marked[neighbours].any(1)
     return once | once[neighbours].any(1)

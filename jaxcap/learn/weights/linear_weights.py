@@ -12,11 +12,11 @@ from .simplex import largest_weights, simplex_least_squares
 
 
 class Blends(eqx.Module):
-    """Where bones take vertices, frames last; chooses linear weights by least squares."""
+    """Bone transforms, frames last, for the choice of linear weights by least squares."""
 
     rotations: Float[Array, "J 9 F"]
     translations: Float[Array, "J 3 F"]
-    #: bones that may move one vertex, at most
+    #: the most bones per vertex
     influences: int | None = eqx.field(static=True, default=None)
     num_candidates: int = eqx.field(static=True, default=1)
 
@@ -30,10 +30,10 @@ class Blends(eqx.Module):
         reach: Float[Array, ""],
         count: Int[Array, ""],
     ) -> tuple[Float[Array, "C J"], Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """The best weights for each vertex; as `Slides.choose`, without slides."""
+        """Solve for the best weights of each vertex; the interface of `Slides.choose`, without slides."""
         del lent, slide, count
         images = self._images(rest)
-        # in differences from where the vertex is, near bones keep their digits beside far ones
+        # differences from the current position keep precision for near bones next to far ones
         apart = images - jnp.einsum("cj,cjaf->caf", rows, images)[:, None]
         flat = apart.reshape(*rows.shape, -1)
         gram = jnp.einsum("cjf,ckf->cjk", flat, flat)
@@ -57,7 +57,7 @@ class Blends(eqx.Module):
 
 
 class Parts(eqx.Module):
-    """Where bones take vertices, frames last; chooses the one bone of a rigid skin."""
+    """Bone transforms, frames last, for the choice of the bone of a rigid skin."""
 
     blends: Blends
     num_candidates: int = eqx.field(static=True, default=1)
@@ -72,7 +72,7 @@ class Parts(eqx.Module):
         reach: Float[Array, ""],
         count: Int[Array, ""],
     ) -> tuple[Int[Array, "C"], Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """The best bone for each vertex; as `Slides.choose`, without slides."""
+        """Choose the best bone of each vertex; the interface of `Slides.choose`, without slides."""
         del lent, slide, reach, count
         images = self.blends._images(rest)
         apart = images - jnp.take_along_axis(images, rows[:, None, None, None], 1)
@@ -85,7 +85,7 @@ class Parts(eqx.Module):
 
 @eqx.filter_jit
 def make_blends(skeleton: Skeleton, poses: Pose, influences: int | None = None) -> Blends:
-    """The bones' transforms in a stack of poses."""
+    """Compute the bone transforms in stacked poses."""
     bones = jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)
     frames, joints = bones.translations.shape[:2]
     last = lambda array: jnp.moveaxis(array.reshape(frames, joints, -1), 0, -1)  # noqa: E731

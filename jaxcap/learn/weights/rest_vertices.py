@@ -1,4 +1,4 @@
-"""The rest vertices that fit best, everything else given: sparse linear least squares."""
+"""Optimisation of rest vertices with everything else fixed: sparse linear least squares."""
 
 import equinox as eqx
 import jax
@@ -13,7 +13,8 @@ from ...fit.linear.conjugate_gradients import conjugate_gradients
 from ...geometry.laplacian import Conformance, apply
 from .simplex import eliminate
 
-#: steps of conjugate gradients at most, and products of the metric in each; what bounds of its eigenvalues are apart at least
+#: the most steps of conjugate gradients, the degree of the preconditioner in each, and the least gap between
+#: the bounds of its eigenvalues
 STEPS, DEGREE, LITTLE = 30, 16, 1e-3
 
 
@@ -25,19 +26,19 @@ def solve_vertices(
     metric: Conformance,
     tolerance: float | Float[Array, ""] = 1e-3,
 ) -> Float[Array, "V 3"]:
-    """Find the rest vertices, metres, from those of a body; every step of the conjugate gradients lowers Q, so that stopping
-    at `tolerance` of the gradient is safe.
+    """Solve for the rest vertices, metres, starting from those of a body.
 
-    A posed vertex is affine in its rest place, `x_m = B_m p + t_m` (Adaptation, eq. 3.21), and
-    the normal equations are `sum_m B_m^T A B_m p = sum_m B_m^T A (x_m - t_m)`. The `B_m` are
-    nearly rotations that neighbours share, so `F A` is nearly the matrix: with a polynomial of `A` as
-    preconditioner, few products of all frames are needed.
+    A posed vertex is affine in its rest position, `x_m = B_m p + t_m` (Adaptation, eq. 3.21), and the normal
+    equations are `sum_m B_m^T A B_m p = sum_m B_m^T A (x_m - t_m)`. The `B_m` are nearly rotations that
+    neighbours share, so that `F A` approximates the matrix. With a polynomial of `A` as preconditioner, few
+    products over all frames are needed. Every step of the conjugate gradients lowers Q, so that it is safe to
+    stop at `tolerance` of the gradient.
     """
     slopes = _slopes(body, poses)
     side = _pull(metric, slopes, targets - deform_all(body, poses))
 
     def precondition(rest):
-        # a uniform Laplacian is at most two
+        # the eigenvalues of a uniform Laplacian are at most two
         return chebyshev(lambda x: apply(metric, x), rest, 1.0, 1.0 + 4.0 * metric.alpha + LITTLE, DEGREE)
 
     step = conjugate_gradients(
@@ -52,7 +53,7 @@ def solve_vertices(
 
 @eqx.filter_jit
 def carry_back(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Float[Array, "V 3"]:
-    """Each vertex by itself where it has to rest to come nearest to its targets, metres."""
+    """Solve for the rest position of each vertex independently, by least squares to its targets, metres."""
     slopes = _slopes(body, poses)
     errors = targets - deform_all(body, poses)
     normal = jnp.einsum("fvab,fvac->bcv", slopes, slopes)
@@ -61,7 +62,7 @@ def carry_back(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Float
 
 
 def _slopes(body: Body, poses: Pose) -> Float[Array, "F V 3 3"]:
-    """How each posed vertex moves with its rest place; constant, as skins are affine in it."""
+    """Compute the derivatives of posed vertices by rest positions; constant, as skins are affine in these."""
 
     def of_frame(pose):
         transforms = forward_kinematics(body.skeleton, pose)
@@ -79,7 +80,7 @@ def _slopes(body: Body, poses: Pose) -> Float[Array, "F V 3 3"]:
 
 
 def _pull(metric, slopes, errors) -> Float[Array, "V 3"]:
-    """`sum_m B_m^T A e_m`."""
+    """Compute `sum_m B_m^T A e_m`."""
 
     def add(total, frame):
         slope, error = frame
@@ -89,7 +90,7 @@ def _pull(metric, slopes, errors) -> Float[Array, "V 3"]:
 
 
 def _curvature(metric, slopes, step) -> Float[Array, "V 3"]:
-    """`sum_m B_m^T A B_m p`."""
+    """Compute `sum_m B_m^T A B_m p`."""
 
     def add(total, slope):
         moved = jnp.einsum("vab,vb->va", slope, step)

@@ -1,14 +1,13 @@
 """Least squares over the simplex, exactly and for many small problems at once.
 
-Skinning weights are at least zero and sum to one. A vertex that blends `K` images with weights
-`w` comes nearest to where it should be at the minimum of
+Skinning weights are at least zero and sum to one. The weights `w` of a vertex that blends `K` images are
+optimal at the minimum of
 
     w^T G w - 2 b^T w    over    w >= 0,  sum w = 1,
 
-with `G` the Gram matrix of the images and `b` their products with the target. Projected
-gradients crawl where bones move nearly alike, which neighbouring bones do; an active set
-(Nocedal and Wright, Numerical Optimization, algorithm 16.3) ends after a few exact solves and
-needs no projection.
+with `G` the Gram matrix of the images and `b` their products with the target. Projected gradients converge
+slowly for bones that move nearly alike, as neighbouring bones do. An active-set method (Nocedal and Wright,
+Numerical Optimization, algorithm 16.3) ends after a few exact solves and needs no projection.
 """
 
 import functools
@@ -27,26 +26,26 @@ def simplex_least_squares(
     allowed: Bool[Array, "N K"] | None = None,
     groups: tuple[int, ...] | None = None,
 ) -> Float[Array, "N K"]:
-    """The weights that minimise `w^T gram w - 2 linear . w` in each of `N` problems.
+    """Minimise `w^T gram w - 2 linear . w` over the simplex in each of `N` problems.
 
-    **Arguments:** `gram (N, K, K)` positive semidefinite; `linear (N, K)`; `start (N, K)` weights
-    to begin at, which are on the simplex: the nearer to the answer, the fewer solves; `allowed`
-    says which weights may be other than zero (those of `start` are); `groups`, K numbers from
-    zero: the weights of each group sum to one by themselves, where not given all are one group.
+    **Arguments:** `gram (N, K, K)` is positive semidefinite; `linear (N, K)`; `start (N, K)` are initial
+    weights on the simplex: fewer solves are needed close to the solution; `allowed` marks the weights that
+    may be nonzero (as those of `start` are); `groups` are K numbers from zero: the weights of each group sum
+    to one. By default all weights are one group.
 
-    The answer is never above `start`, but for rounding. Where images coincide, one of the equally
-    good answers is taken.
+    The objective never exceeds that of `start`, except for rounding. If images coincide, one of the equal
+    solutions is returned.
     """
     groups = groups or (0,) * gram.shape[-1]
     sums = jnp.asarray(np.equal.outer(np.arange(max(groups) + 1), groups), gram.dtype)
-    # the batch runs last: every step of an elimination is then one long loop over it
+    # batch last: each step of an elimination is then one long loop over it
     gram, linear, start = jnp.moveaxis(gram, 0, -1), linear.T, jnp.maximum(start, 0.0).T
     free = jnp.ones(linear.shape, bool) if allowed is None else allowed.T
     return _active_set(gram, linear, start, free, sums).T
 
 
 def largest_weights(weights: Float[Array, "N K"], count: int) -> Bool[Array, "N K"]:
-    """The `count` largest weights of each row, as `allowed` of `simplex_least_squares`."""
+    """Mark the `count` largest weights of each row, as `allowed` of `simplex_least_squares`."""
     rank = jnp.argsort(jnp.argsort(-weights, axis=1, stable=True), axis=1)
     return rank < count
 
@@ -55,7 +54,7 @@ def _active_set(gram, linear, start, free, sums):
     count = linear.shape[0]
     epsilon = jnp.finfo(linear.dtype).eps
     size = jnp.einsum("iin->in", gram)
-    # a ridge in proportion to each column leaves small columns their digits beside large ones
+    # a ridge proportional to each column keeps the precision of small columns next to large ones
     ridge = 4 * epsilon * size + epsilon**2 * jnp.sum(size, 0) + jnp.finfo(linear.dtype).tiny ** 0.75
     eye = jnp.eye(count, dtype=linear.dtype)[:, :, None]
 
@@ -70,10 +69,10 @@ def _active_set(gram, linear, start, free, sums):
         solved = eliminate(matrix, sides)
         plain, reach = solved[:, 0], solved[:, 1:]
         surplus = jnp.einsum("gk,kn->gn", sums, plain) - 1.0
-        # multipliers of the sums, by the Schur complement
+        # Lagrange multipliers of the sums, by the Schur complement
         multipliers = eliminate(jnp.einsum("gk,khn->ghn", sums, reach), surplus[:, None])[:, 0]
         goal = plain - jnp.einsum("kgn,gn->kn", reach, multipliers)
-        # walk towards the goal as far as no weight turns negative
+        # move towards the goal until a weight reaches zero
         falls = support & (goal < 0.0)
         room = jnp.where(falls, weights / jnp.where(falls, weights - goal, 1.0), jnp.inf)
         share = jnp.minimum(1.0, jnp.min(room, 0))
@@ -81,7 +80,7 @@ def _active_set(gram, linear, start, free, sums):
         blocked = falls & (room <= share)
         moved = jnp.where(blocked, 0.0, moved)
         arrived = ~jnp.any(falls, 0)
-        # at the goal, a weight enters whose growth would lower the sum of squares
+        # at the goal, add a weight whose increase lowers the objective
         pull = jnp.einsum("ijn,jn->in", gram, moved)
         slope = pull - linear + jnp.einsum("gk,gn->kn", sums, multipliers)
         noise = 16 * epsilon * (jnp.abs(linear) + jnp.abs(pull))
@@ -90,7 +89,7 @@ def _active_set(gram, linear, start, free, sums):
         best = jnp.argmin(depth, 0)
         enters = arrived & jnp.any(entering, 0)
         chosen = enters & (jnp.arange(count)[:, None] == best)
-        # one that leaves as soon as it entered is a tie within rounding
+        # a weight that leaves right after it entered is a tie within rounding
         tie = jnp.any(blocked & entered, 0)
         kept = (support & ~blocked) | chosen
         settled = done | (arrived & ~enters) | tie
@@ -112,7 +111,7 @@ def _active_set(gram, linear, start, free, sums):
 
 
 def eliminate(matrix: Float[Array, "K K N"], sides: Float[Array, "K S N"]) -> Float[Array, "K S N"]:
-    """Solve N positive definite systems by Gauss and Jordan, which need no pivots there."""
+    """Solve N positive definite systems by Gauss-Jordan elimination, which needs no pivoting there."""
 
     def column(i, table):
         row = table[i] / table[i, i]

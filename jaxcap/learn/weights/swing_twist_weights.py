@@ -1,10 +1,10 @@
-"""Swing-twist weights of single vertices: slide along the chain, swing weights exact for each slide.
+"""Swing-twist weights of single vertices: candidate twist weights, with optimal swing weights for each.
 
-For given twist weights a vertex is linear in its swing weights, so these are a least-squares
-problem over the simplex. Twist weights come as candidates (Adaptation, 3.2.2): slid towards and
-from each child of the base, past the base's joint to its parent, past a child to its children,
-and, what the thesis does not have, where Gauss-Newton in swing and twist together sends them,
-which ends in a few sweeps what slides alone approach by ever smaller steps.
+For given twist weights a vertex is linear in its swing weights, so that these are a least-squares problem
+over the simplex. Candidates of twist weights (Adaptation, 3.2.2) slide along the chain: towards and from each
+child of the base, past the base's joint to its parent, and past a child to its children. Gauss-Newton steps
+in swing and twist together are additional candidates, which the thesis does not have. They converge in a few
+sweeps, where slides alone need ever smaller steps.
 """
 
 import equinox as eqx
@@ -20,14 +20,14 @@ from ...body.skeleton import Skeleton
 from ...body.skin import SwingTwistSkin
 from .simplex import simplex_least_squares
 
-#: candidates that are not slides: the twists as they are, and two lengths of the Gauss-Newton step
+#: candidates other than slides: the current twists, and two lengths of the Gauss-Newton step
 STEPS = (0.0, 1.0, 0.5)
-#: neighbours on the surface of which the twists are tried
+#: the number of surface neighbours whose twists are tried
 LENDERS = 2
 
 
 class SlideRows(eqx.Module):
-    """Weights of vertices as short rows: slot `k` belongs to the base's `k`-th child."""
+    """Sparse weights of vertices: slot `k` belongs to the `k`-th child of the base."""
 
     bases: Int[Array, "V"]
     swing: Float[Array, "V K"]
@@ -35,15 +35,15 @@ class SlideRows(eqx.Module):
 
 
 class Slides(eqx.Module):
-    """All that the choice of swing-twist weights needs of skeleton and poses, frames last."""
+    """Tables of skeleton and poses for the choice of swing-twist weights, frames last."""
 
     #: children of each bone, padded with J
     children: Int[Array, "J K"]
-    #: where weights slide when they pass a joint: the next base, the slot there; padded with -1
+    #: the next base and slot when weights slide past a joint; padded with -1
     passes: Int[Array, "J M 2"]
-    #: whether that is the way up, to the parent
+    #: true for the pass to the parent
     upward: Bool[Array, "J M"]
-    #: row J moves nothing
+    #: row J is the identity
     twists: Float[Array, "I 8 F"]
     swings: Float[Array, "I 12 F"]
     rotations: Float[Array, "J 9 F"]
@@ -64,12 +64,14 @@ class Slides(eqx.Module):
         reach: Float[Array, ""],
         count: Int[Array, ""],
     ) -> tuple[SlideRows, Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """The best of the first `count` candidates for each vertex, how far it moves the vertex,
-        and by how much it lowers the squared distance to the aim.
+        """Choose the best of the first `count` candidates for each vertex.
 
-        **Arguments:** `lent` the rows of neighbours; `rest` vertices, metres; `aims` from where the vertices are to where they
-        should be; `slide` the length of slides; `reach` by which aims are stretched when weights
-        are solved for; which are best is judged by the aims themselves.
+        Returns the weights, the displacement of the vertex, and the decrease of its squared distance to the
+        aim.
+
+        **Arguments:** `lent` are the weights of neighbours; `rest` vertices, metres; `aims` are the
+        displacements from the current positions to the goals; `slide` is the length of slides; `reach` scales
+        the aims when weights are solved for (over-relaxation). Candidates are compared by the unscaled aims.
         """
         here = self._place(rows, rest)
         goal, far = here + aims, here + reach * aims
@@ -88,8 +90,10 @@ class Slides(eqx.Module):
         return self._settle(chosen), place - here, before - cost
 
     def _fit_swing(self, rows: SlideRows, rest, goal, far):
-        """The swing weights that bring the vertices nearest to `far`, their places, and the
-        squared distances to `goal` there."""
+        """Solve for the swing weights that move the vertices nearest to `far`.
+
+        Also returns the positions, and their squared distances to `goal`.
+        """
         twisted, swung = self._images(rows, rest)
         gap = self._into_base(rows.bases, far) - twisted
         swing = _nearest(swung, gap * self.scales**2, self.scales**2, self._real(rows.bases))
@@ -97,7 +101,7 @@ class Slides(eqx.Module):
         return SlideRows(rows.bases, swing, rows.twist), place, jnp.sum((goal - place) ** 2, (1, 2))
 
     def _candidates(self, rows: SlideRows, lent: list[SlideRows], rest, far, slide):
-        """Bases (N, C) and twist weights (N, C, K)."""
+        """Build candidate bases (N, C) and twist weights (N, C, K)."""
         step = self._newton(rows, rest, far) - rows.twist
         bases = [rows.bases] * len(STEPS) + [row.bases for row in lent]
         bases += [rows.bases] * (2 * self.children.shape[1])
@@ -120,11 +124,11 @@ class Slides(eqx.Module):
         return jnp.stack(bases), jnp.stack(twists)
 
     def _newton(self, rows: SlideRows, rest, far) -> Float[Array, "C K"]:
-        """Twist weights after a step of Gauss-Newton in swing and twist together."""
+        """Compute the twist weights after a Gauss-Newton step in swing and twist together."""
         twisted, swung = self._images(rows, rest)
         slopes = self._slopes(rows, rest)
         motions = self.swings[self.children[rows.bases]]
-        # what the swings do to a shift of the twisted vertex: blended rotation
+        # blended swing rotation, applied to displacements of the twisted vertex
         blend = jnp.einsum("ck,ckmf->cmf", rows.swing, motions - self.swings[-1])
         slopes = slopes + jnp.stack(
             [sum(blend[:, None, 4 * a + b] * slopes[:, :, b] for b in range(3)) for a in range(3)], 2
@@ -142,8 +146,11 @@ class Slides(eqx.Module):
         return solved[:, :count]
 
     def _images(self, rows: SlideRows, rest):
-        """In the frame of the base at rest: the twisted vertices (C, 3, F), and how far each
-        child's whole swing would take them (C, K, 3, F)."""
+        """Compute, in the base's rest frame, the twisted vertices and their displacement by each child's full
+        swing.
+
+        Shapes (C, 3, F) and (C, K, 3, F).
+        """
         children = self.children[rows.bases]
         twisted = _move(self._blend(rows)[0], rest)
         swings = (self.swings - self.swings[-1])[children]
@@ -157,7 +164,7 @@ class Slides(eqx.Module):
         return twisted, swung
 
     def _slopes(self, rows: SlideRows, rest) -> Float[Array, "C K 3 F"]:
-        """How the twisted vertices move with the twist weights."""
+        """Compute the derivatives of the twisted vertices by the twist weights."""
         blend, motions, still = self._blend(rows)
 
         def along(k):
@@ -166,8 +173,10 @@ class Slides(eqx.Module):
         return jnp.stack([along(k) for k in range(motions.shape[1])], 1)
 
     def _blend(self, rows: SlideRows):
-        """The sum of weighted twists (C, 8, F), and the twists (C, K, 8, F) and the neutral motion
-        (C, 8, F) with the signs that they have in it."""
+        """Compute the weighted sum of twists (C, 8, F).
+
+        Also returns the twists (C, K, 8, F) and the identity (C, 8, F), with their signs in the sum.
+        """
         motions, neutral = self.twists[self.children[rows.bases]], 1.0 - jnp.sum(rows.twist, 1)
         first, signs = _signs(rows.twist, neutral, motions[:, :, :4])
         motions, still = signs[:, :, None] * motions, first[:, None] * self.twists[-1]
@@ -191,7 +200,7 @@ class Slides(eqx.Module):
         return self.children[bases] < len(self.children)
 
     def _settle(self, rows: SlideRows) -> SlideRows:
-        """All weight at one child is that child for a base."""
+        """Replace the base by a child that has all the weight."""
         whole = jnp.minimum(rows.swing, rows.twist) > 1.0 - 4 * jnp.finfo(rows.twist.dtype).eps
         passed = jnp.any(whole, 1)
         child = jnp.take_along_axis(self.children[rows.bases], jnp.argmax(whole, 1)[:, None], 1)[:, 0]
@@ -200,14 +209,14 @@ class Slides(eqx.Module):
 
 
 def make_slides(skeleton: Skeleton, poses: Pose) -> Slides:
-    """The tables of a skeleton in a stack of poses."""
+    """Build the tables of a skeleton in stacked poses."""
     children, passes, upward = _tree(skeleton)
     motions = _motions(skeleton, poses)
     return Slides(jnp.asarray(children), jnp.asarray(passes), jnp.asarray(upward), *motions)
 
 
 def slide_rows(slides: Slides, skin: SwingTwistSkin) -> SlideRows:
-    """The short rows of a skin."""
+    """Convert the weights of a skin to sparse rows."""
     children = slides.children[skin.bases]
     pick = lambda w: jnp.where(  # noqa: E731
         children < w.shape[1], jnp.take_along_axis(w, jnp.minimum(children, w.shape[1] - 1), 1), 0.0
@@ -216,7 +225,7 @@ def slide_rows(slides: Slides, skin: SwingTwistSkin) -> SlideRows:
 
 
 def slide_skin(slides: Slides, rows: SlideRows) -> SwingTwistSkin:
-    """The skin of short rows."""
+    """Convert sparse rows to a skin."""
     children = slides.children[rows.bases]
     lines = jnp.arange(len(children))[:, None]
     wide = jnp.zeros((len(children), len(slides.children)), rows.swing.dtype)
@@ -257,7 +266,7 @@ def _motions(skeleton: Skeleton, poses: Pose):
 
 
 def _nearest(columns, gap, scales, real, start=None, groups=None):
-    """Weights of columns (C, K, 3, F), what is left of one unused, nearest to the gap."""
+    """Solve for the weights of columns (C, K, 3, F) nearest to the gap; their sum may be less than one."""
     count, width = columns.shape[:2]
     groups = groups or (0,) * width
     number = max(groups) + 1
@@ -275,8 +284,10 @@ def _nearest(columns, gap, scales, real, start=None, groups=None):
 
 
 def _signs(twist, neutral, reals):
-    """Signs as in `dualquat.align`: those of the hemisphere of the motion that weighs most; of
-    the neutral one (C, F) and of the children's (C, K, F)."""
+    """Compute signs as in `dualquat.align`: the hemisphere is that of the motion with the largest weight.
+
+    Returns the signs of the identity (C, F) and of the children (C, K, F).
+    """
     most = jnp.argmax(jnp.concatenate([neutral[:, None], twist], 1), 1)
     still = jnp.zeros_like(reals[:, :1]).at[:, :, 0].set(1.0)
     every = jnp.concatenate([still, reals], 1)
@@ -286,7 +297,7 @@ def _signs(twist, neutral, reals):
 
 
 def _move(motion: Float[Array, "C 8 F"], rest: Float[Array, "C 3"]) -> Float[Array, "C 3 F"]:
-    """`dualquat.apply` with frames last."""
+    """Apply `dualquat.apply` with frames last."""
     a0, v0, ae, ve = motion[:, :1], motion[:, 1:4], motion[:, 4:5], motion[:, 5:]
     squared = jnp.sum(motion[:, :4] ** 2, 1, keepdims=True)
     points = jnp.broadcast_to(rest[:, :, None], v0.shape)

@@ -1,19 +1,18 @@
-"""Better skinning weights by block coordinate descent (Adaptation, 3.2.2).
+"""Optimisation of skinning weights by block coordinate descent (Adaptation, 3.2.2).
 
-With everything else fixed, `Q = sum e . A e` of the errors `e = targets - posed` depends on one
-vertex `v` as `a_vv |y_v - T_v|^2` and a constant, where
+With everything else fixed, `Q = sum e . A e` of the errors `e = targets - posed` depends on one vertex `v` as
+`a_vv |y_v - T_v|^2` and a constant, where
 
     y_v = T_v + (A e)_v / a_vv
 
-is the place, frame by frame, at which the vertex would serve the surface best. So the choice of
-its weights is a small problem of its own, its gain is exact, and vertices that do not meet in
-`A` choose at once: a colour at a time. Vertices around which nothing has changed since they last
-chose are left out.
+is the optimal position of the vertex in each frame. The choice of its weights is therefore a small
+independent problem with an exact gain, and vertices not coupled by `A` are updated at once: one colour at a
+time. Vertices with no changes around them since their last update are skipped.
 
-One vertex at a time, cracks close at once, but what a whole limb shares creeps, by `1 / alpha` a
-sweep. That part hardly feels the Laplacian, though, so the first sweeps are made with little of
-`alpha` or none, where each vertex goes its own way, and the rest mends the cracks. Where this ends
-above the start, as it may near the optimum, it is undone, and all sweeps are made with `alpha`.
+Updates of single vertices close cracks at once, but errors common to a whole limb converge slowly, by `1 /
+alpha` a sweep. The Laplacian hardly affects these errors. The first sweeps therefore use little of `alpha` or
+none, so that vertices move independently, and the other sweeps close the cracks. If Q then exceeds that at
+the start, as it may near the optimum, these sweeps are undone, and all sweeps use the full `alpha`.
 """
 
 import functools
@@ -35,8 +34,11 @@ from .swing_twist_weights import LENDERS, STEPS, make_slides, slide_rows, slide_
 
 
 class Turn(NamedTuple):
-    """How a sweep is made: the share of alpha, how far weights slide (zero: they move by
-    Gauss-Newton only), and how far aims are stretched for linear skins."""
+    """The settings of a sweep.
+
+    They are the share of alpha, the length of slides (zero: Gauss-Newton steps only), and the scale of aims
+    for linear skins.
+    """
 
     share: float
     slide: float
@@ -44,14 +46,14 @@ class Turn(NamedTuple):
 
 
 COARSE = (Turn(0.0, 0.25, 1.0), Turn(0.0, 0.05, 1.0), Turn(0.05, 0.2, 1.0), Turn(0.3, 0.0, 1.0))
-#: again and again; over-relaxed, as in successive over-relaxation, after a first plain sweep
+#: repeated cyclically; over-relaxed (successive over-relaxation) after a first plain sweep
 FINE = tuple(Turn(1.0, slide, 1.5) for slide in (0.1, 0.0, 0.02, 0.0, 0.3, 0.0, 0.05, 0.0))
-#: below this alpha there is nothing to creep
+#: below this alpha, common errors do not converge slowly
 CREEPS = 3.0
 
 
 class ImprovedWeights(NamedTuple):
-    """A body with better weights, and Q at the start and after each sweep with all of alpha."""
+    """A body with better weights, and Q at the start and after each sweep with full alpha."""
 
     body: Body
     energies: tuple[float, ...]
@@ -68,16 +70,15 @@ def improve_weights(
     coarse: bool = True,
     influences: int | None = None,
 ) -> ImprovedWeights:
-    """Better weights for a body whose poses and rest vertices stay; Q never rises.
+    """Improve the skinning weights of a body with fixed poses and rest vertices; Q never rises.
 
-    **Arguments:** `poses` stacked over F frames; `targets` the registered meshes, metres; `sweeps`
-    with all of alpha, at most: two in a row that lower Q by less than `tolerance` of it are the
-    last; `coarse` whether sweeps with less of alpha come first; `influences` bones that may move
-    one vertex of a linear skin, at most (None: any number). A vertex that starts with more is
-    brought down only where that lowers Q.
+    **Arguments:** `poses` stacked over F frames; `targets` are the registered meshes, metres; `sweeps` is the
+    most sweeps with full alpha, which end when two in a row lower Q by less than a share `tolerance` each, in
+    the mean; `coarse` enables sweeps with less of alpha first; `influences` is the most bones per vertex of a
+    linear skin (None: any number). A vertex that begins with more is reduced only if that lowers Q.
 
-    **Raises:** `ValueError` for a skin that is neither swing-twist, linear nor rigid, and for
-    targets of another number of frames or vertices.
+    **Raises:** `ValueError` for a skin that is neither swing-twist, linear nor rigid, and for targets with
+    another number of frames or vertices.
     """
     _check(body, poses, targets)
     descent = _Descent(body, poses, targets, metric, influences)
@@ -101,7 +102,7 @@ def improve_weights(
 
 
 class _Descent:
-    """Where the descent stands: weights in the form of their chooser, and the field of errors."""
+    """The state of the descent: weights in the format of their chooser, and the error field."""
 
     def __init__(self, body: Body, poses: Pose, targets, metric: Conformance, influences: int | None):
         self._body, self._poses, self._targets, self._metric = body, poses, targets, metric
@@ -111,7 +112,7 @@ class _Descent:
         self.begin(rows)
 
     def begin(self, rows) -> None:
-        """Stand at these weights, with all vertices still to choose."""
+        """Set the weights, and mark all vertices for an update."""
         self.rows = rows
         self._field = error_field(self.body(), self._poses, self._targets, self._metric)
         self.stale = np.ones(len(self._body.vertices), bool)
@@ -123,12 +124,12 @@ class _Descent:
         return float(field_energy(self._field, self._metric))
 
     def sweep(self, turn: Turn) -> None:
-        """Let all vertices choose that may have a reason to."""
+        """Update the weights of all vertices that may change."""
         slides = self._chooser.num_candidates > 1
         every = turn.share != self._share or (slides and turn.slide > 0)
         active = np.ones_like(self.stale) if every else self.stale
         bases = getattr(self.rows, "bases", None)
-        # vertices of one base side by side share what is read of its motion
+        # sorting vertices by base shares memory reads of its motion
         order = np.arange(len(active)) if bases is None else np.argsort(np.asarray(bases), kind="stable")
         self.rows, self._field, changed = sweep(
             self._chooser,
@@ -147,7 +148,7 @@ class _Descent:
 
 
 def _chooser(body: Body, poses: Pose, influences: int | None):
-    """What chooses weights, the weights in its form, and the way back to a skin."""
+    """Return the chooser of weights, the weights in its format, and the function back to a skin."""
     skin = body.skin
     if isinstance(skin, SwingTwistSkin):
         slides = make_slides(body.skeleton, poses)

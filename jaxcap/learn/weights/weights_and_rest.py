@@ -1,9 +1,9 @@
-"""The weights and the rest place that serve each vertex of a linearly blended body best.
+"""Optimal weights and rest position of each vertex under linear blend skinning.
 
-Without a Laplacian, vertices are independent of each other given the poses and the joints. The
-squares left are bilinear in a vertex's weights on the simplex and its rest place: Gauss-Newton on
-both at once, with the place eliminated, is least squares over the simplex, and along a step the
-errors are a parabola that is known exactly.
+Without a Laplacian term, vertices are independent of each other given poses and joints. The residual of a
+vertex is bilinear in its weights on the simplex and its rest position. Gauss-Newton on both, with the
+position eliminated, is least squares over the simplex. Along a step, the errors are an exactly known
+parabola.
 """
 
 from typing import NamedTuple
@@ -14,17 +14,17 @@ from jaxtyping import Array, Float, Int
 
 from .simplex import eliminate, simplex_least_squares
 
-#: the share of the squares below which a step of Gauss-Newton is the last; lengths that are tried
+#: the relative decrease below which Gauss-Newton ends; the step lengths that are tried
 ENOUGH, LENGTHS = 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
 
 
 class Settled(NamedTuple):
-    """Vertices at their best."""
+    """Optimised vertices."""
 
-    #: of the bones near each vertex
+    #: weights of the bones near each vertex
     weights: Float[Array, "V K"]
     rest: Float[Array, "V 3"]
-    #: the squares left of each
+    #: squared residual of each vertex
     squares: Float[Array, "V"]
 
 
@@ -36,10 +36,12 @@ def settle(
     aims: Float[Array, "V N"],
     steps: int,
 ) -> Settled:
-    """Find the weights of the bones `near` each vertex, and its rest place, by Gauss-Newton on both at once, `steps` at most:
-    with the place eliminated, weights are least squares over the simplex.
+    """Optimise the weights of the bones `near` each vertex and its rest position, by Gauss-Newton on both.
 
-    **Arguments:** `aims`, where each vertex should be in all frames, 3 F numbers.
+    With the position eliminated, the weights are a least-squares problem over the simplex.
+
+    **Arguments:** `aims` are the target positions of each vertex in all frames, 3 F numbers; `steps` is the
+    most steps.
     """
     count, frames = len(rest), len(bones)
     turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(bones.shape[1], -1)
@@ -56,7 +58,7 @@ def settle(
         errors = jnp.einsum("vk,vkn->vn", weights, apart)
         first = jnp.einsum("vk,vkn->vn", change, apart) + jnp.einsum("vna,va->vn", slopes, shift)
         second = jnp.einsum("vna,va->vn", slopes_of(change), shift)
-        # bilinear, so that errors along the step are a parabola, known exactly
+        # bilinear: errors along the step are an exactly known parabola
         squares = jnp.stack([jnp.sum((errors + s * first + s * s * second) ** 2, 1) for s in LENGTHS])
         length = jnp.asarray(LENGTHS, rest.dtype)[jnp.argmin(squares, 0)][:, None]
         return weights + length * change, rest + length * shift, left, jnp.min(squares, 0), number + 1
@@ -78,9 +80,11 @@ def promising_bones(
     real: Int[Array, ""],
     count: int,
 ) -> Int[Array, "V K"]:
-    """Choose `count` bones for each vertex: those that move it already, and of the others, the first `real` ones that there are,
-    those that would lower its squares most by a share in it, with the rest place that follows: as columns are priced in linear
-    programming."""
+    """Choose `count` candidate bones for each vertex.
+
+    These are the bones that move it already and, of the first `real` bones, those whose weight would lower
+    its residual most, with the rest position adapted: as columns are priced in linear programming.
+    """
     every = jnp.broadcast_to(jnp.arange(weights.shape[1]), weights.shape)
     apart = images(bones, rest, every) - aims[:, None]
     turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(weights.shape[1], -1)
@@ -96,14 +100,17 @@ def promising_bones(
 
 
 def _reduced(apart: Float[Array, "V K N"], slopes: Float[Array, "V N 3"]):
-    """What is left of images where the rest place follows, by how much it does, and the slopes."""
+    """Eliminate the rest position from the images.
+
+    Returns the reduced images, the adaptation of the position to each, and the slopes.
+    """
     normal = jnp.einsum("vna,vnb->abv", slopes, slopes)
     lift = jnp.moveaxis(eliminate(normal, jnp.einsum("vna,vkn->akv", slopes, apart)), -1, 0)
     return apart - jnp.einsum("vna,vak->vkn", slopes, lift), lift, slopes
 
 
 def spread_weights(weights: Float[Array, "V K"], near: Int[Array, "V K"], count: int) -> Float[Array, "V J"]:
-    """Write weights of the bones near each vertex as those of all bones."""
+    """Expand weights of the bones near each vertex to all bones."""
     rows = jnp.arange(len(weights))[:, None]
     return jnp.zeros((len(weights), count), weights.dtype).at[rows, near].add(weights)
 
@@ -111,7 +118,7 @@ def spread_weights(weights: Float[Array, "V K"], near: Int[Array, "V K"], count:
 def images(
     bones: Float[Array, "F J 3 4"], rest: Float[Array, "V 3"], near: Int[Array, "V K"]
 ) -> Float[Array, "V K N"]:
-    """Compute where bones near each vertex take it in all frames, 3 F numbers."""
+    """Compute the positions of each vertex under the bones near it in all frames, 3 F numbers."""
     places = jnp.concatenate([rest, jnp.ones_like(rest[:, :1])], 1)
     count = bones.shape[1]
     every = (places @ bones.transpose(3, 1, 0, 2).reshape(4, -1)).reshape(len(rest), count, -1)
