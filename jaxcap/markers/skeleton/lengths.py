@@ -1,4 +1,4 @@
-"""Lengths of bones from places of joints: the mean, least squares, and global least squares."""
+"""Bone lengths from joint positions: mean, least squares, and global least squares."""
 
 from typing import Literal, NamedTuple
 
@@ -10,22 +10,25 @@ from ..rotation_centres.centre_estimate import settle
 from .tree import Tree
 
 LengthMethod = Literal["mean", "least_squares", "global"]
-#: rounds in which directions and lengths settle
+#: maximal number of iterations over directions and lengths
 ROUNDS = 40
-#: variance of a joint that is not known in a frame, against the others', times
+#: factor on the variance of a joint in frames where it is not known
 UNKNOWN = 1e6
 
 
 class _Fit(NamedTuple):
-    """Lengths by group, and joints of a skeleton with fixed lengths."""
+    """Lengths by group, and the joints of a skeleton with fixed lengths."""
 
     lengths: np.ndarray
     joints: np.ndarray
 
 
 def joint_places(tree: Tree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarray, "F K"]]:
-    """Where each segment's joint with its parent is in every frame, metres, and where that is known:
-    the mean of where the two segments carry it, or where the one that is known does."""
+    """Compute the position of each segment's joint with its parent in every frame, metres.
+
+    Return also a mask of known positions. A position is the mean of the two segments' predictions, or that
+    of the segment with a known frame.
+    """
     frames = tree.markers.frames
     count, number = frames.known.shape
     places, known = np.zeros((count, number, 3)), np.zeros((count, number), bool)
@@ -46,8 +49,11 @@ def joint_places(tree: Tree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarra
 
 
 def bones(tree: Tree) -> list[tuple[int, int]]:
-    """Bones between two joints, as `(segment, child segment)`: from a segment's joint with its parent to
-    its child's joint with it. A root has no joint of its own."""
+    """List the bones between two joints as `(segment, child segment)`.
+
+    A bone goes from a segment's joint with its parent to the joint with its child. A root has no joint of
+    its own.
+    """
     return [(p, k) for k, p in enumerate(tree.parents) if p >= 0 and tree.parents[p] >= 0]
 
 
@@ -104,7 +110,7 @@ def bone_lengths(
         rows = np.zeros((len(places), len(between), places.shape[1], 3))
         rows[:, number, b] += units
         rows[:, number, a] -= units
-        # distances of the data along the directions, and how they vary together
+        # distances of the data along the directions, and their covariance
         measured = np.einsum("fbkd,fkd->fb", rows, places)
         weighted = rows * spans[:, None, :, None]
         shared = np.einsum("fbkd,fckd->fbc", weighted, rows)
