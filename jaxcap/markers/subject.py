@@ -102,7 +102,7 @@ def make_subject(
 
 @checked
 def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
-    """Compute the marker positions of a pose, metres. Markers on circles and spheres are treated as rigid."""
+    """Compute the marker positions of a pose, metres; circle and sphere markers as if rigid."""
     transforms = forward_kinematics(subject.skeleton, pose)
     r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
     return jnp.einsum("mab,mb->ma", r, subject.offsets) + t
@@ -110,7 +110,9 @@ def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
 
 @checked
 def marker_body(subject: Subject) -> Body:
-    """Build the body for user-defined terms: the subject's skeleton, with markers as vertices and no faces.
+    """Build the body for user-defined terms: the subject's skeleton, with markers as vertices.
+
+    It has no faces.
     """
     weights = jax.nn.one_hot(subject.bones, subject.skeleton.num_joints, dtype=subject.offsets.dtype)
     return Body(subject.skeleton, LinearSkin(weights), subject.offsets, jnp.zeros((0, 3), jnp.int32))

@@ -102,8 +102,7 @@ def fit_frames(
 def shape_axes(
     shape: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N"]
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], tuple[int, int]]:
-    """Compute the paper's axes as columns, the origin, and the indices of the two markers that define them.
-    """
+    """Compute the paper's axes as columns, the origin, and the indices of the two defining markers."""
     origin = weights @ shape / weights.sum()
     away = shape - origin
     far = int(np.argmax(np.linalg.norm(away, axis=1) * weights))

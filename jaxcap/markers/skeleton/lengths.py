@@ -66,18 +66,18 @@ def bone_lengths(
     same: list[tuple[int, int]] | None = None,
     deviations: Float[np.ndarray, "K"] | None = None,
 ) -> Float[np.ndarray, "B"]:
-    """The length of each bone, metres; NaN for one whose ends are never seen together.
+    """Estimate the length of each bone, metres; NaN for a bone with ends that are never known together.
 
-    - `"mean"`: of the distances of its ends over the frames (Silaghi et al. 1998).
-    - `"least_squares"`: the least sum of `(|a - b|^2 - l^2)^2`, which is the root of the mean square.
-    - `"global"`: all frames' poses and all lengths together, the least sum of the distances from the
-      joints of the data to those of a skeleton with fixed lengths. Along a frame's directions the
-      distances are linear in the joints, with the covariance `J J^T` that neighbouring bones share by
-      their common joint; for given directions the lengths are the generalised least squares of the
-      distances, and so on in turn until they settle.
+    - `"mean"`: the mean distance of its ends over the frames (Silaghi et al. 1998).
+    - `"least_squares"`: the minimum of `sum (|a - b|^2 - l^2)^2`, the root mean square distance.
+    - `"global"`: the poses of all frames and all lengths together. It minimises the distances between the
+      joints of the data and those of a skeleton with fixed lengths. Along the bone directions of a frame the
+      distances are linear in the joints, with the covariance `J J^T`, as neighbouring bones share a joint.
+      For given directions the lengths are the generalised least squares solution. Directions and lengths
+      alternate until convergence.
 
-    **Arguments:** `between` the joints at the ends of each of B bones, a forest; `same` pairs of bones
-    that are equally long, left and right; `deviations` of the joints, metres, all alike where not given.
+    **Arguments:** `between` the joints at the ends of each of B bones, a forest; `same` pairs of left and
+    right bones with equal length; `deviations` of the joints, metres, by default all equal.
 
     **Raises:** `ValueError` for a method that does not exist.
     """
