@@ -57,7 +57,7 @@ class Fit(NamedTuple):
 def adjust(
     problem: CalibrationProblem, subject: Subject, poses: Pose, *, skin: bool, steps: int, rough: bool
 ) -> Fit:
-    """Alternate fits at fixed variances and updates of the variances until both converge.
+    """Iterate fits at fixed variances and updates of the variances until both converge.
 
     All is in double precision, as the information of frames about a subject is a difference of large
     numbers.

@@ -17,9 +17,9 @@ def choose_frames(
 ) -> np.ndarray:
     """Choose at most `count` frames, in order, by farthest point sampling (Gonzalez 1985).
 
-    The distance of two poses is the sum of the squared differences between their joints' quaternions, over
-    joints with visible markers in both. Frames with fewer than half of the median number of visible markers
-    come last.
+    The distance of two poses is the sum of the squared differences between their joints' quaternions. A
+    joint without visible markers counts as at its mean. Frames with fewer than half of the median number of
+    visible markers come last.
 
     **Raises:** `ValueError` where no frame is usable.
     """

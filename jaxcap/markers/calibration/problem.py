@@ -1,4 +1,4 @@
-"""All poses, joint centres and marker positions in one problem: bundle adjustment with block-arrow equations."""
+"""Poses, joint centres and marker positions in one problem: bundle adjustment with block-arrow equations."""
 
 from typing import Any
 

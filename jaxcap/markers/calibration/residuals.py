@@ -57,8 +57,11 @@ def rest_places(
 def linearise(
     subject: Subject, pose: Pose, places: Float[Array, "M 3"], joints: tuple[int, ...] = ()
 ) -> Linearised:
-    """Compute residuals and their derivatives by the pose tangent, the rest centres of `joints` and rest
-    positions."""
+    """Compute residuals and their derivatives.
+
+    The derivatives are by the tangent of the pose, by the rest centres of `joints` and by the markers' own
+    rest positions.
+    """
     skeleton = subject.skeleton
     transforms = forward_kinematics(skeleton, pose)
     residual, slopes = _model(subject, rest_places(subject, pose, transforms, places))
