@@ -20,7 +20,7 @@ from .samples import JointSamples
 from .voxel_size import choose_keyframes, choose_width
 from .voxels import Voxels, voxelise
 
-#: share of a held-out motion that is to be allowed
+#: share of a motion outside the training samples that is to be allowed
 COVERAGE = 0.98
 #: reach of a keyframe in units of its width: neighbours share only the space between them
 REACH = 1 / 3

@@ -41,7 +41,7 @@ class Hardly(NamedTuple):
     direction: Float[np.ndarray, "3"]
     #: metres
     deviation: float
-    #: whether the data determine it more than the template
+    #: true if the data determine it more than the template
     told: bool
 
 

@@ -135,7 +135,7 @@ def _circle(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
     ahead = jnp.broadcast_to(jnp.array([1.0, 0.0, 0.0], local.dtype), local.shape)
     twist = rotation.rotate(skeleton.orientations[bones], ahead)
     length, line = _polar(skeleton.centres[ends] - centres)
-    # a bone without an end, or with zero length, lies along its joint's twist axis
+    # the direction of a bone without an end, or with zero length, is its joint's twist axis
     known = length > 1e-6
     line = jnp.where(known[:, None], line, twist)
     along, radius, out = _cylindrical(local - centres, line)

@@ -26,7 +26,7 @@ class CalibrationSolution(eqx.Module):
     num_steps: Int[Array, ""]
     #: `RESULTS.successful`, or why the solver stopped before it converged
     result: optx.RESULTS
-    #: whether the solver converged to a minimum where derivatives are valid
+    #: true if the solver converged and hardly anything is left to gain, so that derivatives are valid
     trustworthy: Bool[Array, ""]
 
 

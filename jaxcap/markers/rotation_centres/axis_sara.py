@@ -33,7 +33,7 @@ class Hinge(NamedTuple):
 
     @property
     def is_hinge(self) -> bool:
-        """Whether all but a small share of the rotation is about the axis."""
+        """True if all but a small share of the rotation is about the axis."""
         return bool(self.turn > LEAST_TURN and self.wobble < min(WOBBLE, SHARE * self.turn))
 
 

@@ -36,7 +36,7 @@ class Relative(NamedTuple):
 
     @property
     def turns(self) -> bool:
-        """Whether both frames are known."""
+        """True if both frames are known."""
         return self.rotations is not None
 
     def flipped(self) -> "Relative":

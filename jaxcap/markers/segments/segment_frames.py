@@ -22,7 +22,7 @@ class SegmentFrames(NamedTuple):
 
     rotations: Float[np.ndarray, "F K 3 3"]
     origins: Float[np.ndarray, "F K 3"]
-    #: whether three markers that span a plane were visible
+    #: true where three markers that span a plane were visible
     known: Bool[np.ndarray, "F K"]
     #: position of each marker in its segment's frame, metres; zero where it has none
     template: Float[np.ndarray, "M 3"]
