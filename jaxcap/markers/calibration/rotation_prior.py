@@ -1,6 +1,6 @@
 """A normal prior of each joint's rotation about its mean.
 
-Where a joint hardly rotates about an axis, noise alone makes its bone seem to rotate. Each such rotation
+If a joint hardly rotates about an axis, noise alone makes its bone seem to rotate. Each such rotation
 would be false evidence for the position of the centre, the stronger the more frames there are (Neyman and
 Scott 1948). So poses are pulled to each joint's mean about axes with rotations that noise explains, and are
 free about the others.

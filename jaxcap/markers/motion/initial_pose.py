@@ -23,7 +23,7 @@ def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Arra
 
     The bone of the root is aligned to its own markers and those of the next bones. Then, from joint to joint
     outwards, each centre is where the parent carries it, and each bone takes the rotation with the least
-    squared distances to its markers (Wahba's problem). Where these leave the rotation undetermined, it is
+    squared distances to its markers (Wahba's problem). If these leave the rotation undetermined, it is
     that of the parent.
 
     In a frame with fewer than three markers about the root, the root keeps its previous pose.

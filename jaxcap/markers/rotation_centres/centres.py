@@ -89,7 +89,7 @@ def _without_noise(centre: Centre, relative: Relative) -> Centre:
     """Reduce the information on a centre by the share that is only noise.
 
     Frames with a rotation noise of half a degree seem to rotate by half a degree about the centroid of their
-    markers, even at rest. Where little information remains the centre moves to its prior.
+    markers, even at rest. If little information remains the centre moves to its prior.
     """
     if relative.rotations is not None:
         mean = relative.rotations.mean(0)

@@ -52,9 +52,10 @@ def find_partition(
     sides, and the largest set would take it from the other side.
 
     **Arguments:** `threshold` metres; by default the one with the shortest description among candidates from
-    the data. `robust` ignores the outer 4 % of each pair's distances.
+    the data. `robust` ignores the outer 4 % of each pair's distances at both ends.
 
-    **Raises:** `ValueError` where no two markers keep their distance, or none ever moves.
+    **Raises:** `ValueError` where no two markers keep their distance or are ever visible together, or where
+    the threshold is not above zero.
     """
     deviations = pair_deviations(places, seen, TAIL if robust else 0)
     known = np.where(np.isnan(deviations), np.inf, deviations)
