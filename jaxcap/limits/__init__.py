@@ -1,1 +1,1 @@
-"""Joint limits learned from motion: samples, voxels, keyframes, and motions held to them."""
+"""Joint limits learned from motion: samples, voxels, keyframes, and projection of motions."""

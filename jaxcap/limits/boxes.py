@@ -1,4 +1,4 @@
-"""Boxes around what joints did: the usual limits, which couple nothing."""
+"""Angle ranges and boxes around samples: the usual limits, without coupling."""
 
 from collections.abc import Iterable
 
@@ -16,8 +16,10 @@ from .samples import JointSamples
 
 @checked
 def learn_boxes(skeleton: Skeleton, samples: Iterable[JointSamples]) -> tuple[JointRanges, EulerBoxes]:
-    """The least and the largest of every angle: ranges of joints with one angle or two, and boxes of
-    Euler angles about each other joint's own axes, the twist first.
+    """Compute the minimum and maximum of every angle.
+
+    The result has ranges of joints with one angle or two, and boxes of Euler angles about the own axes of
+    each other joint, the twist first.
 
     **Raises:** `ValueError` where the skeleton lacks a joint.
     """
@@ -36,7 +38,7 @@ def _box(samples: JointSamples, frame: np.ndarray) -> EulerBox:
     everywhere = jnp.full((1, 3), np.pi)
     frames = jnp.tile(rotation.from_matrix(jnp.asarray(frame)), (len(samples.rotations), 1))
     angles = np.asarray(euler_angles(jnp.asarray(samples.rotations), frames, -everywhere, everywhere), float)
-    # each angle from its circular mean, so that a range may pass half a turn
+    # each angle relative to its circular mean, so that a range may cross half a turn
     mean = np.angle(np.exp(1j * angles).mean(0))
     angles = mean + (angles - mean + np.pi) % (2 * np.pi) - np.pi
     return EulerBox(angles.min(0), angles.max(0), frame)

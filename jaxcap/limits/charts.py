@@ -1,4 +1,4 @@
-"""The chart that fits what a joint did: how many angles, about which axes, from which middle."""
+"""The chart of a joint's samples: number of angles, axes, and centre."""
 
 import jax
 import jax.numpy as jnp
@@ -9,19 +9,20 @@ from scipy.spatial.transform import Rotation
 from ..body.limits.chart import Chart
 from .samples import JointSamples
 
-#: a joint has fewer angles than three where rotations stray by less than this, radians
+#: a joint has fewer angles than three if its rotations deviate by less than this, radians
 STRAY = np.radians(1.0)
-#: no rotation may be further than this from the middle, radians: half a turn away they wrap
+#: largest distance of a rotation from the centre, radians: half a turn away they wrap
 FURTHEST = np.radians(170.0)
-#: steps to the middle of a range
+#: number of steps to the centre of a range
 STEPS = 300
 
 
 def find_chart(samples: JointSamples) -> Chart:
-    """One angle, two or a quaternion, by the joint's kind or, of joints that may turn freely, by what
-    they did; centred on the middle of it.
+    """Choose a chart, one angle, two angles or a quaternion, and centre it on the samples.
 
-    **Raises:** `ValueError` where rotations reach half a turn from every middle.
+    The chart follows the kind of the joint; for joints with free rotation it follows the samples.
+
+    **Raises:** `ValueError` where rotations reach half a turn from every centre.
     """
     kinds = {"revolute": "hinge", "universal": "universal"}
     kind, axes, base = kinds.get(samples.kind, "ball"), samples.axes, np.array([1.0, 0.0, 0.0, 0.0])
@@ -38,15 +39,15 @@ def find_chart(samples: JointSamples) -> Chart:
     middles = [_middle_angle(angles[:, i], samples.joint) for i in range(raw.dimension)]
     middle = _rotation(base) * _rotation(_about(axes[0], middles[0]))
     if kind == "universal":
-        # the second axis turns with the first angle, so the first middle stands before both, and the
-        # second one moves into the axis of the first
+        # the second axis rotates with the first angle, so the first middle angle precedes both, and the
+        # second is absorbed by the axis of the first
         second = _rotation(_about(axes[1], middles[1]))
         middle, axes = middle * second, np.stack([second.inv().apply(axes[0]), axes[1]])
     return Chart(jnp.asarray(middle.as_quat(scalar_first=True)), jnp.asarray(axes), raw.kind)
 
 
 def chart_places(chart: Chart, rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "F 3"]:
-    """The places of rotations in a chart, in double precision where JAX has it."""
+    """Compute the chart coordinates of rotations, in double precision where JAX has it."""
     return np.asarray(_places(chart, jnp.asarray(rotations)), float)
 
 
@@ -56,8 +57,10 @@ def _places(chart: Chart, rotations):
 
 
 def middle_rotation(rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "4"]:
-    """The rotation whose furthest sample is nearest: steps towards the furthest one that grow
-    shorter (Badoiu and Clarkson 2003), from the mean."""
+    """Find the centre of the smallest ball around the rotations (Badoiu and Clarkson 2003).
+
+    From the mean, shrinking steps go towards the farthest sample.
+    """
     middle = _rotation(rotations).mean().as_quat(scalar_first=True)
     for step in range(2, STEPS):
         cosines = rotations @ middle
@@ -69,37 +72,37 @@ def middle_rotation(rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "4
 
 
 def _angles(rotations: Float[np.ndarray, "F 4"]) -> tuple[str, np.ndarray, np.ndarray]:
-    """How many angles a joint uses that could turn freely, their axes, and the rotation that they start from."""
+    """Determine the number of angles, the axes and the base rotation of a joint with free rotation."""
     turns, still = _rotation(rotations), np.array([1.0, 0.0, 0.0, 0.0])
     mean = turns.mean()
     vectors = (mean.inv() * turns).as_rotvec()
-    # the direction of most motion first
+    # the direction of the largest variance first
     directions = np.linalg.eigh(vectors.T @ vectors)[1].T[::-1]
     if np.abs(vectors @ directions[1:].T).max() < STRAY:
-        # what a joint is turned by at all times, as by retargeting, stands before the hinge
+        # a constant rotation, for example of retargeting, precedes the hinge
         return "hinge", directions[:2], mean.as_quat(scalar_first=True)
     axes, stray = two_axes(turns.as_matrix())
     return ("universal", axes, still) if stray < STRAY else ("ball", np.eye(3)[:2], still)
 
 
 def two_axes(matrices: Float[np.ndarray, "F 3 3"]) -> tuple[Float[np.ndarray, "2 3"], float]:
-    """The axes of `R = Rot(a, s) Rot(b, t)` at right angles, and how far rotations stray from it, radians.
+    """Fit the axes of `R = Rot(a, s) Rot(b, t)` at right angles; return also the largest deviation, radians.
 
-    Such rotations leave `a . R b = 0`, which is linear in `a b^T`, and no other matrix is across all of
-    them: the axes are the two factors of the one that samples deny least.
+    Such rotations have `a . R b = 0`, which is linear in `a b^T`, and no other matrix is orthogonal to all
+    of them. The axes are the two factors of the matrix with the least residual over the samples.
     """
     flat = matrices.reshape(len(matrices), 9)
     least = np.linalg.eigh(flat.T @ flat)[1][:, 0].reshape(3, 3)
     left, _, right = np.linalg.svd(least)
     a, b = left[:, 0], right[0]
     stray = float(np.abs(np.einsum("a,fab,b->f", a, matrices, b)).max())
-    # noise leaves the axes a little off their right angle
+    # with noise the axes are not exactly orthogonal
     b = b - (a @ b) * a
     return np.stack([a, b / np.linalg.norm(b)]), stray
 
 
 def _middle_angle(angles: Float[np.ndarray, "F"], joint: str) -> float:
-    """The middle of a range on the circle: opposite to its widest gap."""
+    """Compute the middle of a range on the circle: opposite to its widest gap."""
     ordered = np.sort(angles)
     gaps = np.diff(np.append(ordered, ordered[0] + 2 * np.pi))
     widest = int(np.argmax(gaps))

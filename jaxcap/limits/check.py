@@ -1,4 +1,4 @@
-"""Which joints of which frames of a motion are beyond limits."""
+"""Tests of joint limits over the frames of a motion."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,38 +13,38 @@ from ..body.limits.limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 
-#: frames at a time: more do not fit into the cache
+#: number of frames in a batch: more do not fit into the cache
 BATCH = 256
 
 
 @checked
 @eqx.filter_jit
 def allowed_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Bool[Array, "F J"]:
-    """Whether each joint is within its limits in each frame; joints without limits are."""
+    """Test if each joint is within its limits in each frame; joints without limits are."""
     return over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
 
 
 @checked
 @eqx.filter_jit
 def residual_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F C"]:
-    """How far each frame is beyond each limit, about radians; `limits.owners` tells whose they are."""
+    """Compute the violation of each limit in each frame, about radians; `limits.owners` are their joints."""
     return over_frames(lambda pose: limits.residual(skeleton, pose), motion)
 
 
 @checked
 @eqx.filter_jit
 def comfort_frames(limits: SurfaceLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F S"]:
-    """The comfort of each frame by each learned surface: see `comfort`."""
+    """Compute the comfort of each frame by each learned surface: see `comfort`."""
     return over_frames(lambda pose: comfort(limits, skeleton, pose), motion)
 
 
 @checked
 @eqx.filter_jit
 def nearest_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Motion:
-    """Every frame by itself turned back to the nearest pose that is allowed."""
+    """Project every frame independently to the nearest allowed pose."""
     return Motion(over_frames(lambda pose: limits.nearest(skeleton, pose), motion), motion.rate)
 
 
 def over_frames(function: Callable[[Pose], Any], motion: Motion) -> Any:
-    """A function of one pose at every frame of a motion."""
+    """Map a function of one pose over the frames of a motion."""
     return jax.lax.map(function, motion.poses, batch_size=BATCH)

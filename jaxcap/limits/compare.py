@@ -1,4 +1,4 @@
-"""How alike the ranges of two performers are (Limits, figure 7)."""
+"""Similarity of the ranges of two performers (Limits, figure 7)."""
 
 from typing import NamedTuple
 
@@ -11,19 +11,22 @@ from .samples import JointSamples
 
 
 class Likeness(NamedTuple):
-    """Distances from each sample of one to the closest of the other, both ways together; in the
-    units of a quaternion's vector part, of which one is two radians."""
+    """Distances between closest samples of two clouds, in both directions together.
+
+    They are in units of a quaternion's vector part, where one is two radians.
+    """
 
     mean: float
     deviation: float
-    #: of the samples, how many were compared
+    #: number of distances, one for each sample of both
     samples: int
 
 
 @checked
 def compare_samples(reference: JointSamples, other: JointSamples, every: int = 1) -> Likeness:
-    """Mean and standard deviation of the distances between closest points of two clouds of rotations,
-    in the chart of the reference; every so many samples.
+    """Compute mean and standard deviation of the distances between closest points of two rotation clouds.
+
+    The distances are in the chart of the reference; every `every`-th sample is used.
 
     **Raises:** `ValueError` where the reference's rotations wrap.
     """

@@ -1,4 +1,4 @@
-"""Limits of joints from what they did: a surface each, coupled to a parent where asked."""
+"""Learning of joint limits from samples: one limit surface a joint, optionally coupled to a parent."""
 
 from collections.abc import Mapping
 
@@ -20,11 +20,11 @@ from .samples import JointSamples
 from .voxel_size import choose_keyframes, choose_width
 from .voxels import Voxels, voxelise
 
-#: share of a motion that was not learned from which is to be allowed
+#: share of a motion outside the training samples that is to be allowed
 COVERAGE = 0.98
-#: a keyframe's reach in its width: neighbours share what is between them, and no more
+#: reach of a keyframe in units of its width: neighbours share only the space between them
 REACH = 1 / 3
-#: samples whose densities are kept, and how many of these
+#: number of samples with computed densities, and of densities that are kept
 SAMPLED, KEPT = 4000, 256
 
 
@@ -37,14 +37,15 @@ def learn_limits(
     least: int = 1,
     coverage: float = COVERAGE,
 ) -> SurfaceLimits:
-    """Limits of some joints, by name, parents before their children.
+    """Learn the limits of some joints, by name, parents before their children.
 
     **Arguments:** `voxel` and `keyframe` are the widths of the smallest voxels of a joint and of the
-    keyframes of its parent in radians of rotation; where not given, the tightest with which a share
-    `coverage` of blocks that were held out is allowed by the others. `least` samples keep a
-    smallest voxel: the threshold of density.
+    keyframes of its parent in radians of rotation; by default the tightest ones with which a share
+    `coverage` of held-out blocks is allowed by the others. A smallest voxel needs `least` samples: the
+    threshold of density.
 
-    **Raises:** `InputError` where there is no joint, a joint's rotations wrap, or no voxel has `least` samples.
+    **Raises:** `InputError` where there is no joint, a joint's rotations wrap, or no voxel has `least`
+    samples.
     """
     if not samples:
         raise InputError(
@@ -62,7 +63,7 @@ def learn_surface(
     least: int = 1,
     coverage: float = COVERAGE,
 ) -> LimitSurface:
-    """The limits of one joint; arguments and errors as in `learn_limits`, widths in radians."""
+    """Learn the limits of one joint; arguments and errors as in `learn_limits`, widths in radians."""
     chart = find_chart(samples)
     places = chart_places(chart, samples.rotations)
     if samples.parent is None:
@@ -76,7 +77,7 @@ def learn_surface(
         dimensions = chart.dimension, parent_chart.dimension
         chosen = choose_keyframes(places, parents, dimensions, samples.blocks, coverage)
         width, key_width = width or chosen[0], key_width or chosen[1]
-    # voxels of one size, so that those of a keyframe are among those of all
+    # voxels of one size, so that the voxels of a keyframe are a subset of all
     voxels = voxelise(places, chart.dimension, width, least, levels=0)
     keys, keyed = _keyframes(places, parents, voxels, parent_chart.dimension, key_width)
     matched = [np.arange(len(voxels.counts)) if seen.all() else _match(voxels, seen) for seen in keyed]
@@ -95,7 +96,7 @@ def learn_surface(
         unit=jnp.asarray(width / 2),
         level=jnp.asarray(LEVEL),
         stiffness=jnp.asarray(STIFFNESS),
-        # counts lie with the voxels themselves, which for a keyframe without them are elsewhere
+        # counts belong to the voxels themselves; primitives of voxels that a keyframe lacks are elsewhere
         counts=jnp.asarray(_gathered(counts, matched)),
         densities=jnp.zeros(0),
     )
@@ -122,16 +123,20 @@ def _own_surface(joint: str, chart: Chart, places, voxels: Voxels, width: float)
 
 
 def _thickness(widths: Float[np.ndarray, "N"], chart: Chart, width: float) -> Float[np.ndarray, "N"]:
-    """With which each primitive alone holds the whole of its voxel within the level.
+    """Compute the thickness with which a primitive alone contains its whole voxel within the level.
 
-    The paper lets influence end at half a voxel's width; then no corner of a voxel is within, and
-    samples that the surface was made of are forbidden.
+    In the paper the influence ends at half a voxel's width. Then no corner of a voxel is within the level,
+    and samples that the surface was made of are forbidden.
     """
     return np.sqrt(chart.dimension) * widths / 2 + (LEVEL - 1) / STIFFNESS * width / 2
 
 
 def _keyframes(places, parents, voxels: Voxels, dimension: int, width: float):
-    """Voxels of the parent, and `(V, N)` which of the child's were seen there or half a width around."""
+    """Compute voxels of the parent as keyframes, and a mask `(V, N)` of the child's voxels at each.
+
+    A child's voxel is at a keyframe if it has a sample with the parent in that keyframe or up to half a
+    width around it.
+    """
     keyframes = voxelise(parents, dimension, width, levels=0)
     home = _nearest(voxels.centres, places)
     keyed = np.zeros((len(keyframes.counts), len(voxels.counts)), bool)
@@ -141,7 +146,7 @@ def _keyframes(places, parents, voxels: Voxels, dimension: int, width: float):
 
 
 def _match(voxels: Voxels, seen: np.ndarray) -> np.ndarray:
-    """For each voxel of all the one of a keyframe's that it becomes there."""
+    """Map each voxel to its match in a keyframe."""
     chosen = match_primitives(
         voxels.centres, voxels.widths / 2, voxels.centres[seen], voxels.widths[seen] / 2
     )
@@ -149,7 +154,7 @@ def _match(voxels: Voxels, seen: np.ndarray) -> np.ndarray:
 
 
 def _gathered(counts: np.ndarray, matched: list[np.ndarray]) -> np.ndarray:
-    """Each voxel's count, shared by all primitives that lie on it at a keyframe."""
+    """Divide each voxel's count by the number of primitives at its position at a keyframe."""
     rows = []
     for count, chosen in zip(counts, matched, strict=True):
         rows.append(count[chosen] / np.bincount(chosen, minlength=len(count))[chosen])
@@ -161,7 +166,7 @@ def _nearest(centres: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def _with_densities(surface: LimitSurface, places, parents) -> LimitSurface:
-    """What comfort is measured against: densities where samples are, sorted."""
+    """Add the sorted densities at samples, which are the reference for comfort."""
     chosen = np.random.default_rng(0).permutation(len(places))[:SAMPLED]
     found = _densities(
         surface, jnp.asarray(places[chosen]), None if parents is None else jnp.asarray(parents[chosen])

@@ -1,4 +1,4 @@
-"""Shoulder and elbow from four markers of an arm, without a skeleton (Limits, section 3.2)."""
+"""Shoulder and elbow rotations from four markers of an arm, without a skeleton (Limits, section 3.2)."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..observe import MarkerFrames
 from .samples import BLOCK, JointSamples
 
-#: markers nearer to one line than this show no plane, as the sine of their angle
+#: sine of the least angle at which markers define a plane
 FLAT = 0.05
 
 
@@ -22,12 +22,12 @@ def arm_samples(
     trunk: Sequence[str],
     names: tuple[str, str] = ("shoulder", "elbow"),
 ) -> tuple[JointSamples, JointSamples]:
-    """A shoulder's rotations, and an elbow's coupled to it, in the frames that show all markers.
+    """Compute a shoulder's rotations, and an elbow's coupled to it, in the frames with all markers visible.
 
-    **Arguments:** `markers` are the labels of shoulder, upper arm, elbow and forearm; `trunk` three
-    markers of what the shoulder hangs on. The shoulder's first axis goes from shoulder to upper arm, its
-    second is the normal of the triangle of upper arm, elbow and forearm; in that frame the elbow's
-    two angles point the forearm. Its twist takes a fifth marker, which the paper's arm has not.
+    **Arguments:** `markers` are the labels of shoulder, upper arm, elbow and forearm; `trunk` three markers
+    of the shoulder's parent. The shoulder's first axis goes from shoulder to upper arm, its second is the
+    normal of the triangle of upper arm, elbow and forearm. In that frame the elbow's two angles give the
+    direction of the forearm. Its twist needs a fifth marker, which the paper's arm does not have.
 
     **Raises:** `InputError` where a label is missing, or no frame shows all of them with the elbow bent.
     """
@@ -71,7 +71,7 @@ def arm_samples(
 
 
 def _frame(first: Float[np.ndarray, "F 3"], second: Float[np.ndarray, "F 3"]) -> Rotation:
-    """Right-handed frames: the first axis as given, the second as near to it as can be."""
+    """Build right-handed frames from a first axis and the orthogonal part of a second."""
     second = _unit(second - np.sum(second * first, -1, keepdims=True) * first)
     return Rotation.from_matrix(np.stack([first, second, np.cross(first, second)], -1))
 

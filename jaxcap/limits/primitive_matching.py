@@ -1,4 +1,4 @@
-"""Which primitive of one shape becomes which of another when one turns into the other."""
+"""Matching of the primitives of two shapes for interpolation between them."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,11 +12,13 @@ def match_primitives(
     other_centres: Float[np.ndarray, "M 3"],
     other_thickness: Float[np.ndarray, "M"],
 ) -> Int[np.ndarray, "N"]:
-    """For each of N primitives one of M others, M at most N: first each of the fewer gets one of its
-    own, so that the sum of distances is least; what is left takes the closest (Limits, section 4.2).
+    """Match each of N primitives to one of M others, M at most N (Limits, section 4.2).
 
-    The distance is that of eq. 3 with the difference of thickness squared, too: as printed it has a
-    sign, and would take a primitive for close because it is thinner.
+    First each of the M others gets one of the N, with the least sum of distances. Each remaining primitive
+    takes its closest.
+
+    The distance is that of eq. 3, but with the difference of thickness squared, too. As printed it is
+    signed, and a primitive would be close because it is thinner.
 
     **Raises:** `ValueError` where there are more others than primitives.
     """
@@ -28,7 +30,7 @@ def match_primitives(
     others = np.column_stack([other_centres, other_thickness])
     apart, closest = KDTree(others).query(mine)
     chosen = np.asarray(closest, int)
-    # where primitives coincide, as on one grid, nothing is to be chosen
+    # primitives that coincide, as on one grid, match
     same = np.flatnonzero(np.asarray(apart) == 0.0)
     _, first = np.unique(chosen[same], return_index=True)
     taken = same[first]

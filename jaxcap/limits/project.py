@@ -1,4 +1,4 @@
-"""Motions turned back into their limits, frame to frame smooth."""
+"""Projection of motions to their limits, smooth over time."""
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from ..body.skeleton import Skeleton
 from ..geometry import rotation
 from .check import nearest_frames, over_frames
 
-#: rounds of smoothing what is turned back, each followed by turning back what is still beyond
+#: number of rounds, each a smoothing of the corrections and a new projection
 ROUNDS = 4
 
 
@@ -21,16 +21,15 @@ ROUNDS = 4
 def project_motion(
     limits: AbstractLimits, skeleton: Skeleton, motion: Motion, smoothness: float = 0.02, rounds: int = ROUNDS
 ) -> Motion:
-    """The nearest motion within limits: orthogonal projection of every frame (Limits, section 4.2), and
-    what it turns joints by made smooth over the frames that are beyond.
+    """Project a motion to its limits, frame by frame (Limits, section 4.2), with smooth corrections.
 
-    The nearest place may be on one side of the limits in one frame and on the other in the next.
-    So the turns back, `c_f`, are drawn together, by the least of `sum |c_f - c'_f|^2 + s |c_f+1 - c_f|^2`,
-    and frames projected again from there. Frames that are allowed stay as they are, and hold the
-    turns beside them to none.
+    The nearest allowed pose may be on one side of the limits in one frame and on the other in the next. So
+    the corrections `c_f` are smoothed, as the minimum of `sum |c_f - c'_f|^2 + s |c_f+1 - c_f|^2`, and
+    frames are projected again from there. Frames that are allowed do not change, and have corrections of
+    zero.
 
-    **Arguments:** `smoothness` in seconds, over which turns back are drawn together; 0 projects
-    every frame by itself.
+    **Arguments:** `smoothness` in seconds, the time scale of the smoothing; 0 projects every frame
+    independently.
     """
     poses = motion.poses
     within = over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
@@ -53,7 +52,7 @@ def project_motion(
 def _smooth(
     turns: Float[Array, "F 3"], held: Bool[Array, "F"], weight: Float[Array, ""] | float
 ) -> Float[Array, "F 3"]:
-    """The smoothed turns of one joint: a tridiagonal system with held frames at zero."""
+    """Smooth the corrections of one joint by a tridiagonal system, with zero at allowed frames."""
     count = len(turns)
     sides = jnp.full(count, 2.0, turns.dtype).at[0].set(1.0).at[-1].set(1.0)
     diagonal = jnp.where(held, 1.0, 1.0 + weight * sides)

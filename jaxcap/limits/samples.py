@@ -1,4 +1,4 @@
-"""What joints did: their rotations, with those of the joints that they are coupled to."""
+"""Samples of joint rotations, with those of the joints that they are coupled to."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 
-#: seconds of a motion that are held out together: neighbouring frames are alike
+#: seconds of a motion in one block that is held out: neighbouring frames are similar
 BLOCK = 10.0
 
 
@@ -23,21 +23,23 @@ class JointSamples(NamedTuple):
     #: unit axes of revolute and universal joints
     axes: Float[np.ndarray, "2 3"]
     rotations: Float[np.ndarray, "F 4"]
-    #: samples of one block were made close together in time
+    #: samples of one block are close in time
     blocks: Int[np.ndarray, "F"]
     parent: "JointSamples | None" = None
 
     def take(self, chosen: np.ndarray) -> "JointSamples":
-        """Some of the frames, of the parent too."""
+        """Select some of the frames, of the parent too."""
         parent = None if self.parent is None else self.parent.take(chosen)
         return self._replace(rotations=self.rotations[chosen], blocks=self.blocks[chosen], parent=parent)
 
 
 def parse_joints(text: str) -> tuple[tuple[str, str | None], ...]:
-    """Joints with their parents, `(joint, parent)`, of `LeftArm:LeftForeArm,Head`: a chain couples
-    every joint to the one before it. Parents come before their children, each joint once.
+    """Parse joints with their parents, `(joint, parent)`, from text such as `LeftArm:LeftForeArm,Head`.
 
-    **Raises:** `InputError` where a name is empty or a joint is coupled to two parents.
+    A chain couples every joint to the one before it. Parents come before their children, each joint once.
+
+    **Raises:** `InputError` where a name is empty, a joint is coupled to two parents, or the coupling has a
+    cycle.
     """
     found: dict[str, str | None] = {}
     for chain in text.split(","):
@@ -66,10 +68,11 @@ def gather_samples(
     parent: str | None = None,
     names: Sequence[str] | None = None,
 ) -> JointSamples:
-    """The rotations of a joint in all frames of some motions, whose skeletons agree in it; `names` are
-    what errors call the motions.
+    """Collect the rotations of a joint in all frames of some motions with compatible skeletons.
 
-    **Raises:** `ValueError` where a joint is missing, does not turn at all, or is of another kind in
+    `names` are the names of the motions in errors.
+
+    **Raises:** `ValueError` where a joint is missing, does not rotate at all, or is of another kind in
     another motion.
     """
     above = None if parent is None else gather_samples(motions, parent, None, names)
@@ -99,7 +102,9 @@ def gather_samples(
 
 
 def spans(rotations: Float[np.ndarray, "F 4"]) -> float:
-    """The largest angle between a rotation and the one furthest from the first, radians: about the
-    length of the range."""
+    """Estimate the angular range of rotations, radians.
+
+    It is the largest angle between any rotation and the one that is farthest from the first.
+    """
     end = rotations[np.argmin(np.abs(rotations @ rotations[0]))]
     return float(2 * np.arccos(np.clip(np.abs(rotations @ end).min(), 0.0, 1.0)))

@@ -1,4 +1,4 @@
-"""How fine voxels may be: as fine as most of a capture still foretells the rest."""
+"""Choice of voxel sizes by cross-validation: the finest that still predict the rest of a capture."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,12 +6,12 @@ from scipy.spatial import KDTree
 
 #: degrees of rotation, tried from the finest
 WIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)
-#: of a child's voxels and of its parent's keyframes, tried together
+#: widths of a child's voxels and of its parent's keyframes, degrees, tried together
 CHILD_WIDTHS = (2.0, 4.0, 8.0, 12.0, 20.0)
 KEYFRAMES = (10.0, 15.0, 20.0, 30.0, 40.0, 60.0)
-#: frames that keyframes are chosen on at most
+#: largest number of frames that keyframes are chosen on
 TRIED = 10000
-#: parts of a capture, each of which the others are to foretell
+#: number of folds of the cross-validation
 FOLDS = 5
 
 
@@ -22,8 +22,11 @@ def choose_width(
     least: int,
     coverage: float,
 ) -> float:
-    """The width in the chart, half of that in rotation, of the finest voxels with which a share
-    `coverage` of blocks that were held out lies near samples of the others; the widest where none has."""
+    """Choose the finest voxel width that reaches a share `coverage` in cross-validation over blocks.
+
+    The share is that of held-out samples near samples of the other blocks. The width is in the chart, half
+    of that in rotation. The widest is returned where none reaches the share.
+    """
     for degrees in WIDTHS:
         width = np.radians(degrees) / 2
         shares = [
@@ -42,9 +45,12 @@ def choose_keyframes(
     blocks: Int[np.ndarray, "F"],
     coverage: float,
 ) -> tuple[float, float]:
-    """Widths of a child's voxels and of its parent's keyframes: of those pairs with which the share
-    `coverage` of what was held out is allowed, the one that allows least of children and parents of
-    different frames, which is the tightest; the loosest where none has that share."""
+    """Choose the widths of a child's voxels and of its parent's keyframes.
+
+    Among the pairs that allow the share `coverage` of held-out frames, it is the one that allows the fewest
+    combinations of children and parents of different frames, which is the tightest. The loosest is returned
+    where none reaches the share.
+    """
     some = np.linspace(0, len(places) - 1, min(len(places), TRIED)).astype(int)
     places, parents, blocks = places[some], parents[some], blocks[some]
     best, least = (np.radians(CHILD_WIDTHS[-1]) / 2, np.radians(KEYFRAMES[-1]) / 2), np.inf
@@ -61,8 +67,11 @@ def choose_keyframes(
 
 
 def _conditional(places, parents, train, test, dimensions: tuple[int, int], key_width: float):
-    """For each of a child's widths the share allowed of the test's frames, and of the same children
-    with other frames' parents: near samples of which the parents were within a width of a keyframe."""
+    """Compute the shares of test frames that are allowed, for each width of the child's voxels.
+
+    The second row is for the same children with the parents of other frames. A child is allowed near
+    training samples with parents within a width of the keyframe's centre.
+    """
     keys = _cells(parents[train], dimensions[1], key_width, 1)
     nearest = np.asarray(KDTree(keys).query(parents[test])[1])
     shuffled = np.random.default_rng(0).permutation(len(test))
@@ -79,8 +88,10 @@ def _conditional(places, parents, train, test, dimensions: tuple[int, int], key_
 
 
 def _folds(blocks: Int[np.ndarray, "F"]):
-    """Frames to learn from and to test on, every fifth block held out in turn; a capture of fewer
-    blocks is cut into five."""
+    """Split frames into five folds by blocks, as pairs of training and test indices.
+
+    A capture with fewer blocks is cut into five.
+    """
     order = np.unique(blocks, return_inverse=True)[1]
     if order.max() + 1 < FOLDS:
         order = np.arange(len(blocks)) * FOLDS // len(blocks)
@@ -96,7 +107,7 @@ def _cells(places, dimension: int, width: float, least: int) -> np.ndarray:
 
 
 def _near(places, centres, dimension: int, width: float) -> np.ndarray:
-    """Whether places are in a ball that holds a voxel."""
+    """Test if positions are in a ball around a voxel."""
     if not len(centres) or not len(places):
         return np.zeros(len(places), bool)
     return KDTree(centres).query(places)[0] <= np.sqrt(dimension) * width / 2

@@ -1,32 +1,34 @@
-"""Where samples lie, as cubes: small at the border of what was seen, large within it."""
+"""Voxels of samples: small at the border of the observed range, large within it."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-#: how often cubes are joined, two by two along each axis
+#: number of times that voxels are merged, two by two along each axis
 LEVELS = 2
 
 
 class Voxels(NamedTuple):
-    """Cubes that hold samples; in hinges' charts stretches, in universal joints' squares."""
+    """Cubes with samples; intervals in charts of hinges, squares in those of universal joints."""
 
     centres: Float[np.ndarray, "N 3"]
     widths: Float[np.ndarray, "N"]
-    #: samples in each
+    #: number of samples in each
     counts: Float[np.ndarray, "N"]
 
 
 def voxelise(
     places: Float[np.ndarray, "F 3"], dimension: int, width: float, least: int = 1, levels: int = LEVELS
 ) -> Voxels:
-    """The cubes of `width` with at least `least` samples, which is the threshold of density, joined
-    into larger ones (Limits, section 4.1, from below: what splits no further there joins here).
+    """Compute the voxels of `width` with at least `least` samples, and merge them into larger ones.
 
-    The paper keeps a cube whole where its density is above the threshold, however its samples lie in
-    it, and the primitive that fills it then bulges over what is empty. Here a cube is whole only where
-    all within it, and one layer around, are kept.
+    `least` is the threshold of density. The merging replaces the paper's subdivision (Limits, section 4.1),
+    from the bottom up.
+
+    The paper keeps a cube whole where its density is above the threshold, for any distribution of samples in
+    it. The primitive of this cube then extends over empty space. Here a cube is whole only where all voxels
+    within it, and one layer around, are kept.
 
     **Raises:** `ValueError` where no cube has so many samples.
     """
@@ -47,7 +49,7 @@ def voxelise(
 
 
 def _join(cells, sizes, counts, size: int):
-    """Cubes of half of `size` that fill one of `size` within a kept layer become it."""
+    """Merge cubes of half of `size` where they fill a cube of `size` inside a kept layer."""
     dimension, half = cells.shape[1], size // 2
     corner = np.stack(np.meshgrid(*[[0, half]] * dimension, indexing="ij"), -1).reshape(-1, dimension)
     around = np.stack(np.meshgrid(*[[-half, 0, half, size]] * dimension, indexing="ij"), -1)

@@ -1,4 +1,4 @@
-"""From raw markers to a skeleton and its motion, limb by limb (Silaghi et al. 1998, local technique)."""
+"""A skeleton and its motion from raw markers, limb by limb (Silaghi et al. 1998, local technique)."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -22,31 +22,31 @@ from .skeleton.lengths import LengthMethod, bone_lengths, bones, joint_places
 from .skeleton.tree import Tree, find_tree, template_pairs
 from .subject import Subject, make_subject
 
-#: a joint is told as hardly turning where it sweeps less than this, radians
+#: a joint is reported as hardly rotating where its swept angle is below this, radians
 HARDLY = np.radians(15.0)
-#: or where its centre is known no better than this across what may be a hinge's axis, metres
+#: or where the standard deviation of its centre, across the axis of a hinge, is above this, metres
 VAGUE = 0.03
-#: and where no better than this, nothing tells that its two segments are joined at all
+#: above this, metres, the data do not show that the two segments are joined
 APART = 0.5
 
 
 class LocalFit(NamedTuple):
-    """What markers tell limb by limb; where they do not tell, `told` says so."""
+    """The result of the local technique. `told` lists in sentences what the data do not determine."""
 
     segments: Segments
     #: joint of each segment with its parent, None at roots
     joints: tuple[Joint | None, ...]
-    #: what joins the segments, and their frames
+    #: the tree of segments and their frames
     tree: Tree
     skeleton: Skeleton
     motion: Motion
-    #: (M,) bone of each marker, -1 of those on no bone
+    #: (M,) bone of each marker, -1 where it is on no bone
     bones: Int[np.ndarray, "M"]
-    #: (M, 3) place of each marker in the world at rest, metres
+    #: (M, 3) position of each marker in the world at rest, metres
     offsets: Float[np.ndarray, "M 3"]
-    #: the skeleton with the markers that sit on it
+    #: the skeleton with the markers that are on its bones
     subject: Subject
-    #: the markers after exchanges of labels were undone
+    #: the markers after swapped labels were corrected
     markers: MarkerFrames
     told: tuple[str, ...]
 
@@ -63,15 +63,15 @@ def fit_local(
     corrections: Mapping[str, tuple[str, float]] | None = None,
     lengths: LengthMethod = "global",
 ) -> LocalFit:
-    """Segments, joints, skeleton and motion from raw markers, with nobody saying which sits where.
+    """Estimate segments, joints, skeleton and motion from raw markers without a marker placement.
 
-    **Arguments:** `segments` where known, else they are found, with `threshold` metres where given and
-    a user's `corrections` (marker -> (segment, weight)); `method` for centres of rotation; `template` a
-    skeleton and which segment (by name) is which of its bones, else the tree is found; `symmetry` pairs
-    of segments whose bones are equally long; `lengths` how they are measured.
+    **Arguments:** `segments` where known, otherwise they are found, with `threshold` metres if given and a
+    user's `corrections` (marker -> (segment, weight)); `method` of the centres of rotation; `template` a
+    skeleton and a map from segment names to names of its bones, otherwise the tree is found; `symmetry`
+    pairs of segments with bones of equal length; `lengths` the method for bone lengths.
 
-    **Raises:** `ValueError` where no markers are seen, nothing moves, no markers move together, or
-    fewer than three markers of any segment are seen together.
+    **Raises:** `ValueError` where no markers are visible, nothing moves, no markers move together, or no
+    segment has three markers that are visible together.
     """
     places, seen = np.asarray(frames.places, float), np.asarray(frames.seen)
     labels, told = frames.labels, []
@@ -219,7 +219,7 @@ def _top(tree: Tree, segment: int) -> int:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Names with their verb: "'A', 'B' are"."""
+    """Format names with their verb: "'A', 'B' are"."""
     shown = ", ".join(f"'{name}'" for name in names[:12]) + (", ..." if len(names) > 12 else "")
     return f"{shown} {'is' if len(names) == 1 else 'are'}"
 

@@ -1,4 +1,4 @@
-"""A performer as markers see them: a skeleton, and where on its bones the markers sit."""
+"""A skeleton with markers attached to its bones."""
 
 from collections.abc import Sequence
 
@@ -15,26 +15,26 @@ from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from ..body.skin import LinearSkin
 
-#: how a marker is held by its bone: at a point of it; on a circle about it; on a sphere about its joint
+#: marker models: fixed to a point of its bone; on a circle about the bone; on a sphere about its joint
 MODELS = ("rigid", "circle", "sphere")
-#: standard deviation of a marker about its place, metres, where nothing has been measured
+#: default standard deviation of a marker about its position on the bone, metres
 DEVIATION = 0.01
 
 
 class Subject(eqx.Module):
-    """A skeleton, whose rest pose has the performer's lengths, and M markers on its bones.
+    """A skeleton and M markers on its bones. The rest pose has the bone lengths of the performer.
 
-    `offsets` are the places of the markers in the world when the skeleton is at rest, as
-    `BoneLandmarks.rest` are. A "circle" marker keeps its distance from its bone and its place along
-    it, a "sphere" marker its distance from the joint that moves its bone.
+    `offsets` are the marker positions in the world with the skeleton at rest, as in `BoneLandmarks.rest`. A
+    "circle" marker keeps its distance from the bone and its position along the bone. A "sphere" marker keeps
+    its distance from the joint that moves its bone.
     """
 
     skeleton: Skeleton
     bones: Int[Array, "M"]
     offsets: Float[Array, "M 3"]
-    #: of attachment, 0 to 1; 0 is a marker that is not used
+    #: weights of attachment, 0 to 1; a marker with weight 0 is not used
     weights: Float[Array, "M"]
-    #: standard deviation of what is seen about what is predicted, metres along each axis
+    #: standard deviation of observed about predicted positions, metres along each axis
     deviations: Float[Array, "M"]
     labels: tuple[str, ...] = eqx.field(static=True)
     models: tuple[str, ...] = eqx.field(static=True)
@@ -46,7 +46,7 @@ class Subject(eqx.Module):
 
     @property
     def num_markers(self) -> int:
-        """M, the number of markers."""
+        """The number of markers, M."""
         return len(self.labels)
 
 
@@ -61,11 +61,11 @@ def make_subject(
     deviations=None,
     models: Sequence[str] | None = None,
 ) -> Subject:
-    """A checked `Subject`.
+    """Build a `Subject` and check its fields.
 
-    **Arguments:** `bones (M,)` joint indices; `offsets (M, 3)` metres in the world at rest; `labels`
-    each of them once; `weights (M,)` of attachment from 0 to 1, one where not given; `deviations (M,)`
-    metres, a centimetre where not given; `models` out of `MODELS`, "rigid" where not given.
+    **Arguments:** `bones (M,)` joint indices; `offsets (M, 3)` rest positions in the world, metres;
+    `labels`, all different; `weights (M,)` of attachment from 0 to 1, by default 1; `deviations (M,)`
+    metres, by default 0.01; `models` out of `MODELS`, by default "rigid".
 
     **Raises:** `ValueError` with one sentence that names the marker.
     """
@@ -102,7 +102,7 @@ def make_subject(
 
 @checked
 def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
-    """Where a pose puts the markers, metres; those on circles and spheres as if they were rigid."""
+    """Compute the marker positions of a pose, metres; circle and sphere markers as if rigid."""
     transforms = forward_kinematics(subject.skeleton, pose)
     r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
     return jnp.einsum("mab,mb->ma", r, subject.offsets) + t
@@ -110,18 +110,21 @@ def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
 
 @checked
 def marker_body(subject: Subject) -> Body:
-    """Make the body that a user's own terms see: the subject's skeleton, with its markers for vertices and no faces."""
+    """Build the body for user-defined terms: the subject's skeleton, with markers as vertices.
+
+    It has no faces.
+    """
     weights = jax.nn.one_hot(subject.bones, subject.skeleton.num_joints, dtype=subject.offsets.dtype)
     return Body(subject.skeleton, LinearSkin(weights), subject.offsets, jnp.zeros((0, 3), jnp.int32))
 
 
 def shifted(subject: Subject, shifts: Float[Array, "M 3"]) -> Subject:
-    """The subject with its markers elsewhere, metres at rest."""
+    """Shift the rest positions of the markers, metres."""
     return eqx.tree_at(lambda s: s.offsets, subject, subject.offsets + shifts)
 
 
 def scaled(subject: Subject, scale: float | Float[Array, ""]) -> Subject:
-    """The subject `scale` times as large, about the root's centre at rest."""
+    """Scale the subject by `scale` about the root's centre at rest."""
     root = subject.skeleton.centres[0]
     centres, offsets = (root + scale * (x - root) for x in (subject.skeleton.centres, subject.offsets))
     return eqx.tree_at(lambda s: (s.skeleton.centres, s.offsets), subject, (centres, offsets))

@@ -1,1 +1,1 @@
-"""A body in its markers."""
+"""Body shape from markers."""

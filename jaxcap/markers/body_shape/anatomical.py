@@ -1,7 +1,7 @@
-"""Markers over landmarks of the anatomy, on the embedded human, by the names that laboratories use.
+"""Markers on anatomical landmarks of the embedded human, by the names that laboratories use.
 
-The table holds places on the left side of the man of 25 at rest, beside the joint next to them; the
-nearest skin is taken. A landmark is met to a centimetre or two, which is what palpation does, too.
+The table has positions on the left side of the man of 25 at rest, relative to a nearby joint; they are
+projected to the nearest skin. The error of a landmark is a centimetre or two, similar to that of palpation.
 """
 
 from collections.abc import Sequence
@@ -13,8 +13,8 @@ from ...body.people.human import human
 from ...body.skin.interpolate import inside
 from .surface import HEIGHT, SurfaceMarkers, attach_markers
 
-#: names without their side: the joint, and metres to the left, up and to the front of it. The first name
-#: is that of the ISB's recommendations' bones (Wu et al. 2002, 2005), others are Plug-in Gait's
+#: names without their side: the joint, and the offset from it, metres to the left, up and to the front. The
+#: first name is that in the ISB's recommendations (Wu et al. 2002, 2005), others are Plug-in Gait's
 SIDED = {
     ("TEMP",): ("Head", (0.10, 0.05, 0.04)),
     ("FHD",): ("Head", (0.06, 0.08, 0.10)),
@@ -50,10 +50,10 @@ MIDDLE = {
 def anatomical_markers(
     labels: Sequence[str], resolution: str = "full", height: float = HEIGHT
 ) -> SurfaceMarkers:
-    """Those of the labels that the table knows, on the human of a named resolution, whatever its shape.
+    """Place the labelled markers that the table has on the human of a named resolution, for any shape.
 
-    A label is a landmark with `L` or `R` before it (`LLFE`, `RKNE`) or one of the middle (`C7`); `height`
-    metres of the marker's middle over the skin.
+    A label is a landmark with the prefix `L` or `R` (`LLFE`, `RKNE`) or one of the middle (`C7`); `height`
+    is the distance of the marker's centre from the skin, metres.
 
     **Raises:** `ValueError` where no label is known.
     """

@@ -1,6 +1,6 @@
-"""Who stands there: shape options of the embedded human, and its pose, from a static trial.
+"""Shape traits and pose of the embedded human from a static trial.
 
-The search itself is in `shape_search`: traits and pose together.
+`shape_search` has the search for traits and pose together.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,23 +26,23 @@ from .anatomical import anatomical_markers
 from .shape_search import HIGHEST, LOWEST, SPREAD, USUAL, Measured, search_shape
 from .surface import SurfaceMarkers, surface_landmarks, vertex_markers
 
-#: a trait of which so much of the usual deviation is left has not been told
+#: a trait is undetermined if its deviation is above this share of the prior's
 UNTOLD = 0.7
 
 
 class ShapeFit(NamedTuple):
-    """A person, as the embedded human can be one."""
+    """A person as a shape of the embedded human."""
 
     body: Body
     pose: Pose
     traits: Traits
-    #: standard deviations, with what people usually are; 0 where given
+    #: standard deviations, with the prior of usual people; 0 where given
     deviations: Traits
-    #: the markers that were used, as they are held
+    #: the markers that were used, as attached to the surface
     markers: SurfaceMarkers | None
-    #: metres, NaN where never seen
+    #: metres, NaN where never visible
     residuals: Float[np.ndarray, "M"]
-    #: what the user should know, in sentences
+    #: messages to the user, in sentences
     told: tuple[str, ...]
 
 
@@ -58,17 +58,17 @@ def fit_shape(
     deviation: float = 0.015,
     steps: int = 60,
 ) -> ShapeFit:
-    """The embedded human that best explains a static trial, bone lengths, or both.
+    """Fit the embedded human to a static trial, bone lengths, or both.
 
-    **Arguments:** `frames`, in which the person stands still: of each marker the median place counts.
-    `markers`: where they are on the human of this `resolution` ("full", "medium" or "low"), as
-    `SurfaceMarkers` or as vertices by label; landmarks of the anatomy, known by their usual names, where
-    not given. `lengths`, metres, between pairs of joints by name, as `bone_lengths` of a calibrated
-    skeleton gives them. `height` in metres. `given`, traits that are known, such as
-    `{"sex": 1.0, "age": 41}`. `deviation`, metres, of a marker from its place, along each axis.
+    **Arguments:** `frames`, in which the person stands still; the median position of each marker is used.
+    `markers`: their attachment to the human of this `resolution` ("full", "medium" or "low"), as
+    `SurfaceMarkers` or as vertices by label; by default anatomical landmarks with their usual names.
+    `lengths`, metres, between pairs of joints by name, such as the `bone_lengths` of a calibrated skeleton.
+    `height` in metres. `given`, known traits, such as `{"sex": 1.0, "age": 41}`. `deviation`, metres, of a
+    marker from its position, along each axis.
 
-    **Raises:** `ValueError` with one sentence: neither frames nor lengths, fewer than 6 markers that
-    are known and seen, an unknown trait or joint, a trait out of its range, no person of such size.
+    **Raises:** `ValueError` with one sentence: neither frames nor lengths, fewer than 6 markers that are
+    known and visible, an unknown trait or joint, a trait out of its range, no person of such size.
     """
     if frames is None and not lengths:
         raise ValueError("There is nothing to fit a shape to; give frames of markers, bone lengths, or both.")
@@ -95,7 +95,7 @@ def fit_shape(
     measured = _measured(body.skeleton, lengths or {}, height)
     numbers = np.array(start)
     if energy is not None:
-        # the pose first: a wrong one would be made up for by a strange person
+        # the pose first: an unusual shape would compensate for a wrong one
         pose = solve(energy, body, pose, max_steps=steps).pose
     numbers, pose, covariance = search_shape(energy, measured, numbers, pose, free, body, resolution, steps)
     traits = Traits(*(float(x) for x in numbers))
@@ -110,7 +110,10 @@ def fit_shape(
 
 
 def bone_lengths(skeleton: Skeleton, shortest: float = 0.02) -> dict[tuple[str, str], float]:
-    """Metres from each joint's parent to it, by both names; bones shorter than `shortest` are left out."""
+    """Compute the distance of each joint from its parent, metres, by both names.
+
+    Bones below `shortest` are left out.
+    """
     centres = np.asarray(skeleton.centres, float)
     pairs = [(p, j) for j, p in enumerate(skeleton.parents) if p >= 0]
     lengths = {
@@ -132,7 +135,7 @@ def _measured(skeleton: Skeleton, lengths: Mapping[tuple[str, str], float], heig
 
 
 def _known(given: Mapping[str, float]) -> tuple[Traits, tuple[int, ...]]:
-    """Where to start, and the numbers of the traits that are free."""
+    """Return the initial traits and the indices of the free ones."""
     for name, value in given.items():
         if name not in Traits._fields:
             raise ValueError(f"There is no trait '{name}'; people have {', '.join(Traits._fields)}.")
@@ -144,7 +147,7 @@ def _known(given: Mapping[str, float]) -> tuple[Traits, tuple[int, ...]]:
 
 
 def _static_places(frames: MarkerFrames, labels: Sequence[str]) -> np.ndarray:
-    """(M, 3) median places over the frames that show each marker, NaN where none does."""
+    """Compute the median position (M, 3) of each marker over the frames with it, NaN where there are none."""
     places = np.full((len(labels), 3), np.nan)
     for number, label in enumerate(labels):
         if label in frames.labels:
@@ -156,7 +159,7 @@ def _static_places(frames: MarkerFrames, labels: Sequence[str]) -> np.ndarray:
 
 
 def _stood(body: Body, held: SurfaceMarkers, places: np.ndarray, seen: np.ndarray) -> Pose:
-    """The rest pose turned and moved as a whole to where the markers are (Kabsch 1976)."""
+    """Align the rest pose rigidly to the markers (Kabsch 1976)."""
     pose = rest_pose(body.skeleton)
     source, target = np.asarray(_places(held, body, pose), float)[seen], places[seen]
     turn, shift = rigid_fit(source, target)

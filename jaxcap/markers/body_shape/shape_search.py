@@ -1,7 +1,7 @@
-"""The traits of the embedded human and its pose together, as outer rounds of one problem.
+"""Joint search for the traits of the embedded human and its pose, as outer rounds of one problem.
 
-Traits bend at their middle states (MakeHuman's targets are linear between these), so their slopes are
-taken over a short way, and anew where each step led.
+Traits have kinks at their middle values (MakeHuman's targets are linear between these), so their derivatives
+are finite differences over a short range, updated after each step.
 """
 
 from typing import NamedTuple
@@ -25,21 +25,22 @@ from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 
-#: ranges of the traits, and how far people are from `USUAL` where nothing tells
+#: ranges of the traits; prior mean and standard deviation of people
 LOWEST = Traits(0.0, AGES["child"], 0.0, 0.0, -1.0)
 HIGHEST = Traits(1.0, AGES["old"], 1.0, 1.0, 1.0)
 USUAL = Traits(0.5, 35.0, 0.5, 0.5, 0.0)
 SPREAD = Traits(0.5, 20.0, 0.25, 0.25, 0.5)
-#: share of a trait's range over which its slope is taken
+#: share of a trait's range for its finite differences
 REACH = 0.02
-#: a round that lowers the squared deviations by no such share is idle, and so many of these end the search
+#: relative decrease of the squared deviations below which a round is idle, and number of idle rounds that
+#: end the search
 ENOUGH, IDLE = 1e-4, 2
 #: standard deviations of measured heights and lengths, metres
 TAPE, LENGTH = 0.002, 0.003
 
 
 class Measured(NamedTuple):
-    """What was measured on the person: metres between pairs of joints (B, 2), and tall."""
+    """Measurements of the person: lengths between pairs of joints (B, 2), and height, metres."""
 
     pairs: np.ndarray
     lengths: np.ndarray
@@ -47,8 +48,10 @@ class Measured(NamedTuple):
 
 
 class MeasuredLengths(AbstractEnergy):
-    """How far what was measured on a person is from what the body has, in standard deviations: lengths between joints, and the
-    height, which counts where `known`."""
+    """Differences between measurements of a person and the body, in standard deviations.
+
+    They are the lengths between joints, and the height, which counts where `known`.
+    """
 
     pairs: Int[Array, "B 2"]
     lengths: Float[Array, "B"]
@@ -121,8 +124,10 @@ def _equations(problem: SequenceProblem, y: SequenceEstimate) -> Float[Array, "N
 def _linear_shape(
     template: Body, numbers: np.ndarray, chosen: list[int], resolution: str
 ) -> tuple[Body, Modes]:
-    """A body and modes that with the chosen traits as amounts make the person of these traits, and those nearby; the frames in
-    which its joints' own angles are measured stay."""
+    """Linearise the body about the given traits: a body and modes with the chosen traits as coefficients.
+
+    The frames of the joints' own angles do not change.
+    """
     low, high = np.array(LOWEST), np.array(HIGHEST)
     vertices, centres = _shape(numbers, resolution)
     slopes = []

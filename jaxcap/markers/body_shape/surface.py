@@ -1,4 +1,4 @@
-"""Markers on the surface of a body: each held by a triangle, and posed with the skin."""
+"""Markers on the surface of a body: each attached to a triangle, and posed with the skin."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,17 +12,18 @@ from ...body.decimate import attach
 from ...body.pose import Pose, rest_pose
 from ...energy.data.surface import SurfaceLandmarks, surface_points
 
-#: a marker further off is not on this body, or the body is not in this pose, metres
+#: a marker farther from the surface is not on this body, or the body is in another pose, metres
 REACH = 0.3
-#: middle of a usual marker over the skin, metres
+#: distance of a usual marker's centre from the skin, metres
 HEIGHT = 0.0095
 
 
 class SurfaceMarkers(eqx.Module):
     """M markers on a body's surface, or on that of any body with the same triangles.
 
-    A marker stands `heights` metres over its triangle's plane, along the normal, over the point with
-    barycentric `shares` of the `corners`; shares leave [0, 1] where the nearest triangle ends below it.
+    A marker is `heights` metres above the plane of its triangle, along the normal, over the point with
+    barycentric coordinates `shares` of the `corners`. These are outside [0, 1] where the foot point is
+    beyond the nearest triangle.
     """
 
     corners: Int[Array, "M 3"]
@@ -32,22 +33,23 @@ class SurfaceMarkers(eqx.Module):
 
     @property
     def num_markers(self) -> int:
-        """M, the number of markers."""
+        """The number of markers, M."""
         return len(self.labels)
 
     def places(self, posed: Posed) -> Float[Array, "M 3"]:
-        """Where the markers are on a posed body, metres."""
+        """Compute the marker positions on a posed body, metres."""
         return surface_points(posed, self.corners, self.shares, self.heights)
 
 
 def attach_markers(
     body: Body, places, pose: Pose | None = None, labels: Sequence[str] | None = None
 ) -> SurfaceMarkers:
-    """Markers seen at `places (M, 3)`, metres, on a body in a pose (at rest where not given), each held
-    by the triangle that is nearest; in this pose they are exactly where they were seen.
+    """Attach markers to the nearest triangles of a body in a pose, by default at rest.
 
-    **Raises:** `ValueError` with one sentence where a place is not finite, or further than `REACH`
-    from the surface, which a wrong pose or unit makes.
+    `places (M, 3)` are their positions in this pose, metres, which the attached markers reproduce exactly.
+
+    **Raises:** `ValueError` with one sentence where a position is not finite, or farther than `REACH` from
+    the surface, as with a wrong pose or unit.
     """
     places = np.asarray(places, float)
     if places.ndim != 2 or places.shape[1] != 3:
@@ -78,9 +80,9 @@ def attach_markers(
 
 
 def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = HEIGHT) -> SurfaceMarkers:
-    """Markers over chosen vertices of a body, by their labels, `height` metres over the skin.
+    """Attach markers to vertices of a body, by their labels, `height` metres above the skin.
 
-    **Raises:** `ValueError` for a vertex that the body does not have, or that no triangle holds.
+    **Raises:** `ValueError` for a vertex that the body does not have, or that is in no triangle.
     """
     faces, count = np.asarray(body.faces), len(body.vertices)
     corners, shares = [], []
@@ -108,13 +110,13 @@ def surface_landmarks(
     seen: Bool[Array, "M"] | Bool[np.ndarray, "M"] | None = None,
     deviation: float = 1.0,
 ) -> SurfaceLandmarks:
-    """The energy that draws a body's markers to where one frame saw them, for `solve` beside others.
+    """Build the energy of a body's markers against their observed positions in one frame, for `solve`.
 
-    `seen (M,)`, all where not given; residuals are in units of `deviation` metres.
+    `seen (M,)`, by default all; residuals are in units of `deviation` metres.
     """
     dtype = markers.shares.dtype
     there = jnp.ones(len(markers.labels), bool) if seen is None else jnp.asarray(seen)
-    # what was not seen may be anything, NaN too
+    # positions of markers that are not visible may be anything, NaN too
     targets = jnp.where(there[:, None], jnp.asarray(places, dtype), 0.0)
     weights = there.astype(dtype) / deviation**2
     return SurfaceLandmarks(markers.corners, markers.shares, markers.heights, targets, weights)

@@ -1,4 +1,4 @@
-"""Markers that sit on vertices of a body, as a motion carries them."""
+"""Vertices of a body as markers of a motion."""
 
 from collections.abc import Sequence
 
@@ -13,10 +13,10 @@ from ...observe import MarkerFrames, make_markers
 
 @checked
 def vertex_frames(body: Body, motion: Motion, vertices: Sequence[int], labels: Sequence[str]) -> MarkerFrames:
-    """The places of some vertices in every frame, as the skin carries them, under labels of their own.
+    """Compute the positions of some vertices in every frame as markers with the given labels.
 
-    **Raises:** `InputError` where labels are too many, too few, empty or twice the same; `ValueError` where the body has
-    no such vertex, or the motion other joints.
+    **Raises:** `InputError` where labels are too many, too few, empty or repeated; `ValueError` where the
+    body has no such vertex, or the motion other joints.
     """
     count, joints = len(body.vertices), motion.poses.rotations.shape[1]
     wrong = [vertex for vertex in vertices if not 0 <= vertex < count]

@@ -1,1 +1,1 @@
-"""All poses, joint centres and places of markers together."""
+"""Joint estimation of all poses, joint centres and marker positions."""

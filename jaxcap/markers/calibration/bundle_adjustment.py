@@ -1,7 +1,7 @@
-"""Calibration in outer rounds: what is renewed between fits of all poses, joint centres and places of markers.
+"""Calibration in outer rounds of fits, with updates of variances and models between them.
 
-The variances of the markers, the axes about which joints turn at all, and how skin slides come from the data. They are renewed
-whenever the fit has got as good as they let it.
+The markers' variances, the axes without noticeable joint rotation, and the skin sliding are estimated from
+the data. They are updated whenever the current fit has nearly converged.
 """
 
 import logging
@@ -31,22 +31,22 @@ _LOG = logging.getLogger(__name__)
 
 #: Marquardt's damping of the first step
 FIRST_DAMPING = 1e-6
-#: the share of the cost that the last step of a fit gains, before and after the first renewals
+#: relative decrease of the cost in the last step of a fit, before and after the first updates
 ROUGH, TOLERANCE = 1.5e-2, 5e-4
-#: steps of one fit at most
+#: maximal number of steps of one fit
 STEPS = 40
-#: renewals after rough fits
+#: number of updates after rough fits
 ROUGHLY = 2
-#: from which renewal of variances on these are those of the noise, and no longer of the template
+#: number of the update from which the variances are those of the noise, and no longer of the template
 FIRM = 4
-#: and after which the fit may end
+#: and after which the rounds may end
 SETTLED = 5
 
 _SOLVER = LevenbergMarquardt(atol=1e-9, damping=FIRST_DAMPING, relative=True)
 
 
 class Fit(NamedTuple):
-    """Where the rounds ended."""
+    """The result of the outer rounds."""
 
     problem: CalibrationProblem
     estimate: CalibrationEstimate
@@ -57,11 +57,13 @@ class Fit(NamedTuple):
 def adjust(
     problem: CalibrationProblem, subject: Subject, poses: Pose, *, skin: bool, steps: int, rough: bool
 ) -> Fit:
-    """Fit at fixed variances until little is left to gain, then renew these, until they stay; in double precision, as what
-    frames tell of a subject is a difference of large numbers.
+    """Iterate fits at fixed variances and updates of the variances until both converge.
 
-    **Arguments:** `problem`, whose deviations and turning are to be found; `skin`: whether it may slide; `steps` at most; `rough` ends
-    after the first renewals.
+    All is in double precision, as the information of frames about a subject is a difference of large
+    numbers.
+
+    **Arguments:** `problem`, with initial deviations and turning; `skin`: if it may slide; `steps` at most;
+    `rough` ends after the first updates.
     """
     return in_double(
         partial(_adjust, skin=skin and not rough, steps=steps, rough=rough), problem, subject, poses
@@ -87,14 +89,13 @@ def _adjust(
 def _renewed(
     number: int, problem: CalibrationProblem, y: CalibrationEstimate, skin: bool
 ) -> tuple[CalibrationProblem, CalibrationEstimate, bool]:
-    """Variances, stiff axes and skin as an estimate shows them, and whether these have settled."""
+    """Update variances, stiff axes and skin from an estimate, and test if these have converged."""
     deviations = marker_deviations(problem, y)
     if number < 3:
-        # one for all, so that no marker is let go for what its bone's length still lacks
+        # one for all, so that no marker loses its weight to an error of its bone's length
         deviations = jnp.full_like(deviations, jnp.median(deviations))
     change = float(jnp.max(jnp.abs(deviations / problem.deviations - 1.0)))
     settled = change < 0.05 and number > SETTLED
-    # of frames that count as residuals show now
     problem = eqx.tree_at(lambda p: p.deviations, problem, deviations)
     if y.slides.size:
         after = slide_deviation(problem.subject(y), np.asarray(problem.features), np.asarray(y.slides))
@@ -116,7 +117,7 @@ def _renewed(
 
 @eqx.filter_jit
 def _free_poses(problem: CalibrationProblem, y: CalibrationEstimate):
-    """Poses that nothing draws to their means, and their covariances where what is shared is known."""
+    """Compute poses without the rotation prior, and their covariances for given shared parameters."""
     free = eqx.tree_at(lambda p: p.turning, problem, free_turning(problem.template.skeleton))
     matrices, sides = free.pose_equations(y)
     factor = BlockBanded(matrices[:, None]).factorise()
@@ -127,7 +128,7 @@ def _free_poses(problem: CalibrationProblem, y: CalibrationEstimate):
 
 @eqx.filter_jit
 def _residuals(problem: CalibrationProblem, y: CalibrationEstimate):
-    """Residuals of all markers, metres; those that count little are short of it."""
+    """Compute the robust residuals of all markers, metres; outliers are shrunk by their weights."""
 
     subject = problem.subject(y)
 
@@ -142,7 +143,7 @@ def _residuals(problem: CalibrationProblem, y: CalibrationEstimate):
 
 
 def _first_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> CalibrationProblem:
-    """One for all markers, by the median of what the template leaves."""
+    """Initialise all deviations by the median residual of the template."""
     whole = eqx.tree_at(lambda p: p.bound, problem, jnp.asarray(UNBOUNDED))
     left = np.sum(np.asarray(_residuals(whole, y)) ** 2, 2)[np.asarray(problem.seen)]
     first = max(float(np.sqrt(np.median(left) / MEDIAN)), EXACT)

@@ -1,4 +1,4 @@
-"""A subject from frames: all poses, joint centres and marker places together (the global technique)."""
+"""Calibration of a subject: all poses, joint centres and marker positions together (the global technique)."""
 
 import logging
 from collections.abc import Sequence
@@ -27,35 +27,36 @@ from .soft_tissue import shift_variances
 
 _LOG = logging.getLogger(__name__)
 
-#: what a marker counts, of one, that no pose explains
+#: robust weight, of one, below which a marker in a frame is an outlier
 FAR = 0.05
-#: metres that a marker slides to be told
+#: sliding of a marker above which it is reported, metres
 SLIDING = 0.005
 
 
 class Calibration(NamedTuple):
-    """A calibrated subject, its motion through all frames, and how well it is known.
+    """A calibrated subject, its motion through all frames, and its precision.
 
-    Markers are in the subject's order; `s` are the shared unknowns of `jaxcap.markers.calibration.calibration_parameters`.
+    Markers are in the subject's order; `s` are the shared unknowns of
+    `jaxcap.markers.calibration.calibration_parameters`.
     """
 
     subject: Subject
     motion: Motion
-    #: metres, NaN where not seen
+    #: metres, NaN where not visible
     residuals: Float[np.ndarray, "F M"]
-    #: of `s`, metres squared, with what the template was trusted
+    #: covariance of `s`, metres squared, with the template's prior
     covariance: Float[np.ndarray, "S S"]
-    #: root mean square of how far each marker slides on its bone as joints turn, metres
+    #: root mean square sliding of each marker on its bone as joints rotate, metres
     slides: Float[np.ndarray, "M"]
-    #: directions in which centres are hardly known, or known by the template alone
+    #: directions in which centres are imprecise, or determined by the template alone
     hardly: tuple[Hardly, ...]
-    #: what the data do not tell, or hardly, in sentences
+    #: messages on what the data determine badly or not at all, in sentences
     told: tuple[str, ...]
-    #: robust cost after every step, in squared standard deviations; a rise marks new variances
+    #: robust cost after every step, in squared standard deviations; it rises when variances are updated
     history: tuple[float, ...]
-    #: the joints whose centres were solved for, in the order of `s`
+    #: the joints with solved centres, in the order of `s`
     joints: tuple[int, ...]
-    #: the frames that the subject was made of
+    #: indices of the frames that the subject was calibrated with
     frames: Float[np.ndarray, "C"]
     converged: bool
 
@@ -74,21 +75,21 @@ def calibrate(
     steps: int = 240,
     terms: OwnTerms = (),
 ) -> Calibration:
-    """The performer's skeleton and the places of the markers on it, from a template.
+    """Calibrate the performer's skeleton and the marker positions on it, starting from a template.
 
-    **Arguments:** `frames` with the template's labels in any order; `subject`, the template, whose
-    bones may be a tenth too long or short and whose markers centimetres off; `motion` of the template
-    through the frames, solved for where not given; `robust`: what is far off counts little; `skin`:
-    markers may slide on their bones as joints turn, where residuals show that they do;
-    `symmetry`, pairs of names of joints whose bones are equally long, kept exactly; `count` frames are
-    chosen, as different as can be, and all are solved in the end; `trust` in the template, which
-    decides what the frames do not tell; `steps` at most; `terms`, energies of your own, in units of a log-likelihood, which see
-    the subject's skeleton with its markers for vertices.
+    **Arguments:** `frames` with the template's labels in any order; `subject`, the template: its bones may
+    be a tenth too long or short, and its markers off by centimetres; `motion` of the template through the
+    frames, by default solved for; `robust`: outliers have low weights; `skin`: markers may slide on their
+    bones as joints rotate, where residuals show it; `symmetry`, pairs of joint names with bones of exactly
+    equal length; `count` frames are chosen, as different as possible, and at the end all frames are solved;
+    `trust` in the template, the prior of what the frames do not determine; `steps` at most; `terms`,
+    energies of your own, in units of a log-likelihood, which see the subject's skeleton with its markers as
+    vertices.
 
     **Raises:** `ValueError` where frames and template share no label, fewer than three markers are ever
-    seen, or a name in `symmetry` is not a joint's.
+    visible, or a name in `symmetry` is not a joint's.
     """
-    # threads of BLAS and those of XLA wait for each other, and matrices of frames are small
+    # threads of BLAS and of XLA wait for each other, and the matrices of frames are small
     with threadpool_limits(1, "blas"):
         return _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, terms)
 
@@ -111,7 +112,7 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
         places, seen = matched.places[chosen], jnp.asarray(explained[chosen])
         again = subject is template and not explained[used].all()
         _LOG.info("fitting %d frames together%s", len(chosen), ", roughly" if again else "")
-        # to find exchanged labels a rough fit will do
+        # a rough fit is enough to find swapped labels
         problem = make_calibration_problem(
             template, places, seen, joints, pairs, trust, robust=robust, terms=terms
         )
@@ -119,7 +120,7 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
         subject, poses = fit.problem.subject(fit.estimate), fit.estimate.poses
         if not again:
             break
-        # of whom the markers are is known better now, and so is which of them were exchanged
+        # the subject is known better now, and so are the swapped labels
         motion, usable, explained = _followed(_measured(fit), frames, used)
     _LOG.info("computing how well the subject is known")
     known = shared_covariance(fit.problem, fit.estimate)
@@ -146,7 +147,7 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
 
 
 def _on_skin(subject: Subject, variances: Float[np.ndarray, "M"]) -> list[str]:
-    """A sentence about the markers that slide furthest."""
+    """Describe the markers with the most skin sliding in a sentence."""
     far = 3.0 * np.sqrt(3.0 * variances)
     most = [marker for marker in np.argsort(-far)[:5] if far[marker] > SLIDING]
     if not most:
@@ -156,8 +157,10 @@ def _on_skin(subject: Subject, variances: Float[np.ndarray, "M"]) -> list[str]:
 
 
 def _followed(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"]):
-    """The subject's motion, the frames that it explains, and the markers there that count: of those that
-    are `FAR` off, exchanged by their labels most likely, nothing is to be learned."""
+    """Solve the subject's motion; return it with the explained frames and the mask of inlier markers.
+
+    Markers with a weight below `FAR`, most likely with swapped labels, are outliers.
+    """
     solved = solve_markers(subject, frames)
     return solved.motion, ~solved.lost, used & ((solved.weights >= FAR) | solved.lost[:, None])
 
@@ -167,7 +170,10 @@ def _slid(fit: Fit) -> Float[np.ndarray, "M"]:
 
 
 def _measured(fit: Fit) -> Subject:
-    """With the deviations of markers on skin, as nobody knows of other frames how it slides there."""
+    """Return the fitted subject, with the variance of skin sliding added to the markers' variances.
+
+    The sliding of skin in other frames is unknown.
+    """
     variances = _slid(fit)
     found = fit.problem.deviations
     deviations = jnp.sqrt(found**2 + jnp.asarray(variances, found.dtype))
@@ -175,7 +181,7 @@ def _measured(fit: Fit) -> Subject:
 
 
 def _pairs(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple[int, int], ...]:
-    """The pairs that end bones of which both ends are told apart by motion."""
+    """Keep the pairs of bones with both ends determined by motion."""
     skeleton = subject.skeleton
     for name in (name for pair in symmetry for name in pair):
         if name not in skeleton.names:
@@ -184,7 +190,7 @@ def _pairs(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple
             )
     pairs = [(skeleton.index(left), skeleton.index(right)) for left, right in symmetry]
     kept = bones_of(skeleton, np.array(pairs, int).reshape(-1, 2))
-    # nothing tells where along its line the centre of a joint lies that does not turn
+    # the centre of a joint that does not rotate is undetermined along its line
     stiff = np.isin(np.array(skeleton.kinds), ["fixed", "translate"])
     ends = np.array([stiff[j] or stiff[skeleton.parents[j]] for j in range(skeleton.num_joints)])
     return tuple((int(a), int(b)) for a, b in kept if not ends[a] and not ends[b])

@@ -1,8 +1,8 @@
-"""What all frames share: the joints' centres and the markers' places at rest, `s`, metres.
+"""Parameters `s` that all frames share: the joints' centres and the markers' rest positions, metres.
 
-`s` holds three numbers for each solved joint's centre, then three for each marker's rest place, as
-differences from a template. A joint is solved if it turns and markers sit on both sides of it; the
-centres of others go with their parents.
+`s` has three numbers for each solved joint's centre, then three for each marker's rest position, as
+differences from a template. A joint is solved if it rotates and has markers on both sides. The centres of
+the others move with their parents.
 """
 
 import equinox as eqx
@@ -16,19 +16,21 @@ from ..subject import Subject
 
 
 class Trust(eqx.Module):
-    """How far a template may be off, as standard deviations of a normal prior."""
+    """Uncertainty of a template, as standard deviations of a normal prior."""
 
     #: of each coordinate of a bone, as a share of its length
     lengths: float = eqx.field(static=True, default=0.1)
-    #: of each coordinate of a bone, metres besides
+    #: of each coordinate of a bone, an additional part in metres
     joints: float = eqx.field(static=True, default=0.01)
-    #: of each coordinate of a marker's place on its bone, metres
+    #: of each coordinate of a marker's position on its bone, metres
     placements: float = eqx.field(static=True, default=0.02)
 
 
 def solved_joints(subject: Subject, used: Bool[np.ndarray, "M"]) -> tuple[int, ...]:
-    """The joints whose centres markers may tell: those that turn, with used markers both below and
-    elsewhere."""
+    """List the joints with centres that markers can determine.
+
+    They rotate, and have used markers both below and elsewhere.
+    """
     skeleton = subject.skeleton
     below = (skeleton.descent[:, np.asarray(subject.bones)] & np.asarray(used)).sum(1)
     return tuple(
@@ -39,7 +41,8 @@ def solved_joints(subject: Subject, used: Bool[np.ndarray, "M"]) -> tuple[int, .
 
 
 def followers(skeleton: Skeleton, joints: tuple[int, ...]) -> Float[np.ndarray, "J K"]:
-    """Which solved joint each centre moves with: itself, or the nearest above; a root stays."""
+    """Map each centre to the solved joint that it moves with: itself, or the nearest ancestor; a root is
+    fixed."""
     rows = np.zeros((skeleton.num_joints, len(joints)))
     for joint, parent in enumerate(skeleton.parents):
         if joint in joints:
@@ -50,7 +53,7 @@ def followers(skeleton: Skeleton, joints: tuple[int, ...]) -> Float[np.ndarray, 
 
 
 def shift_subject(subject: Subject, joints: tuple[int, ...], shared: Float[Array, "S"]) -> Subject:
-    """The subject with its centres and rest places moved by `shared`."""
+    """Shift the subject's centres and rest positions by `shared`."""
     skeleton, count = subject.skeleton, 3 * len(joints)
     rows = jnp.asarray(followers(skeleton, joints), shared.dtype)
     centres = skeleton.centres + rows @ shared[:count].reshape(-1, 3)
@@ -59,7 +62,7 @@ def shift_subject(subject: Subject, joints: tuple[int, ...], shared: Float[Array
 
 
 def shared_between(template: Subject, subject: Subject, joints: tuple[int, ...]) -> Float[Array, "S"]:
-    """The `s` that leads from the template to the subject."""
+    """Compute the `s` that maps the template to the subject."""
     shifts = (subject.skeleton.centres - template.skeleton.centres)[np.array(joints, int)]
     return jnp.concatenate([shifts.ravel(), (subject.offsets - template.offsets).ravel()])
 
@@ -69,9 +72,11 @@ def prior_precision(
     joints: tuple[int, ...],
     trust: Trust = Trust(),
 ) -> Float[np.ndarray, "S S"]:
-    """The inverse covariance of `s`: every bone and every marker's place *on its bone* is about what
-    the template has, so that a longer bone takes all below it along. It decides what no motion tells,
-    and weighs nothing beside what one does."""
+    """Compute the inverse covariance of `s`.
+
+    The prior means are the template's bones and its marker positions *on their bones*, so that a longer bone
+    shifts all below it. The prior determines what no motion does, and is negligible where a motion does.
+    """
     skeleton = template.skeleton
     centres = np.asarray(skeleton.centres, float)
     rows = followers(skeleton, joints)
@@ -90,7 +95,7 @@ def prior_precision(
 def constraint_rows(
     subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
 ) -> tuple[Float[Array, "B S"], Float[Array, "B"]]:
-    """Compute rows over `s` and what they have to make up for: paired bones stay equally long."""
+    """Compute the rows over `s` that keep paired bones equally long, and their right sides."""
     differences, slopes = length_differences(subject.skeleton, np.array(pairs, int).reshape(-1, 2))
     by_centre = jnp.einsum("bja,jk->bka", slopes, followers(subject.skeleton, joints))
     rows = jnp.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))

@@ -1,4 +1,4 @@
-"""Which frames to calibrate with: as different as can be, and well seen."""
+"""Selection of calibration frames: as different as possible, with most markers visible."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,9 +15,11 @@ def choose_frames(
     usable: Bool[np.ndarray, "F"],
     count: int,
 ) -> np.ndarray:
-    """At most `count` frames in their order, each as far from those before as possible (Gonzalez
-    1985): the distance of two poses is the angle between their joints' rotations, squared and summed,
-    over joints that both frames show. Frames that show under half of what the others do come last.
+    """Choose at most `count` frames, in order, by farthest point sampling (Gonzalez 1985).
+
+    The distance of two poses is the sum of the squared differences between their joints' quaternions. A
+    joint without visible markers counts as at its mean. Frames with fewer than half of the median number of
+    visible markers come last.
 
     **Raises:** `ValueError` where no frame is usable.
     """
@@ -34,11 +36,11 @@ def choose_frames(
     if full.sum() >= count:
         frames = frames[full]
     features = _features(subject, poses, used, frames)
-    # the first is the most usual pose, so that the choice hangs on no order
+    # start with the most typical pose, so that the choice does not depend on the order
     middle = np.sum((features - np.median(features, 0)) ** 2, 1)
     chosen = [int(np.argmin(middle))]
     distance = np.sum((features - features[chosen[0]]) ** 2, 1)
-    # a pose that is far from all others is likelier wrong than rare
+    # a pose that is far from all others is more probably wrong than rare
     distance[middle > 30 * max(float(np.median(middle)), 1e-12)] = 0.0
     while len(chosen) < count:
         chosen.append(int(np.argmax(distance)))
@@ -47,8 +49,10 @@ def choose_frames(
 
 
 def _features(subject: Subject, poses: Pose, used, frames) -> Float[np.ndarray, "C N"]:
-    """Quaternions of the joints but the roots, on one hemisphere, where their bone's markers are seen;
-    else their means."""
+    """Compute quaternions of the joints except roots, on one hemisphere, minus their means.
+
+    They are zero where no marker below the joint is visible.
+    """
     skeleton = subject.skeleton
     inner = [j for j, parent in enumerate(skeleton.parents) if parent >= 0 and skeleton.kinds[j] != "fixed"]
     rotations = np.asarray(poses.rotations, float)[frames][:, inner]

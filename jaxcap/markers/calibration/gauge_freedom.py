@@ -1,8 +1,8 @@
-"""What may change at rest and no frame ever tells: each bone turned about its own joint.
+"""Gauge freedom of the rest pose: rotations of each bone about its own joint that no frame determines.
 
-If a bone's points, its markers and its children's centres, are turned at rest and its rotation in
-every frame is turned back, nothing is seen to change. The rest pose is thereby the template's choice,
-and covariances are told after these changes are taken out.
+If a bone's points, its markers and its children's centres, are rotated at rest, and its rotation in every
+frame is rotated back, the observations do not change. So the rest pose is the template's choice, and
+covariances are reported without these changes.
 """
 
 import numpy as np
@@ -12,11 +12,11 @@ from ..subject import Subject
 
 
 def gauge_directions(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "S G"]:
-    """The changes of `s` that no marker tells, whatever the motion.
+    """Compute the changes of `s` that no marker determines for any motion.
 
-    Bone j may turn by any `w_j` where joints are ball joints. A joint of another kind ties the turns
-    of its two bones: a revolute one to its axis, a universal one to the first axis above and the
-    second below, a fixed one to each other, as its axes stay where they are at rest.
+    Bone j may rotate by any `w_j` if all joints are ball joints. A joint of another kind couples the
+    rotations of its two bones: a revolute one to its axis, a universal one to the first axis above and the
+    second below, a fixed one to each other, as the axes are fixed at rest.
     """
     skeleton = subject.skeleton
     turns = _allowed(subject).reshape(-1, skeleton.num_joints, 3)
@@ -35,8 +35,10 @@ def gauge_directions(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndar
 
 
 def gauge_rows(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "G S"]:
-    """Rows that are zero of an `s` under which the markers of no bone have turned or moved on the
-    whole; where a bone has too few, its ends stand in for them."""
+    """Compute rows that vanish for an `s` without rotation or translation of any bone's markers on the whole.
+
+    Where a bone has too few markers, its ends replace them.
+    """
     gauge = gauge_directions(subject, joints)
     weights = np.append(np.full(3 * len(joints), 1e-3), np.ones(3 * subject.num_markers))
     return gauge.T * weights
@@ -47,7 +49,7 @@ def _along_axes(count: int) -> Float[np.ndarray, "3 N 3"]:
 
 
 def _allowed(subject: Subject) -> Float[np.ndarray, "N J3"]:
-    """A basis of the turns `w (J, 3)` that all joints' kinds allow."""
+    """Compute a basis of the rotations `w (J, 3)` that the kinds of all joints allow."""
     skeleton, count = subject.skeleton, subject.skeleton.num_joints
     axes = np.asarray(skeleton.axes, float)
     rows: list[np.ndarray] = []
@@ -77,9 +79,11 @@ def _allowed(subject: Subject) -> Float[np.ndarray, "N J3"]:
 def without_gauge(
     subject: Subject, joints: tuple[int, ...], covariance: Float[np.ndarray, "S S"]
 ) -> Float[np.ndarray, "S S"]:
-    """The covariance in the frame of the markers: changes that cannot be told are taken out, so that
-    the markers of every bone, by least squares, have not turned or moved (Baarda's S-transformation;
-    centres count little, being what is asked for)."""
+    """Remove the undetermined changes from a covariance of `s` (Baarda's S-transformation).
+
+    The result is in the frame of the markers: by least squares the markers of every bone do not rotate or
+    translate. Centres have small weights, as their covariance is the result.
+    """
     gauge, rows = gauge_directions(subject, joints), gauge_rows(subject, joints)
     kept = np.eye(len(covariance)) - gauge @ np.linalg.pinv(rows @ gauge, 1e-9) @ rows
     return kept @ covariance @ kept.T

@@ -1,4 +1,4 @@
-"""How well joint centres and marker places are known, and what the data do not tell, in words."""
+"""Precision of joint centres and marker positions, and a description of what the data do not determine."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,39 +16,42 @@ from .gauge_freedom import without_gauge
 from .problem import CalibrationEstimate, CalibrationProblem
 from .robust import BOUND
 
-#: a direction is hardly known with a larger standard deviation, metres
+#: a direction is imprecise with a larger standard deviation, metres
 HARDLY = 0.01
-#: and told by the template more than by the data where it rises by so much when the template is trusted
-#: with twice its deviations; that it could rise twofold, at most
+#: and determined by the template more than by the data where its deviation rises by this factor when the
+#: template's deviations are doubled; the factor is two at most
 UNTOLD = 1.4
-#: nothing is said of smaller deviations, metres
+#: smaller deviations are not reported, metres
 SMALL = 0.003
 
 
 class Known(NamedTuple):
-    """What is known of `s` (`jaxcap.markers.calibration.calibration_parameters`): covariances in metres squared."""
+    """Covariances of `s` (`jaxcap.markers.calibration.calibration_parameters`), metres squared."""
 
-    #: by the data and what the template was trusted
+    #: with the data and the template's prior
     covariance: Float[np.ndarray, "S S"]
-    #: where the template is trusted half as much
+    #: with the deviations of the template's prior doubled
     loose: Float[np.ndarray, "S S"]
 
 
 class Hardly(NamedTuple):
-    """A direction, at rest, along which a joint's centre is hardly known."""
+    """A direction, at rest, along which a joint's centre is imprecise."""
 
     joint: int
     direction: Float[np.ndarray, "3"]
     #: metres
     deviation: float
-    #: whether the data tell more of it than the template
+    #: true if the data determine it more than the template
     told: bool
 
 
 def shared_covariance(problem: CalibrationProblem, estimate: CalibrationEstimate) -> Known:
-    """Compute the covariance of `s` at a fitted subject: the inverse of the Schur complement of all poses with the template's
-    prior; bones that are kept equally long have no difference that could be wrong."""
-    # far markers count by this kernel whatever the fit was done with
+    """Compute the covariance of `s` at a fitted subject.
+
+    It is the inverse of the Schur complement of all poses, with the template's prior. Bones of equal length
+    have no variance in their difference.
+    """
+    # outliers are weighted by this kernel, also where the fit was not robust
     problem = eqx.tree_at(lambda p: p.bound, problem, jnp.asarray(BOUND, problem.bound.dtype))
     both, loose = (np.asarray(part, float) for part in in_double(_covariances, problem, estimate))
     if problem.pairs:
@@ -61,7 +64,7 @@ def shared_covariance(problem: CalibrationProblem, estimate: CalibrationEstimate
 def _covariances(
     problem: CalibrationProblem, estimate: CalibrationEstimate
 ) -> tuple[Float[Array, "S S"], Float[Array, "S S"]]:
-    """With the whole prior, and with a quarter of it."""
+    """Compute the covariance with the whole prior, and with a quarter of it."""
     size = len(problem.prior)
     arrow = problem.normal_equations(estimate)[2]
     taken = jnp.zeros_like(arrow.shared).at[:size, :size].set(0.75 * problem.prior)
@@ -72,7 +75,7 @@ def _covariances(
 
 
 def _given(covariance: Float[np.ndarray, "S S"], rows: Float[np.ndarray, "C S"]) -> Float[np.ndarray, "S S"]:
-    """The covariance where `rows` of what it is of are known exactly."""
+    """Condition a covariance on exact linear constraints."""
     across = covariance @ rows.T
     return covariance - across @ np.linalg.pinv(rows @ across) @ across.T
 
@@ -80,8 +83,11 @@ def _given(covariance: Float[np.ndarray, "S S"], rows: Float[np.ndarray, "C S"])
 def length_deviations(
     subject: Subject, joints: tuple[int, ...], covariance: Float[np.ndarray, "S S"]
 ) -> Float[np.ndarray, "J"]:
-    """The standard deviation of the length of the bone from each joint's parent to it, metres; NaN
-    where the joint's own centre is not solved or it hangs on a root, whose centre may be anywhere."""
+    """Compute the standard deviation of the length of the bone from each joint's parent to it, metres.
+
+    NaN where the joint's own centre is not solved, or where its parent is not, as at a root with an
+    arbitrary centre.
+    """
     skeleton = subject.skeleton
     rows, centres = followers(skeleton, joints), np.asarray(skeleton.centres, float)
     result = np.full(skeleton.num_joints, np.nan)
@@ -100,8 +106,11 @@ def length_deviations(
 def centre_covariances(
     subject: Subject, joints: tuple[int, ...], covariance: Float[np.ndarray, "S S"]
 ) -> Float[np.ndarray, "K 3 3"]:
-    """The covariance of each solved centre among the markers of the bone that it is the end of, or of
-    the nearest bone above with markers; metres squared, along the axes of the world at rest."""
+    """Compute the covariance of each solved centre relative to the markers of its parent's bone.
+
+    If that bone has no markers, the nearest ancestor with markers replaces it. Metres squared, along the
+    axes of the world at rest.
+    """
     free = without_gauge(subject, joints, covariance)
     skeleton, bones = subject.skeleton, np.asarray(subject.bones)
     weights = np.asarray(subject.weights) > 0
@@ -121,7 +130,7 @@ def centre_covariances(
 
 
 def hardly_known(subject: Subject, known: Known, joints: tuple[int, ...]) -> list[Hardly]:
-    """The directions in which centres have a deviation of `HARDLY` or more, or that the template tells."""
+    """List the directions of centres with a deviation of at least `HARDLY`, or determined by the template."""
     found = []
     covariances = (centre_covariances(subject, joints, each) for each in known)
     for joint, covariance, loose in zip(joints, *covariances, strict=True):
@@ -137,7 +146,7 @@ def hardly_known(subject: Subject, known: Known, joints: tuple[int, ...]) -> lis
 def describe_precision(
     subject: Subject, known: Known, poses: Pose, joints: tuple[int, ...], hardly: Sequence[Hardly]
 ) -> list[str]:
-    """A sentence for each direction that is hardly known: of joints' centres, and of the size of all."""
+    """Describe each imprecise direction in a sentence: of joints' centres, and of the overall size."""
     skeleton = subject.skeleton
     said = []
     silent = [
@@ -171,12 +180,13 @@ def describe_precision(
 
 
 def _in_words(subject: Subject, poses: Pose, joint: int, direction: np.ndarray) -> str:
-    """Along what a direction at rest lies: the axis that the joint turned about, its bone, or numbers."""
+    """Describe a direction at rest: the joint's axis of rotation, its bone, or numbers."""
     skeleton = subject.skeleton
     q = np.asarray(poses.rotations[:, joint], float)
     middle = np.linalg.eigh(q.T @ q)[1][:, -1]
     signed = q * np.where(q @ middle < 0, -1.0, 1.0)[:, None]
-    # vector parts of conj(middle) q: half the turns about the mean, in the bone's own frame at rest
+    # vector parts of conj(middle) q: half the rotation vectors from the mean, in the bone's own frame at
+    # rest
     w, v = middle[0], middle[1:]
     turns = w * signed[:, 1:] - signed[:, :1] * v - np.cross(v, signed[:, 1:])
     values, axes = np.linalg.eigh(turns.T @ turns / len(turns))
@@ -193,7 +203,7 @@ def _in_words(subject: Subject, poses: Pose, joint: int, direction: np.ndarray) 
 
 
 def _size_deviation(subject: Subject, joints: tuple[int, ...], covariance) -> float:
-    """The standard deviation of the sum of all solved bones' lengths, as a share of it."""
+    """Compute the relative standard deviation of the sum of all solved bones' lengths."""
     skeleton = subject.skeleton
     rows, centres = followers(skeleton, joints), np.asarray(skeleton.centres, float)
     inner = [joint for joint in joints if skeleton.parents[joint] in joints]

@@ -1,4 +1,4 @@
-"""All poses, joint centres and places of markers as one problem: a bundle adjustment with block-arrow equations."""
+"""Poses, joint centres and marker positions in one problem: bundle adjustment with block-arrow equations."""
 
 from typing import Any
 
@@ -25,15 +25,18 @@ from .residuals import linearise, marker_residuals
 from .robust import BOUND, UNBOUNDED, kernel
 from .rotation_prior import Turning, free_turning, turning_equations, turning_square
 
-#: information on every number of a pose, 1/radian^2 and 1/metre^2: what no marker shows stays
+#: information on every number of a pose, 1/radian² and 1/metre²: undetermined ones keep their values
 RIDGE = 1.0
-#: frames that are linearised at once
+#: number of frames that are linearised at once
 BATCH = 5
 
 
 class CalibrationEstimate(eqx.Module):
-    """All that is unknown: poses in F frames; `s` of `jaxcap.markers.calibration.calibration_parameters`, from the template, metres; and how far skin slides
-    with each feature of a frame, metres a radian."""
+    """All unknowns of a calibration.
+
+    They are the poses of F frames; `s` of `jaxcap.markers.calibration.calibration_parameters`, from the
+    template, metres; and the sliding of skin with each feature of a frame, metres a radian.
+    """
 
     poses: Pose
     shared: Float[Array, "S"]
@@ -41,17 +44,19 @@ class CalibrationEstimate(eqx.Module):
 
 
 class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
-    """Find the subject and the poses that make robust squared residuals of markers least, in standard deviations.
+    """Find the subject and the poses that minimise robust squared marker residuals, in standard deviations.
 
-    What all frames share is `s` of `jaxcap.markers.calibration.calibration_parameters`, then the slides. A marker's rest place enters its own residuals
-    only, so that its columns are 3 x 3 blocks.
+    All frames share `s` of `jaxcap.markers.calibration.calibration_parameters`, then the slides. A marker's
+    rest position is in its own residuals only, so that its columns are 3 x 3 blocks.
 
-    - `deviations (M,)` of markers, metres; beyond `bound` squared deviations a residual counts less.
-    - `turning` draws poses to means about axes which joints hardly turn about.
-    - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` that of all slides, metres a radian.
-    - `features (F, M, K)`, radians, by which skin slides.
-    - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers for vertices.
-    - `joints` are those whose centres are unknown; `pairs` those whose bones are equally long.
+    - `deviations (M,)` of markers, metres; residuals beyond `bound` squared deviations have lower weights.
+    - `turning` is the prior of rotations about axes that joints hardly rotate about.
+    - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` is the standard
+      deviation of all slides, metres a radian.
+    - `features (F, M, K)`, radians, that the skin slides with.
+    - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers
+      as vertices.
+    - `joints` are those with unknown centres; `pairs` those with bones of equal length.
     """
 
     template: Subject
@@ -68,7 +73,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     def subject(self, y: CalibrationEstimate) -> Subject:
-        """Make the subject of an estimate."""
+        """Build the subject of an estimate."""
         return shift_subject(self.template, self.joints, y.shared)
 
     def value(self, y):
@@ -100,8 +105,11 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return ConstrainedInfo(value, gradient, hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
     def nested(self, y):
-        """Take a step of each frame's pose by itself, where that lowers its energy: valleys are curved, and steps along them
-        so become longer (Jeong and others, Pushing the Envelope of Modern Methods for Bundle Adjustment, 2012)."""
+        """Take a step of each frame's pose by itself, where it lowers the energy.
+
+        Valleys are curved, and steps along them become longer this way (Jeong and others, Pushing the
+        Envelope of Modern Methods for Bundle Adjustment, 2012).
+        """
         of_frame = self._of_frame(y)
         matrices, sides = self.pose_equations(y)
         steps = BlockBanded(matrices[:, None]).factorise().solve(-sides)
@@ -117,7 +125,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return CalibrationEstimate(poses, y.shared, y.slides)
 
     def pose_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, "F D D"], Float[Array, "F D"]]:
-        """Compute `J^T J` and `J^T r` of each frame by its own pose, everything else given."""
+        """Compute `J^T J` and `J^T r` of each frame with respect to its own pose, all else fixed."""
 
         subject = self.subject(y)
 
@@ -137,7 +145,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return jax.lax.map(of_frame, self._frames(y), batch_size=BATCH)
 
     def normal_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, ""], Unknowns, BlockArrow]:
-        """Sum `|r|^2 / 2`, `J^T r` and `J^T J` a few frames at a time."""
+        """Sum `|r|^2 / 2`, `J^T r` and `J^T J` over batches of frames."""
         subject, markers, kinds = self.subject(y), self.template.num_markers, 1 + self.features.shape[2]
         skeleton = subject.skeleton
         dofs, centres = skeleton.num_dofs, 3 * len(self.joints)
@@ -210,7 +218,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return y.poses, self.places, self.seen, self.features
 
     def weigh(self, residual: Float[Array, "M 3"], there: Bool[Array, "M"]):
-        """Compute the root of what each marker counts, and half of the robust cost of all."""
+        """Compute the square root of each marker's weight, and half of the robust cost of all."""
         information = jnp.where(there, self.template.weights / self.deviations**2, 0.0)
         costs, slopes = kernel(jnp.sum(residual**2, 1) * information, self.bound)
         positive = information > 0
@@ -273,7 +281,7 @@ def make_calibration_problem(
     robust: bool = True,
     terms: OwnTerms = (),
 ) -> CalibrationProblem:
-    """Make a problem about a template, with its deviations, free turns and skin that does not slide."""
+    """Build a problem about a template, with its deviations, free rotations and skin that does not slide."""
     dtype = places.dtype
     return CalibrationProblem(
         template,
@@ -292,12 +300,12 @@ def make_calibration_problem(
 
 
 def slid(subject: Subject, slides: Float[Array, "K M 3"], phi: Float[Array, "M K"]) -> Subject:
-    """Shift the markers of a subject as the skin of one frame does."""
+    """Shift the markers of a subject by the skin sliding of one frame."""
     return shifted(subject, jnp.einsum("mk,kma->ma", phi, slides))
 
 
 def _scan_batches(add, none, frames):
-    """Scan over batches of frames as long as divides their number."""
+    """Scan over batches of frames with the largest size that divides their number."""
     count = jax.tree.leaves(frames)[0].shape[0]
     size = max(number for number in range(1, BATCH + 1) if count % number == 0)
     batches = jax.tree.map(lambda leaf: leaf.reshape(count // size, size, *leaf.shape[1:]), frames)

@@ -1,10 +1,10 @@
-"""How far markers are from where their bones have them, and how that changes with every unknown.
+"""Marker residuals, and their derivatives by all unknowns.
 
-A place `y` that was seen is carried back into its bone's rest frame, `l = T_b^-1 y`, and compared
-with the marker's rest place `o` there. Of the difference counts what the marker's model keeps: all
-of it; the distance from the bone and the place along it; the distance from the joint (the marker
-models of the global technique: markers on circles about their segment and on spheres about their
-joint, with radii that are found with all else).
+An observed position `y` is transformed to its bone's rest frame, `l = T_b^-1 y`, and compared with the
+marker's rest position `o` there. The marker's model selects the part of the difference that is the residual:
+all of it; the distance from the bone and the position along it; or the distance from the joint. These are
+the marker models of the global technique, with markers on circles about their segment and on spheres about
+their joint, and with unknown radii.
 """
 
 from typing import NamedTuple
@@ -21,14 +21,13 @@ from ..subject import Subject
 
 
 class Linearised(NamedTuple):
-    """Residuals of M markers in one frame, metres, with derivatives; numbers that a model does not
-    have are zero."""
+    """Residuals of M markers in one frame, metres, with derivatives. Numbers that a model lacks are zero."""
 
     residual: Float[Array, "M 3"]
     by_pose: Float[Array, "M 3 D"]
     #: by the K chosen joints' centres, joint by joint
     by_centres: Float[Array, "M 3 C"]
-    #: by the marker's own rest place
+    #: by the marker's own rest position
     by_offset: Float[Array, "M 3 3"]
 
 
@@ -42,7 +41,7 @@ class _Slopes(NamedTuple):
 
 
 def marker_residuals(subject: Subject, pose: Pose, places: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
-    """The residuals of the places of all markers in one frame, metres at rest."""
+    """Compute the residuals of all markers in one frame, metres at rest."""
     local = rest_places(subject, pose, forward_kinematics(subject.skeleton, pose), places)
     return _model(subject, local)[0]
 
@@ -50,7 +49,7 @@ def marker_residuals(subject: Subject, pose: Pose, places: Float[Array, "M 3"]) 
 def rest_places(
     subject: Subject, pose: Pose, transforms: Transforms, places: Float[Array, "M 3"]
 ) -> Float[Array, "M 3"]:
-    """Places of markers carried back into the rest frames of their bones."""
+    """Transform marker positions to the rest frames of their bones."""
     r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
     return jnp.einsum("mba,mb->ma", r, places - t) / pose.scale**2
 
@@ -58,13 +57,16 @@ def rest_places(
 def linearise(
     subject: Subject, pose: Pose, places: Float[Array, "M 3"], joints: tuple[int, ...] = ()
 ) -> Linearised:
-    """Residuals with their derivatives by the tangent of the pose, by the rest centres of `joints`
-    and by the markers' own rest places."""
+    """Compute residuals and their derivatives.
+
+    The derivatives are by the tangent of the pose, by the rest centres of `joints` and by the markers' own
+    rest positions.
+    """
     skeleton = subject.skeleton
     transforms = forward_kinematics(skeleton, pose)
     residual, slopes = _model(subject, rest_places(subject, pose, transforms, places))
     back = jnp.swapaxes(transforms.rotations[subject.bones], 1, 2) / pose.scale**2
-    # the bone moves and the seen place does not, so the place moves the other way in the bone's frame
+    # the bone moves and the observation is fixed, so it moves the opposite way in the bone's frame
     directions = -back if _rigid(subject) else -slopes.local @ back
     by_pose = _rows(subject, places, directions, pose_rates(skeleton, pose, transforms))
     slots = np.array([6 * joint + axis for joint in joints for axis in range(3)], int)
@@ -89,7 +91,7 @@ def _rigid(subject: Subject) -> bool:
 
 
 def _ends(skeleton) -> Array:
-    """(J,) the first child of every joint, the joint itself where it has none."""
+    """Find the first child of every joint (J,), the joint itself where it has none."""
     ends = np.arange(skeleton.num_joints)
     for joint in reversed(range(skeleton.num_joints)):
         if skeleton.parents[joint] >= 0:
@@ -98,7 +100,7 @@ def _ends(skeleton) -> Array:
 
 
 def _model(subject: Subject, local: Float[Array, "M 3"]) -> tuple[Float[Array, "M 3"], _Slopes]:
-    """The residual by each marker's model, and its slopes."""
+    """Compute the residual of each marker's model, and its derivatives."""
     offsets, dtype = subject.offsets, local.dtype
     one = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (len(offsets), 3, 3))
     none = jnp.zeros_like(one)
@@ -114,7 +116,7 @@ def _model(subject: Subject, local: Float[Array, "M 3"]) -> tuple[Float[Array, "
 
 
 def _sphere(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
-    """`|l - c| - |o - c|`."""
+    """Compute `|l - c| - |o - c|`."""
     centres = subject.skeleton.centres[subject.bones]
     radius, out = _polar(local - centres)
     own_radius, own_out = _polar(subject.offsets - centres)
@@ -127,18 +129,18 @@ def _sphere(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
 
 
 def _circle(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
-    """Along the bone's line `c + s u`, and the distance from it."""
+    """Compute the residual along the bone's line `c + s u`, and that of the distance from it."""
     skeleton, bones = subject.skeleton, subject.bones
     centres, ends = skeleton.centres[bones], _ends(skeleton)[bones]
     ahead = jnp.broadcast_to(jnp.array([1.0, 0.0, 0.0], local.dtype), local.shape)
     twist = rotation.rotate(skeleton.orientations[bones], ahead)
     length, line = _polar(skeleton.centres[ends] - centres)
-    # a bone without an end, or with its end at its start, lies along its joint's twist axis
+    # the direction of a bone without an end, or with zero length, is its joint's twist axis
     known = length > 1e-6
     line = jnp.where(known[:, None], line, twist)
     along, radius, out = _cylindrical(local - centres, line)
     own_along, own_radius, own_out = _cylindrical(subject.offsets - centres, line)
-    # both numbers by the line: (l - o) . du, and -along out . du + own_along own_out . du
+    # derivatives of both numbers by the line: (l - o) . du, and -along out . du + own_along own_out . du
     turned = jnp.stack([local - subject.offsets, own_along[:, None] * own_out - along[:, None] * out], 1)
     across = jnp.eye(3, dtype=local.dtype) - line[:, :, None] * line[:, None, :]
     by_end = turned @ across * jnp.where(known, 1.0 / jnp.where(known, length, 1.0), 0.0)[:, None, None]
@@ -156,7 +158,7 @@ def _cylindrical(x: Float[Array, "M 3"], line: Float[Array, "M 3"]):
 
 
 def _polar(x: Float[Array, "M 3"]) -> tuple[Float[Array, "M"], Float[Array, "M 3"]]:
-    """Length and direction; a vector of no length has no direction."""
+    """Compute length and direction; a zero vector has the direction zero."""
     squared = jnp.sum(x * x, 1)
     there = squared > 1e-16
     length = jnp.sqrt(jnp.where(there, squared, 1.0))

@@ -1,9 +1,9 @@
-"""How far joints turn: a normal distribution of each joint's rotation about its mean.
+"""A normal prior of each joint's rotation about its mean.
 
-Where a joint hardly turns about an axis, or not at all, noise alone makes its bone seem to turn, and
-every seeming turn would tell a little of where the centre is: wrongly, and the more frames the more
-firmly (Neyman and Scott 1948). Poses are therefore held at each joint's own mean about axes about
-which it turns by no more than noise makes of it, and not at all about those that it uses.
+If a joint hardly rotates about an axis, noise alone makes its bone seem to rotate. Each such rotation
+would be false evidence for the position of the centre, the stronger the more frames there are (Neyman and
+Scott 1948). So poses are pulled to each joint's mean about axes with rotations that noise explains, and are
+free about the others.
 """
 
 import equinox as eqx
@@ -17,18 +17,18 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 
-#: radians: no joint is held more firmly
+#: least noise deviation of a rotation, radians
 STIFFEST = 1e-3
-#: times the variance that noise gives a turn, from where on it stays free
+#: a rotation with more than this multiple of its noise variance is free
 MUCH = 2.0
-#: the variance left to turns about all other axes, in that of noise
+#: prior variance of rotations about all other axes, in units of the noise variance
 STIFF = 1e-3
-#: how many times what is usual a frame's own variance may be, to count
+#: a frame counts if its variance is at most this multiple of the median
 CLEAR = 3.0
 
 
 class Turning(eqx.Module):
-    """Mean rotations and inverse covariances of turns about them, of T ball joints."""
+    """Mean rotations of T ball joints, and inverse covariances of the rotations about them."""
 
     means: Float[Array, "T 4"]
     precision: Float[Array, "T 3 3"]
@@ -36,7 +36,7 @@ class Turning(eqx.Module):
 
 
 def free_turning(skeleton: Skeleton) -> Turning:
-    """Take any turn to be as good as any other."""
+    """Build a prior without information."""
     kinds = zip(skeleton.parents, skeleton.kinds, strict=True)
     joints = tuple(j for j, (parent, kind) in enumerate(kinds) if parent >= 0 and kind == "ball")
     dtype = skeleton.centres.dtype
@@ -50,16 +50,18 @@ def mean_turns(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
 
 
 def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"]) -> Turning:
-    """Estimate the distribution by poses that were found without one, with their covariances: what they vary less
-    what noise makes them vary. Axes about which a joint turns `MUCH` more than that stay free, as turns
-    are not normal and those of several joints go together."""
+    """Estimate the prior from poses that were solved without it, and from their covariances.
+
+    It compares the variance of the poses with that due to noise. Axes with more than `MUCH` times the noise
+    variance are free, as rotations are not normal and those of several joints are correlated.
+    """
     free = free_turning(skeleton)
     slots = dof_layout(skeleton).rotations[np.array(free.joints, int)]
     q = np.asarray(poses.rotations, float)[:, list(free.joints)]
     means = mean_rotations(q)
     turns = np.asarray(_turns(jnp.asarray(means), jnp.asarray(q)), float)
     each = np.asarray(covariances, float)[:, slots[:, :, None], slots[:, None, :]]
-    # frames that show a bone badly tell nothing of how far it turns
+    # frames with an uncertain bone are no evidence on its rotation
     doubt = np.trace(each, axis1=2, axis2=3)
     shown = (doubt <= CLEAR * np.median(doubt, 0)).astype(float)
     shown /= shown.sum(0)
@@ -67,7 +69,7 @@ def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D
     noise = np.einsum("fj,fjab->jab", shown, each) + STIFFEST**2 * np.eye(3)
     precision = np.zeros_like(second)
     for joint, (moved, known) in enumerate(zip(second, noise, strict=True)):
-        # measured in noise, so that directions are told apart by what they show
+        # in units of noise, so that the directions separate by their signal
         values, vectors = scipy.linalg.eigh(moved, known)
         precision[joint] = (vectors * np.where(values > MUCH, 0.0, 1.0 / STIFF)) @ vectors.T
     dtype = skeleton.centres.dtype
@@ -75,7 +77,7 @@ def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D
 
 
 def turning_square(turning: Turning, pose: Pose) -> Float[Array, ""]:
-    """Compute the square of a pose's turns about the means in standard deviations."""
+    """Compute the squared deviation of a pose's rotations from the means, in standard deviations."""
     turns = _turns(turning.means, pose.rotations[np.array(turning.joints, int)])
     return jnp.einsum("ja,jab,jb->", turns, turning.precision, turns)
 
@@ -83,7 +85,7 @@ def turning_square(turning: Turning, pose: Pose) -> Float[Array, ""]:
 def turning_equations(
     skeleton: Skeleton, turning: Turning, pose: Pose
 ) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
-    """Compute `J^T P J` and `J^T P t` of a pose's turns `t` about the means, by its tangent."""
+    """Compute `J^T P J` and `J^T P t` of a pose's rotations `t` about the means, by its tangent."""
     joints = np.array(turning.joints, int)
     slots = dof_layout(skeleton).rotations[joints]
     q = pose.rotations[joints]
@@ -92,7 +94,7 @@ def turning_equations(
         t = _turns(turning.means, rotation.multiply(q, rotation.exp(w)))
         return jnp.sum(t, 0), t
 
-    # each joint's turns are by its own numbers only
+    # each joint's rotation vector depends on its own numbers only
     slope, turns = jax.jacfwd(turned, has_aux=True)(jnp.zeros((len(joints), 3), q.dtype))
     slope = jnp.swapaxes(slope, 0, 1)
     pull = jnp.einsum("jab,jb->ja", turning.precision, turns)
@@ -103,11 +105,11 @@ def turning_equations(
 
 
 def mean_rotations(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:
-    """Find the quaternions nearest to all of each joint's, whatever their signs."""
+    """Find the quaternion that is nearest to all of each joint, whatever their signs."""
     return np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))[1][..., -1]
 
 
 def _turns(means: Float[Array, "T 4"], q: Float[Array, "*F T 4"]) -> Float[Array, "*F T 3"]:
-    """Rotation vectors from the means, in the bones' own frames."""
+    """Compute rotation vectors from the means, in the bones' own frames."""
     back = jnp.broadcast_to(rotation.conjugate(means), q.shape)
     return rotation.log(rotation.multiply(back, q))

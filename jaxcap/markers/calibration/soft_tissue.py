@@ -1,14 +1,14 @@
-"""Skin that slides on its bone as the joints beside it turn, which no rigid bone explains.
+"""Skin that slides on its bone as the adjacent joints rotate: a soft tissue model.
 
-Each marker's rest place shifts linearly with the turns of the joints at both ends of its bone, as
+Each marker's rest position shifts linearly with the rotations of the joints at both ends of its bone, as
 soft tissue mostly does (Camomilla, Cereatti, Cutti and others 2013; Bonci and others 2014):
 
     o_m(f) = o_m + sum_k phi_mk(f) d_mk
 
-with `phi` the turns about their means, along the few directions in which they vary most, radians.
-A shift that follows a joint looks much like a centre elsewhere. Left out, it is taken for one, all
-the more firmly the more frames there are; with `d` unknown, drawn to zero as far as the markers of
-all bones say that skin slides, what cannot be told apart counts as unknown.
+`phi` are the rotations about their means, along the few directions with the largest variance, radians. A
+shift that follows a joint is similar to a shift of the centre. Without this model it is mistaken for one,
+with more certainty the more frames there are. `d` is unknown with a prior at zero; the markers of all bones
+determine its deviation. So what the data cannot separate counts as unknown.
 """
 
 import numpy as np
@@ -18,20 +18,20 @@ from ...body.pose import Pose
 from ..subject import Subject
 from .rotation_prior import mean_turns
 
-#: directions of turns that count: more take for skin what the segments lack in joints
+#: number of directions: more would attribute to skin what the segments lack in joints
 DIRECTIONS = 2
-#: how many times what chance alone explains of the residuals, turns have to
+#: rotations have to explain this multiple of what chance explains of the residuals
 TELLING = 6.0
-#: metres a radian that skin slides, at least and at most: less is none
+#: lower and upper limit of skin sliding, metres a radian
 LEAST, MOST = 2e-4, 0.05
-#: metres that markers are from the middle of their bone, about
+#: approximate distance of markers from the centroid of their bone's markers, metres
 LEVER = 0.05
 
 
 def skin_shifts(
     features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
 ) -> Float[np.ndarray, "F M 3"]:
-    """Compute how far each marker is from its rest place, metres."""
+    """Compute the shift of each marker from its rest position, metres."""
     return np.einsum("fmk,kma->fma", features, slides)
 
 
@@ -43,7 +43,7 @@ def shift_variances(
 
 
 def sliding(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
-    """The features of every marker: turns of the joints at both ends of its bone, radians."""
+    """Compute the features of every marker: rotations of the joints at both ends of its bone, radians."""
     skeleton, bones = subject.skeleton, np.asarray(subject.bones)
     rotations = np.asarray(poses.rotations, float)
     angles = 2 * np.arccos(np.clip(np.abs(rotations[..., :1]), 0, 1))
@@ -67,8 +67,10 @@ def find_skin(
     residuals: Float[np.ndarray, "F M 3"],
     counted: Bool[np.ndarray, "F M"],
 ) -> float | None:
-    """Estimate the standard deviation of every number of `d`, metres a radian, where residuals follow the joints by more than
-    chance; else none."""
+    """Estimate the standard deviation of every number of `d`, metres a radian.
+
+    None where the residuals do not follow the joints by more than chance.
+    """
     explained = whole = chance = squares = 0.0
     for marker in range(residuals.shape[1]):
         some = counted[:, marker]
@@ -89,10 +91,10 @@ def find_skin(
 def slide_deviation(
     subject: Subject, features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
 ) -> float:
-    """Estimate the standard deviation of the slides by which the markers of a bone move among each other.
+    """Estimate the standard deviation of the slides that move the markers of a bone relative to each other.
 
-    By what is left of them the bone itself would seem to move, which only joints contradict: were they
-    counted, ever larger slides would take the place of poses.
+    The rest of the slides is a rigid motion of the bone, which only joints contradict. If it were included,
+    ever larger slides would replace poses.
     """
     bones, offsets = np.asarray(subject.bones), np.asarray(subject.offsets, float)
     squares = numbers = 0.0

@@ -1,4 +1,4 @@
-"""Calibration at given variances, with derivatives: one minimum of the problem that `calibrate` renews."""
+"""Calibration at fixed variances, with derivatives: one minimum of the problem that `calibrate` updates."""
 
 import equinox as eqx
 import optimistix as optx
@@ -14,7 +14,7 @@ from .problem import CalibrationEstimate, CalibrationProblem
 
 
 class CalibrationSolution(eqx.Module):
-    """The outcome of `solve_calibration`."""
+    """The result of `solve_calibration`."""
 
     subject: Subject
     poses: Pose
@@ -26,7 +26,7 @@ class CalibrationSolution(eqx.Module):
     num_steps: Int[Array, ""]
     #: `RESULTS.successful`, or why the solver stopped before it converged
     result: optx.RESULTS
-    #: whether the solver converged and hardly anything is left to gain, so that derivatives hold
+    #: true if the solver converged and hardly anything is left to gain, so that derivatives are valid
     trustworthy: Bool[Array, ""]
 
 
@@ -37,11 +37,12 @@ def solve_calibration(
     solver: AnySolver | None = None,
     max_steps: int = 100,
 ) -> CalibrationSolution:
-    """Find the subject and the poses that make a calibration's energy least, everything that `calibrate` renews being given.
+    """Find the subject and the poses that minimise a calibration's energy.
 
-    `jax.grad` and `jax.jvp` go through the solution by the implicit function theorem, to every array of the problem: places,
-    deviations, the prior, the template. What frames tell of a subject is a difference of large numbers, so that float64 is
-    needed for derivatives.
+    All that `calibrate` updates between fits is fixed. `jax.grad` and `jax.jvp` differentiate the solution
+    by the implicit function theorem, with respect to every array of the problem: positions, deviations, the
+    prior, the template. The information of frames about a subject is a difference of large numbers, so
+    derivatives need float64.
     """
     solver = LevenbergMarquardt(0.0, 1e-10, damping=1e-6, relative=True) if solver is None else solver
     found = implicit_minimum(problem, start, solver, max_steps)

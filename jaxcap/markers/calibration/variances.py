@@ -1,4 +1,4 @@
-"""The markers' standard deviations by what a fit leaves of them."""
+"""The markers' standard deviations from the residuals of a fit."""
 
 import equinox as eqx
 import jax
@@ -11,20 +11,20 @@ from .residuals import linearise
 from .robust import kernel
 from .rotation_prior import turning_equations
 
-#: below this no residual is believed, metres
+#: lower limit of deviations, metres
 EXACT = 2e-5
-#: numbers of a marker on which all others count
+#: weight of the variance of all markers in that of one, as a number of observed coordinates
 LEAN = 10.0
 
 
 @eqx.filter_jit
 def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Float[Array, "M"]:
-    """Estimate the standard deviation of every marker by its own residuals, metres, not below `EXACT`.
+    """Estimate the standard deviation of every marker from its own residuals, metres, not below `EXACT`.
 
-    Residuals are shorter than the noise, as poses give way to it: a marker's three numbers a frame
-    count less by its leverage on the frame's pose, and by three for its own place. Few numbers lean
-    on what all markers show; none is taken for better than a third or worse than ten times that, so
-    that no bone hangs on one marker alone.
+    Residuals are smaller than the noise, as poses adapt to it. So the degrees of freedom of a marker, three
+    a frame, are reduced by its leverage on the frame's pose, and by three for its own position. With few
+    observations the estimate is close to that of all markers. It is limited to between a third and ten times
+    that, so that no bone depends on one marker alone.
     """
     subject, dofs = problem.subject(y), problem.template.skeleton.num_dofs
     information = subject.weights / problem.deviations**2

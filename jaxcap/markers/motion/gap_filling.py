@@ -1,4 +1,4 @@
-"""What a solved motion shows: joint centres in every frame, and markers where cameras lost them."""
+"""Joint centres of a solved motion, and markers with their gaps filled."""
 
 import equinox as eqx
 import jax
@@ -20,8 +20,7 @@ from .label_matching import match_markers
 def joint_frames(
     skeleton: Skeleton, motion: Motion, lost: Bool[np.ndarray, "F"] | None = None
 ) -> MarkerFrames:
-    """The joints' centres in every frame, as points with the joints' names; frames that are `lost` show
-    none."""
+    """Compute the joint centres of every frame as markers with the joints' names; none in `lost` frames."""
     places = np.asarray(_centres(skeleton, motion.poses))
     seen = np.ones(places.shape[:2], bool)
     if lost is not None:
@@ -38,15 +37,15 @@ def fill_gaps(
     weights: Float[np.ndarray, "F M"] | None = None,
     lost: Bool[np.ndarray, "F"] | None = None,
 ) -> MarkerFrames:
-    """The subject's markers without gaps: where one is seen as it is seen, else as its bone carries it.
+    """Fill the gaps of the subject's markers with predictions from their bones; observed positions stay.
 
-    What a marker is off its place on the bone at both sides of a gap goes over linearly from the one to
-    the other, in the bone's frame, so that nothing jumps; before the first and after the last frame it
-    stays. A marker that is never seen is at its place on the bone.
+    The offset of a marker from its predicted position is interpolated linearly across a gap, in the frame of
+    the bone, so that nothing jumps. Before the first and after the last observation it is constant. A marker
+    that is never visible is at its predicted position.
 
-    **Arguments:** `motion` through the frames; `weights` that markers were given by the solve, in the
-    subject's order: what counted less than a half is out of its place and filled as a gap is; in `lost`
-    frames, and for markers with the subject's weight 0, nothing is filled.
+    **Arguments:** `motion` through the frames; `weights` of the markers from the solve, in the subject's
+    order: an observation with a weight below 0.5 is an outlier and replaced as in a gap; in `lost` frames,
+    and for markers with the subject's weight 0, nothing is filled.
     """
     matched = match_markers(subject, frames)
     places, seen = np.asarray(matched.places, float), np.asarray(matched.seen)
@@ -69,7 +68,7 @@ def fill_gaps(
 
 
 def expected_places(subject: Subject, motion: Motion) -> Float[Array, "F M 3"]:
-    """Where a motion has the subject's markers, metres; those on circles and spheres as if they were rigid."""
+    """Predict the marker positions of a motion, metres; circle and sphere markers as if rigid."""
     local = jnp.broadcast_to(subject.offsets, (len(motion), *subject.offsets.shape))
     return _carried(subject, motion.poses, local)
 

@@ -1,4 +1,4 @@
-"""Poses from nothing: each bone is turned onto its markers, from the root outwards."""
+"""Initial poses without a previous estimate: each bone is aligned to its markers, from the root outwards."""
 
 import equinox as eqx
 import jax
@@ -12,19 +12,21 @@ from ...geometry import rotation
 from ...geometry.procrustes import nearest_rotation
 from ..subject import Subject
 
-#: how much markers further down the tree say of a bone, by the number of joints between
+#: weights of a descendant bone's markers, by the number of joints between
 SHARES = (1.0, 0.3, 0.05)
-#: metres squared: how firmly a bone keeps the direction of the bone above
+#: weight of the prior that a bone keeps the parent's rotation, metres squared
 HOLD = 1e-3
 
 
 def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Array, "F M"]) -> Pose:
-    """A pose for every frame of its own, without any start: the root's bone goes onto its own and the
-    next bones' markers; then joint by joint outwards, with its centre where its parent has it, each
-    bone takes the rotation with the least distances to its markers (Wahba's problem), and where they
-    leave it open that of its parent.
+    """Estimate an initial pose of every frame independently.
 
-    In a frame with fewer than three markers about the root, the root is where it was before.
+    The bone of the root is aligned to its own markers and those of the next bones. Then, from joint to joint
+    outwards, each centre is where the parent carries it, and each bone takes the rotation with the least
+    squared distances to its markers (Wahba's problem). If these leave the rotation undetermined, it is
+    that of the parent.
+
+    In a frame with fewer than three markers about the root, the root keeps its previous pose.
     """
     skeleton, count = subject.skeleton, len(places)
     centres, offsets = np.asarray(skeleton.centres, float), np.asarray(subject.offsets, float)
@@ -51,7 +53,7 @@ def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Arra
         rotations[:, joint] = nearest_rotation(cross + HOLD * above)
         origins[:, joint] = origin
         if parent < 0:
-            # so far the origin is the place of the source's middle
+            # so far the origin is the position of the source's centroid
             middle = (share @ offsets) / np.maximum(share.sum(1), 1e-12)[:, None]
             shifts = np.einsum("fab,fb->fa", rotations[:, joint], centres[joint] - middle)
             origins[:, joint] += shifts
@@ -62,8 +64,10 @@ def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Arra
 
 
 def _root(share, weights, offsets, targets, centre):
-    """Weights, sources and targets about their own middles; where the root's own and the next
-    bones' markers are too few, all markers."""
+    """Centre sources and targets at their weighted means.
+
+    All markers are used where the root's own and the next bones' markers are fewer than three.
+    """
     few = (share > 0).sum(1) < 3
     share = np.where(few[:, None], weights, share)
     total = np.maximum(share.sum(1), 1e-12)[:, None]
@@ -72,7 +76,7 @@ def _root(share, weights, offsets, targets, centre):
 
 
 def _hold(known, rotations, origins) -> None:
-    """Frames that show too little take the nearest frame's before, or the first one's that does."""
+    """Replace unknown frames by the last known frame, or by the first known one at the start."""
     if not known.any():
         rotations[:], origins[:] = np.eye(3), 0.0
         return

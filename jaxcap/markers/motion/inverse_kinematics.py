@@ -23,27 +23,27 @@ from .solve_frame import Search, SolvedFrame, solve_frame
 
 _LOG = logging.getLogger(__name__)
 
-#: markers that a frame must show; fewer leave the whole body's place open
+#: least number of visible markers in a frame; with fewer the pose of the whole body is undetermined
 LEAST = 3
-#: a frame whose residuals are at their median so many deviations long is searched for anew
+#: a frame with a median residual above this many deviations is solved again from an initial guess
 DOUBT = 3.0
-#: frames solved one after the other in one call; sequences are padded to whole lengths
+#: number of frames solved in sequence in one call; sequences are padded to multiples of it
 CHUNK = 256
-#: of a frame from a start that is a guess
+#: search of a frame from an initial guess
 FAR = Search(iterations=40, tolerance=1e-4)
 
 
 class MarkerSolution(NamedTuple):
-    """A motion, and how well it explains what was seen. Markers are in the subject's order."""
+    """A motion and its residuals. Markers are in the subject's order."""
 
     motion: Motion
-    #: metres from where each marker was seen to where it should have been; NaN where it was not seen
+    #: distance between observed and predicted position of each marker, metres; NaN where not visible
     residuals: Float[np.ndarray, "F M"]
-    #: what each marker counted, 0 to 1: 0 where not seen, little where it was taken for a swapped one
+    #: robust weight of each marker, 0 to 1: 0 where not visible, small where it may be swapped
     weights: Float[np.ndarray, "F M"]
-    #: frames with too few markers, or that no pose explains; they keep the last pose
+    #: frames with too few markers or without a pose that fits; they keep the last pose
     lost: Bool[np.ndarray, "F"]
-    #: what the user should know, in sentences
+    #: messages to the user, in sentences
     told: tuple[str, ...]
 
 
@@ -55,15 +55,15 @@ def solve_markers(
     *,
     terms: OwnTerms = (),
 ) -> MarkerSolution:
-    """The pose of every frame, each started at the one before it.
+    """Solve the pose of every frame, starting from the pose of the previous frame.
 
-    **Arguments:** `frames` with the subject's labels in any order; markers with other labels are left
-    out, and missing ones are never seen. `search`: when the search in each frame ends. `terms` are energies of your own, in units of
-    a log-likelihood, which see the subject's skeleton with its markers for vertices.
+    **Arguments:** `frames` with the subject's labels in any order; markers with other labels are ignored,
+    and missing ones are never visible. `search`: the stopping criteria in each frame. `terms`: energies of
+    your own, in units of a log-likelihood, which see the subject's skeleton with its markers as vertices.
 
-    Joints that no marker tells stay as in the frame before. A frame that shows fewer than `LEAST`
-    markers keeps the last pose and is marked `lost`, as is one that no pose explains; the frames
-    after it are solved.
+    Joints that the markers do not determine stay as in the previous frame. A frame with fewer than `LEAST`
+    visible markers keeps the last pose and is marked `lost`, as is a frame without a pose that fits; the
+    frames after it are solved.
 
     **Raises:** `ValueError` where frames and subject share no label.
     """
@@ -84,14 +84,16 @@ def solve_markers(
 
 
 def _in_chunks(subject: Subject, places, seen, search: Search, energy) -> SolvedFrame:
-    """Chunks of frames, each started at a guess of its first one, on as many threads as there are
-    cores: while one is computed, Python is free for the next."""
+    """Solve chunks of frames in parallel threads, each from an initial guess of its first frame.
+
+    While one chunk is computed, Python is free for the next.
+    """
     count = len(places)
     size = CHUNK if count > CHUNK else max(8, 1 << (count - 1).bit_length())
     chunks = -(-count // size)
     extra = chunks * size - count
     places = jnp.pad(places, ((0, extra), (0, 0), (0, 0)), mode="edge").reshape(chunks, size, -1, 3)
-    # frames that only fill up show nothing, and cost next to nothing
+    # frames of the padding have no visible markers and cost next to nothing
     seen = jnp.pad(seen, ((0, extra), (0, 0))).reshape(chunks, size, -1)
     first = np.asarray(jnp.argmax(seen.sum(2) >= LEAST, 1))
     rows = np.arange(chunks)
@@ -118,7 +120,7 @@ def _solve_chunk(subject: Subject, start: Pose, places, seen, search: Search, en
 
 
 def _again(subject: Subject, places, used, enough, solved: SolvedFrame, energy) -> SolvedFrame:
-    """Frames in doubt from a guess of their own; the better of both is kept."""
+    """Solve doubtful frames again from an initial guess, and keep the better of both solutions."""
     doubtful = np.flatnonzero(enough & ~(np.asarray(solved.spread) < DOUBT))
     if not len(doubtful):
         return solved
@@ -150,7 +152,7 @@ def _lengths(subject: Subject, poses: Pose, places) -> Float[Array, "F M"]:
 
 
 def _unexplained(subject: Subject, used, solved: SolvedFrame) -> np.ndarray:
-    """Frames of which the median marker is a decimetre off: no pose of this subject."""
+    """Find frames with a median residual above a decimetre: no pose of this subject fits."""
     lengths = np.where(used, np.asarray(solved.residuals), np.nan)
     middle = np.zeros(len(used))
     some = used.any(1)

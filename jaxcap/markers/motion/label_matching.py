@@ -11,15 +11,17 @@ from ..subject import Subject
 
 
 class Matched(NamedTuple):
-    """Frames with the M markers of a subject; where one is not seen its place is zero."""
+    """Frames with the M markers of a subject. The position of a marker that is not visible is zero."""
 
     places: Float[Array, "F M 3"]
     seen: Bool[Array, "F M"]
 
 
 def match_markers(subject: Subject, frames: MarkerFrames) -> Matched:
-    """What frames show of the markers of a subject, by label; others are left out, and those that
-    the frames do not have are never seen. A place that is not finite is not seen.
+    """Match the markers of frames to those of a subject, by label.
+
+    Other markers are ignored, and markers that the frames do not have are never visible. A marker with a
+    position that is not finite is not visible.
 
     **Raises:** `ValueError` where no label is shared, or where there are no frames.
     """

@@ -1,4 +1,4 @@
-"""The pose of one frame: iteratively reweighted least squares with derivatives in closed form."""
+"""The pose of one frame by iteratively reweighted least squares with analytic derivatives."""
 
 from typing import NamedTuple
 
@@ -19,41 +19,45 @@ from ..calibration.residuals import linearise, marker_residuals
 from ..calibration.robust import kernel, spread
 from ..subject import Subject, marker_body
 
-#: information on a number of a pose below which no marker tells it: of a deviation of a metre at a metre from the joint
+#: information below which a pose coordinate is undetermined: that of a marker with a deviation of a metre, a
+#: metre from the joint
 UNTOLD = 1.0
-#: steps after which deviations are widened anew
+#: number of steps between two updates of the deviations' scale
 STEPS = 3
 
 
 class Search(eqx.Module):
-    """When the search for a pose ends."""
+    """Stopping criteria of the search for a pose."""
 
     iterations: int = eqx.field(static=True, default=12)
-    #: radians and metres: no number of the last step was larger
+    #: largest coordinate of the last step, radians and metres
     tolerance: float = eqx.field(static=True, default=1e-3)
 
 
 class SolvedFrame(NamedTuple):
-    """One frame's pose, and what it leaves of the M markers that were seen."""
+    """The pose of one frame, and the residuals of its M markers."""
 
     pose: Pose
-    #: metres; zero where not seen
+    #: metres; zero where not visible
     residuals: Float[Array, "M"]
-    #: 0 to 1, what each marker counts in the end; zero where not seen
+    #: robust weights at the solution, 0 to 1; zero where not visible
     weights: Float[Array, "M"]
-    #: standard deviations that residuals are long at their median, at least one
+    #: median residual in standard deviations, at least one
     spread: Float[Array, ""]
     iterations: Int[Array, ""]
 
 
 class FrameProblem(AbstractProblem[Pose]):
-    """Find the pose that makes the robust squared residuals of a frame's markers least, in deviations that are widened."""
+    """Find the pose that minimises the robust squared marker residuals of a frame.
+
+    The residuals are in standard deviations, scaled by their median.
+    """
 
     subject: Subject
     places: Float[Array, "M 3"]
-    #: inverse variances, zero where not seen
+    #: inverse variances, zero where not visible
     precision: Float[Array, "M"]
-    #: energies of a user's own, which see the markers for vertices
+    #: energies of a user's own, which see the markers as vertices
     terms: AbstractEnergy | None = None
 
     def value(self, y):
@@ -73,7 +77,7 @@ class FrameProblem(AbstractProblem[Pose]):
         if self.terms is not None:
             own = frame_equations(self.terms, marker_body(self.subject), y)
             value, side, matrix = value + own[0], side + own[1], matrix + own[2]
-        # numbers that nothing tells stay
+        # undetermined coordinates stay
         told = jnp.diagonal(matrix) > UNTOLD
         return ConstrainedInfo(value, jnp.where(told, side, 0.0), Dense(matrix).among(told))  # pyright: ignore[reportCallIssue]
 
@@ -92,11 +96,11 @@ def solve_frame(
     search: Search = Search(),
     terms: AbstractEnergy | None = None,
 ) -> SolvedFrame:
-    """Find the pose with the least robust distances to the markers that are seen, in standard deviations.
+    """Find the pose that minimises robust distances to the visible markers, in standard deviations.
 
-    Deviations are widened by the median of the residuals, so that a start from far off, or a subject
-    that fits badly, takes no marker for a swapped one. Numbers of the pose that no seen marker tells
-    stay as they are at the start. Never fails: without markers the start comes back.
+    The deviations are scaled by the median residual. So a distant start, or a subject that fits badly, does
+    not make a marker look swapped. Pose coordinates that no visible marker determines keep their start
+    values. Never fails: without visible markers the start is returned.
     """
     precision = jnp.where(seen, subject.weights / subject.deviations**2, 0.0)
     counted = precision > 0

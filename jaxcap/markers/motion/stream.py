@@ -18,26 +18,26 @@ from .initial_pose import guess_poses
 from .inverse_kinematics import DOUBT, FAR, LEAST
 from .solve_frame import Search, solve_frame
 
-#: iterations of a frame in time
+#: search of a frame in real time
 LIVE = Search(iterations=6)
 
 
 class Streamer(eqx.Module):
-    """A subject, and when the search in each frame ends."""
+    """A subject, and the stopping criteria of each frame."""
 
     subject: Subject
     search: Search = LIVE
-    #: of a user's own, which see the markers for vertices
+    #: energies of a user's own, which see the markers as vertices
     terms: AbstractEnergy | None = None
 
 
 class StreamState(NamedTuple):
-    """What one frame leaves for the next."""
+    """The state that one frame passes to the next."""
 
     pose: Pose
-    #: standard deviations that residuals are long at their median; infinite before any frame
+    #: median residual in standard deviations; infinite before the first frame
     spread: Float[Array, ""]
-    #: frames that were lost one after the other; a search from nothing follows
+    #: number of consecutive lost frames; zero after a solved frame
     lost: Int[Array, ""]
 
 
@@ -45,7 +45,7 @@ class StreamState(NamedTuple):
 def make_streamer(
     subject: Subject, search: Search = LIVE, terms: OwnTerms = ()
 ) -> tuple[Streamer, StreamState]:
-    """Make a streamer, already compiled, and the state before the first frame; `terms` as those of `solve_markers`."""
+    """Build a compiled streamer and the state before the first frame; `terms` as in `solve_markers`."""
     energy = own_terms("make_streamer", terms, marker_body(subject))
     streamer = Streamer(subject, search, energy)
     pose = rest_pose(subject.skeleton)
@@ -64,13 +64,14 @@ def stream_frame(
     places: Float[np.ndarray, "M 3"] | Float[Array, "M 3"],
     seen: Bool[np.ndarray, "M"] | Bool[Array, "M"] | None = None,
 ) -> tuple[StreamState, Pose]:
-    """The pose of the next frame; the state is for the frame after it.
+    """Solve the pose of the next frame, and return it after the state for the frame after it.
 
-    **Arguments:** `places (M, 3)` metres in the order of the subject's markers, NaN where not seen, or
-    where `seen` says so.
+    **Arguments:** `places (M, 3)` metres in the order of the subject's markers, NaN where not visible; `seen
+    (M,)`, if given, also masks markers.
 
-    A frame with fewer than `LEAST` markers leaves the pose as it was. The first frame, and one that the
-    last pose does not lead to, is searched for from a guess, which takes several times as long.
+    A frame with fewer than `LEAST` visible markers keeps the last pose. The first frame, and a frame that
+    the search from the last pose does not solve, is solved from an initial guess, which takes several times
+    as long.
     """
     subject = streamer.subject
     places = np.asarray(places)

@@ -7,39 +7,41 @@ from jaxtyping import Float
 
 from .centre_estimate import ROUNDS, robust_weights
 
-#: a joint is a hinge where what turns off the axis is less than this share of what turns about it, both
-#: in the root mean square
+#: a joint is a hinge if the rotation off the axis is below this share of that about it, both root mean
+#: square
 SHARE = 0.18
-#: and less than this, radians
+#: and below this, radians
 WOBBLE = np.radians(7.0)
-#: and the turn about it is more than this, root mean square, radians: less may be any joint's
+#: and the rotation about it is above this, root mean square, radians: less is possible at any joint
 LEAST_TURN = np.radians(8.0)
 
 
 class Hinge(NamedTuple):
-    """The line about which two segments turn."""
+    """The common axis of rotation of two segments."""
 
     #: unit axis in both frames
     in_parent: Float[np.ndarray, "3"]
     in_child: Float[np.ndarray, "3"]
-    #: root mean square angle between the axis as the two segments carry it, radians
+    #: root mean square angle between the axis in the two segments, radians
     wobble: float
-    #: root mean square turn about the axis from its mean, radians
+    #: root mean square rotation about the axis from its mean, radians
     turn: float
-    #: range of the turn about the axis, radians
+    #: range of the rotation about the axis, radians
     swept: float
-    #: the two least singular values of SCoRE's matrix, a frame; the least is zero, rank 5, of a hinge
+    #: the two least singular values of SCoRE's matrix per frame; the least is zero, rank 5, at a hinge
     singular: tuple[float, float]
 
     @property
     def is_hinge(self) -> bool:
-        """Whether all but a small share of the turning is about the axis."""
+        """True if all but a small share of the rotation is about the axis."""
         return bool(self.turn > LEAST_TURN and self.wobble < min(WOBBLE, SHARE * self.turn))
 
 
 def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hinge:
-    """The axis that both segments carry alike: the null direction of SCoRE's matrix, whose rank is 5
-    for a hinge, since the centre may lie anywhere along the axis (Ehrig 2007, section 2).
+    """Find the axis that is fixed in both segments.
+
+    It is the null direction of SCoRE's matrix. The rank of this matrix is 5 for a hinge, as the centre can
+    be anywhere along the axis (Ehrig 2007, section 2).
 
     **Arguments:** `rotations` of the child's frame in the parent's.
     """
@@ -53,7 +55,7 @@ def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hi
         last = parent
         parent, child = vectors[:3, 0], vectors[3:, 0]
         parent, child = (v / max(np.linalg.norm(v), 1e-300) for v in (parent, child))
-        # one sign for good: the largest number is positive
+        # fix the sign: the largest coordinate is positive
         sign = np.sign(parent[np.argmax(np.abs(parent))]) or 1.0
         parent, child = sign * parent, sign * child
         if np.abs(parent - last).max() < 1e-12:
@@ -61,7 +63,7 @@ def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hi
         if robust:
             weights = robust_weights(np.linalg.norm(rotations @ child - parent, axis=1))
     off = np.linalg.norm(rotations @ child - parent, axis=1)
-    # a part of the take in which it turns otherwise is no outlier; the worst 5 % of the frames may be
+    # a period with another axis is no outlier; the worst 5 % of the frames may be
     kept = np.sort(off)[: max(1, round(0.95 * len(off)))] if robust else off
     wobble = 2 * np.arcsin(np.clip(0.5 * np.sqrt(np.mean(kept**2)), 0, 1))
     angles = turn_angles(rotations, parent)
@@ -79,7 +81,7 @@ def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hi
 def turn_angles(
     rotations: Float[np.ndarray, "F 3 3"], axis: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "F"]:
-    """The turn about an axis of the parent from the first frame on, radians, unwrapped."""
+    """Compute the angle about an axis of the parent relative to the first frame, radians, unwrapped."""
     turned = rotations @ rotations[:1].swapaxes(-1, -2)
     skew = np.stack(
         [

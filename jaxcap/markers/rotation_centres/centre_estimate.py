@@ -1,4 +1,4 @@
-"""What methods that find centres share: the result, robust weights, and the weak prior."""
+"""Common parts of the centre estimators: result, robust weights, and weak prior."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
@@ -8,28 +8,32 @@ from jaxtyping import Float
 
 State = TypeVar("State", bound=tuple)
 
-#: rounds of reweighting
+#: maximal number of reweightings
 ROUNDS = 12
-#: relative to the information of the frames, the least that the prior may weigh: what exact data do
-#: not tell is at the prior's place, what they tell is not moved by more than the machine's rounding
+#: least weight of the prior relative to the information of the frames: it determines what exact data leave
+#: open, and moves the rest by no more than rounding errors
 LEAST = 1e-10
 
 
 class Centre(NamedTuple):
-    """A centre as one method finds it."""
+    """A centre of rotation as one method estimates it."""
 
     in_parent: Float[np.ndarray, "3"]
     #: None where the child's frame is not known
     in_child: Float[np.ndarray, "3"] | None
-    #: of `in_parent`, metres squared; holds the prior along what the data do not tell
+    #: covariance of `in_parent`, metres squared; that of the prior along undetermined directions
     covariance: Float[np.ndarray, "3 3"]
 
 
 def settle(
     step: Callable[[State], State], start: State, rounds: int, tolerance: float, least: int = 1
 ) -> State:
-    """Repeat a `step` of reweighted least squares until what is looked for, the first entry of the state, moves by less
-    than a tolerance: after `least` rounds or more, and `rounds` at most."""
+    """Iterate a `step` of reweighted least squares until the estimate, the first entry of the state,
+    converges.
+
+    It converges when it moves by less than `tolerance`, after more than `least` and at most `rounds`
+    iterations.
+    """
     state = start
     for turn in range(rounds):
         old, state = state, step(state)
@@ -39,12 +43,17 @@ def settle(
 
 
 def robust_weights(distances: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
-    """Weights by residual, Geman and McClure's at three times the median; one where all are exact."""
+    """Compute Geman-McClure weights of residuals with three times the median as scale.
+
+    The weights are one where all residuals are exact.
+    """
     scale = 3.0 * float(np.median(distances))
     return 1 / (1 + (distances / max(scale, 1e-9)) ** 2) ** 2
 
 
 def prior_weight(information: float, variance: float, share: float, spread: float) -> float:
-    """What the prior weighs in normal equations of F unit rows: frames count by their share that is
-    independent."""
+    """Compute the prior's weight in normal equations of unit rows.
+
+    The frames are weighted by the share of them that is independent.
+    """
     return max(variance / (max(share, 1e-12) * spread**2), LEAST * information)

@@ -11,7 +11,7 @@ from .precision import independent_share
 
 
 class _Fit(NamedTuple):
-    """Both places of a centre, and what the next round weighs frames and the prior by."""
+    """A centre in both frames, and the weights of frames and prior for the next iteration."""
 
     found: np.ndarray
     weights: np.ndarray
@@ -21,12 +21,13 @@ class _Fit(NamedTuple):
 
 
 def score_centre(relative: Relative, robust: bool = True) -> Centre:
-    """The centre that both segments carry alike: the least sum over frames of `|R c + t - p|^2` over
-    its places `p` in the parent and `c` in the child, exact without noise.
+    """Estimate the centre that is fixed in both segments.
 
-    Frames that fit badly count less where `robust`. A weak prior at `relative.middle` decides only
-    what the frames do not: along a hinge's axis, or when the joint hardly turns. Noise in the frames
-    turns them about the middles of their markers and so draws the centre to these; that is taken off.
+    It minimises the sum over frames of `|R c + t - p|^2` over its positions `p` in the parent and `c` in the
+    child, exact without noise. With `robust`, outlier frames have lower weights. A weak prior at
+    `relative.middle` determines only what the frames leave open: along a hinge's axis, or where the joint
+    hardly rotates. Noise in the frames rotates them about the centroids of their markers and biases the
+    centre towards these. This bias is removed.
 
     **Raises:** `ValueError` where the child's frame is not known.
     """
@@ -36,7 +37,7 @@ def score_centre(relative: Relative, robust: bool = True) -> Centre:
     count = len(r)
     middle_child = np.median(np.einsum("fba,fb->fa", r, relative.middle - t), axis=0)
     prior = np.concatenate([relative.middle, middle_child])
-    # work about the prior, so that rounding and the hold are small
+    # relative to the prior, so that rounding errors and the prior's pull are small
     aside = np.einsum("fab,b->fa", r, prior[3:]) + t - prior[:3]
 
     def step(fit: _Fit) -> _Fit:
@@ -60,8 +61,11 @@ def score_centre(relative: Relative, robust: bool = True) -> Centre:
 
 
 def _unbiased(found: np.ndarray, relative: Relative, weights: np.ndarray) -> np.ndarray:
-    """The centre without the pull of noise in the rotations. Of variance `n` about any axis it adds
-    `2 n` to `1 - R R^T`, R the mean rotation, as if the joint also turned about that segment's origin."""
+    """Remove the bias of the centre due to noise in the rotations.
+
+    Noise of variance `n` about any axis adds `2 n` to `1 - R R^T`, with R the mean rotation, as if the joint
+    also rotated about that segment's origin.
+    """
     r, t = relative.rotations, relative.translations
     assert r is not None and t is not None
     of_parent, of_child = (2 * noise for noise in relative.turn_noise)
@@ -71,11 +75,11 @@ def _unbiased(found: np.ndarray, relative: Relative, weights: np.ndarray) -> np.
     mean, origin = np.einsum("f,fab->ab", share, r), share @ t
     pull = of_parent * found[:3] + of_child * (found[:3] - origin)
     values, vectors = np.linalg.eigh(np.eye(3) - mean @ mean.T)
-    # where most of the turn is noise there is nothing to mend
+    # no correction where most of the rotation is noise
     left = values - of_parent - of_child
     gains = np.where(left > 0.5 * values, 1 / np.maximum(left, 1e-300), 0.0)
     shift = vectors @ (gains * (vectors.T @ pull))
-    # the child's place follows from the parent's: its rows of the normal equations
+    # the position in the child follows from that in the parent: its rows of the normal equations
     return np.concatenate([found[:3] + shift, found[3:] + mean.T @ shift])
 
 
@@ -87,7 +91,7 @@ def _normal(r: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def _widen(covariance: np.ndarray, r: np.ndarray, weights: np.ndarray, spread: float) -> np.ndarray:
-    """Along what no frame tells, as far as rounding goes, the prior's own spread."""
+    """Add the prior's variance along directions that no frame determines, up to rounding."""
     mean = np.einsum("f,fab->ab", weights / weights.sum(), r)
     values, vectors = np.linalg.eigh(np.eye(3) - mean @ mean.T)
     blind = vectors[:, values < 1e-8]

@@ -1,4 +1,4 @@
-"""Joints between two segments, by any of the methods, under one interface."""
+"""Joints between two segments, by any of the methods, with one interface."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -15,9 +15,10 @@ from .joint import Joint
 from .precision import arc_bound, principal, swept_arc
 from .sphere import sphere_centre
 
-#: `sphere` is the paper's, `score` Ehrig's symmetrical one, `gamage` the closed form of common spheres
+#: `sphere` is the paper's method, `score` Ehrig's symmetrical one, `gamage` the closed form for common
+#: spheres
 Method = Literal["sphere", "score", "gamage"]
-#: a centre is not this many times as far from between the nearest markers as those are from each other
+#: largest distance of a centre from the midpoint of the nearest markers, as a multiple of their distance
 FAR = 1.5
 METHODS: dict[str, Callable[[Relative], Centre]] = {
     "sphere": sphere_centre,
@@ -27,11 +28,10 @@ METHODS: dict[str, Callable[[Relative], Centre]] = {
 
 
 def find_joint(relative: Relative, parent: int, child: int, method: Method = "score") -> Joint:
-    """The joint between two segments: its centre by `method`, its axis where it is a hinge (SARA), the
-    residual and the precision.
+    """Estimate the joint between two segments: centre by `method`, hinge axis (SARA), residual and precision.
 
-    A child with fewer than three markers has no frame of its own: spheres then stand in for SCoRE, and
-    `in_child` is not known (NaN).
+    A child with fewer than three markers has no frame of its own. Then spheres replace SCoRE, and `in_child`
+    is not known (NaN).
 
     **Raises:** `ValueError` for a method that does not exist.
     """
@@ -69,9 +69,11 @@ def find_joint(relative: Relative, parent: int, child: int, method: Method = "sc
 
 
 def joint_residual(relative: Relative, in_parent: np.ndarray, in_child: np.ndarray | None) -> float:
-    """Root mean square distance between the centre as the two segments carry it, metres; for a child
-    without a frame that of its markers from their spheres, times root three, as it is one of three
-    coordinates. The worst 5 % of the frames, which may be swaps, are left out."""
+    """Compute the root mean square distance between the centre as the two segments carry it, metres.
+
+    For a child without a frame it is that of its markers from their spheres, times root three, as it is one
+    of three coordinates. The worst 5 % of the frames, which may be swaps, are left out.
+    """
     if in_child is not None and relative.rotations is not None and relative.translations is not None:
         carried = np.einsum("fab,b->fa", relative.rotations, in_child) + relative.translations
         squares = np.sum((carried - in_parent) ** 2, 1)
@@ -84,9 +86,11 @@ def joint_residual(relative: Relative, in_parent: np.ndarray, in_child: np.ndarr
 
 
 def _without_noise(centre: Centre, relative: Relative) -> Centre:
-    """What is known of a centre less the share that is only noise: frames that are known to half a
-    degree seem to turn by half a degree, about the markers' own middle, also where nothing turns. Where
-    little is left the centre goes to its prior."""
+    """Reduce the information on a centre by the share that is only noise.
+
+    Frames with a rotation noise of half a degree seem to rotate by half a degree about the centroid of their
+    markers, even at rest. If little information remains the centre moves to its prior.
+    """
     if relative.rotations is not None:
         mean = relative.rotations.mean(0)
         values, vectors = np.linalg.eigh(np.eye(3) - mean @ mean.T)
@@ -95,7 +99,7 @@ def _without_noise(centre: Centre, relative: Relative) -> Centre:
         spreads = [np.cov(relative.tracks[s, n].T) for n, s in enumerate(relative.tracked.T)]
         values, vectors = np.linalg.eigh(np.average(spreads, axis=0, weights=relative.weights))
         false = np.full(3, relative.track_noise)
-    # noise itself is known to a factor only: what is below three times it is not a turn
+    # the noise level is known to a factor only: below three times it nothing is a rotation
     shares = np.clip(1 - 3 * false / np.maximum(values, 1e-300), 0.0, 1.0)
     shares = np.where(false > 0, shares, 1.0)
     known = inverse_symmetric(centre.covariance + 1e-16 * np.eye(3))
@@ -107,7 +111,7 @@ def _without_noise(centre: Centre, relative: Relative) -> Centre:
         shift = np.zeros(3)
     in_parent = centre.in_parent + shift
     if relative.rotations is None and np.linalg.norm(in_parent - relative.middle) > FAR * relative.spread:
-        # spheres of single markers that are nearly flat have their centres anywhere: they tell nothing
+        # spheres of nearly flat tracks have arbitrary centres: no information
         return Centre(relative.middle, None, relative.spread**2 * np.eye(3))
     in_child = centre.in_child
     if in_child is not None and relative.rotations is not None and relative.translations is not None:
@@ -121,8 +125,10 @@ def _trimmed(squares: np.ndarray) -> float:
 
 
 def _along_axis(centre: Centre, relative: Relative, hinge: Hinge) -> Centre:
-    """The centre of a hinge at that point of its axis that is nearest to the prior's: the wobble of a
-    hinge is not to say where along its axis the joint is."""
+    """Move the centre of a hinge along its axis to the point that is nearest to the prior.
+
+    The wobble of a hinge is not evidence for the position along its axis.
+    """
     assert centre.in_child is not None and relative.rotations is not None
     along = float((relative.middle - centre.in_parent) @ hinge.in_parent)
     off = np.eye(3) - np.outer(hinge.in_parent, hinge.in_parent)

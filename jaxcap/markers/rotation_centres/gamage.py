@@ -12,7 +12,7 @@ from .precision import independent_share
 
 
 class _Fit(NamedTuple):
-    """A centre and its covariance, and what the next round weighs places and the prior by, and takes off as noise."""
+    """A centre and its covariance, with the weights and the noise variance for the next iteration."""
 
     found: np.ndarray
     covariance: np.ndarray
@@ -22,12 +22,12 @@ class _Fit(NamedTuple):
 
 
 def gamage_centre(relative: Relative, robust: bool = True, unbiased: bool = True) -> Centre:
-    """The common centre of the spheres on which the child's markers move in the parent's frame.
+    """Estimate the common centre of the spheres of the child's markers in the parent's frame.
 
-    The least sum over markers of the variance of `|v - c|^2` (Gamage and Lasenby 2002, eq. 5) is
-    linear in `c`, but biased towards the markers: noise of variance `s^2` adds `2 s^2` to the
-    matrix of each marker and `2 s^2` times its mean to the right side. Both are taken off again, with
-    `s` from the residual, until it settles (Halvorsen 2003). Needs the parent's frame only.
+    The sum over markers of the variance of `|v - c|^2` (Gamage and Lasenby 2002, eq. 5) has a minimum that
+    is linear in `c`, but biased towards the markers: noise of variance `s^2` adds `2 s^2` to the matrix of
+    each marker and `2 s^2` times its mean to the right side. Both are subtracted, with `s` from the
+    residual, until convergence (Halvorsen 2003). Only the parent's frame has to be known.
     """
     c, covariance = concentric(
         relative.tracks,
@@ -54,7 +54,7 @@ def concentric(
     robust: bool = True,
     unbiased: bool = True,
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """The common centre and its covariance, from trajectories of N markers."""
+    """Estimate the common centre and its covariance from trajectories of N markers."""
     v = np.where(tracked[..., None], tracks - middle, 0.0)
     squares = np.sum(v * v, -1)
 
@@ -69,7 +69,7 @@ def concentric(
             # half of Halvorsen's terms, as the whole equation is halved
             matrix = matrix - noise * weights.sum() * np.eye(3)
             side = side - noise * np.einsum("fn,na->a", weights, mean)
-        # with hardly any turn all the spread may be noise: the prior then decides
+        # with hardly any rotation all the variance may be noise: the prior then determines the centre
         lift = max(0.0, -np.linalg.eigvalsh(matrix)[0]) + LEAST * np.trace(matrix)
         c = solve_symmetric(matrix + (fit.held + lift) * np.eye(3), side)
         distances = np.linalg.norm(v - c, axis=-1)

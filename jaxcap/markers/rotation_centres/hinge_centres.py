@@ -1,29 +1,30 @@
-"""Where along its axis a hinge's centre is: abreast of the joints next to it on the limb."""
+"""The position of a hinge's centre along its axis: level with the neighbouring joints of the limb."""
 
 import numpy as np
 
 from .joint import Joint
 
-#: passes, as hinges may be next to each other
+#: number of passes, as hinges can be neighbours
 PASSES = 2
-#: a neighbour says no more than this of where a hinge is along its axis, metres: limbs are not quite flat
+#: least standard deviation of a neighbour's evidence on the position along the axis, metres: limbs are not
+#: quite flat
 APART = 0.02
 
 
 def settle_hinges(parents: tuple[int, ...], joints: tuple[Joint | None, ...]) -> tuple[Joint | None, ...]:
-    """Joints with the centres of hinges moved along their axes.
+    """Move the centres of hinges along their axes to the level of the neighbouring joints.
 
-    All of a limb's motion leaves open where along its axis a hinge is (Ehrig 2007); a knee's markers
-    may all be on one side of it. As the joint turns, the joint above it and the joints below keep their
-    distance along the axis, and a limb is about flat: the centre goes abreast of them, each weighted by
-    how well it is known along the axis itself.
+    The motion of a limb does not determine the position of a hinge along its axis (Ehrig 2007); a knee's
+    markers may all be on one side of it. As the joint rotates, the joints above and below keep their
+    distance along the axis, and a limb is about flat. So the centre moves to the weighted mean of their
+    positions along the axis. The weights are the inverse variances along it.
     """
     settled = list(joints)
     for _ in range(PASSES):
         for child, joint in enumerate(settled):
             if joint is None or joint.axis_in_parent is None or joint.axis_in_child is None:
                 continue
-            # places of the joints next to it along the axis, and variances
+            # positions of the neighbouring joints along the axis, and variances
             places, variances = [], []
             above = settled[joint.parent]
             if above is not None and np.isfinite(above.in_child).all():
@@ -47,5 +48,5 @@ def settle_hinges(parents: tuple[int, ...], joints: tuple[Joint | None, ...]) ->
 
 
 def _variance(joint: Joint) -> float:
-    """The variance of a joint whose directions are not in this frame: the greatest."""
+    """Take the greatest variance of a joint that has its directions in another frame."""
     return float(joint.precision[-1]) ** 2

@@ -1,45 +1,49 @@
-"""How well a centre is known: the paper's bound by the arc swept, and the covariance."""
+"""The precision of a centre: the paper's bound by the swept arc, and the covariance."""
 
 import numpy as np
 from jaxtyping import Float
 
-#: frames that arcs are measured on
+#: number of frames that arcs are measured on
 ARC_FRAMES = 150
-#: the share of a trajectory's extremes that is not trusted
+#: share of a trajectory's extremes that is ignored
 TAIL = 0.01
 
 
 def swept_arc(track: Float[np.ndarray, "F 3"], centre: Float[np.ndarray, "3"]) -> float:
-    """The largest angle between two places of a marker as seen from the centre, radians, but for the
-    1 % greatest."""
+    """Compute the largest angle between two marker positions as seen from the centre, radians.
+
+    The 1 % extremes are left out.
+    """
     track = track[np.unique(np.linspace(0, len(track) - 1, min(ARC_FRAMES, len(track))).astype(int))]
     away = track - centre
     lengths = np.linalg.norm(away, axis=1)
     away = away[lengths > 1e-9] / lengths[lengths > 1e-9, None]
     if len(away) < 2:
         return 0.0
-    # from the chord, which is exact at small angles where the cosine is not
+    # from the chord, which is accurate at small angles; the cosine is not
     chords = np.linalg.norm(away[:, None] - away[None], axis=-1)
     reach = np.sort(chords, axis=1)[:, -max(1, round(TAIL * len(away)))]
     return 2 * float(np.arcsin(np.clip(0.5 * np.quantile(reach, 1 - TAIL), 0, 1)))
 
 
 def arc_bound(distances: Float[np.ndarray, "F"], swept: float) -> float:
-    """The bound on the precision of a centre towards the marker's arc, metres (Silaghi et al. 1998).
+    """Compute the bound on a centre's precision towards the marker's arc, metres (Silaghi et al. 1998).
 
-    A centre moved by `e` towards the middle of an arc of the angle `swept` changes the distance of
-    the arc's ends and of its middle by `e cos(swept / 2)` and `e`, so distances that vary by half a
-    range `d` cannot tell centres apart that are nearer than `d / (1 - cos(swept / 2))`. The
-    paper's formula is lost; this is what its text says.
+    A centre that moves by `e` towards the middle of an arc of the angle `swept` changes its distance to the
+    ends of the arc by `e cos(swept / 2)`, and to the middle by `e`. So distances with half a range `d`
+    cannot separate centres that are closer than `d / (1 - cos(swept / 2))`. The paper's formula is lost;
+    this one follows its text.
     """
     half = 0.5 * float(np.diff(np.quantile(distances, [0.025, 0.975]))[0])
     return half / max(1 - np.cos(0.5 * min(swept, np.pi)), 1e-12)
 
 
 def independent_share(residuals: Float[np.ndarray, "F D"]) -> float:
-    """How many of the frames count as independent, as a share: skin slides alike in like poses, so
-    that frames that follow each other err alike. Initial positive sequence of the autocorrelation
-    (Geyer 1992)."""
+    """Estimate the share of independent frames from the autocorrelation of their residuals.
+
+    Skin slides alike in similar poses, so that consecutive frames have similar errors. Method: initial
+    positive sequence (Geyer 1992).
+    """
     count = len(residuals)
     centred = residuals - residuals.mean(0)
     power = float((centred**2).sum())
@@ -55,6 +59,6 @@ def independent_share(residuals: Float[np.ndarray, "F D"]) -> float:
 def principal(
     covariance: Float[np.ndarray, "3 3"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """Standard deviations, least first, and their directions, one a row."""
+    """Compute standard deviations, ascending, and their directions, one a row."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     return np.sqrt(np.maximum(values, 0.0)), vectors.T

@@ -1,4 +1,4 @@
-"""Spheres and circles on which single markers move, and the centre they have in common (the paper's way)."""
+"""Spheres and circles through the tracks of single markers, and their common centre (the paper's method)."""
 
 from typing import Literal, NamedTuple
 
@@ -11,31 +11,31 @@ from ..segments.relative_motion import Relative
 from .centre_estimate import ROUNDS, Centre, robust_weights, settle
 from .precision import independent_share
 
-#: boxes along each side of the least box around a trajectory, by whose points densities are taken
+#: number of grid cells along the longest side of a trajectory's bounding box, for densities
 BOXES = 6
-#: a trajectory is flat where it leaves its best plane by less than this share of how far it leaves a line
+#: a trajectory is flat if its third singular value is below this share of its second
 FLAT = 0.12
-#: no trajectory is trusted to be more exact than this, metres
+#: lower limit of a trajectory's residual deviation, metres
 EXACT = 1e-5
-#: where a fit ends, relative: as near to the minimum as rounding allows
+#: relative tolerance of a fit: as near to the minimum as rounding allows
 EXACTLY = 1e-15
 
 
 class Ball(NamedTuple):
-    """A sphere, or a circle with its plane's normal, laid on a trajectory."""
+    """A sphere, or a circle with the normal of its plane, fitted to a trajectory."""
 
     centre: Float[np.ndarray, "3"]
     radius: float
-    #: unit normal of a circle's plane; None of a sphere
+    #: unit normal of a circle's plane; None for a sphere
     normal: Float[np.ndarray, "3"] | None
-    #: root mean square of the distances from the surface, or from the circle, metres
+    #: root mean square distance from the surface, or from the circle, metres
     residual: float
-    #: what the trajectory tells of the centre, one over metres squared
+    #: information matrix of the centre, 1/m²
     information: Float[np.ndarray, "3 3"]
 
 
 class _Fit(NamedTuple):
-    """A sphere's centre and radius, and what the next round weighs places and the prior by."""
+    """A sphere's centre and radius, and the weights of positions and prior for the next iteration."""
 
     found: np.ndarray
     weights: np.ndarray
@@ -45,10 +45,12 @@ class _Fit(NamedTuple):
 
 
 def density_weights(track: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F"]:
-    """Weights inverse to how many places lie in a place's box of a grid over the trajectory's least
-    box, mean one: rare extreme poses count as much as the rest (Silaghi et al. 1998)."""
+    """Weight positions by the inverse density on a grid over the trajectory's bounding box.
+
+    The mean weight is one. So rare extreme poses count as much as frequent ones (Silaghi et al. 1998).
+    """
     low, size = track.min(0), np.ptp(track, axis=0)
-    # boxes are cubes, so that a flat trajectory is not cut along its noise
+    # cells are cubes, so that a flat trajectory is not divided along its noise
     edge = max(float(size.max()) / BOXES, 1e-12)
     cells = np.minimum(((track - low) / edge).astype(int), BOXES - 1)
     _, place, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
@@ -63,9 +65,12 @@ def fit_sphere(
     spread: float,
     robust: bool = True,
 ) -> Ball:
-    """The sphere with the least sum of `(|v - c| - r)^2`: geometric, so that it is not drawn to the data
-    as the algebraic fit is. Levenberg-Marquardt (MINPACK's) from `middle`, which with `spread` also is a weak
-    prior of the centre; places that fit badly and the prior are weighed anew until that settles."""
+    """Fit a sphere by minimising the sum of `(|v - c| - r)^2`.
+
+    The fit is geometric, so it lacks the bias of the algebraic fit. Levenberg-Marquardt (MINPACK) starts
+    from `middle`, which with `spread` is also a weak prior of the centre. The weights of outliers and of the
+    prior are updated until convergence.
+    """
 
     def offsets(x):
         return np.linalg.norm(track - x[:3], axis=1) - x[3]
@@ -106,13 +111,14 @@ def fit_sphere(
 def fit_circle(
     track: Float[np.ndarray, "F 3"], weights: Float[np.ndarray, "F"], spread: float, robust: bool = True
 ) -> Ball:
-    """The circle in the trajectory's best plane (least squares of the distances from the plane), fitted
-    geometrically. Its centre is a point of the axis; where along the axis the joint is, it does not tell.
+    """Fit a circle geometrically in the trajectory's best plane (least squares of the distances to it).
+
+    Its centre is a point of the axis. It does not determine the position of the joint along the axis.
     """
     mean = weights @ track / weights.sum()
     _, _, axes = np.linalg.svd((track - mean) * np.sqrt(weights)[:, None], full_matrices=False)
     flat = np.stack([(track - mean) @ axes[0], (track - mean) @ axes[1], np.zeros(len(track))], 1)
-    # an algebraic start: with short arcs the nearest centre may be on the wrong side
+    # an algebraic start: the local minimum of a short arc may be on the wrong side
     rows = np.concatenate([2 * flat[:, :2], np.ones((len(flat), 1))], 1)
     root = np.sqrt(weights)
     start = linear.least_squares(rows * root[:, None], np.sum(flat**2, 1) * root)
@@ -124,7 +130,7 @@ def fit_circle(
     out = (track - mean) @ axes[2]
     frame = axes.copy()
     information = ball.information.copy()
-    # nothing along the axis
+    # no information along the axis
     information[2], information[:, 2] = 0.0, 0.0
     residual = float(np.hypot(ball.residual, np.sqrt(weights @ out**2 / weights.sum())))
     centre = mean + ball.centre[0] * axes[0] + ball.centre[1] * axes[1]
@@ -137,7 +143,7 @@ def fit_ball(
     spread: float,
     robust: bool = True,
 ) -> Ball:
-    """A circle where the trajectory is flat, else a sphere; with inverse-density weights."""
+    """Fit a circle where the trajectory is flat, otherwise a sphere, with inverse-density weights."""
     weights = density_weights(track)
     values = np.linalg.svd(track - track.mean(0), compute_uv=False)
     flat = values[2] < FLAT * values[1] or values[2] < 1e-9
@@ -155,11 +161,11 @@ def combine(
     spread: float,
     by: Literal["information", "radius"] = "information",
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-    """One centre of several, and what is known of it, one over metres squared.
+    """Combine centre estimates by their information matrices (1/m²).
 
-    With `"radius"` the paper's: the mean weighted by each marker's weight over its radius. Its formula
-    is lost, and no one number can say that a short arc tells one direction only, so by default each
-    centre counts by its own information, times the marker's weight.
+    With `"radius"` it is the paper's mean, weighted by each marker's weight over its radius. Its formula is
+    lost, and a single weight cannot express that a short arc determines one direction only. So by default
+    each centre has its own information matrix, times the marker's weight.
     """
     if by == "radius":
         shares = weights / np.array([max(ball.radius, 1e-9) for ball in balls])
@@ -176,8 +182,10 @@ def combine(
 def sphere_centre(
     relative: Relative, robust: bool = True, by: Literal["information", "radius"] = "information"
 ) -> Centre:
-    """The paper's centre: spheres of the child's markers in the parent's frame, and, where the child's
-    frame is known, also of the parent's markers in the child's, all combined (Silaghi et al. 1998)."""
+    """Estimate the paper's centre from spheres of the child's markers in the parent's frame.
+
+    Where the child's frame is known, spheres of the parent's markers in it are added (Silaghi et al. 1998).
+    """
     centre, known = _one_side(relative, robust, by)
     if relative.rotations is None or relative.translations is None:
         return Centre(centre, None, linear.inverse_symmetric(known))

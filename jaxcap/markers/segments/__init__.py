@@ -1,1 +1,1 @@
-"""Sets of markers that move as one, and where they are in every frame."""
+"""Sets of markers that move rigidly together, and their frames over time."""

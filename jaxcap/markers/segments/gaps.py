@@ -1,8 +1,8 @@
-"""Where markers are not seen, and trajectories that go on under another name after each gap.
+"""Gaps in trajectories, and trajectories that continue under another label after each gap.
 
-A capture program that loses a marker and finds it again may take it for a new one. Such pieces never
-overlap, and the next begins where the last would have come to. Where that is, the markers around it
-tell: those whose distance to it hardly varied carry it rigidly through the gap (Kabsch 1976).
+A capture program that loses a marker and finds it again may treat it as a new marker. Such pieces never
+overlap, and the next one starts near the predicted position of the last one. The markers around it predict
+that position: those with a nearly constant distance to it carry it rigidly through the gap (Kabsch 1976).
 """
 
 from typing import NamedTuple
@@ -15,28 +15,28 @@ from ...arguments import checked
 from ...geometry.procrustes import rigid_fit
 from ...observe import MarkerFrames
 
-#: markers that carry another through a gap, and frames that are compared to choose them
+#: number of markers that carry another through a gap, and of frames compared to choose them
 CARRIERS, COMPARED = 6, 50
-#: what a marker can move away from where it was, metres a second, to be looked at as its own piece
+#: highest speed of a marker to be considered as another's continuation, metres a second
 FASTEST = 10.0
-#: metres that the place of a marker is uncertain by
+#: uncertainty of a marker position, metres
 NOISE = 0.002
-#: metres that all markers move at most, where nothing moves
+#: largest movement of any marker in a static take, metres
 STILL = 1e-6
 
 
 class Gaps(NamedTuple):
-    """Statistics of each marker; a gap is a run of frames in which it is not seen, at the ends as well."""
+    """Gap statistics of each marker. A gap is a run of frames without the marker, also at the ends."""
 
-    #: fraction of the frames
+    #: fraction of the frames with the marker visible
     seen: Float[np.ndarray, "M"]
     count: Int[np.ndarray, "M"]
-    #: frames of the longest
+    #: number of frames of the longest gap
     longest: Int[np.ndarray, "M"]
 
 
 def gap_statistics(frames: MarkerFrames) -> Gaps:
-    """Fraction seen, number of gaps and the longest gap of each marker."""
+    """Compute the visible fraction, the number of gaps and the longest gap of each marker."""
     seen = np.asarray(frames.seen)
     lengths = [[end - begin for begin, end in runs(~column)] for column in seen.T]
     return Gaps(
@@ -47,19 +47,19 @@ def gap_statistics(frames: MarkerFrames) -> Gaps:
 
 
 def runs(mask: Bool[np.ndarray, "F"]) -> list[tuple[int, int]]:
-    """Begin and end, one behind the last, of each run of true values."""
+    """Find the runs of true values as `(begin, end)`, the end exclusive."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def never_seen(frames: MarkerFrames) -> tuple[str, ...]:
-    """Labels of the markers that no frame shows."""
+    """List the labels of markers that are visible in no frame."""
     seen = np.any(np.asarray(frames.seen), axis=0)
     return tuple(label for i, label in enumerate(frames.labels) if not seen[i])
 
 
 def is_still(frames: MarkerFrames) -> bool:
-    """Whether all frames are equal: no marker moves by more than a micrometre."""
+    """Test if all frames are equal: no marker moves by more than a micrometre."""
     seen = np.asarray(frames.seen)[..., None]
     places = np.asarray(frames.places, float)
     spread = np.where(seen, places, -np.inf).max(0) - np.where(seen, places, np.inf).min(0)
@@ -67,8 +67,11 @@ def is_still(frames: MarkerFrames) -> bool:
 
 
 def describe_gaps(frames: MarkerFrames) -> tuple[str, ...]:
-    """What is wrong with markers as a whole, a sentence each: none seen, some never seen, all frames equal,
-    frames that show nothing, trajectories in pieces."""
+    """Describe the problems of a marker recording, one sentence each.
+
+    The problems are: no visible marker, markers that are never visible, equal frames, empty frames, and
+    fragmented trajectories.
+    """
     seen, told = np.asarray(frames.seen), []
     if not seen.any():
         return ("No marker is seen in any frame.",)
@@ -90,15 +93,15 @@ def describe_gaps(frames: MarkerFrames) -> tuple[str, ...]:
 def find_pieces(
     frames: MarkerFrames, within: float = 2.0, reach: float = 0.04
 ) -> tuple[tuple[int, ...], ...]:
-    """Chains of markers that look like one trajectory in pieces, each by rising frame.
+    """Find chains of markers that look like one fragmented trajectory, each in the order of time.
 
-    One marker follows another where it begins after the other's end, by at most `within` seconds and less
-    than `reach` metres from where the other would have come to. Each has at most one successor: those that
-    are nearest altogether (linear assignment).
+    A marker can follow another if it begins after the other's end, by at most `within` seconds, and less
+    than `reach` metres from the predicted position. Each has at most one successor. The matching minimises
+    the total cost (linear assignment).
     """
     seen, places = np.array(frames.seen), np.array(frames.places, float)
     chains: dict[int, tuple[int, ...]] = {i: (int(i),) for i in np.flatnonzero(seen.any(0)).tolist()}
-    # what is joined carries others through gaps that its pieces could not
+    # joined trajectories can carry others through gaps that their pieces could not
     while follows := _successors(
         places, seen, list(chains), within * frames.rate, FASTEST / frames.rate, reach
     ):
@@ -113,10 +116,13 @@ def find_pieces(
 
 @checked
 def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None = None) -> MarkerFrames:
-    """Markers with each chain of pieces as one, in the place of its first; without `chains` those of
-    `find_pieces`. It is called as the first of its pieces that has a name not beginning with a star.
+    """Join each chain of pieces to one marker at the index of its first piece.
 
-    **Raises:** `ValueError` where a marker is in two chains, or pieces of a chain are seen at once.
+    Without `chains` those of `find_pieces` are joined. The label is the first in the chain that does not
+    begin with a star.
+
+    **Raises:** `ValueError` where a marker is in two chains, or pieces of a chain are visible in the same
+    frame.
     """
     chains = find_pieces(frames) if chains is None else chains
     seen, places = np.array(frames.seen), np.array(frames.places)
@@ -143,11 +149,11 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
 
 
 def split_unlabelled(frames: MarkerFrames) -> MarkerFrames:
-    """Markers with each run of what is called `*32` as a piece of its own, `*32.1`, `*32.2`, ...
+    """Split each marker with a label such as `*32` at its gaps, into `*32.1`, `*32.2`, ...
 
-    Under a name with a star a capture program keeps what it has no label for, often several trajectories
-    one behind the other, so that such a name says nothing across a gap. `join_pieces` puts together what
-    belongs together.
+    A capture program keeps unlabelled trajectories under a name with a star, often several of them in
+    sequence. Such a name does not identify a marker across a gap. `join_pieces` joins the pieces that belong
+    together.
     """
     seen, places = np.asarray(frames.seen), np.asarray(frames.places)
     columns: list[tuple[str, int, np.ndarray]] = []
@@ -173,10 +179,10 @@ def _successors(
     speed: float,
     reach: float,
 ) -> dict[int, int]:
-    """Marker to the one that follows it; `within` in frames, `speed` in metres a frame."""
+    """Match markers to their successors; `within` in frames, `speed` in metres a frame."""
     there = np.asarray(markers)
     first, last = seen.argmax(0), len(seen) - 1 - seen[::-1].argmax(0)
-    # rows end, columns begin
+    # rows are ends, columns beginnings
     between = first[None, there] - last[there, None]
     cost = np.full(between.shape, np.inf)
     for row, column in np.argwhere((between > 0) & (between <= within)):
@@ -185,7 +191,7 @@ def _successors(
             continue
         miss = _miss(places, seen, end, begin, int(last[end]), int(first[begin]))
         if miss < reach:
-            # of two that fit as well, the one that comes sooner
+            # prefer the shorter gap where two fit equally well
             cost[row, column] = miss / reach + 0.5 * gap / within
     return {int(there[row]): int(there[column]) for row, column in _assign(cost).items()}
 
@@ -198,20 +204,27 @@ def _miss(
     last: int,
     first: int,
 ) -> float:
-    """How far `begin` appears from where `end` would be, and back, metres: the mean of both ways."""
+    """Compute the mean of the forward and backward prediction errors across a gap, metres.
+
+    Forward, `end` is predicted at the first frame of `begin`. Backward, `begin` is predicted at the last
+    frame of `end`.
+    """
     there = _carried(places, seen, end, last, first)
     back = _carried(places, seen, begin, first, last)
     ahead = _coasted(places, seen, end, last, first) if there is None else there
     behind = _coasted(places, seen, begin, first, last) if back is None else back
     misses = np.linalg.norm(ahead - places[first, begin]), np.linalg.norm(behind - places[last, end])
-    # without markers around both, the nearer of the two guesses has to do
+    # without surrounding markers on both sides, take the smaller error
     return float(np.mean(misses) if there is not None and back is not None else np.min(misses))
 
 
 def _carried(
     places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], marker: int, old: int, new: int
 ) -> Float[np.ndarray, "3"] | None:
-    """Where the markers around one at frame `old` carry it to at frame `new`; None where there are not three."""
+    """Predict a marker at frame `new` by the rigid motion of its neighbours since frame `old`.
+
+    None where fewer than three neighbours are visible in both.
+    """
     both = seen[old] & seen[new]
     both[marker] = False
     others = np.flatnonzero(both)
@@ -223,7 +236,7 @@ def _carried(
     away[~seen[shown][:, others]] = np.nan
     spread = np.sqrt(np.nanmean((away - away[shown == old]) ** 2, axis=0))
     near = np.linalg.norm(places[old, others] - places[old, marker], axis=1)
-    # short pieces show little variation anywhere, and then the nearest are the likeliest of its own bone
+    # short pieces show little variation; then the nearest markers are most probably on the same bone
     doubt = spread**2 + (0.02 * near) ** 2 + NOISE**2
     chosen = np.argsort(doubt)[:CARRIERS]
     weights = 1 / doubt[chosen] ** 2
@@ -235,7 +248,7 @@ def _carried(
 def _coasted(
     places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], marker: int, old: int, new: int
 ) -> Float[np.ndarray, "3"]:
-    """Where a marker comes to at the speed that it has at frame `old`, on the side that it is seen from."""
+    """Extrapolate a marker at constant velocity from frame `old` to frame `new`."""
     earlier = old - 1 if new > old else old + 1
     if not (0 <= earlier < len(seen) and seen[earlier, marker]):
         return places[old, marker]
@@ -243,7 +256,8 @@ def _coasted(
 
 
 def _assign(cost: Float[np.ndarray, "R R"]) -> dict[int, int]:
-    """Row to column with the most links, and of those the cheapest, among finite costs."""
+    """Match rows to columns with the most links, and among these the lowest cost; infinite costs are
+    excluded."""
     none = 1.0 + 2.0 * len(cost)
     rows, columns = linear_sum_assignment(np.where(np.isfinite(cost), cost, none))
     return {int(r): int(c) for r, c in zip(rows, columns, strict=True) if np.isfinite(cost[r, c])}

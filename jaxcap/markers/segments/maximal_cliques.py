@@ -1,20 +1,20 @@
-"""The cover of maximal rigid sets: the maximal cliques of a relation between markers."""
+"""Maximal rigid sets of markers: the maximal cliques of a relation between markers."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-#: more sets than this are not listed; a relation of markers that all but stand still can have 3^(M/3)
+#: largest number of sets that are enumerated; a relation of nearly static markers can have 3^(M/3)
 LIMIT = 4000
 
 
 def maximal_sets(
     related: Bool[np.ndarray, "M M"], deviations: Float[np.ndarray, "M M"], limit: int = LIMIT
 ) -> list[tuple[int, ...]]:
-    """All maximal sets of markers of which every two are related (Bron and Kerbosch 1973, with the
-    pivot of Tomita et al. 2006), the biggest first, of equal ones the one that deviates least.
+    """Enumerate the maximal cliques of related markers, the largest first, ties by least deviation.
 
-    Where there are more than `limit`, only those are listed that grow from a marker by the one that
-    deviates least from all inside.
+    Algorithm of Bron and Kerbosch (1973) with the pivot of Tomita et al. (2006). If there are more than
+    `limit`, only greedy cliques are returned: from each marker one that grows by the marker with the least
+    deviation from all its members.
     """
     around = [set(np.flatnonzero(row).tolist()) - {i} for i, row in enumerate(related)]
     found: list[tuple[int, ...]] = []

@@ -10,9 +10,10 @@ from ...observe import MarkerFrames
 
 @checked
 def unite_takes(takes: Sequence[MarkerFrames]) -> MarkerFrames:
-    """The frames of several takes one after the other. Equal labels are the same marker, and one that a
-    take does not have is not seen in it; labels stand in the order in which they first appear. The rate is
-    the first take's.
+    """Concatenate the frames of several takes, matching markers by label.
+
+    A marker that a take does not have is not visible in it. Labels are in the order of their first
+    appearance. The rate is that of the first take.
 
     **Raises:** `ValueError` where there are no takes, or one shares no label with those before it.
     """

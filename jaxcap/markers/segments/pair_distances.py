@@ -1,25 +1,25 @@
-"""How much the distances between markers change over the frames."""
+"""Variation of the distances between markers over the frames."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-#: frames that are looked at, evenly over the take
+#: number of frames that are used, evenly over the take
 FRAMES = 1200
-#: the share of frames at each end that the robust form leaves out: a marker that wears another's label
-#: in 1 % of the frames spoils 2 % of a pair's
+#: share of frames that the robust form trims at each end: a marker with a swapped label in 1 % of the frames
+#: corrupts 2 % of a pair's
 TAIL = 0.04
-#: a pair seen together in fewer frames than this tells nothing
+#: fewest frames with both markers visible
 FEWEST = 10
 
 
 def pair_deviations(
     places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], tail: float | int = TAIL
 ) -> Float[np.ndarray, "M M"]:
-    """The range of every pair's distance over the frames in which both are seen, metres.
+    """Compute the range of every pair's distance over the frames with both visible, metres.
 
-    With `tail` 0 the paper's measure, the longest less the shortest distance (Silaghi et al. 1998,
-    partitioning); else the range between two quantiles, which stands gaps and swapped labels. NaN for
-    pairs that are never seen together long enough.
+    With `tail` 0 this is the paper's measure, the longest minus the shortest distance (Silaghi et al. 1998,
+    partitioning). Otherwise it is the range between two quantiles, which is robust to gaps and swapped
+    labels. NaN for pairs with too few common frames.
     """
     chosen = np.unique(np.linspace(0, len(places) - 1, min(FRAMES, len(places))).round().astype(int))
     if tail == 0:
@@ -44,8 +44,7 @@ def pair_deviations(
 def median_distances(
     places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"]
 ) -> Float[np.ndarray, "M M"]:
-    """The median distance of every pair over the frames in which both are seen, metres; NaN where
-    there are none."""
+    """Compute the median distance of every pair over the frames with both visible, metres; NaN where none."""
     chosen = np.unique(np.linspace(0, len(places) - 1, min(FRAMES, len(places))).round().astype(int))
     places, seen = places[chosen], seen[chosen]
     count = places.shape[1]

@@ -1,4 +1,4 @@
-"""Which markers move as one: the partition into rigid segments, with nobody marking where they sit."""
+"""The partition of markers into rigid segments, without a known marker placement."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,27 +11,27 @@ from .maximal_cliques import maximal_sets
 from .pair_distances import TAIL, median_distances, pair_deviations
 from .segment import Segments, make_segments
 
-#: what a segment of 1, 2, 3 or more markers costs in the description, against the squared deviation of
-#: a marker in units of the usual one: a lone marker explains nothing, so it costs as much as a pair
+#: description cost of a segment of 1, 2, 3 or more markers, against a marker's squared deviation in units of
+#: the usual one: a lone marker explains nothing, so it costs as much as a pair
 COSTS = np.array([0.0, 2.5, 2.5, 3.0])
-#: thresholds that are tried
+#: number of thresholds that are tried
 TRIED = 24
-#: skin moves by at least this share of the body's size where its limbs move at all; limbs that are at
-#: rest, which most are when one joint is exercised, would have the moving one's markers all loose
+#: least deviation from skin movement, as a share of the body's size: when one joint is exercised most limbs
+#: are at rest, and a smaller unit would make all markers of the moving limb loose
 SKIN = 0.006
-#: and no body's markers deviate by this share of its size where they sit on the same limb
+#: largest deviation between markers on one limb, as a share of the body's size
 ADRIFT = 0.1
 
 
 class Partition(NamedTuple):
-    """Segments, and how they came about."""
+    """Segments, and how they were found."""
 
     segments: Segments
-    #: metres, of the relation "these two keep their distance"
+    #: threshold of the relation "these two keep their distance", metres
     threshold: float
-    #: (M, M) range of every pair's distance, metres; NaN for pairs never seen together
+    #: (M, M) range of every pair's distance, metres; NaN for pairs that are never visible together
     deviations: Float[np.ndarray, "M M"]
-    #: the cover: all maximal rigid sets, which overlap, the biggest first
+    #: the cover: all maximal rigid sets, which overlap, the largest first
     cover: tuple[tuple[int, ...], ...]
 
 
@@ -43,18 +43,19 @@ def find_partition(
     *,
     robust: bool = True,
 ) -> Partition:
-    """Rigid segments from pairwise distances over the frames (Silaghi et al. 1998, partitioning).
+    """Find rigid segments from pairwise distances over the frames (Silaghi et al. 1998, partitioning).
 
-    Two markers are related where their distance varies by less than the threshold; the maximal sets
-    of related markers cover the markers, and taken from the biggest on, each without what was taken
-    before, they partition them. Then single markers move, while every two of a segment stay related,
-    to where the segments describe the distances best: a marker by a joint is rigid to both sides, and
-    the biggest set would rob the other side of it.
+    Two markers are related if their distance varies by less than the threshold. The maximal sets of related
+    markers cover all markers. Taken from the largest on, each without the markers taken before, they are a
+    partition. Then single markers move to the segment that minimises the description length, as long as
+    every two markers of a segment are related. This is necessary as a marker near a joint is rigid to both
+    sides, and the largest set would take it from the other side.
 
-    **Arguments:** `threshold` metres; where not given, the one among those the data suggest whose
-    partition has the shortest description. `robust` ignores the outer 4 % of each pair's distances.
+    **Arguments:** `threshold` metres; by default the one with the shortest description among candidates from
+    the data. `robust` ignores the outer 4 % of each pair's distances at both ends.
 
-    **Raises:** `ValueError` where no two markers keep their distance, or none ever moves.
+    **Raises:** `ValueError` where no two markers keep their distance or are ever visible together, or where
+    the threshold is not above zero.
     """
     deviations = pair_deviations(places, seen, TAIL if robust else 0)
     known = np.where(np.isnan(deviations), np.inf, deviations)
@@ -93,8 +94,11 @@ def find_partition(
 
 
 def usual_deviation(known: Float[np.ndarray, "M M"], size: float) -> float:
-    """What markers of a segment usually deviate, metres: half as much again as the deviation from the
-    second most rigid partner is in four of five markers, and at the least a share of the body's size."""
+    """Estimate the usual deviation of markers within a segment, metres.
+
+    It is 1.5 times the 80 % quantile of the deviations from the second most rigid partner, and at least a
+    share of the body's size.
+    """
     near = np.sort(known, axis=1)[:, 1:3]
     second = np.where(np.isfinite(near[:, -1]), near[:, -1], near[:, 0])
     second = second[np.isfinite(second)]
@@ -102,8 +106,11 @@ def usual_deviation(known: Float[np.ndarray, "M M"], size: float) -> float:
 
 
 def attachment_weights(members, known: Float[np.ndarray, "M M"], unit: float) -> Float[np.ndarray, "M"]:
-    """How rigidly each marker sits, 0 to 1: one for the best, falling with the square of a marker's
-    mean deviation from the others of its segment against the usual one."""
+    """Compute the rigidity of each marker, 0 to 1.
+
+    It is 1 for the most rigid marker and falls with the square of a marker's mean deviation from the others
+    of its segment, in units of the usual one.
+    """
     weights = np.zeros(len(known))
     for some in members:
         inside = known[np.ix_(some, some)]
@@ -115,10 +122,11 @@ def attachment_weights(members, known: Float[np.ndarray, "M M"], unit: float) ->
 def correct(
     segments: Segments, labels: tuple[str, ...], corrections: Mapping[str, tuple[str, float]]
 ) -> Segments:
-    """Segments after a user's corrections, marker -> (segment, weight); weight 0, or the segment `-`,
-    makes a marker loose, and a segment that does not exist yet is made.
+    """Apply a user's corrections, marker -> (segment, weight), to segments.
 
-    **Raises:** `ValueError` for a marker that is not there or a weight outside 0 to 1.
+    Weight 0, or the segment `-`, makes a marker loose. A segment that does not exist yet is created.
+
+    **Raises:** `ValueError` for a marker that does not exist or a weight outside 0 to 1.
     """
     sets = {name: list(some) for name, some in zip(segments.names, segments.members, strict=True)}
     weights = segments.weights.copy()
@@ -153,7 +161,7 @@ def _biggest_first(cover: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
 def _settled(
     parts: list[tuple[int, ...]], known: np.ndarray, threshold: float, unit: float
 ) -> list[tuple[int, ...]]:
-    """Markers moved one by one to where the whole description is shortest, until none is."""
+    """Move markers one by one while this shortens the description."""
     count = len(known)
     sets = [list(part) for part in parts]
     for _ in range(4 * count):
@@ -193,5 +201,5 @@ def _length(parts: list[tuple[int, ...]], known: np.ndarray, unit: float) -> flo
 
 
 def _mean_squares(inside: np.ndarray) -> np.ndarray:
-    """The mean square deviation of each marker from the others."""
+    """Compute the mean square deviation of each marker from the others."""
     return (inside**2).sum(1) / max(len(inside) - 1, 1)

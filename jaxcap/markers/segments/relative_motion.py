@@ -1,4 +1,4 @@
-"""How one segment moves as seen from another: all that a joint between them is found from."""
+"""The motion of one segment relative to another: the input of all joint estimators."""
 
 from typing import NamedTuple
 
@@ -8,15 +8,15 @@ from jaxtyping import Bool, Float
 from .segment import Segments
 from .segment_frames import SegmentFrames
 
-#: frames that a joint is found from, evenly over those that are known
+#: number of frames that a joint is estimated from, evenly over the known ones
 FRAMES = 600
 
 
 class Relative(NamedTuple):
-    """Two segments over the F frames in which the parent is known (and, where `turns`, the child)."""
+    """Two segments over the F frames in which the parent is known, and also the child if `turns`."""
 
-    #: the child's frame in the parent's, `p = rotations c + translations`; None where no frame of the
-    #: child is known
+    #: the child's frame in the parent's, `p = rotations c + translations`; None where no frame of the child
+    #: is known
     rotations: Float[np.ndarray, "F 3 3"] | None
     translations: Float[np.ndarray, "F 3"] | None
     #: the child's markers in the parent's frame
@@ -26,22 +26,21 @@ class Relative(NamedTuple):
     #: the parent's markers in their own frame
     base: Float[np.ndarray, "B 3"]
     base_weights: Float[np.ndarray, "B"]
-    #: where the centre is thought to be before it is looked for: between the markers that are nearest,
-    #: and how far off that may be, metres
+    #: prior of the centre: its mean between the nearest markers, and its standard deviation, metres
     middle: Float[np.ndarray, "3"]
     spread: float
-    #: what noise alone moves: variance of the rotation of the parent's and of the child's frame about an
-    #: axis, radians squared, and of the tracks, metres squared a coordinate
+    #: effect of noise: variances of the rotation of the parent's and of the child's frame about an axis,
+    #: radians squared, and of the tracks, metres squared a coordinate
     turn_noise: tuple[float, float] = (0.0, 0.0)
     track_noise: float = 0.0
 
     @property
     def turns(self) -> bool:
-        """Whether both frames are known."""
+        """True if both frames are known."""
         return self.rotations is not None
 
     def flipped(self) -> "Relative":
-        """The same seen from the child. Needs both frames."""
+        """Exchange parent and child. Both frames have to be known."""
         assert self.rotations is not None and self.translations is not None
         back = self.rotations.swapaxes(-1, -2)
         shift = -np.einsum("fab,fb->fa", back, self.translations)
@@ -73,8 +72,10 @@ def relative(
     noise: tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]] | None = None,
     fewest: int = 10,
 ) -> Relative | None:
-    """The motion of `child` in `parent`; None where they are not seen together in `fewest` frames.
-    `noise` is that of `frames` (`SegmentFrames.noise`), so that it is not found anew for every pair."""
+    """Compute the motion of `child` relative to `parent`; None with fewer than `fewest` common frames.
+
+    `noise` is that of `frames` (`SegmentFrames.noise`); pass it to avoid its computation for every pair.
+    """
     own, turn = frames.noise(places, seen, segments) if noise is None else noise
     members, base = list(segments.members[child]), list(segments.members[parent])
     both = frames.known[:, parent] & frames.known[:, child]
@@ -115,7 +116,10 @@ def relative(
 
 
 def _between(tracks: np.ndarray, tracked: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, float]:
-    """The middle of all pairs across, the nearest ones counting most, and how far those are."""
+    """Average the midpoints of all pairs across, with most weight on the nearest pairs.
+
+    Return also the weighted mean distance of the pairs.
+    """
     usual = np.stack([np.median(tracks[s, n], axis=0) for n, s in enumerate(tracked.T)])
     gaps = np.stack(
         [

@@ -1,4 +1,4 @@
-"""Segments: the sets of markers that move as one."""
+"""Segments: sets of markers that move rigidly together."""
 
 from typing import NamedTuple
 
@@ -9,17 +9,17 @@ from ...arguments import checked
 
 
 class Segments(NamedTuple):
-    """A partition of M markers into K segments; a marker of no segment is loose."""
+    """A partition of M markers into K segments. A marker of no segment is loose."""
 
     #: marker indices of each segment
     members: tuple[tuple[int, ...], ...]
-    #: how well each marker is attached, above 0 to 1; zero where it is loose
+    #: weight of each marker's attachment, above 0 to 1; zero where it is loose
     weights: Float[np.ndarray, "M"]
     names: tuple[str, ...]
 
     @property
     def num_segments(self) -> int:
-        """K, the number of segments."""
+        """The number of segments, K."""
         return len(self.members)
 
     @property
@@ -32,16 +32,18 @@ class Segments(NamedTuple):
 
     @property
     def loose(self) -> Bool[np.ndarray, "M"]:
-        """Where a marker belongs to no segment."""
+        """Mask of markers that belong to no segment."""
         return self.of_marker < 0
 
 
 @checked
 def make_segments(members, num_markers: int, weights=None, names=None) -> Segments:
-    """Checked `Segments`; `weights (M,)` one and `names` `segment0`, `segment1`, ... where not given.
+    """Build `Segments` and check them.
 
-    **Raises:** `ValueError` with one sentence for an empty segment, a marker that does not exist or
-    stands in two segments, names that repeat, or a weight that is not in (0, 1].
+    By default `weights (M,)` are one and `names` are `segment0`, `segment1`, ...
+
+    **Raises:** `ValueError` with one sentence for an empty segment, a marker that does not exist or is in
+    two segments, names that repeat, or a weight that is not in (0, 1].
     """
     members = tuple(tuple(int(m) for m in some) for some in members)
     names = tuple(f"segment{k}" for k in range(len(members))) if names is None else tuple(names)

@@ -1,4 +1,4 @@
-"""Where each segment is in every frame, from the markers that are seen of it."""
+"""The frame of each segment over time, from its visible markers."""
 
 from typing import Literal, NamedTuple
 
@@ -9,11 +9,11 @@ from ...geometry.procrustes import nearest_rotation
 from ..rotation_centres.centre_estimate import robust_weights
 from .segment import Segments
 
-#: sweeps in which the shape of a segment settles
+#: maximal number of iterations for the shape of a segment
 SWEEPS = 8
-#: frames that a shape is taken from, evenly over the take
+#: number of frames that a shape is estimated from, evenly over the take
 SHAPE_FRAMES = 400
-#: a segment is a line where its second extent is less than this share of its first
+#: a segment is a line where its second singular value is below this share of its first
 LINE = 0.05
 
 
@@ -22,15 +22,15 @@ class SegmentFrames(NamedTuple):
 
     rotations: Float[np.ndarray, "F K 3 3"]
     origins: Float[np.ndarray, "F K 3"]
-    #: where three markers that span a plane were seen
+    #: true where three markers that span a plane were visible
     known: Bool[np.ndarray, "F K"]
-    #: place of each marker in its segment's frame, metres; zero where it has none
+    #: position of each marker in its segment's frame, metres; zero where it has none
     template: Float[np.ndarray, "M 3"]
 
     def residuals(
         self, places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], segments: Segments
     ) -> Float[np.ndarray, "F M"]:
-        """How far each marker is from where its segment carries it, metres; NaN where not known."""
+        """Compute the distance of each marker from its predicted position, metres; NaN where not known."""
         owner = segments.of_marker
         r, o = self.rotations[:, owner], self.origins[:, owner]
         away = np.linalg.norm(np.einsum("fmab,mb->fma", r, self.template) + o - places, axis=-1)
@@ -39,15 +39,18 @@ class SegmentFrames(NamedTuple):
     def noise(
         self, places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], segments: Segments
     ) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
-        """Of each segment, the variance of its markers about their places, metres squared a coordinate,
-        and that of its rotation about an axis that comes of it, radians squared."""
+        """Estimate the noise of each segment.
+
+        Return the variance of its markers about their positions, metres squared a coordinate, and the
+        resulting variance of its rotation about an axis, radians squared.
+        """
         off = self.residuals(places, seen, segments)
         own, turn = np.zeros(segments.num_segments), np.zeros(segments.num_segments)
         for k, members in enumerate(segments.members):
             if not self.known[:, k].any():
                 continue
-            # robust: half of the squares of a coordinate's normal error lie below 0.455 variances;
-            # the median of a length's square is 2.37, and six of 3N numbers went into the frame
+            # robust: the median of a normal coordinate's square is 0.455 variances, of a 3D length's square
+            # 2.37; six of 3N numbers are fitted by the frame
             square = float(np.nanmedian(off[:, list(members)] ** 2)) / 2.37
             own[k] = square * len(members) / max(len(members) - 2, 1)
             p = self.template[list(members)]
@@ -63,14 +66,14 @@ def fit_frames(
     segments: Segments,
     method: Literal["procrustes", "axes"] = "procrustes",
 ) -> SegmentFrames:
-    """The frames of all segments.
+    """Fit the frames of all segments.
 
-    A segment's own axes are the paper's: the origin at the weighted centre of mass, x towards the
-    marker with the greatest distance times weight, the xy plane through the marker with the greatest
-    distance from that axis times weight. With `"axes"` they are built anew in every frame in which
-    all markers are seen; with `"procrustes"` they are built once, in the mean shape, and the mean
-    shape is laid on all markers that are seen, at least three, weighted, and from four on robustly.
-    Segments with fewer than three markers, or on a line, are known in no frame.
+    The axes of a segment are the paper's. The origin is at the weighted centre of mass. The x axis points to
+    the marker with the largest distance times weight. The xy plane contains the marker with the largest
+    distance from that axis times weight. With `"axes"` they are computed in every frame with all markers
+    visible. With `"procrustes"` they are computed once, in the mean shape, which is then fitted to all
+    visible markers: at least three, weighted, and robustly from four on. Segments with fewer than three
+    markers, or with markers on a line, are known in no frame.
     """
     count, number = len(places), segments.num_segments
     rotations = np.tile(np.eye(3), (count, number, 1, 1))
@@ -99,7 +102,7 @@ def fit_frames(
 def shape_axes(
     shape: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N"]
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], tuple[int, int]]:
-    """The paper's axes as columns, the origin, and which two markers they are from."""
+    """Compute the paper's axes as columns, the origin, and the indices of the two defining markers."""
     origin = weights @ shape / weights.sum()
     away = shape - origin
     far = int(np.argmax(np.linalg.norm(away, axis=1) * weights))
@@ -111,8 +114,10 @@ def shape_axes(
 def mean_shape(
     x: Float[np.ndarray, "F N 3"], seen: Bool[np.ndarray, "F N"], weights: Float[np.ndarray, "N"]
 ) -> Float[np.ndarray, "N 3"] | None:
-    """The shape that N markers keep, by generalised Procrustes (Gower 1975) with what is seen; None
-    where fewer than three are seen together or they are on a line."""
+    """Estimate the mean shape of N markers by generalised Procrustes analysis (Gower 1975) with gaps.
+
+    None where fewer than three are visible together, or where they are on a line.
+    """
     if x.shape[1] < 3 or not (seen.sum(1) >= 3).any():
         return None
     some = np.unique(np.linspace(0, len(x) - 1, min(SHAPE_FRAMES, len(x))).round().astype(int))
@@ -120,7 +125,7 @@ def mean_shape(
         x, seen = x[some], seen[some]
     counts = np.asarray(seen.sum(1))
     full = np.flatnonzero(counts == counts.max())
-    # the start is the frame that is most like the others in its distances
+    # start from the frame with the most typical distances
     distances = np.linalg.norm(x[full][:, :, None] - x[full][:, None], axis=-1)
     both = seen[full][:, :, None] & seen[full][:, None]
     usual = np.nanmedian(np.where(both, distances, np.nan), axis=0, keepdims=True) if both.all() else None
@@ -137,7 +142,7 @@ def mean_shape(
         have = np.asarray(s.any(0))
         new = shape.copy()
         for n in np.flatnonzero(have):
-            # robust by distance, not by coordinate, which would depend on how the world is turned
+            # weights by distance, as weights by coordinate would depend on the world's orientation
             mine = back[s[:, n], n]
             about = shape[n] if had[n] else mine.mean(0)
             for _ in range(3):
@@ -148,7 +153,7 @@ def mean_shape(
         if had.all() and moved < 1e-9:
             break
     if not have.all():
-        # a marker never seen with three others has no place in the shape
+        # a marker that is never visible with three others has no position in the shape
         return None
     return shape if spans(shape[None], np.ones((1, len(shape)), bool))[0] else None
 
@@ -160,7 +165,8 @@ def lay(
     weights: Float[np.ndarray, "N"],
     rounds: int = 4,
 ) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"], Bool[np.ndarray, "F"]]:
-    """The rigid motions that lay a shape on what is seen of it, and where that is known."""
+    """Fit a shape to its visible markers in every frame; return rotations, origins and a mask of known
+    frames."""
     w = weights * seen
     known = (seen.sum(1) >= 3) & spans(np.broadcast_to(shape, x.shape), seen)
     r, o = _procrustes(shape, x, w)
@@ -176,7 +182,7 @@ def lay(
 
 
 def spans(shape: Float[np.ndarray, "F N 3"], seen: Bool[np.ndarray, "F N"]) -> Bool[np.ndarray, "F"]:
-    """Where the markers seen span a plane at least."""
+    """Test in each frame if the visible markers span a plane."""
     patterns, place = np.unique(seen, axis=0, return_inverse=True)
     extents = np.zeros(len(patterns), bool)
     for i, pattern in enumerate(patterns):
@@ -193,9 +199,11 @@ def pair_frames(
     base: Float[np.ndarray, "F 3"],
     seen: Bool[np.ndarray, "F"],
 ) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"], Bool[np.ndarray, "F"]]:
-    """Frames of a segment of two markers that hangs on another by a hinge (Silaghi et al. 1998): x from
-    the first marker to the second, the xy plane through a marker of the base segment, which stays in
-    that plane as the hinge turns. Not known where the three are on a line."""
+    """Compute frames of a segment of two markers that a hinge joins to another (Silaghi et al. 1998).
+
+    The x axis goes from the first marker to the second. The xy plane contains a marker of the base segment,
+    which stays in that plane as the hinge rotates. Not known where the three are on a line.
+    """
     along, aside = second - first, base - first
     high = np.linalg.norm(np.cross(along, aside), axis=-1)
     flat = high > LINE * np.linalg.norm(along, axis=-1) * np.linalg.norm(aside, axis=-1)
@@ -203,7 +211,10 @@ def pair_frames(
 
 
 def _axes(along: np.ndarray, aside: np.ndarray) -> np.ndarray:
-    """(F, 3, 3) x along the first direction, the xy plane through the second; columns are axes."""
+    """Build rotations (F, 3, 3) with x along the first direction and the xy plane through the second.
+
+    The columns are the axes.
+    """
     x = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-300)
     z = np.cross(x, aside)
     z = z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-300)

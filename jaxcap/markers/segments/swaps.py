@@ -1,4 +1,4 @@
-"""Markers that wear each other's labels for some frames: found, put right and told."""
+"""Detection and correction of swapped marker labels."""
 
 from typing import NamedTuple
 
@@ -8,24 +8,24 @@ from jaxtyping import Bool, Float
 from .gaps import runs
 from .pair_distances import median_distances, pair_deviations
 
-#: partners that vouch for a marker: those that keep their distance from it best
+#: number of partners that check a marker: those with the most constant distance from it
 PARTNERS = 6
-#: a distance is wrong by more than this many of its usual ranges, and than this, metres
+#: a distance is wrong if it is off by more than this multiple of its usual range, and than this, metres
 RANGES, LEAST = 3.0, 0.015
-#: an exchange has to leave less than this share of what was wrong
+#: a swap has to reduce the error to less than this share
 MENDED = 0.4
-#: two that jump onto each other are an exchange where they jump back within this many frames
+#: two markers that jump onto each other are swapped if they jump back within this many frames
 LONGEST = 100
-#: and where they jump by this many times their usual step
+#: and if their jump is this multiple of their usual step
 STEPS = 8.0
 
 
 class Mended(NamedTuple):
-    """Markers with exchanges undone."""
+    """Markers with swaps undone."""
 
     places: Float[np.ndarray, "F M 3"]
     seen: Bool[np.ndarray, "F M"]
-    #: (frame, marker, marker) of each exchange undone
+    #: (frame, marker, marker) of each swap undone
     exchanges: tuple[tuple[int, int, int], ...]
     told: tuple[str, ...]
 
@@ -33,13 +33,12 @@ class Mended(NamedTuple):
 def mend_swaps(
     places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], labels: tuple[str, ...]
 ) -> Mended:
-    """Undo exchanges of two labels, frame by frame.
+    """Undo swaps of two labels, frame by frame.
 
-    A marker is out of place in a frame where its distances from the markers that it usually keeps its
-    distance from are wrong; if two are, and each is right in the other's place, they were exchanged.
-    Two markers whose distances do not tell, as in a pair, are found by their jumps onto each other
-    and back. Nothing is undone where an exchange lasts half of the take: who is who then is a matter
-    of convention.
+    A marker is an outlier in a frame if its distances from its usual partners are wrong. If two are
+    outliers, and each fits at the other's position, they were swapped. Two markers with uninformative
+    distances, as in a pair, are found by their jumps onto each other and back. A swap that lasts half of the
+    take is not undone, as the labels then are a matter of convention.
     """
     places, seen = np.array(places, float), np.array(seen)
     undone = _by_distance(places, seen) + _by_jumps(places, seen)
@@ -51,13 +50,13 @@ def _by_distance(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, i
     usual = np.where(np.isnan(deviations) | np.eye(len(deviations), dtype=bool), np.inf, deviations)
     partners = np.argsort(usual, axis=1, kind="stable")[:, :PARTNERS]
     rows = np.arange(len(usual))[:, None]
-    # partners on another segment vouch for nothing
+    # partners on another segment are no evidence
     trusted = usual[rows, partners] < np.maximum(4 * usual.min(1, keepdims=True), 2 * LEAST)
     ranges = np.maximum(RANGES * usual[rows, partners], LEAST)
     expected = medians[rows, partners]
 
     def wrong(frame: int, marker: int, at: np.ndarray, shown: np.ndarray) -> float:
-        """How wrong a marker's distances are, in units of what is too wrong."""
+        """Compute the error of a marker's distances in units of the tolerance."""
         mine = partners[marker][trusted[marker] & shown[partners[marker]]]
         if len(mine) == 0:
             return 0.0
@@ -93,7 +92,7 @@ def _by_distance(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, i
 
 
 def _by_jumps(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, int]]:
-    """Exchanges between two jumps of a pair onto each other."""
+    """Find and undo swaps between two jumps of a pair onto each other."""
     both = seen[1:] & seen[:-1]
     steps = np.where(both, np.linalg.norm(np.diff(places, axis=0), axis=-1), 0.0)
     with np.errstate(invalid="ignore"):
@@ -125,7 +124,7 @@ def _by_jumps(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, int]
 
 
 def _median(values: np.ndarray) -> np.ndarray:
-    """The median over the last axis of what is not NaN; zero where nothing is."""
+    """Compute the median over the last axis without NaN; zero where all are NaN."""
     count = (~np.isnan(values)).sum(-1)
     ordered = np.sort(values, axis=-1)
     low = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[..., None], -1)[..., 0]

@@ -1,4 +1,4 @@
-"""Joints as markers: what gives a segment of two markers its frame."""
+"""Joints as virtual markers, which give a segment of two markers its frame."""
 
 from typing import NamedTuple
 
@@ -9,12 +9,12 @@ from ..rotation_centres.joint import Joint
 from .segment import Segments
 from .segment_frames import SegmentFrames, fit_frames, pair_frames
 
-#: what a joint counts against a marker when a frame is laid
+#: weight of a joint against a marker when a frame is fitted
 WEIGHT = 0.5
 
 
 class Augmented(NamedTuple):
-    """Markers, and behind them joints that stand in for markers where segments have too few."""
+    """Markers, followed by virtual markers at joints for segments with too few markers."""
 
     places: Float[np.ndarray, "F N 3"]
     seen: Bool[np.ndarray, "F N"]
@@ -29,10 +29,10 @@ def augment(
     frames: SegmentFrames,
     links: list[tuple[int, Joint]],
 ) -> Augmented:
-    """Markers with the centres of joints added to the segments that need them.
+    """Add the centres of joints as virtual markers to the segments that need them.
 
-    **Arguments:** `links` are pairs of a segment and a joint, whose parent's frame is known and carries
-    the centre along.
+    **Arguments:** `links` are pairs of a segment and a joint. The frame of the joint's parent is known and
+    carries the centre.
     """
     columns, shown = [places], [seen]
     members = [list(some) for some in segments.members]
@@ -66,8 +66,10 @@ def augment(
 
 
 def hinge_assumed(now: Augmented, segment: int, base: int) -> Augmented:
-    """Frames of a segment of two markers by the paper's assumption that it hangs on `base` by a hinge: the
-    plane of its markers holds also the marker of the base segment that is nearest to them."""
+    """Compute frames of a segment of two markers, assuming as in the paper a hinge between it and `base`.
+
+    The plane of its markers contains the nearest marker of the base segment.
+    """
     first, second = now.segments.members[segment][:2]
     usual = [
         np.median(np.linalg.norm(now.places[:, m] - now.places[:, first], axis=1))

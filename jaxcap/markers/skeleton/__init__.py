@@ -1,1 +1,1 @@
-"""The skeleton between segments."""
+"""The skeleton that connects the segments."""

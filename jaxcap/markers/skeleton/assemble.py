@@ -1,4 +1,4 @@
-"""A skeleton from segments and joints: its rest pose, its bones, and where the markers sit on them."""
+"""Build a skeleton from segments and joints: rest pose, bones, and marker positions on the bones."""
 
 from typing import NamedTuple
 
@@ -16,24 +16,24 @@ from .tree import Tree
 
 
 class Assembled(NamedTuple):
-    """A skeleton whose bone `j` is the segment `order[j]`."""
+    """A skeleton in which bone `j` is the segment `order[j]`."""
 
     skeleton: Skeleton
     order: tuple[int, ...]
-    #: (M,) bone of each marker, -1 of those on no bone
+    #: (M,) bone of each marker, -1 where it is on no bone
     bones: Int[np.ndarray, "M"]
-    #: (M, 3) place of each marker in the world at rest, metres
+    #: (M, 3) position of each marker in the world at rest, metres
     offsets: Float[np.ndarray, "M 3"]
-    #: (J, 3, 3) and (J, 3): the segments' frames at rest
+    #: (J, 3, 3) and (J, 3): rotations and origins of the segments' frames at rest
     turns: Float[np.ndarray, "J 3 3"]
     origins: Float[np.ndarray, "J 3"]
 
 
 def assemble(tree: Tree, root: int, num_markers: int, lengths: dict[tuple[int, int], float]) -> Assembled:
-    """The skeleton below one root, at rest as in the frame that is most like all others.
+    """Build the skeleton below one root. Its rest pose is that of the most typical frame.
 
-    Joints are where their parents carry them, but for the bones in `lengths`, which are that long.
-    The root is "free", joints with an axis "revolute", others "ball".
+    Joint centres are fixed in the frames of their parents. Bones in `lengths` are scaled to these lengths.
+    The root is "free", a joint with an axis "revolute", any other joint "ball".
     """
     order = _below(tree, root)
     frames = tree.markers.frames
@@ -83,9 +83,11 @@ def assemble(tree: Tree, root: int, num_markers: int, lengths: dict[tuple[int, i
 
 
 def pose_segments(made: Assembled, tree: Tree) -> Pose:
-    """Poses, stacked over the frames, in which each bone is turned as its segment is and the root is where
-    its segment is. A segment that is not known in a frame keeps its turn in its parent from the nearest
-    frame in which it is."""
+    """Compute the poses of all frames from the segments' rotations and the position of the root segment.
+
+    A segment without a known frame takes its rotation relative to the parent from the nearest frame in which
+    it is known.
+    """
     frames, skeleton = tree.markers.frames, made.skeleton
     count = len(frames.known)
     local = np.zeros((count, len(made.order), 3, 3))
@@ -117,7 +119,7 @@ def _project(skeleton: Skeleton, poses: Pose) -> Pose:
 
 
 def _nearest(known: np.ndarray) -> np.ndarray:
-    """Of each frame the nearest one that is known."""
+    """Find the nearest known frame of each frame."""
     there = np.flatnonzero(known)
     if len(there) == 0:
         return np.arange(len(known))
@@ -128,7 +130,7 @@ def _nearest(known: np.ndarray) -> np.ndarray:
 
 
 def _below(tree: Tree, root: int) -> list[int]:
-    """Segments with frames, parents first; what hangs on one without is left out with it."""
+    """List the segments with known frames, parents first, without the descendants of unknown segments."""
     usable = tree.markers.frames.known.any(0)
     order, open_ = [], [root]
     while open_:
@@ -143,8 +145,11 @@ def _below(tree: Tree, root: int) -> list[int]:
 
 
 def _rest(tree: Tree, order: list[int]) -> tuple[dict[int, np.ndarray], np.ndarray]:
-    """World rotations of the segments in the frame of the root in which the joints are most as they
-    usually are, and the root's origin there; a segment not known then is turned as it usually is."""
+    """Choose the frame with the most typical joint rotations. Return its rotations and the root's origin.
+
+    World rotations; the root is known in this frame. A segment that is not known in it takes its mean
+    rotation relative to the parent.
+    """
     frames, root = tree.markers.frames, order[0]
     off = np.where(frames.known[:, root], 0.0, np.inf)
     usual: dict[int, np.ndarray] = {}
@@ -164,14 +169,14 @@ def _rest(tree: Tree, order: list[int]) -> tuple[dict[int, np.ndarray], np.ndarr
 
 
 def _end(bone: int, parents, centres, bones: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Where a bone points: the next joints' mean, or that of its markers."""
+    """Compute the end of a bone: the mean of its child joints, otherwise the mean of its markers."""
     children = [centres[k] for k, parent in enumerate(parents) if parent == bone]
     own = offsets[bones == bone]
     return np.mean(children, axis=0) if children else (own.mean(0) if len(own) else centres[bone])
 
 
 def _towards(centres: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Quaternions that turn x into the bones' directions."""
+    """Compute the quaternions that rotate the x axis to the directions of the bones."""
     away = ends - centres
     lengths = np.linalg.norm(away, axis=1, keepdims=True)
     away = np.where(lengths > 1e-6, away / np.maximum(lengths, 1e-12), [1.0, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""Lengths of bones from places of joints: the mean, least squares, and global least squares."""
+"""Bone lengths from joint positions: mean, least squares, and global least squares."""
 
 from typing import Literal, NamedTuple
 
@@ -10,22 +10,25 @@ from ..rotation_centres.centre_estimate import settle
 from .tree import Tree
 
 LengthMethod = Literal["mean", "least_squares", "global"]
-#: rounds in which directions and lengths settle
+#: maximal number of iterations over directions and lengths
 ROUNDS = 40
-#: variance of a joint that is not known in a frame, against the others', times
+#: factor on the variance of a joint in frames where it is not known
 UNKNOWN = 1e6
 
 
 class _Fit(NamedTuple):
-    """Lengths by group, and joints of a skeleton with fixed lengths."""
+    """Lengths by group, and the joints of a skeleton with fixed lengths."""
 
     lengths: np.ndarray
     joints: np.ndarray
 
 
 def joint_places(tree: Tree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarray, "F K"]]:
-    """Where each segment's joint with its parent is in every frame, metres, and where that is known:
-    the mean of where the two segments carry it, or where the one that is known does."""
+    """Compute the position of each segment's joint with its parent in every frame, metres.
+
+    Return also a mask of known positions. A position is the mean of the two segments' predictions, or that
+    of the segment with a known frame.
+    """
     frames = tree.markers.frames
     count, number = frames.known.shape
     places, known = np.zeros((count, number, 3)), np.zeros((count, number), bool)
@@ -46,8 +49,11 @@ def joint_places(tree: Tree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarra
 
 
 def bones(tree: Tree) -> list[tuple[int, int]]:
-    """Bones between two joints, as `(segment, child segment)`: from a segment's joint with its parent to
-    its child's joint with it. A root has no joint of its own."""
+    """List the bones between two joints as `(segment, child segment)`.
+
+    A bone goes from a segment's joint with its parent to the joint with its child. A root has no joint of
+    its own.
+    """
     return [(p, k) for k, p in enumerate(tree.parents) if p >= 0 and tree.parents[p] >= 0]
 
 
@@ -60,18 +66,18 @@ def bone_lengths(
     same: list[tuple[int, int]] | None = None,
     deviations: Float[np.ndarray, "K"] | None = None,
 ) -> Float[np.ndarray, "B"]:
-    """The length of each bone, metres; NaN for one whose ends are never seen together.
+    """Estimate the length of each bone, metres; NaN for a bone with ends that are never known together.
 
-    - `"mean"`: of the distances of its ends over the frames (Silaghi et al. 1998).
-    - `"least_squares"`: the least sum of `(|a - b|^2 - l^2)^2`, which is the root of the mean square.
-    - `"global"`: all frames' poses and all lengths together, the least sum of the distances from the
-      joints of the data to those of a skeleton with fixed lengths. Along a frame's directions the
-      distances are linear in the joints, with the covariance `J J^T` that neighbouring bones share by
-      their common joint; for given directions the lengths are the generalised least squares of the
-      distances, and so on in turn until they settle.
+    - `"mean"`: the mean distance of its ends over the frames (Silaghi et al. 1998).
+    - `"least_squares"`: the minimum of `sum (|a - b|^2 - l^2)^2`, the root mean square distance.
+    - `"global"`: the poses of all frames and all lengths together. It minimises the distances between the
+      joints of the data and those of a skeleton with fixed lengths. Along the bone directions of a frame the
+      distances are linear in the joints, with the covariance `J J^T`, as neighbouring bones share a joint.
+      For given directions the lengths are the generalised least squares solution. Directions and lengths
+      alternate until convergence.
 
-    **Arguments:** `between` the joints at the ends of each of B bones, a forest; `same` pairs of bones
-    that are equally long, left and right; `deviations` of the joints, metres, all alike where not given.
+    **Arguments:** `between` the joints at the ends of each of B bones, a forest; `same` pairs of left and
+    right bones with equal length; `deviations` of the joints, metres, by default all equal.
 
     **Raises:** `ValueError` for a method that does not exist.
     """
@@ -104,7 +110,7 @@ def bone_lengths(
         rows = np.zeros((len(places), len(between), places.shape[1], 3))
         rows[:, number, b] += units
         rows[:, number, a] -= units
-        # distances of the data along the directions, and how they vary together
+        # distances of the data along the directions, and their covariance
         measured = np.einsum("fbkd,fkd->fb", rows, places)
         weighted = rows * spans[:, None, :, None]
         shared = np.einsum("fbkd,fckd->fbc", weighted, rows)

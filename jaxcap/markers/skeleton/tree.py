@@ -1,4 +1,4 @@
-"""Which segments are joined: the spanning tree whose joints hold best, or a template's."""
+"""The tree of segments: a minimum spanning tree by the cost of the joints, or the tree of a template."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -15,36 +15,36 @@ from ..segments.segment import Segments
 from ..segments.segment_frames import fit_frames
 from ..segments.virtual_markers import Augmented, augment, hinge_assumed
 
-#: what a metre between a centre and the nearest marker of either segment costs against a metre of
-#: residual: segments that hardly turn share any centre, those that are joined have it by their markers
+#: cost per metre between a centre and the nearest marker of either segment, against a metre of residual: two
+#: segments that hardly rotate against each other share any centre, joined ones have it near their markers
 FAR = 0.03
-#: no joint is believed that costs more than this share of the markers' usual distance, and more than
-#: this many times the tree's usual joint: there is another body behind it
+#: a joint is rejected where its cost is above this share of the markers' median distance, and above this
+#: multiple of the median joint's cost: the segments are then of different bodies
 BREAK, TIMES = 0.08, 3.0
-#: segments with few markers come by their frames in rounds, each by the joints that cost at most this
-#: many times the round's cheapest
+#: segments with few markers get their frames in rounds, each with the joints of at most this multiple of the
+#: round's lowest cost
 SURE = 2.0
 
 
-#: a joint of each pair of segments that was looked at, the lesser first, and its cost, metres
+#: joint and cost, metres, of each pair of segments that was examined, the smaller index first
 Found = dict[tuple[int, int], tuple[Joint, float]]
 
 
 class Tree(NamedTuple):
-    """Segments joined to a tree, or to several where some do not hang together."""
+    """Segments joined to a tree, or to a forest where some are not connected."""
 
-    #: the segment each one hangs on, -1 at roots
+    #: parent of each segment, -1 at roots
     parents: tuple[int, ...]
-    #: joint of each segment with its parent; None at roots
+    #: joint of each segment with its parent, None at roots
     joints: tuple[Joint | None, ...]
-    #: what each joint costs, metres; zero at roots
+    #: cost of each joint, metres; zero at roots
     costs: Float[np.ndarray, "K"]
-    #: markers, and the joints that stand in for markers, with the frames of all segments
+    #: markers and virtual markers at joints, with the frames of all segments
     markers: Augmented
 
     @property
     def roots(self) -> tuple[int, ...]:
-        """The roots, the one with the most segments below it first."""
+        """The roots in the order of the segments."""
         return tuple(k for k, parent in enumerate(self.parents) if parent < 0)
 
 
@@ -55,15 +55,15 @@ def find_tree(
     method: Method = "score",
     pairs: list[tuple[int, int]] | None = None,
 ) -> Tree:
-    """The least spanning tree of all pairs of segments by what a joint between them would cost
-    (Kirk, O'Brien, Forsyth 2005): its residual, and how far it would be from either's markers.
+    """Find the minimum spanning tree over the costs of joints between segments (Kirk, O'Brien, Forsyth 2005).
 
-    Segments of fewer than three markers first are joined where spheres of their markers about another
-    segment say; the joint then is a marker of theirs, so that they have a frame and carry others.
-    Where that leaves a line, they are taken to hang by a hinge, as in the paper. The root is the
-    segment in whose middle the markers are in balance.
+    The cost of a joint is its residual plus a share of its distances from the markers of both segments.
+    Segments with fewer than three markers are joined first, by spheres of their markers about another
+    segment. Such a joint becomes a virtual marker, so that the segment gets a frame and can carry others.
+    Where the markers are still on a line, a hinge is assumed, as in the paper. The root is the segment that
+    balances the markers around it.
 
-    **Arguments:** `pairs` of segments that are joined, where known (`template_pairs`).
+    **Arguments:** `pairs` of joined segments, where known (`template_pairs`).
     """
     frames = fit_frames(places, seen, segments)
     now = Augmented(places, seen, segments, frames)
@@ -76,7 +76,7 @@ def find_tree(
         open_ = [
             p for p in _least(found, segments.num_segments) if found[p][0].child in bare and p not in used
         ]
-        # a far neighbour may be the nearest one that has a frame yet: the surest first
+        # a distant neighbour may be the nearest one with a frame so far: the lowest costs first
         most = SURE * min((found[pair][1] for pair in open_), default=0.0)
         for pair in open_:
             joint = found[pair][0]
@@ -105,7 +105,7 @@ def find_tree(
 
 
 def template_pairs(template: Skeleton, segments: Segments, bones: Mapping[str, str]) -> list[tuple[int, int]]:
-    """Which segments are joined by a template: each with the next one above it that has markers.
+    """List the pairs of segments that a template joins: each with its nearest ancestor that has markers.
 
     **Arguments:** `bones` maps names of segments to names of the template's joints.
 
@@ -132,7 +132,7 @@ def template_pairs(template: Skeleton, segments: Segments, bones: Mapping[str, s
 
 
 def joint_cost(joint: Joint, between: Relative) -> float:
-    """What a joint costs, metres: its residual, and a share of its distances from the markers."""
+    """Compute the cost of a joint, metres: its residual and a share of its distances from the markers."""
     to_base = np.linalg.norm(between.base - joint.in_parent, axis=1).min()
     tracks = [between.tracks[s, n] for n, s in enumerate(between.tracked.T)]
     to_child = min(float(np.median(np.linalg.norm(track - joint.in_parent, axis=1))) for track in tracks)
@@ -140,8 +140,11 @@ def joint_cost(joint: Joint, between: Relative) -> float:
 
 
 def _look(now: Augmented, found: Found, used: Found, pairs, method: Method) -> None:
-    """Fill in the joints that are not found yet. A joint that gave a segment its frame (`used`) cannot
-    vouch for itself: it stays where it was, as well known as it was, at the cost it had."""
+    """Find the joints that are still missing.
+
+    A joint that gave a segment its frame (`used`) is no evidence for itself. It keeps its position, its
+    precision and its cost.
+    """
     noise = now.frames.noise(now.places, now.seen, now.segments)
     known = np.asarray(now.frames.known.any(0))
     count = now.segments.num_segments
@@ -149,7 +152,8 @@ def _look(now: Augmented, found: Found, used: Found, pairs, method: Method) -> N
     asked = pairs if pairs is not None else [(a, b) for a in range(count) for b in range(a + 1, count)]
     for a, b in asked:
         key = (min(a, b), max(a, b))
-        # the parent is the one with a frame; of two the larger one, so that their order does not matter
+        # the parent is the segment with a frame; of two with a frame the larger, so that the order does not
+        # matter
         first = known[a] and (not known[b] or size[a] >= size[b])
         parent, child = (a, b) if first else (b, a)
         if key in used:
@@ -166,7 +170,7 @@ def _look(now: Augmented, found: Found, used: Found, pairs, method: Method) -> N
 
 
 def _kept(old: Joint, new: Joint, between: Relative) -> Joint:
-    """A joint as it was when the child had no frame, with its place in the child."""
+    """Keep a joint from before the child had a frame, and add its position and axis in the child."""
     if between.rotations is None or between.translations is None:
         return old
     back = np.einsum("fba,fb->fa", between.rotations, old.in_parent - between.translations)
@@ -182,7 +186,7 @@ def _bare(now: Augmented) -> set[int]:
 
 
 def _least(found, count: int) -> list[tuple[int, int]]:
-    """Kruskal's least spanning tree, or forest."""
+    """Compute the minimum spanning tree, or forest, by Kruskal's algorithm."""
     owner = np.arange(count)
     chosen = []
     for pair in sorted(found, key=lambda pair: found[pair][1]):
@@ -200,7 +204,7 @@ def _usual_distance(places: np.ndarray, seen: np.ndarray) -> float:
 
 
 def _rooted(now: Augmented, pairs: list[tuple[int, int]], found) -> Tree:
-    """The tree hung on the segment in whose middle the markers balance, each of its pieces."""
+    """Root each connected component at the segment that balances the markers around it."""
     count = now.segments.num_segments
     size = np.array([len(some) for some in now.segments.members], float)
     around: list[list[int]] = [[] for _ in range(count)]
