@@ -61,7 +61,8 @@ class IkOptions(eqx.Module):
     #: fix roots at the reference, before all constraints but the limits; a pinned constraint on a root
     #: overrides this for its position, and one with an orientation for its rotation too
     hold_root: Bool[Array, ""] = eqx.field(default=False, converter=jnp.asarray)
-    #: of the pull to the reference, and of the prior, where a constraint of weight one is `METRES` off
+    #: weights of the pull to the reference and of the prior, relative to a constraint of weight one that is
+    #: `METRES` off
     stiffness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
     naturalness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
     #: largest number of steps of one solve

@@ -37,9 +37,9 @@ from .weights import blend_errors, fit_linear_weights
 
 #: poses of the first fit, and number of poses that are added if their error is too large
 _POSES, _MORE = 32, 8
-#: vertices that get bones of their own between two fits, and the difference of blends between them
+#: vertices that get their own bones between two fits, and the least difference of their blends
 _AT_ONCE, _APART = 16, 0.4
-#: virtual bones that a vertex may choose from
+#: candidate virtual bones of a vertex
 _CHOICE = 10
 
 
