@@ -1,4 +1,4 @@
-"""A picture of when each marker was seen."""
+"""A figure of the frames in which each marker is observed."""
 
 from pathlib import Path
 
@@ -17,11 +17,11 @@ COLUMNS = 1600
 
 
 def draw_gaps(path: str | Path, frames: MarkerFrames, title: str = "markers") -> None:
-    """Write a PNG: a row for each marker, time to the right, dark where it is seen.
+    """Write a PNG: a row for each marker, time to the right, dark where it is observed.
 
-    Where several frames fall into one column, a gap in any of them is drawn, so that none is lost.
+    If several frames share one column, a gap in any of them is drawn, so that no gap is hidden.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     seen = np.asarray(frames.seen)
     count = seen.shape[1]
