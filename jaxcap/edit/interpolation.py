@@ -28,7 +28,8 @@ def between(here: Pose, there: Pose, share: Float[Array, "F"] | Float[Array, "F 
 
 
 def ease(share: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
-    """Ease from 0 to 1 with zero slope at either end, `3 t^2 - 2 t^3` (Kovar et al. 2002, section 5)."""
+    """Compute a smooth step from 0 to 1 with zero slope at either end, `3 t^2 - 2 t^3` (Kovar et al. 2002,
+    section 5)."""
     share = np.clip(share, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 

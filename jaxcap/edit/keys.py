@@ -179,7 +179,7 @@ def _insert(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np
 
 
 def _prune(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Remove keys until none can be removed. Every second key is tried at once, as their gaps do not overlap."""
+    """Remove keys until none can be removed. Every second key is tried at once: their gaps do not overlap."""
     flat = keyed.reshape(len(keyed), -1).copy()
     needed = np.zeros_like(flat)
     while True:

@@ -1,4 +1,7 @@
-"""Planar transforms: rotations about the vertical and translations along the floor, which preserve a motion."""
+"""Planar transforms: rotations about the vertical and translations along the floor.
+
+They do not change a motion itself.
+"""
 
 from typing import NamedTuple
 
@@ -35,7 +38,7 @@ def align(here: Float[np.ndarray, "N 3"], there: Float[np.ndarray, "N 3"]) -> Pl
 
 
 def power(planar: Planar, share: float) -> Planar:
-    """Compute a `share` of a planar transform, along the arc from the identity to the whole; -1 inverts it."""
+    """Compute a `share` of a planar transform, along the arc from the identity; -1 inverts it."""
     arc = _arc(planar.heading)
     # a scaled rotation, so its inverse is the transpose over the squared scale
     u = arc.T @ planar.shift / np.sum(arc[0] ** 2)
@@ -44,7 +47,7 @@ def power(planar: Planar, share: float) -> Planar:
 
 
 def move(skeleton: Skeleton, planar: list[Planar] | Planar, poses: Pose) -> Pose:
-    """Apply a planar transform to the roots of stacked poses; one `planar` for all frames, or one for each."""
+    """Apply a planar transform to the roots of stacked poses; one for all frames, or one for each."""
     each = planar if isinstance(planar, list) else [planar] * len(poses.scale)
     dtype = poses.rotations.dtype
     headings = jnp.asarray([one.heading for one in each], dtype)

@@ -156,7 +156,7 @@ def variant_table(variants: tuple[Variant, ...]) -> Markup:
 
 
 def measure_notes(task: Task, stages: Stages) -> list[Markup]:
-    """Explain the figures of the table."""
+    """Describe the figures of the table."""
     kinds = "; ".join(f"{v.name}: {VARIANTS[v.name]}" for v in stages.variants if v.name in VARIANTS)
     points = int(stages.variants[0].to_body.counts.sum())
     frames = f"Measured are {len(stages.measured)} of {task.frames} frames, with {points:,} points together."

@@ -20,7 +20,7 @@ BINS, JOINTS, PARTS = 50, 6, 12
 
 
 def distance_charts(variants: Sequence[Variant]) -> Markup:
-    """Chart the cumulative and the binned distribution of distances.
+    """Plot the cumulative and the binned distribution of distances.
 
     The range ends at the 97 % quantile of the worst variant.
     """
@@ -55,7 +55,7 @@ def distance_charts(variants: Sequence[Variant]) -> Markup:
 
 
 def heat_maps(variants: Sequence[Variant]) -> Markup:
-    """Render each body from the front and the back on one colour scale, and tabulate the same by body parts."""
+    """Render each body from the front and the back on one colour scale, with a table by body parts."""
     heats = [1000 * variant.heat for variant in variants]
     limit = heat_limit(heats)
     pictures = heat_pictures([variant.body for variant in variants], heats, limit)
@@ -93,7 +93,7 @@ def mean_by_part(variant: Variant) -> dict[str, float]:
 
 
 def frame_chart(stages: Stages, rate: float) -> Markup:
-    """Chart the median distance of every measured frame."""
+    """Plot the median distance of every measured frame."""
     seconds = np.array(stages.measured) / rate
     lines = [
         Line(variant.name, seconds, 1000 * variant.by_frame, look)
@@ -111,7 +111,7 @@ def frame_chart(stages: Stages, rate: float) -> Markup:
 
 
 def angle_charts(angles: Angles, skeleton: Skeleton) -> Markup:
-    """Chart the angles of the joints that move most, before and after smoothing."""
+    """Plot the angles of the joints that move most, before and after smoothing."""
     shown = moving_joints(angles, skeleton)
     figures, looks = [], []
     for joint in shown:
@@ -154,7 +154,7 @@ def moving_joints(angles: Angles, skeleton: Skeleton) -> list[int]:
 
 
 def history_chart(history: Sequence[tuple[str, float]]) -> Markup:
-    """Chart the distance after every stage."""
+    """Plot the distance after every stage."""
     values = np.array([value for _, value in history])
     line = Line("root mean square", np.arange(1.0, len(values) + 1), values, "c2")
     high = 1.06 * float(values.max())

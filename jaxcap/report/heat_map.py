@@ -77,7 +77,7 @@ def _picture(
     paint = np.where(known[:, None], colours, UNSEEN)
     wide = float(np.clip(TALL * reach[0] / reach[1], 1.2, 6.0))
     canvas, figure = new_figure(2 * wide, TALL)
-    # the page behind may be light or dark
+    # the page background may be light or dark
     figure.set_facecolor("none")
     for plot, degrees in zip(figure.subplots(1, 2), (0.0, 180.0), strict=True):
         draw_surface(plot, vertices, faces, turned(view, degrees), paint)

@@ -70,7 +70,7 @@ def report_learning(
 
 
 def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
-    """Plot the objective after every step, one colour per type of step; hollow for a subset of the vertices."""
+    """Plot the objective after every step, one colour per type of step; hollow for a vertex subset."""
     from matplotlib.ticker import NullFormatter
 
     canvas, figure = new_figure(7.5, 3.8)

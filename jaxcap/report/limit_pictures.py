@@ -136,7 +136,7 @@ def _draw_flat(plots: Any, surface: LimitSurface, primitives: Primitives, places
 
 
 def surface_mesh(primitives: Primitives) -> tuple[Float[np.ndarray, "V 3"], np.ndarray]:
-    """Triangulate the surface: a ball around every primitive, expanded to the level, without interior faces."""
+    """Triangulate the surface: a ball around every primitive, expanded to the level, without its interior."""
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=2)

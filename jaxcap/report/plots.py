@@ -1,4 +1,4 @@
-"""Plots in a common style: scans on surfaces, coloured by their distance, and charts with descriptive titles."""
+"""Plots in a common style: scans on surfaces, coloured by distance, and charts with descriptive titles."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -99,7 +99,7 @@ def chart(plot: Any, title: str, across: str = "", up: str = "") -> None:
 
 
 def say(plot: Any, text: str, at: Any, colour: str = INK, **more: Any) -> None:
-    """Annotate a point with a few words in its colour."""
+    """Label a point with a few words in its colour."""
     plot.annotate(
         text, at, textcoords="offset points", fontsize=8.5, color=colour, **({"xytext": (6, 4)} | more)
     )

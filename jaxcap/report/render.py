@@ -1,4 +1,4 @@
-"""Shaded surfaces in figures: depth-sorted triangles, coloured by vertex, with shadows; and visible points."""
+"""Shaded surfaces in figures: depth-sorted triangles, coloured by vertex, with shadows; visible points."""
 
 from typing import Any
 
@@ -111,7 +111,7 @@ def draw_shadow(
 
 
 def raised(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
-    """Tilt a view so that the eye looks down by an angle, degrees."""
+    """Rotate a view so that the eye looks down by an angle, degrees."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ view
 

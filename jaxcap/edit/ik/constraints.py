@@ -143,7 +143,7 @@ def describe(point: int | str) -> str:
 
 
 def _around(orientation: Turn | None) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """List the offsets of points from a joint's centre at rest and from its target, and their weight shares."""
+    """List the offsets of points from a joint's centre at rest and from its target, and their shares."""
     if orientation is None:
         return [(np.zeros(3), np.zeros(3), 1.0)]
     turned = Rotation.from_quat(orientation, scalar_first=True).as_matrix()

@@ -162,7 +162,7 @@ def _reach(constraints: Constraints, more: Float[Array, "C"]) -> AbstractEnergy:
 
 
 def _held(skeleton: Skeleton, constraints: Constraints, options: IkOptions) -> Deviations:
-    """Build the deviations of roots from the reference: small for fixed roots, infinite for all other joints."""
+    """Build the deviations of roots from the reference: small for fixed roots, infinite for other joints."""
     roots, dtype = np.array(skeleton.parents) < 0, skeleton.centres.dtype
     asked = constraints.rigid & constraints.pinned & (constraints.weights > 0)
     arms = jnp.linalg.norm(constraints.rest - skeleton.centres[constraints.bones], axis=-1)

@@ -151,7 +151,7 @@ def _start(body: Body, influences: int) -> _Blend:
 
 
 def _fewer(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int) -> _Blend:
-    """Replace bones and weights if keeping the strongest exceeds half of the tolerance and others are nearer."""
+    """Replace bones and weights if the strongest exceed half of the tolerance and others are nearer."""
     frames, targets = own_frames(body, poses)
     vertices, own = np.array(body.vertices, float), np.array(body.skin.influence(body.skeleton.num_joints))
     errors = blend_errors(vertices, targets, frames, blend.candidates, blend.weights).max(0)

@@ -127,7 +127,7 @@ def _matched_below(target: Skeleton, joint: int, pairs: Mapping[int, int]) -> li
 
 
 def follow_ends(source: Skeleton, target: Person, pairs: Mapping[int, int], followed: Followed) -> None:
-    """Let upper arms and thighs follow the far ends of the source's bones if these have twist joints.
+    """Make upper arms and thighs follow the far ends of the source's bones if these have twist joints.
 
     Elbows and knees then bend as much as the source's.
     """

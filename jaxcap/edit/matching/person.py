@@ -74,7 +74,7 @@ def find_person(skeleton: Skeleton, told: Mapping[int, JointName] | None = None)
 def trunk_direction(
     person: Person, places: Float[np.ndarray, "... J 3"]
 ) -> Float[np.ndarray, "... 3"] | None:
-    """Compute the direction from the hips to the shoulders, or to the head; None if the person has neither."""
+    """Compute the direction from the hips to the shoulders or the head; None if the person has neither."""
     thighs = [joint for (_, part), joint in person.parts.items() if part == "thigh"]
     upper = [joint for (_, part), joint in person.parts.items() if part == "upper_arm"]
     low = thighs or ([person.pelvis] if person.pelvis >= 0 else [])

@@ -92,7 +92,7 @@ def _across(person: Person, places: np.ndarray, up: np.ndarray) -> dict[str, np.
 
 
 def _forward(person: Person, places: np.ndarray, up: np.ndarray) -> np.ndarray | None:
-    """Compute the horizontal direction of the toes; None if there are none or they have no clear direction."""
+    """Compute the horizontal direction of the toes; None without toes or a clear direction."""
     feet = [
         (person.parts.get((side, "foot")), person.parts.get((side, "toes"))) for side in ("left", "right")
     ]

@@ -85,8 +85,7 @@ def told_kinds(person: Person, table: Table) -> set[str]:
 
 
 def overruled(own: Person, target: Person, table: Table) -> Person:
-    """Override the person found by names and tree in the source with the joints of the table, at the
-    `target`'s roles."""
+    """Replace roles in the source's person by the joints of the table, at the `target`'s roles."""
     given = table.given
     parts = {key: joint for key, joint in own.parts.items() if joint not in given}
     parts |= {key: table.pairs[there] for key, there in target.parts.items() if there in table.pairs}

@@ -110,7 +110,7 @@ class _Points:
     def means(
         self, places: Float[np.ndarray, "F K 3"], weights: Sequence[float]
     ) -> tuple[Float[np.ndarray, "F C 3"], Float[np.ndarray, "C"]]:
-        """Average the targets of pairs that share a point; return the position and the weight of every row."""
+        """Average the targets of pairs that share a point; return position and weight of every row."""
         shares = np.zeros((len(self.held.weights), len(self.rows)))
         shares[self.rows, np.arange(len(self.rows))] = weights
         total = shares.sum(1)

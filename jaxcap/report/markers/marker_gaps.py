@@ -10,9 +10,9 @@ from ..pictures import new_figure
 from ..render import INK
 
 SEEN, GAP = (0.16, 0.24, 0.36), (0.97, 0.93, 0.88)
-#: inches of a marker's row, and rows that get a label at most
+#: height of a marker's row, inches, and largest number of rows with a label
 ROW, LABELLED = 0.16, 150
-#: columns of the picture that frames are gathered in
+#: largest number of columns of the picture, over which frames are grouped
 COLUMNS = 1600
 
 
