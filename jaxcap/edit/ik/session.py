@@ -183,7 +183,7 @@ def free_orientation(session: IkSession, point: str) -> IkSession:
 
 
 def pin(session: IkSession, point: int | str, pinned: bool = True) -> IkSession:
-    """Fix a point at its current position before all that are not pinned, or remove this precedence."""
+    """Pin a point at its current position, or unpin it; pinned points have precedence over the others."""
     target = place_of(session, point) if pinned else constraint_at(session, point).target
     changed = constraint_at(session, point)._replace(pinned=pinned, target=target)
     return _edited(session, _with(session.state, changed))

@@ -30,7 +30,7 @@ class PointPair(NamedTuple):
 
     source: int | str
     target: int | str
-    #: relative weight, at least 0
+    #: relative weight, above 0
     weight: float = 1.0
 
 
