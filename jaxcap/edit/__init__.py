@@ -1,9 +1,9 @@
-"""What is done with motions that are there: given to others, cut, joined, looped, made to look somewhere, thinned to keys; a
-scan that moves; and poses by a few points.
+"""Edit motions: retarget, cut, join, loop, redirect the gaze, and reduce to keys; animate scans; solve
+inverse kinematics.
 
-`import jaxcap as jc` brings all of it as `jc.edit`: `jc.edit.cut(motion, 10, 29)`. `retarget`, `solve_ik` and what goes with
-them are in `jc` itself too. What carries a motion over takes `(motion, source, target)`; all else takes the skeleton, or the
-body, and then its motion.
+`import jaxcap as jc` makes all of it available as `jc.edit`: `jc.edit.cut(motion, 10, 29)`. `retarget`,
+`solve_ik` and their types are also in `jc` itself. Functions that transfer a motion take `(motion, source,
+target)`; all others take the skeleton or the body first, and then its motion.
 """
 
 from ..body.people.sample import sample_poses as sample_poses

@@ -1,4 +1,4 @@
-"""Clips cut, joined and closed to loops."""
+"""Cut, join and loop motion clips."""
 
 from typing import NamedTuple
 
@@ -13,17 +13,17 @@ from .planar_transform import Planar, align, move, power
 
 
 class Loop(NamedTuple):
-    """A motion whose last frame is its first again, in another place where it travels."""
+    """A loop: the last frame equals the first, up to a planar transform if the motion travels."""
 
     motion: Motion
-    #: what leads from the first frame to the last, none where it is in place
+    #: planar transform from the first frame to the last; the identity if the loop is in place
     travel: Planar
 
 
 def cut(motion: Motion, first: int = 0, last: int | None = None) -> Motion:
-    """Frames `first` to `last`, both included; negative numbers count from the end.
+    """Cut frames `first` to `last` from a motion, both included; negative numbers count from the end.
 
-    **Raises:** `ValueError` where the motion has no such frames, or the last comes before the first.
+    **Raises:** `ValueError` if the motion does not have these frames, or the last comes before the first.
     """
     count = len(motion)
     last = count - 1 if last is None else last
@@ -39,15 +39,17 @@ def cut(motion: Motion, first: int = 0, last: int | None = None) -> Motion:
 
 
 def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
-    """One motion of two: `b` is turned about the vertical and shifted along the floor so that it goes on
-    where `a` ends, and the last `frames` of `a` become the first ones of `b` (Kovar et al. 2002, section 5).
+    """Join two motions into one.
 
-    Over them rotations go along the shortest arc and translations straight, by an easing without slope at its
-    ends. Where `frames` is 0, `b` follows one step behind `a`, at the speed that `a` has at its end.
-    A blend never changes heights, so both have to stand on one floor.
+    `b` is rotated about the vertical and translated along the floor so that it continues where `a` ends. The
+    last `frames` of `a` are blended with the first ones of `b` (Kovar et al. 2002, section 5).
 
-    **Raises:** `ValueError` where a motion is shorter than the blend, moves other joints than the skeleton,
-    has no frames, or has another rate.
+    In the blend, rotations follow the shortest arc and translations are linear. The blend weight has zero
+    slope at both ends. If `frames` is 0, `b` follows one step after `a`, at the final speed of `a`. A blend
+    never changes heights, so both motions need the same floor height.
+
+    **Raises:** `ValueError` if a motion is shorter than the blend, has another number of joints than the
+    skeleton, has no frames, or has another rate.
     """
     _check(skeleton, a, b)
     if not 0 <= frames <= min(len(a), len(b)):
@@ -58,7 +60,7 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
     end, start = take_poses(a.poses, slice(len(a) - window, None)), take_poses(b.poses, slice(0, window))
     here, there = np.asarray(joint_paths(skeleton, start)), np.asarray(joint_paths(skeleton, end))
     if frames == 0 and len(a) > 1:
-        # a step on along the floor
+        # one more step along the floor, at the final speed
         before = np.asarray(joint_paths(skeleton, take_poses(a.poses, slice(len(a) - 2, len(a) - 1))))
         there = there + np.mean(there - before, axis=1, keepdims=True) * [1.0, 0.0, 1.0]
     moved = move(skeleton, align(here.reshape(-1, 3), there.reshape(-1, 3)), b.poses)
@@ -73,17 +75,17 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
 def make_loop(
     skeleton: Skeleton, motion: Motion, first: int, last: int, frames: int, in_place: bool = False
 ) -> Loop:
-    """Frames `first` to `last` as a loop without a seam.
+    """Make a seamless loop of frames `first` to `last`.
 
-    The `frames` that lead to `last` are blended into those that lead to `first`, turned and shifted there. Its last two
-    frames are those before and at `first`, so over the seam go three frames that follow each other in `motion`: the
-    last frame is the first, in pose and in velocity, to the machine's precision.
+    The `frames` before `last` are blended into those before `first`, after a planar transform. The last two
+    frames of the loop are those before and at `first`. Three consecutive frames of `motion` therefore cross
+    the seam: the last frame equals the first in pose and in velocity, to machine precision.
 
-    **Arguments:** `in_place` takes the travel out, evenly over the loop: the last frame is then in the place of
-    the first. `find_loops` finds where motions are alike.
+    **Arguments:** `in_place` removes the travel, evenly over the loop; the last frame is then at the position
+    of the first. `find_loops` finds similar frames.
 
-    **Raises:** `ValueError` where the frames are not in the motion, there are fewer than `frames` before
-    the first, or `frames` is less than 2 or more than the loop has.
+    **Raises:** `ValueError` if the frames are not in the motion, fewer than `frames` come before the first,
+    or `frames` is less than 2 or more than the length of the loop.
     """
     _check(skeleton, motion, motion)
     if not 0 <= first < last < len(motion):
@@ -103,7 +105,7 @@ def make_loop(
     paths = np.asarray(joint_paths(skeleton, motion.poses))
     travel = align(paths[early].reshape(-1, 3), paths[late].reshape(-1, 3))
     lead = move(skeleton, travel, take_poses(motion.poses, early))
-    # whole one frame before the end
+    # the blend is complete one frame before the end
     share = ease(np.arange(frames + 1) / (frames - 1.0))
     blend = between(take_poses(motion.poses, late), lead, jnp.asarray(share))
     poses = concatenate_poses([take_poses(motion.poses, slice(first, last - frames)), blend])
@@ -115,7 +117,7 @@ def make_loop(
 
 
 def _closed(poses: Pose) -> Pose:
-    """The last frame is the first to the last bit, which it is but for rounding."""
+    """Replace the last frame by the first, from which it differs only by rounding."""
     return concatenate_poses([take_poses(poses, slice(0, -1)), take_poses(poses, slice(0, 1))])
 
 

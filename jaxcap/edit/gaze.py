@@ -1,8 +1,8 @@
-"""Where a person looks: chest, neck and head turned so that a line through the head meets a target.
+"""Gaze: rotate chest, neck and head so that a line through the head points at a target.
 
-After the applications of Adaptation, section 4.2.3: a line from the back of the head to between the eyes is what
-looks; a tenth of the turn is the chest's, four tenths the neck's and half the head's; and the turn is faded in
-and out by a sigmoid.
+After the applications of Adaptation, section 4.2.3: the gaze line goes from the back of the head to the point
+between the eyes. The chest takes a tenth of the rotation, the neck four tenths and the head half. The
+rotation is faded in and out by a sigmoid.
 """
 
 from collections.abc import Mapping
@@ -22,22 +22,22 @@ from ..body.skeleton import Skeleton
 from ..geometry import rotation
 from .gaze_line import GazeLine
 
-#: corrections of the turn for the eyes' own way, each at least four times as near
+#: fixed-point iterations that account for the motion of the eyes; each reduces the error at least four times
 ROUNDS = 30
-#: a target is at least so far from between the eyes, metres
+#: least distance of a target from the point between the eyes, metres
 NEAR = 0.25
 
 
 class Gaze(NamedTuple):
-    """A motion that looks elsewhere, and how well it does."""
+    """A motion with a new gaze, and its errors."""
 
     motion: Motion
-    #: (F,) how much of the turn is asked for in each frame, 0 to 1
+    #: (F,) fraction of the rotation that is applied in each frame, 0 to 1
     magnitude: Float[np.ndarray, "F"]
-    #: (F,) degrees between the line and the target before and after
+    #: (F,) angle between the line and the target before and after, degrees
     before: Float[np.ndarray, "F"]
     after: Float[np.ndarray, "F"]
-    #: (F,) frames in which `most` or limits held the turn back
+    #: (F,) frames in which `most` or limits restrict the rotation
     held: Bool[np.ndarray, "F"]
 
 
@@ -55,19 +55,20 @@ def look_at_target(
     most: float | None = None,
     limits: AbstractLimits | None = None,
 ) -> Gaze:
-    """The motion with the `line` of its head turned to a target from frame `first` to `last`.
+    """Rotate the `line` of the head towards a target from frame `first` to `last`.
 
-    All joints turn about one axis of the world by their shares of one angle, the least that brings the line onto the
-    target, so the shares make up the whole turn exactly. Frames outside of the range stay to the last bit.
+    All joints rotate about one world axis. Each takes its share of one angle, the smallest that aligns the
+    line with the target, so the shares compose exactly to the whole rotation. Frames outside the range are
+    returned unchanged.
 
-    **Arguments:** `target` a point, metres, or with `direction` a direction in the world; one for all frames or one
-    for each. `shares` names the joints, from the trunk to the head, with parts that add up to 1; the last one carries
-    the line (`gaze_shares` guesses them). `fade` seconds at either end over which the turn comes and goes; `most`
-    degrees of the whole turn; `limits` that the joints are turned back into, those that are recorded beyond them
-    by and by with the fade.
+    **Arguments:** `target` a point, metres, or with `direction` a direction in the world; one for all frames
+    or one for each. `shares` names the joints, from the trunk to the head, with fractions that sum to 1; the
+    last one carries the line (`gaze_shares` guesses them). `fade` is the duration of the fade at either end,
+    seconds; `most` the largest angle of the whole rotation, degrees. The joints are projected onto the
+    `limits`; joints that were recorded beyond them come back gradually with the fade.
 
-    **Raises:** `ValueError` for joints that are not there or not one below the other, shares that do not add up, a
-    range that is not in the motion or too short for its fades, or a target that is within 25 cm of the eyes.
+    **Raises:** `ValueError` for joints that do not exist or are not a chain, shares that do not sum to 1, a
+    range that is not in the motion or too short for its fades, or a target within 25 cm of the eyes.
     """
     chain = _chain(skeleton, line, shares)
     first, last = _range(motion, first, last)
@@ -111,18 +112,19 @@ def look_at_target(
     moved, looked = (np.asarray(x) for x in _lines(skeleton, line, poses))
     before = _degrees(looks, goals if direction else goals - eyes)
     after = _degrees(looked, goals if direction else goals - moved)
-    # what full magnitude does not reach, something holds
+    # an error at full magnitude means that `most` or the limits are active
     held = (magnitude == 1.0) & (after > 0.1)
     return Gaze(Motion(poses, motion.rate), magnitude, before, after, held)
 
 
 def fade_weights(count: int, first: int, last: int, frames: float) -> Float[np.ndarray, "F"]:
-    """How much of a change applies in each frame: 0 outside of `first` to `last`, and within it a sigmoid up over
-    `frames` frames, 1, and down again.
+    """Compute fade weights of each frame.
 
-    The sigmoid is the logistic function of `1/(1-t) - 1/t`: 0 and 1 at its ends with every derivative zero.
+    They are 0 outside `first` to `last`. Within the range they rise as a sigmoid over `frames` frames, stay
+    at 1, and fall again. The sigmoid is the logistic function of `1/(1-t) - 1/t`: 0 and 1 at its ends with
+    every derivative zero.
 
-    **Raises:** `ValueError` where the two fades do not fit into the range.
+    **Raises:** `ValueError` if the two fades do not fit into the range.
     """
     if not 0 <= frames < np.inf:
         raise ValueError(f"The fade takes {frames:g} frames; it must be at least 0.")
@@ -142,7 +144,7 @@ def fade_weights(count: int, first: int, last: int, frames: float) -> Float[np.n
 
 
 class _Chain(NamedTuple):
-    """The joints that turn, from the trunk on, and what each turns by with all before it."""
+    """The joints that rotate, from the trunk on, and the share of each."""
 
     joints: Int[Array, "C"]
     parents: Int[Array, "C"]
@@ -213,10 +215,10 @@ def _turn_frames(skeleton, poses: Pose, line, chain, goals, magnitude, cap, limi
 
 
 def turn_chain(skeleton: Skeleton, pose: Pose, chain: _Chain, turn: Float[Array, "3"]) -> Pose:
-    """One pose with every joint of a chain turned by its share of the rotation vector `turn`, in the world.
+    """Rotate every joint of a chain by its share of the world rotation vector `turn`; one pose.
 
-    With one axis for all, what hangs on the last joint is turned by all of `turn`: a joint's local turn is
-    `W^T exp(share turn) W`, with `W` the rotation that its parent had before.
+    All joints share one axis, so the descendants of the last joint rotate by all of `turn`. The local
+    rotation of a joint is `W^T exp(share turn) W`, with `W` the previous rotation of its parent.
     """
     before = forward_kinematics(skeleton, pose).rotations / pose.scale
     above = jnp.where(
@@ -228,7 +230,7 @@ def turn_chain(skeleton: Skeleton, pose: Pose, chain: _Chain, turn: Float[Array,
 
 
 def gaze_of(skeleton: Skeleton, line: GazeLine, pose: Pose) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Where the eyes are, metres, and the unit direction in which they look, of one pose."""
+    """Compute the position of the eyes, metres, and the unit gaze direction of one pose."""
     transforms = forward_kinematics(skeleton, pose)
     r, t = transforms.rotations[line.joint], transforms.translations[line.joint]
     return r @ line.eyes + t, r @ line.direction / pose.scale
@@ -240,8 +242,11 @@ def _lines(skeleton, line, poses: Pose):
 
 
 def _within(limits, skeleton, before: Pose, pose: Pose, chain: _Chain, share: Float[Array, ""]) -> Pose:
-    """The joints of the chain within their limits, and beyond by what the pose `before` already was, as far as the gaze
-    is faded out: so a joint that was recorded beyond its limits comes back into them as the gaze comes."""
+    """Project the joints of the chain onto their limits.
+
+    As far as the gaze is faded out, they keep the violation of the pose `before`. A joint that was recorded
+    beyond its limits so comes back into them as the gaze is faded in.
+    """
     held, own = (limits.nearest(skeleton, p).rotations[chain.joints] for p in (pose, before))
     beyond = rotation.log(rotation.multiply(rotation.conjugate(own), before.rotations[chain.joints]))
     held = rotation.multiply(held, rotation.exp((1.0 - share) * beyond))

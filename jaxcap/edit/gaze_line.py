@@ -1,4 +1,4 @@
-"""The line of a gaze: from the back of the head to between the eyes, fixed to the head; and the joints that turn it."""
+"""The gaze line, from the back of the head to the point between the eyes, and the joints that rotate it."""
 
 from collections.abc import Sequence
 
@@ -13,32 +13,35 @@ from ..body.skeleton import Skeleton
 from ..body.symmetry import twin_joints
 from ..geometry.axes import nearest_axis
 
-#: of the embedded human, by resolution: vertices whose mean is the back of the head, and between the eyes
+#: of the embedded human, by resolution: vertices whose means are the back of the head and the point between
+#: the eyes
 HUMAN = {
     "full": ((955,), (169,)),
     "medium": ((262,), (11, 29)),
     "low": ((71, 819), (3, 762)),
 }
-#: chest, neck and head have these parts of the turn (Adaptation, section 4.2.3)
+#: fractions of the rotation for chest, neck and head (Adaptation, section 4.2.3)
 SHARES = (0.1, 0.4, 0.5)
 
 
 class GazeLine(eqx.Module):
-    """What looks: a ray fixed to a joint's bone, in the rest frame."""
+    """The gaze as a ray that is fixed to a joint's bone, in the rest frame."""
 
     joint: int = eqx.field(static=True)
-    #: between the eyes, metres
+    #: point between the eyes, metres
     eyes: Float[Array, "3"]
-    #: of unit length
+    #: unit vector
     direction: Float[Array, "3"]
 
 
 def line_of_vertices(
     body: Body, back: Sequence[int] | int, front: Sequence[int] | int, head: str
 ) -> GazeLine:
-    """The line from one vertex, or the mean of some, at the back of the head, to one or some between the eyes.
+    """Make a gaze line from vertices at the back of the head to vertices between the eyes.
 
-    **Raises:** `ValueError` where the body has no such vertices or joint, or both ends are in one place.
+    Each end is one vertex, or the mean of several.
+
+    **Raises:** `ValueError` if the body has no such vertices or joint, or both ends coincide.
     """
     ends = []
     for name, chosen in (("back of the head", back), ("middle between the eyes", front)):
@@ -62,10 +65,12 @@ def line_of_vertices(
 
 
 def line_of_joint(skeleton: Skeleton, head: str) -> GazeLine:
-    """The line of a skeleton without a known surface: from the middle of the head's bone to the front, which is where
-    its left, by names, and its vertical at rest say.
+    """Make a gaze line for a skeleton without a known surface, from the middle of the head's bone to the
+    front.
 
-    **Raises:** `ValueError` where there is no such joint, or left and right cannot be told.
+    The front is computed from the skeleton's left, by joint names, and its vertical at rest.
+
+    **Raises:** `ValueError` if there is no such joint, or left and right cannot be determined.
     """
     joint, centres = _joint(skeleton, head), np.asarray(skeleton.centres, float)
     below = [child for child, parent in enumerate(skeleton.parents) if parent == joint]
@@ -75,7 +80,8 @@ def line_of_joint(skeleton: Skeleton, head: str) -> GazeLine:
 
 
 def human_line(body: Body) -> GazeLine | None:
-    """The line of the embedded human, whose own triangles tell its vertices; None for any other body."""
+    """Make the gaze line of the embedded human, which is recognised by its triangles; None for any other
+    body."""
     for resolution, (back, front) in HUMAN.items():
         faces = np.asarray(human(resolution=resolution).faces)  # pyright: ignore[reportArgumentType]
         if faces.shape == body.faces.shape and np.array_equal(faces, np.asarray(body.faces)):
@@ -84,12 +90,12 @@ def human_line(body: Body) -> GazeLine | None:
 
 
 def gaze_shares(skeleton: Skeleton, names: Sequence[str] | None = None) -> dict[str, float]:
-    """Chest, neck and head with their shares of the turn, 10, 40 and 50 per cent.
+    """Find chest, neck and head with their shares of the rotation, 10, 40 and 50 per cent.
 
-    **Arguments:** `names` of the three joints in that order; where they are not given, the head is the joint called
-    so, the neck the uppermost joint above it that is called so, and the chest what the neck hangs on.
+    **Arguments:** `names` of the three joints in that order. If they are not given, they are found by name:
+    the head, the uppermost neck joint above it, and as chest the parent of that neck joint.
 
-    **Raises:** `ValueError` where names are not three, or none or several joints are called so.
+    **Raises:** `ValueError` if there are not three names, or none or several joints have such a name.
     """
     if names is not None:
         if len(names) != len(SHARES):
@@ -114,7 +120,7 @@ def gaze_shares(skeleton: Skeleton, names: Sequence[str] | None = None) -> dict[
 
 
 def _plain(name: str) -> str:
-    """In small letters, without any `prefix:` and without `_` and blanks; ASF's upper neck is a neck."""
+    """Convert a joint name to lower case, without `prefix:`, `_` and blanks; ASF's upper neck is a neck."""
     return name.rsplit(":", 1)[-1].lower().replace("_", "").replace(" ", "").removeprefix("bip01")
 
 
@@ -125,7 +131,7 @@ def _joint(skeleton: Skeleton, name: str) -> int:
 
 
 def _forward(skeleton: Skeleton, head: int) -> np.ndarray:
-    """The front at rest: left crossed with up, both along coordinate axes."""
+    """Compute the front at rest: the cross product of left and up, both along coordinate axes."""
     pairs = np.array(twin_joints(skeleton.names)).reshape(-1, 2)
     centres = np.asarray(skeleton.centres, float)
     left = (centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0)

@@ -1,8 +1,9 @@
-"""A raw scan that moves with the body fitted to it: its points are glued to the body's triangles.
+"""Animate a raw scan with the body fitted to it: its points are attached to the body's triangles.
 
-Adaptation, section 4.2.3, direct animation of 3D reconstructed input data: a point of the scan is projected onto the
-plane of the closest triangle; its barycentric coordinates there and its distance along the triangle's normal stay,
-wherever the triangle goes. The body itself is not seen, so nothing of the scan's detail is lost.
+Adaptation, section 4.2.3, direct animation of 3D reconstructed input data: a point of the scan is projected
+onto the plane of the closest triangle. Its barycentric coordinates there and its distance along the
+triangle's normal stay constant when the triangle moves. The body itself is not rendered, so the scan keeps
+all of its detail.
 """
 
 import equinox as eqx
@@ -17,14 +18,14 @@ from ..geometry.closest import nearest_on_surface
 
 
 class Glue(eqx.Module):
-    """Where N points lie relative to triangles."""
+    """Positions of N points relative to triangles."""
 
     #: vertices of each point's triangle
     corners: Int[Array, "N 3"]
-    #: barycentric coordinates of the foot of the perpendicular on the triangle's plane; they leave [0, 1] where it
-    #: is beside the triangle
+    #: barycentric coordinates of the projection onto the triangle's plane; outside [0, 1] if it is outside
+    #: the triangle
     shares: Float[Array, "N 3"]
-    #: over the plane, metres
+    #: signed distance from the plane, metres
     heights: Float[Array, "N"]
 
 
@@ -34,12 +35,13 @@ def glue_scan(
     faces: Int[Array | np.ndarray, "F 3"],
     reach: float = np.inf,
 ) -> Glue:
-    """Glue points to the closest triangles of a body as it was posed when they were scanned, in NumPy and float64.
+    """Attach points to the closest triangles of a body in the pose of the scan, in NumPy and float64.
 
-    **Arguments:** `vertices` of the posed body, metres, and its `faces`; `reach` metres, beyond which a point is
-    not of this body.
+    **Arguments:** `vertices` of the posed body, metres, and its `faces`; `reach` is the largest distance of a
+    point from the body, metres.
 
-    **Raises:** `ValueError` where there are no faces or no points, a number is not finite, or a point is beyond reach.
+    **Raises:** `ValueError` if there are no faces or no points, a number is not finite, or a point is beyond
+    reach.
     """
     import trimesh
 
@@ -52,7 +54,7 @@ def glue_scan(
         raise ValueError("Not all points and vertices are finite; remove those that are not.")
     sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
     areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    # a triangle without an area has no plane, and a neighbour's side lies where its own do
+    # a degenerate triangle has no plane, and its sides belong to its neighbours too
     faces = faces[areas > 1e-12 * max(float(areas.max()), 1e-300)]
     nearest = nearest_on_surface(points, vertices, faces)
     far = nearest.distances > reach
@@ -72,17 +74,18 @@ def glue_scan(
 
 @jax.jit
 def glued_points(glue: Glue, vertices: Float[Array, "V 3"]) -> Float[Array, "N 3"]:
-    """Where glued points are, metres, with the body's vertices where they are now: one frame, differentiable."""
+    """Compute the positions of attached points from the body's current vertices, metres; one frame,
+    differentiable."""
     corners = vertices[glue.corners]
     foot = jnp.einsum("nc,nca->na", glue.shares, corners)
     normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     squared = jnp.sum(normal**2, 1, keepdims=True)
-    # a triangle that a pose has folded up has no normal; its points stay on it
+    # a triangle that a pose has collapsed has no normal; its points stay on it
     flat = squared < jnp.finfo(squared.dtype).tiny
     return foot + glue.heights[:, None] * normal / jnp.sqrt(jnp.where(flat, 1.0, squared))
 
 
 @eqx.filter_jit
 def animate_scan(glue: Glue, body: Body, pose: Pose) -> Float[Array, "N 3"]:
-    """The points of a glued scan with the body in a pose, metres; one frame."""
+    """Pose the points of an attached scan with the body, metres; one frame."""
     return glued_points(glue, pose_body(body, pose).vertices)

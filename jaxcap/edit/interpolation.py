@@ -1,4 +1,4 @@
-"""Poses between poses: rotations along the shortest arc, translations and scale straight."""
+"""Interpolate poses: rotations along the shortest arc, translations and scale linearly."""
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +11,11 @@ from ..geometry import rotation
 
 @jax.jit
 def between(here: Pose, there: Pose, share: Float[Array, "F"] | Float[Array, "F J"]) -> Pose:
-    """The poses a `share` of the way from `here` to `there`, frame by frame, or joint by joint, where scale goes with
-    the first (Shoemake 1985): exactly the former at 0, and the latter at 1 but for rounding. Stacks of F poses each."""
+    """Interpolate from `here` to `there` by a `share` for each frame, or for each joint (Shoemake 1985).
+
+    The scale uses the share of the first joint. The result is exactly `here` at 0, and `there` at 1 up to
+    rounding. Stacks of F poses each.
+    """
     share = jnp.asarray(share, here.rotations.dtype)
     shares = jnp.broadcast_to(share.reshape(len(share), -1), here.rotations.shape[:2])
     each = shares[..., None]
@@ -25,14 +28,17 @@ def between(here: Pose, there: Pose, share: Float[Array, "F"] | Float[Array, "F 
 
 
 def ease(share: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
-    """From 0 to 1 with no slope at either end, `3 t^2 - 2 t^3` (Kovar et al. 2002, section 5)."""
+    """Compute a smooth step from 0 to 1 with zero slope at either end, `3 t^2 - 2 t^3` (Kovar et al. 2002,
+    section 5)."""
     share = np.clip(share, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def resample(motion: Motion, rate: float | int) -> Motion:
-    """The motion at another rate, frames a second: each new frame is between the two that it falls
-    between; it begins with the same frame and ends at most one new frame before the end.
+    """Resample a motion to another rate, frames a second.
+
+    Each new frame is interpolated between its two neighbours. The result begins with the same frame and ends
+    at most one new frame before the end.
 
     **Raises:** `ValueError` for a rate that is not above 0, or a motion without frames.
     """
@@ -42,7 +48,7 @@ def resample(motion: Motion, rate: float | int) -> Motion:
         raise ValueError("The motion has no frames; there is nothing to resample.")
     count = int(np.floor((len(motion) - 1) * rate / motion.rate + 1e-9)) + 1
     times = np.minimum(np.arange(count) * (motion.rate / rate), len(motion) - 1)
-    # a time that rounding puts beside a frame is that frame
+    # remove rounding errors of times that are whole frames
     times = np.where(np.abs(times - np.round(times)) < 1e-9 * len(motion), np.round(times), times)
     before = np.floor(times).astype(int)
     after = np.minimum(before + 1, len(motion) - 1)

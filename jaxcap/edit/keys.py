@@ -1,7 +1,7 @@
-"""A motion by few keys: what is between them is interpolated, and stays within a tolerance of the motion.
+"""Key reduction: few keys whose interpolation stays within a tolerance of the motion.
 
-Keys are put in where the interpolation is furthest off, as Douglas and Peucker (1973) do for lines, until it is
-off nowhere; then each that is not needed is taken out again.
+Keys are inserted at the largest interpolation error, as Douglas and Peucker (1973) do for lines, until the
+error is within the tolerance everywhere. Then each key that is not needed is removed again.
 """
 
 from collections.abc import Callable
@@ -20,18 +20,18 @@ from .interpolation import between
 
 
 class Keys(NamedTuple):
-    """Which frames are keys, and the motion that they give."""
+    """The key frames, and the motion that is interpolated from them."""
 
-    #: (F, J) frames that are keys of each joint; the same for all joints where whole poses are keys
+    #: (F, J) key frames of each joint; the same for all joints if whole poses are keys
     keyed: Bool[np.ndarray, "F J"]
     motion: Motion
-    #: the largest errors of that motion: degrees of a joint's rotation, and metres of a joint's place
+    #: largest errors of that motion: joint rotation, degrees, and joint position, metres
     degrees: float
     metres: float
 
     @property
     def count(self) -> int:
-        """Keys of all joints together."""
+        """The number of keys of all joints together."""
         return int(self.keyed.sum())
 
 
@@ -42,13 +42,15 @@ def find_keys(
     metres: float | int = 0.005,
     per_joint: bool = False,
 ) -> Keys:
-    """Few keys between which rotations interpolated along the shortest arc, and translations and scale straight, are
-    within `degrees` of every joint's own rotation, and joints within `metres` of their places in the world.
+    """Find few keys whose interpolation is within `degrees` of every joint rotation and `metres` of every
+    joint position.
 
-    The first and last frames are keys. Whole poses are keys unless `per_joint`, where every joint has keys of its
-    own: fewer in all, as a still joint needs two. The tolerances are kept in every frame. Of whole poses no key can be
-    left out alone; of single joints none can by that joint's rotation and translation, which may be off by half of
-    `metres` of its own, and further keys hold what the errors of several joints add up to.
+    Rotations are interpolated along the shortest arc, translations and scale linearly; positions are in the
+    world. The first and last frames are keys. Whole poses are keys unless `per_joint`; then every joint has
+    its own keys, which are fewer in all, as a joint at rest needs two. The tolerances hold in every frame. No
+    single key of whole poses can be removed. With keys per joint, no key can be removed by the error of that
+    joint's own rotation and translation; the translation may use half of `metres`. Further keys limit the
+    accumulated errors of several joints.
 
     **Raises:** `ValueError` for a tolerance that is not above 0, a motion without frames, or of other joints.
     """
@@ -78,8 +80,10 @@ def find_keys(
 
 
 def interpolate_keys(poses: Pose, keyed: Bool[np.ndarray, "F J"]) -> Pose:
-    """The poses that keys give: each joint between those of its frames that are `keyed`. Scale goes with the
-    first joint. First and last frames have to be keys."""
+    """Interpolate poses between keys, each joint between its own `keyed` frames.
+
+    The scale uses the keys of the first joint. The first and last frames have to be keys.
+    """
     before, after = _neighbours(keyed)
     frames = np.arange(len(keyed))[:, None]
     share = (frames - before) / np.maximum(after - before, 1)
@@ -87,7 +91,7 @@ def interpolate_keys(poses: Pose, keyed: Bool[np.ndarray, "F J"]) -> Pose:
 
 
 def _poses_at(poses: Pose, frames: Int[np.ndarray, "F J"]) -> Pose:
-    """Each joint as in a frame of its own."""
+    """Take each joint from its own frame."""
     joints = np.arange(frames.shape[1])
     return Pose(
         poses.translations[frames, joints], poses.rotations[frames, joints], poses.scale[frames[:, 0]]
@@ -95,7 +99,7 @@ def _poses_at(poses: Pose, frames: Int[np.ndarray, "F J"]) -> Pose:
 
 
 def _neighbours(keyed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The last key at or before each frame, and the first at or after it."""
+    """Find the last key at or before each frame, and the first at or after it."""
     frames = np.arange(len(keyed))[:, None]
     before = np.maximum.accumulate(np.where(keyed, frames, 0), axis=0)
     after = np.minimum.accumulate(np.where(keyed, frames, len(keyed) - 1)[::-1], axis=0)[::-1]
@@ -105,7 +109,7 @@ def _neighbours(keyed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _errors(
     skeleton: Skeleton, poses: Pose, paths: np.ndarray, there: Pose
 ) -> tuple[Float[np.ndarray, "F J"], Float[np.ndarray, "F J"]]:
-    """By how much rotations (radians) and places (metres) are off."""
+    """Compute the errors of rotations (radians) and positions (metres)."""
     turned = np.asarray(rotation.distance(poses.rotations, there.rotations), float)
     moved = np.linalg.norm(np.asarray(joint_paths(skeleton, there), float) - paths, axis=-1)
     return turned, moved
@@ -121,7 +125,7 @@ def _keys_of_poses(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: n
 
 
 def _keys_of_joints(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: np.ndarray) -> None:
-    """Marks the keys in `keyed`: of each joint by itself, then where joints' errors add up to too much."""
+    """Mark the keys in `keyed`: for each joint by itself, then to limit accumulated errors."""
 
     def errors(marked: np.ndarray) -> np.ndarray:
         there = interpolate_keys(poses, marked)
@@ -137,15 +141,15 @@ def _keys_of_joints(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: 
     while True:
         there = interpolate_keys(poses, keyed)
         turned, moved = _errors(skeleton, poses, paths, there)
-        # a key changes the gaps beside it, so rotations are looked at again
+        # a key changes the adjacent gaps, so rotations are checked again
         twisted, beyond = turned > tolerance[0], moved > tolerance[1]
         if not (twisted.any() or beyond.any()):
             return
         for joint in np.flatnonzero(twisted.any(0)):
             keyed[int(np.argmax(turned[:, joint])), joint] = True
         slid = np.linalg.norm(np.asarray(there.translations - poses.translations, float), axis=-1)
-        # one key for each joint that is too far off in some frame: where it is furthest, for that of its ancestors
-        # whose error moves it most
+        # one key for each joint that exceeds the tolerance in some frame: at its largest error, for the
+        # ancestor whose error contributes most
         for joint in np.flatnonzero(beyond.any(0)):
             frame = int(np.argmax(moved[:, joint]))
             lever = np.linalg.norm(paths[frame, joint] - paths[frame], axis=-1)
@@ -155,8 +159,10 @@ def _keys_of_joints(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: 
 
 
 def _insert(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """A key at the worst frame of every gap in which something is off, until nothing is. `keyed` is (F,), or (F, J)
-    with a column for each joint's own keys."""
+    """Insert a key at the worst frame of every gap that exceeds the tolerance, until none does.
+
+    `keyed` is (F,), or (F, J) with a column of keys for each joint.
+    """
     keyed, shape = keyed.copy(), keyed.shape
     while True:
         off = errors(keyed).reshape(len(keyed), -1)
@@ -173,7 +179,7 @@ def _insert(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np
 
 
 def _prune(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Keys taken out until none can be. Every other key is tried at once, as their gaps do not touch."""
+    """Remove keys until none can be removed. Every second key is tried at once: their gaps do not overlap."""
     flat = keyed.reshape(len(keyed), -1).copy()
     needed = np.zeros_like(flat)
     while True:
@@ -188,13 +194,13 @@ def _prune(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.
                 gap = slice(before[frame, column], after[frame, column] + 1)
                 needed[frame, column] = off[gap, column].any()
                 flat[frame, column] = needed[frame, column]
-        # what was needed beside a key that has gone since may not be so now
+        # a key that was needed may be redundant after its neighbour was removed
         if flat.sum() == count:
             return flat.reshape(keyed.shape)
 
 
 def _alternate(keyed: np.ndarray, needed: np.ndarray) -> np.ndarray:
-    """Of the keys that may be left out, in every column some of which no two are neighbours."""
+    """Choose removable keys in every column so that no two of them are neighbours."""
     chosen = np.zeros_like(keyed)
     for column in range(keyed.shape[1]):
         last = False

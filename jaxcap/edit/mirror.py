@@ -1,4 +1,4 @@
-"""Left for right."""
+"""Mirror motions left to right."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,14 +11,15 @@ from ..geometry.axes import nearest_axis
 
 
 def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
-    """The motion in a mirror: what the left does the right does, and it goes the other way along the axis from side
-    to side, which is the coordinate axis that the skeleton's twins at rest lie along.
+    """Mirror a motion: exchange left and right, and reflect positions along the lateral axis.
 
-    The mirror stands at the world's origin. Exact where left and right are equal; where they are not, joints turn by
-    the mirrored angles. Twins are found by names; a joint with no twin is its own.
+    The lateral axis is the coordinate axis along which the skeleton's left and right joints lie at rest. The
+    mirror plane goes through the world's origin. The result is exact for a symmetric skeleton; otherwise
+    joints rotate by the mirrored angles. Pairs are found by names; a joint without a counterpart is mapped to
+    itself.
 
-    **Raises:** `ValueError` where no joint has a twin by name, twins hang on or are of a different kind or are all in one
-    place, or the motion moves other joints.
+    **Raises:** `ValueError` if no joint has a counterpart by name, counterparts have unlike parents or kinds
+    or all coincide, or the motion has other joints.
     """
     joints = motion.poses.rotations.shape[1]
     if joints != skeleton.num_joints:
@@ -26,20 +27,20 @@ def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
             f"The motion moves {joints} joints and the skeleton has {skeleton.num_joints}; retarget it."
         )
     twins, side = _twins(skeleton), _side(skeleton)
-    # a mirror turns about the mirrored axis the other way round
+    # a reflection reverses rotations about the axes in the mirror plane
     sign = jnp.asarray(1.0 - 2.0 * side, motion.poses.rotations.dtype)
     flip = jnp.concatenate([jnp.ones(1, sign.dtype), -sign])
     rotations = flip * motion.poses.rotations[:, twins]
     translations = sign * motion.poses.translations[:, twins]
     roots = np.flatnonzero(np.array(skeleton.parents) < 0)
-    # a root's place counts, and its centre may be anywhere
+    # a root's position is in the world, and its centre may be anywhere
     offset = sign * skeleton.centres[twins[roots]] - skeleton.centres[roots]
     translations = translations.at[:, roots].add(offset)
     return Motion(Pose(translations, rotations, motion.poses.scale), motion.rate)
 
 
 def _twins(skeleton: Skeleton) -> np.ndarray:
-    """(J,) the joint on the other side of each."""
+    """Find the joint on the other side of each joint, (J,)."""
     twins = np.arange(skeleton.num_joints)
     for left, right in twin_joints(skeleton.names):
         twins[left], twins[right] = right, left
@@ -60,7 +61,7 @@ def _twins(skeleton: Skeleton) -> np.ndarray:
 
 
 def _side(skeleton: Skeleton) -> Float[np.ndarray, "3"]:
-    """One along the coordinate axis from the right to the left at rest."""
+    """Find the coordinate axis from right to left at rest, without its sign."""
     pairs = np.array(twin_joints(skeleton.names))
     centres = np.asarray(skeleton.centres, float)
     side = nearest_axis(np.abs(centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0))

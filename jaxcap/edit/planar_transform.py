@@ -1,4 +1,7 @@
-"""Turns about the vertical and shifts along the floor: what may be done to a motion without changing it."""
+"""Planar transforms: rotations about the vertical and translations along the floor.
+
+They do not change a motion itself.
+"""
 
 from typing import NamedTuple
 
@@ -11,12 +14,12 @@ from ..body.pose import Pose, shift_roots
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
 
-#: radians below which a turn's arc is a straight line
+#: radians below which a rotation's arc is taken as a straight line
 STRAIGHT = 1e-7
 
 
 class Planar(NamedTuple):
-    """`x' = R x + shift`, with `R` the turn about the vertical y by `heading`."""
+    """A planar transform `x' = R x + shift`, with `R` the rotation about the vertical y by `heading`."""
 
     #: radians
     heading: float
@@ -25,8 +28,8 @@ class Planar(NamedTuple):
 
 
 def align(here: Float[np.ndarray, "N 3"], there: Float[np.ndarray, "N 3"]) -> Planar:
-    """The planar motion that brings points `here` nearest to those `there`, in closed form (Kovar et al. 2002,
-    section 3.2, equation 4)."""
+    """Find the planar transform that best aligns points `here` with those `there`, in closed form (Kovar et
+    al. 2002, section 3.2, equation 4)."""
     a, b = (np.asarray(points, float)[:, [0, 2]] for points in (there, here))
     middle_a, middle_b = a.mean(0), b.mean(0)
     a, b = a - middle_a, b - middle_b
@@ -35,17 +38,16 @@ def align(here: Float[np.ndarray, "N 3"], there: Float[np.ndarray, "N 3"]) -> Pl
 
 
 def power(planar: Planar, share: float) -> Planar:
-    """A `share` of a planar motion, along the arc that leads from none to the whole of it; -1 undoes it."""
+    """Compute a `share` of a planar transform, along the arc from the identity; -1 inverts it."""
     arc = _arc(planar.heading)
-    # a turn times a length, so that its inverse is the transpose over the square of that
+    # a scaled rotation, so its inverse is the transpose over the squared scale
     u = arc.T @ planar.shift / np.sum(arc[0] ** 2)
     heading = share * planar.heading
     return Planar(heading, _arc(heading) @ (share * u))
 
 
 def move(skeleton: Skeleton, planar: list[Planar] | Planar, poses: Pose) -> Pose:
-    """Poses of a stack in another place: the roots are turned and shifted, nothing else. One `planar` for
-    all frames, or one for each."""
+    """Apply a planar transform to the roots of stacked poses; one for all frames, or one for each."""
     each = planar if isinstance(planar, list) else [planar] * len(poses.scale)
     dtype = poses.rotations.dtype
     headings = jnp.asarray([one.heading for one in each], dtype)
@@ -68,13 +70,13 @@ def _moved(skeleton: Skeleton, headings: Float[Array, "F"], shifts: Float[Array,
 
 
 def _matrix(heading: float) -> Float[np.ndarray, "2 2"]:
-    """The turn of (x, z) about y."""
+    """Build the rotation matrix of (x, z) about y."""
     c, s = np.cos(heading), np.sin(heading)
     return np.array([[c, s], [-s, c]])
 
 
 def _arc(heading: float) -> Float[np.ndarray, "2 2"]:
-    """The mean of the turns from 0 to `heading`: the V of the exponential map of SE(2)."""
+    """Average the rotations from 0 to `heading`: the V of the exponential map of SE(2)."""
     if abs(heading) < STRAIGHT:
         return np.eye(2)
     c, s = (1.0 - np.cos(heading)) / heading, np.sin(heading) / heading

@@ -1,7 +1,7 @@
-"""Where one motion may go over into another: how alike short windows of them are.
+"""Transitions between motions: the similarity of short windows.
 
 The distance of Kovar, Gleicher and Pighin, *Motion Graphs* (2002), section 3: joint positions of a window of
-frames, which hold velocities too, after the best turn about the vertical and shift along the floor.
+frames, which include velocities, after the best rotation about the vertical and translation along the floor.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from ..body.skeleton import Skeleton
 
 
 class Transition(NamedTuple):
-    """Windows that are alike: they begin at these frames."""
+    """Two similar windows, by their first frames."""
 
     first: int
     second: int
@@ -24,10 +24,11 @@ class Transition(NamedTuple):
 
 
 def transition_distances(skeleton: Skeleton, a: Motion, b: Motion, window: int) -> Float[np.ndarray, "N M"]:
-    """The distance of each window of `window` frames of `a` to each of `b`, root mean square over joints and
-    frames, metres; row and column are the windows' first frames.
+    """Compute the distances between all windows of `window` frames of `a` and of `b`.
 
-    **Raises:** `ValueError` where a motion is shorter than the window or moves other joints.
+    They are root mean squares over joints and frames, metres; row and column are the windows' first frames.
+
+    **Raises:** `ValueError` if a motion is shorter than the window or has other joints.
     """
     for motion in (a, b):
         if motion.poses.rotations.shape[1] != skeleton.num_joints:
@@ -50,20 +51,25 @@ def transition_distances(skeleton: Skeleton, a: Motion, b: Motion, window: int) 
 def find_transitions(
     skeleton: Skeleton, a: Motion, b: Motion, window: int, count: int = 1
 ) -> list[Transition]:
-    """The `count` best windows to go from `a` over into `b`, the best first: least distances of their
-    neighbourhood, none within a window of a better one. Raises as `transition_distances` does."""
+    """Find the `count` best windows for a transition from `a` to `b`, the best first.
+
+    They are local minima of the distance, none within a window of a better one. Raises as
+    `transition_distances` does.
+    """
     return _best(transition_distances(skeleton, a, b, window), window, count)
 
 
 def find_loops(
     skeleton: Skeleton, motion: Motion, window: int, least: int, most: int | None = None, count: int = 1
 ) -> list[Transition]:
-    """The best frames to close a loop, for `make_loop`: a loop goes from frame `first + window` to frame
-    `second + window`, and what comes before each of them is alike.
+    """Find the best frames to close a loop, for `make_loop`.
 
-    **Arguments:** `least` and `most` frames of a loop.
+    A loop goes from frame `first + window` to frame `second + window`, and the windows before these frames
+    are similar.
 
-    **Raises:** `ValueError` where no loop of these lengths fits into the motion.
+    **Arguments:** `least` and `most` are the shortest and longest lengths of a loop, frames.
+
+    **Raises:** `ValueError` if no loop of these lengths fits into the motion.
     """
     most = len(motion) if most is None else most
     if not 1 <= least <= most or least + window >= len(motion):
@@ -71,14 +77,14 @@ def find_loops(
             f"A loop of {least} to {most} frames with {window} before it does not fit into a motion of "
             f"{len(motion)} frames; ask for a shorter one."
         )
-    # the window's last frame is where a loop begins, so it is one frame longer
+    # the window includes the frame at which a loop begins, so it is one frame longer
     distances = transition_distances(skeleton, motion, motion, window + 1)
     length = np.arange(len(distances))[None] - np.arange(len(distances))[:, None]
     return _best(np.where((length >= least) & (length <= most), distances, np.inf), window, count)
 
 
 def _windows(skeleton: Skeleton, motion: Motion, window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x, y and z of all joints of each window, (N, window J); x and z about their mean."""
+    """Stack x, y and z of all joints of each window, (N, window J); x and z about their mean."""
     paths = np.asarray(joint_paths(skeleton, motion.poses), float)
     count, joints = len(paths) - window + 1, paths.shape[1]
     frames = np.arange(count)[:, None] + np.arange(window)[None]

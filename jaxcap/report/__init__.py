@@ -1,1 +1,1 @@
-"""Reports and pictures of results."""
+"""Reports and figures of results."""

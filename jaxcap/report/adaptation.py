@@ -1,4 +1,4 @@
-"""The report of an adaptation: one page that tells what has been gained, and how it was made."""
+"""The report of an adaptation: one page with the improvements and the settings."""
 
 import importlib.metadata
 import platform
@@ -65,27 +65,27 @@ PAIRS = """The distance that the adaptation makes small: of pairs along their no
 is over other scans in some stages, so a small rise need not be a loss."""
 LOST = """Each frame is compared with what is normal for all frames, part by part: points that no part explains,
 surface that ought to be seen and has no points, and the distance from the points to the body."""
-#: lost frames that are named
+#: largest number of lost frames that are listed
 NAMED = 20
-#: what a result may depend on
+#: packages whose versions may affect a result
 PACKAGES = ("jaxcap", "jax", "numpy", "scipy")
 
 
 def report_adaptation(
     path: str | Path, task: Task, state: AdaptState, stages: Stages, how: Mapping[str, object]
 ) -> None:
-    """Write the report as one file of HTML, with all pictures in it.
+    """Write the report as one HTML file that includes all pictures.
 
-    **Arguments:** `stages` with all variants, from `compare_stages`; `how` the adaptation was made, by the names that
-    the user knows.
+    **Arguments:** `stages` with all variants, from `compare_stages`; `how` maps the options of the
+    adaptation, by their user-visible names, to their values.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     write_text(path, adaptation_page(task, state, stages, how))
 
 
 def adaptation_page(task: Task, state: AdaptState, stages: Stages, how: Mapping[str, object]) -> str:
-    """The page of `report_adaptation`."""
+    """Build the page of `report_adaptation`."""
     skeleton, angles = state.body.skeleton, stages.angles
     parts = [
         element("h1", TITLE),
@@ -113,7 +113,7 @@ def adaptation_page(task: Task, state: AdaptState, stages: Stages, how: Mapping[
 
 
 def headline(task: Task, state: AdaptState, stages: Stages) -> Markup:
-    """Size, distances and lost frames in plain words."""
+    """Summarise size, distances and lost frames in plain words."""
     first, last = stages.variants[0], stages.variants[-1]
     before, after = (1000 * quantile(variant.to_body, 0.5) for variant in (first, last))
     size = (
@@ -139,21 +139,24 @@ def headline(task: Task, state: AdaptState, stages: Stages) -> Markup:
 
 
 def lost_table(state: AdaptState) -> Markup:
-    """Lost frames with their reasons."""
+    """Tabulate lost frames with their reasons."""
     reasons = state.reasons or ("",) * len(state.lost)
     rows = [[str(frame), reason] for frame, reason in zip(state.lost, reasons, strict=True)]
     return table("Lost frames, counted from 0", ("frame", "why"), rows, words=(1,))
 
 
 def variant_table(variants: tuple[Variant, ...]) -> Markup:
-    """Table 4.3 of the thesis, a row a variant, with the ninth decile, the other way round, and lost frames."""
+    """Build table 4.3 of the thesis, one row per variant.
+
+    It adds the ninth decile, the distances from body to scan, and lost frames.
+    """
     return table(
         "Distance from scanned points to the body, millimetres", COLUMNS, [_row(v) for v in variants]
     )
 
 
 def measure_notes(task: Task, stages: Stages) -> list[Markup]:
-    """What the figures of the table mean."""
+    """Describe the figures of the table."""
     kinds = "; ".join(f"{v.name}: {VARIANTS[v.name]}" for v in stages.variants if v.name in VARIANTS)
     points = int(stages.variants[0].to_body.counts.sum())
     frames = f"Measured are {len(stages.measured)} of {task.frames} frames, with {points:,} points together."
@@ -162,7 +165,7 @@ def measure_notes(task: Task, stages: Stages) -> list[Markup]:
 
 
 def history_table(history: Sequence[tuple[str, float]], terms: Sequence[Terms]) -> Markup:
-    """The figures of `history_chart`, and the objective's other terms beside them, as roots of means."""
+    """Tabulate the figures of `history_chart`, and the other terms of the objective as root mean squares."""
     rows = []
     for (name, distance), values in zip(history, terms, strict=True):
         lengths = [1000 * np.sqrt(value) for value in (values.shape, values.symmetry)]
@@ -174,7 +177,7 @@ def history_table(history: Sequence[tuple[str, float]], terms: Sequence[Terms]) 
 
 
 def how_table(task: Task, how: Mapping[str, object]) -> Markup:
-    """Options and versions."""
+    """Tabulate options and versions."""
     rows = [
         [name.replace("_", " "), "not given" if value is None else str(value)] for name, value in how.items()
     ]
@@ -195,7 +198,7 @@ def _row(variant: Variant) -> list[str]:
 
 
 def _height(body: Body) -> float:
-    """Metres; y is up."""
+    """Compute the height of a body, metres; y is up."""
     return float(np.ptp(np.asarray(body.vertices, float)[:, 1]))
 
 

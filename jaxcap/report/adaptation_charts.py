@@ -1,4 +1,5 @@
-"""Charts and pictures of an adaptation: distances, where they are, when they are, and joints over time."""
+"""Charts and figures of an adaptation: distances, their distribution over body and time, and joint angles
+over time."""
 
 from collections.abc import Sequence
 
@@ -11,15 +12,18 @@ from .heat_map import colour_scale, heat_limit, heat_pictures
 from .page import Markup, element, joined, table
 from .pictures import nice
 
-#: looks of the variants in their order; the last one lies on the one before
+#: styles of the variants in their order; the last one is drawn over the one before
 LOOKS = ("c0", "c1", "c2", "c3 dashed")
-#: bins of the histogram; joints with a chart; parts of the body in the table of the worst
+#: bins of the histogram; number of joints with a chart; number of body parts in the table of largest
+#: distances
 BINS, JOINTS, PARTS = 50, 6, 12
 
 
 def distance_charts(variants: Sequence[Variant]) -> Markup:
-    """How many points lie within a distance, and how many at it; up to what 97 of 100 of the worst variant stay
-    within."""
+    """Plot the cumulative and the binned distribution of distances.
+
+    The range ends at the 97 % quantile of the worst variant.
+    """
     limit = nice(1000 * max(quantile(variant.to_body, 0.97) for variant in variants))
     edges = np.linspace(0.0, limit, BINS + 1)
     within = [100 * share_below(variant.to_body, edges / 1000) for variant in variants]
@@ -51,7 +55,7 @@ def distance_charts(variants: Sequence[Variant]) -> Markup:
 
 
 def heat_maps(variants: Sequence[Variant]) -> Markup:
-    """Each body from the front and the back on one scale of colours, and the same by parts in a table."""
+    """Render each body from the front and the back on one colour scale, with a table by body parts."""
     heats = [1000 * variant.heat for variant in variants]
     limit = heat_limit(heats)
     pictures = heat_pictures([variant.body for variant in variants], heats, limit)
@@ -78,7 +82,7 @@ def heat_maps(variants: Sequence[Variant]) -> Markup:
 
 
 def mean_by_part(variant: Variant) -> dict[str, float]:
-    """Mean heat of the vertices of each bone that was scanned, millimetres; the worst first."""
+    """Average the heat over the scanned vertices of each bone, millimetres; the largest first."""
     bones, known = np.asarray(variant.body.skin.parts()), np.isfinite(variant.heat)
     means = {
         name: 1000 * float(variant.heat[known & (bones == number)].mean())
@@ -89,7 +93,7 @@ def mean_by_part(variant: Variant) -> dict[str, float]:
 
 
 def frame_chart(stages: Stages, rate: float) -> Markup:
-    """The median distance of every frame that was measured."""
+    """Plot the median distance of every measured frame."""
     seconds = np.array(stages.measured) / rate
     lines = [
         Line(variant.name, seconds, 1000 * variant.by_frame, look)
@@ -107,7 +111,7 @@ def frame_chart(stages: Stages, rate: float) -> Markup:
 
 
 def angle_charts(angles: Angles, skeleton: Skeleton) -> Markup:
-    """The joints that turn most, each with its angle, before and after motion was made smooth."""
+    """Plot the angles of the joints that move most, before and after smoothing."""
     shown = moving_joints(angles, skeleton)
     figures, looks = [], []
     for joint in shown:
@@ -123,7 +127,8 @@ def angle_charts(angles: Angles, skeleton: Skeleton) -> Markup:
 
 
 def shake_table(angles: Angles, skeleton: Skeleton) -> Markup:
-    """How far the shown joints turn, and how far each frame is from the mean of its neighbours."""
+    """Tabulate the angle ranges of the shown joints, and the deviations of frames from the mean of their
+    neighbours."""
     final = angles.before if angles.after is None else angles.after
     rows = []
     for joint in moving_joints(angles, skeleton):
@@ -137,7 +142,7 @@ def shake_table(angles: Angles, skeleton: Skeleton) -> Markup:
 
 
 def moving_joints(angles: Angles, skeleton: Skeleton) -> list[int]:
-    """Joints whose angles spread most, the most first; the root says where the body is."""
+    """Find the joints whose angles vary most, in descending order, without the root."""
     final = angles.before if angles.after is None else angles.after
     turning = [
         joint
@@ -149,7 +154,7 @@ def moving_joints(angles: Angles, skeleton: Skeleton) -> list[int]:
 
 
 def history_chart(history: Sequence[tuple[str, float]]) -> Markup:
-    """The distance after every stage."""
+    """Plot the distance after every stage."""
     values = np.array([value for _, value in history])
     line = Line("root mean square", np.arange(1.0, len(values) + 1), values, "c2")
     high = 1.06 * float(values.max())
@@ -160,7 +165,7 @@ def history_chart(history: Sequence[tuple[str, float]]) -> Markup:
 
 
 def _shakes(angles: Angles, joints: Sequence[int]) -> list[str]:
-    """Root mean square over joints, before and after."""
+    """Compute root mean squares over joints, before and after smoothing."""
     both = [shake for shake in (angles.shake_before, angles.shake_after) if shake is not None]
     return [f"{np.degrees(np.sqrt(np.mean(shake[list(joints)] ** 2))):.2f}" for shake in both]
 

@@ -1,4 +1,4 @@
-"""Charts of lines as SVG inside a page, in the page's own colours."""
+"""Line charts as SVG inside a page, in the page's own colours."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,14 +9,14 @@ from jaxtyping import Float
 from .page import Markup, element
 from .pictures import nice
 
-#: size of a chart and its margins: left, right, above, below
+#: size of a chart and its margins: left, right, top, bottom
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560.0, 300.0, 56.0, 14.0, 12.0, 46.0
-#: ticks of an axis, at most about so many
+#: approximate largest number of ticks of an axis
 TICKS = 6
 
 
 class Line(NamedTuple):
-    """Points joined by a line; one that is not finite breaks it."""
+    """Points joined by a line; a point that is not finite interrupts it."""
 
     name: str
     x: Float[np.ndarray, "N"]
@@ -34,9 +34,10 @@ def line_chart(
     x_range: tuple[float, float] | None = None,
     y_range: tuple[float, float] | None = None,
 ) -> Markup:
-    """Lines over axes with round numbers; the title is for those who do not see the chart, and shows on hover.
+    """Draw lines over axes with round numbers.
 
-    Ranges are those of the lines where not given, a little wider.
+    The title is the accessible label, and is shown on hover. If ranges are not given, they are those of the
+    lines, with a small margin.
     """
     low_x, high_x = span(np.concatenate([line.x for line in lines])) if x_range is None else x_range
     low_y, high_y = span(np.concatenate([line.y for line in lines]), 0.06) if y_range is None else y_range
@@ -73,7 +74,7 @@ def line_chart(
 
 
 def legend(lines: Sequence[Line]) -> Markup:
-    """Which line is which; for several charts with the same lines."""
+    """Build the legend of charts that share the same lines."""
     items = []
     for line in lines:
         stroke = element("path", d="M0 6 H32", class_=f"line {line.look}")
@@ -84,7 +85,7 @@ def legend(lines: Sequence[Line]) -> Markup:
 
 
 def path(x: Float[np.ndarray, "N"], y: Float[np.ndarray, "N"]) -> str:
-    """What `d` of an SVG path says of points."""
+    """Build the `d` attribute of an SVG path through points."""
     words, pen = [], "M"
     for left, down in zip(x, y, strict=True):
         if np.isfinite(left) and np.isfinite(down):
@@ -96,7 +97,7 @@ def path(x: Float[np.ndarray, "N"], y: Float[np.ndarray, "N"]) -> str:
 
 
 def span(values: Float[np.ndarray, "N"], margin: float = 0.0) -> tuple[float, float]:
-    """From the least to the largest and a share of that beyond both; never nothing."""
+    """Compute the range of finite values, extended by a share of it on both sides; never empty."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     beyond = margin * (high - low) if high > low else 0.5
@@ -104,11 +105,11 @@ def span(values: Float[np.ndarray, "N"], margin: float = 0.0) -> tuple[float, fl
 
 
 def ticks(low: float, high: float) -> list[float]:
-    """Round numbers between two, evenly."""
+    """List evenly spaced round numbers between two values."""
     step = nice((high - low) / TICKS)
     return [step * n for n in range(int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9)) + 1)]
 
 
 def number(value: float) -> str:
-    """As short as it can be said, with a real minus."""
+    """Format a number as short as possible, with a typographic minus."""
     return f"{value:.6g}".replace("-", "−") if abs(value) > 1e-12 else "0"

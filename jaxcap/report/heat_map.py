@@ -1,4 +1,4 @@
-"""A body from the front and the back, coloured by how far scans were from it."""
+"""Heat maps of a body from the front and the back, coloured by the distance from scans."""
 
 import base64
 import io
@@ -13,14 +13,14 @@ from .page import Markup, element
 from .pictures import HEAT, new_figure, nice
 from .render import draw_surface, frame, turned
 
-#: no scan was nearest to it
+#: colour of vertices that are nearest to no scanned point
 UNSEEN = np.array([0.62, 0.64, 0.66])
-#: inches that a body is high in a picture
+#: height of a body in a picture, inches
 TALL = 4.2
 
 
 def heat_limit(heats: Sequence[Float[np.ndarray, "_"]]) -> float:
-    """The end of a colour scale for several bodies, in their unit: few vertices are beyond it."""
+    """Compute the upper end of a common colour scale, in the unit of the heats; few vertices exceed it."""
     known = np.concatenate([heat[np.isfinite(heat)] for heat in heats])
     if not len(known):
         return 1.0
@@ -29,7 +29,8 @@ def heat_limit(heats: Sequence[Float[np.ndarray, "_"]]) -> float:
 
 
 def heat_pictures(bodies: Sequence[Body], heats: Sequence[Float[np.ndarray, "_"]], limit: float) -> list[str]:
-    """For every body a picture at rest as a data URI: front and back, on one scale of sizes and colours.
+    """Render every body at rest, front and back, on common size and colour scales; each picture is a data
+    URI.
 
     Vertices whose heat is NaN are grey. Bodies have y up.
     """
@@ -45,7 +46,7 @@ def heat_pictures(bodies: Sequence[Body], heats: Sequence[Float[np.ndarray, "_"]
 
 
 def colour_scale(limit: float, unit: str, unseen: str) -> Markup:
-    """The legend of `heat_pictures`, with `limit` in a unit; `unseen` says what grey is."""
+    """Build the legend of `heat_pictures`, with `limit` in a unit; `unseen` explains grey."""
     bar = element("div", class_="bar", style=f"background: linear-gradient(90deg, {', '.join(HEAT)})")
     values = [number(value) for value in ticks(0.0, limit)]
     ends = element("div", *(element("span", value) for value in values), class_="ends")
@@ -54,7 +55,8 @@ def colour_scale(limit: float, unit: str, unseen: str) -> Markup:
 
 
 def front_view(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3 3"]:
-    """Rows are right, up, which is y, and towards the eye, which is the shallower of the two others."""
+    """Choose the view from the front: rows are right, up (y), and towards the eye along the shallower other
+    axis."""
     sides = np.ptp(vertices, axis=0)
     towards = np.eye(3)[2 if sides[2] <= sides[0] else 0]
     return np.stack([np.cross([0.0, 1.0, 0.0], towards), [0.0, 1.0, 0.0], towards])
@@ -75,7 +77,7 @@ def _picture(
     paint = np.where(known[:, None], colours, UNSEEN)
     wide = float(np.clip(TALL * reach[0] / reach[1], 1.2, 6.0))
     canvas, figure = new_figure(2 * wide, TALL)
-    # the page behind may be light or dark
+    # the page background may be light or dark
     figure.set_facecolor("none")
     for plot, degrees in zip(figure.subplots(1, 2), (0.0, 180.0), strict=True):
         draw_surface(plot, vertices, faces, turned(view, degrees), paint)

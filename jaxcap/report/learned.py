@@ -1,4 +1,4 @@
-"""The report of a learned body: figures as JSON, pictures of errors, weights and curves."""
+"""The report of a learned body: figures as JSON, and pictures of errors, weights and curves."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,12 +30,12 @@ def report_learning(
     curve: Float[np.ndarray, "N"] | None,
     settings: Mapping[str, object],
 ) -> list[Path]:
-    """Write `report.json` and pictures into a folder that is there; returns the pictures.
+    """Write `report.json` and pictures into an existing folder; return the pictures.
 
     **Arguments:** `groups` of meshes by name, such as training and held out; `history` the objective after
-    every step; `curve` the root mean square error of 1, 2, ... rigid parts, metres, where parts were found.
+    every step; `curve` the root mean square error of 1, 2, ... rigid parts, metres, if parts were computed.
 
-    **Raises:** `InputError` where a file cannot be written.
+    **Raises:** `InputError` if a file cannot be written.
     """
     folder = Path(folder)
     pictures = [
@@ -70,7 +70,7 @@ def report_learning(
 
 
 def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
-    """The objective after every step, a colour for each kind of step; hollow on some of the vertices."""
+    """Plot the objective after every step, one colour per type of step; hollow for a vertex subset."""
     from matplotlib.ticker import NullFormatter
 
     canvas, figure = new_figure(7.5, 3.8)
@@ -78,7 +78,7 @@ def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
     kinds = [step.removeprefix(COARSE) for step, _ in history]
     hollow = np.array([step.startswith(COARSE) for step, _ in history])
     values = np.array([value for _, value in history])
-    # a start on other vertices is another objective
+    # the objective on other vertices is not comparable
     begins = [i for i, name in enumerate(step for step, _ in history) if name.endswith("start")]
     for begin, end in zip([0, *begins], [*begins, len(values)], strict=True):
         plot.plot(np.arange(begin, end), values[begin:end], color="#9aa5b1", linewidth=1.2, zorder=1)
@@ -103,7 +103,7 @@ def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
 
 
 def _curve(path: Path, curve: Float[np.ndarray, "N"], joints: int) -> Path:
-    """The error of rigid parts over their number, with the number that was taken."""
+    """Plot the error of rigid parts over their number, and mark the selected number."""
     canvas, figure = new_figure(6.5, 3.8)
     plot = figure.subplots()
     parts = np.arange(1, len(curve) + 1)

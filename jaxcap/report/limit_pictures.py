@@ -1,4 +1,4 @@
-"""Pictures of a joint's limits: samples, voxels, and the surface around them (Limits, figures 5 and 8)."""
+"""Figures of a joint's limits: samples, voxels, and the surface around them (Limits, figures 5 and 8)."""
 
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,9 @@ from ..io.system.atomic import replacing
 from .pictures import new_figure
 from .render import INK, draw_surface, frame, turned, view_axes
 
-#: a quaternion's chart is looked at from here, degrees
+#: view angle of a quaternion's chart, degrees
 TURN = 30.0
-#: keyframes that are shown; samples and cubes in a picture at most
+#: number of keyframes that are shown; largest number of samples and cubes in a picture
 KEYFRAMES, DOTS = 4, 6000
 DOT, FILL, EDGE = "#1c7293", np.array([0.95, 0.76, 0.31]), "#f2803c"
 CUBE = np.array([0.56, 0.72, 0.84])
@@ -28,12 +28,12 @@ def draw_limits(
     places: Float[np.ndarray, "F 3"],
     parents: Float[np.ndarray, "F 3"] | None = None,
 ) -> None:
-    """Write a PNG of one joint's limits with the samples that they were learned from, in its chart.
+    """Write a PNG of one joint's limits with the samples from which they were learned, in its chart.
 
-    Of a joint on its own: samples, voxels and surface. Of one with a parent: the same for some keyframes,
-    those with most samples first.
+    For an independent joint it shows samples, voxels and surface. For one with a parent it shows the same at
+    some keyframes, in descending order of their numbers of samples.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     if surface.parent is None or parents is None:
         shown, near = [0], [np.ones(len(places), bool)]
@@ -98,7 +98,7 @@ def _draw_solid(plots: Any, surface: LimitSurface, primitives: Primitives, place
 
 
 def _draw_flat(plots: Any, surface: LimitSurface, primitives: Primitives, places: np.ndarray) -> None:
-    """Charts of one angle as a histogram with what is allowed, of two as a map."""
+    """Draw a chart of one angle as a histogram with the allowed range, and one of two angles as a map."""
     plot, reach = plots[0], float(jnp.max(radii(primitives)))
     low = np.asarray(primitives.centres.min(0)) - 3 * reach
     high = np.asarray(primitives.centres.max(0)) + 3 * reach
@@ -111,7 +111,7 @@ def _draw_flat(plots: Any, surface: LimitSurface, primitives: Primitives, places
             label="allowed",
         )  # fmt: skip
         plot.stairs(counts, np.degrees(2 * edges), fill=True, color=DOT, label="samples")
-        # few samples beside many are seen too
+        # a logarithmic scale keeps small counts visible
         plot.set_yscale("symlog")
         plot.set_xlabel("angle from the middle, degrees", fontsize=8, color=INK)
         plot.set_ylabel("number of samples", fontsize=8, color=INK)
@@ -136,12 +136,12 @@ def _draw_flat(plots: Any, surface: LimitSurface, primitives: Primitives, places
 
 
 def surface_mesh(primitives: Primitives) -> tuple[Float[np.ndarray, "V 3"], np.ndarray]:
-    """Triangles of the surface: every primitive's ball, blown up to the level, without what is inside."""
+    """Triangulate the surface: a ball around every primitive, expanded to the level, without its interior."""
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=2)
     centres, reach = np.asarray(primitives.centres, float), np.asarray(radii(primitives), float)
-    # primitives on one place are drawn once
+    # coincident primitives are drawn once
     _, once = np.unique(np.round(np.column_stack([centres, reach]), 6), axis=0, return_index=True)
     centres, reach = centres[once], reach[once]
     further = 1.6 * float(primitives.unit) / float(primitives.stiffness) * float(primitives.level)

@@ -1,4 +1,4 @@
-"""A strip of frames: a motion before and after it was changed (Limits, figures 9 and 10)."""
+"""A strip of frames: a motion before and after a change (Limits, figures 9 and 10)."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from ..io.system.atomic import replacing
 from .pictures import new_figure
 from .render import INK, frame, view_axes
 
-#: frames in a strip; colours of bones, and of bones below joints that are marked
+#: frames in a strip; colours of bones, and of bones below marked joints
 SHOWN, BONE, MARKED = 8, "#5b6770", "#c81d25"
 
 
@@ -23,10 +23,12 @@ def draw_strip(
     marked: np.ndarray,
     title: str = "",
 ) -> None:
-    """Write a PNG: above, frames of a motion with the joints that `marked (F, J)` names in red; below, the
-    same frames after. Shown are frames spread over those in which something is marked.
+    """Write a PNG with frames of a motion in two rows, before and after a change.
 
-    **Raises:** `InputError` where the file cannot be written.
+    In the upper row the joints in `marked (F, J)` are red. The frames are evenly chosen from those with a
+    marked joint.
+
+    **Raises:** `InputError` if the file cannot be written.
     """
     chosen = np.flatnonzero(marked.any(1))
     chosen = chosen if len(chosen) else np.arange(len(before))

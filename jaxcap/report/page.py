@@ -1,10 +1,10 @@
-"""Pages of HTML that are one file: elements whose text is escaped, tables, and the look of a page."""
+"""Self-contained HTML pages: elements with escaped text, tables, and the style of a page."""
 
 import html
 from collections.abc import Sequence
 
 VOID = frozenset({"img", "meta", "br"})
-#: nothing may be fetched from anywhere
+#: no external resources are loaded
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 STYLE = """
@@ -45,12 +45,15 @@ details { margin: 1rem 0; } summary { cursor: pointer; }
 
 
 class Markup(str):
-    """Text that is HTML already."""
+    """Text that is already HTML."""
 
 
 def element(tag: str, *children: str, **attributes: object) -> Markup:
-    """An element; children that are not `Markup` are escaped, and so are attributes. A trailing underscore of an
-    attribute's name is left out and others become hyphens; an attribute that is None is left out."""
+    """Build an element; children that are not `Markup` and attributes are escaped.
+
+    In attribute names, trailing underscores are removed and others become hyphens. An attribute that is None
+    is omitted.
+    """
     told = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{html.escape(str(value))}"'
         for name, value in attributes.items()
@@ -62,14 +65,15 @@ def element(tag: str, *children: str, **attributes: object) -> Markup:
 
 
 def joined(*children: str) -> Markup:
-    """Children one after the other, escaped where they are not `Markup`."""
+    """Concatenate children, escaped if they are not `Markup`."""
     return Markup("".join(x if isinstance(x, Markup) else html.escape(x) for x in children))
 
 
 def table(
     caption: str, head: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = ()
 ) -> Markup:
-    """A table whose first column and first row are headers; columns in `words` hold text, the others numbers."""
+    """Build a table whose first column and first row are headers; columns in `words` hold text, the others
+    numbers."""
     look = ["words" if i in words else None for i in range(len(head))]
     top = element(
         "tr", *(element("th", cell, scope="col", class_=x) for cell, x in zip(head, look, strict=True))
@@ -83,17 +87,17 @@ def table(
         for row in rows
     ]
     whole = element("table", element("caption", caption), element("thead", top), element("tbody", *body))
-    # a table that is wider than a telephone is scrolled by itself, also from the keyboard
+    # a table wider than a small screen scrolls by itself, also from the keyboard
     return element("div", whole, class_="wide", tabindex=0, role="region", aria_label=caption)
 
 
 def section(title: str, *children: str) -> Markup:
-    """A heading and what belongs to it."""
+    """Build a section with a heading and its contents."""
     return element("section", element("h2", title), *children)
 
 
 def page(title: str, *children: str) -> str:
-    """A whole page, in the colours that the reader's device is set to."""
+    """Build a whole page, in the reader's light or dark colour scheme."""
     head = element(
         "head",
         element("meta", charset="utf-8"),

@@ -14,7 +14,7 @@ from ..observe import MeshSequence
 from .render import INK, PAPER, draw_surface, frame, turned, view_axes
 from .scores import Scores, posed_vertices
 
-#: meshes in a picture, and the degrees that a body is turned by to be seen from the front and the side
+#: number of meshes in a picture, and angles of the views from the front and the side, degrees
 SHOWN, VIEWS = 5, (25.0, 115.0)
 INPUT = np.array([1.0, 0.86, 0.48])
 HEAT = ("#4f7fd1", "#45b3d6", "#8fdcae", "#ffe066", "#ff8a45", "#cf2434")
@@ -28,12 +28,12 @@ def error_pictures(
     scores: Scores,
     name: str = "error",
 ) -> list[Path]:
-    """Write `error.png`: some meshes, and below them the posed body with the distance from each vertex of the
-    mesh to its surface, from two sides. Returns the files.
+    """Write `error.png`: some meshes, and below them the posed body from two sides. Returns the files.
 
-    Shown are the best and the worst mesh and those evenly between, by mean distance.
+    Colours are the distances from the vertices of the mesh to the body's surface. The meshes are the best,
+    the worst and evenly spaced ones between, by mean distance.
 
-    **Raises:** `InputError` where a file cannot be written.
+    **Raises:** `InputError` if a file cannot be written.
     """
     fitted = [number for number, score in enumerate(scores.meshes) if score.fitted]
     if not fitted:
@@ -110,7 +110,7 @@ def _draw(
 
 
 def new_figure(width: float, height: float) -> tuple[Any, Any]:
-    """A canvas that writes PNG and its figure, inches; no window system is asked."""
+    """Create a canvas that writes PNG, and its figure, in inches, without a window system."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -119,12 +119,12 @@ def new_figure(width: float, height: float) -> tuple[Any, Any]:
 
 
 def _short(name: str) -> str:
-    """The name of a mesh without its folder, or in its file."""
+    """Shorten the name of a mesh to that without its folder, or to that within its file."""
     return name[name.index("[") + 1 : -1] if name.endswith("]") and "[" in name else Path(name).name
 
 
 def nice(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, ... times a power of ten; one for nothing."""
+    """Round up to 1, 2, 3, 5 or 10 times a power of ten; 1 for values that are not positive."""
     if not value > 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))

@@ -1,4 +1,4 @@
-"""Plots in one look: scans on surfaces, coloured by their distance, and charts whose titles say what to see."""
+"""Plots in a common style: scans on surfaces, coloured by distance, and charts with descriptive titles."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,10 +11,10 @@ from .render import INK, draw_shadow, draw_surface, frame, in_front, raised, tur
 
 #: from near to far, as in the picture of `jaxcap demo`
 DISTANCE = ("#0b6e8f", "#17a398", "#f2b134", "#d7263d")
-#: of surfaces, of charts' lines in their order, and of what is not the matter
+#: colours of surfaces, of the lines of charts in their order, and of secondary elements
 SKIN = np.array([0.66, 0.73, 0.81])
 BLUE, RED, GREEN, AMBER, QUIET = "#0b6e8f", "#d7263d", "#3a9d5d", "#e0942a", "#9aa5b1"
-#: of people: a little from the side and from above
+#: view of people, slightly from the side and from above
 PERSON = raised(turned(np.eye(3), 22.0), 9.0)
 
 
@@ -33,7 +33,7 @@ def draw_person(
     colours: Float[np.ndarray, "V 3"] | Float[np.ndarray, "3"] = SKIN,
     floor: float | None = None,
 ) -> Float[np.ndarray, "V 3"]:
-    """Draw a lit surface on its shadow; returns the vertices as seen."""
+    """Draw a lit surface with its shadow; return the vertices in view coordinates."""
     draw_shadow(plot, vertices, faces, view, floor)
     return draw_surface(plot, vertices, faces, view, colours)
 
@@ -47,8 +47,11 @@ def draw_scan(
     far: float = 0.012,
     size: float = 3.0,
 ) -> Float[np.ndarray, "N"]:
-    """Draw the points of a scan that a surface does not hide, coloured by their distance from it; returns the distances,
-    metres. `far` metres have the last colour."""
+    """Draw the visible points of a scan, coloured by their distance from a surface; return the distances,
+    metres.
+
+    Distances of `far` metres and more have the last colour.
+    """
     distances = scan_to_surface(np.asarray(points, float), np.asarray(vertices, float), np.asarray(faces))
     seen = np.asarray(points, float) @ view.T
     shown = in_front(np.asarray(vertices, float) @ view.T, seen)
@@ -60,7 +63,7 @@ def draw_scan(
 
 
 def distance_bar(figure: Any, far: float = 0.012, label: str = "distance from point to surface, mm") -> None:
-    """Add the scale of distances below the plots of a figure, for which it makes room."""
+    """Add the colour scale of distances below the plots of a figure, and make room for it."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -76,14 +79,14 @@ def distance_bar(figure: Any, far: float = 0.012, label: str = "distance from po
 
 
 def frame_together(plots: Any, seen: Sequence[Float[np.ndarray, "V 3"]], titles: Sequence[str]) -> None:
-    """Frame plots alike around all that is seen in any of them, each with its title."""
+    """Frame all plots by the common bounding box of their contents, each with its title."""
     low, high = np.min([some.min(0) for some in seen], 0)[:2], np.max([some.max(0) for some in seen], 0)[:2]
     for plot, title in zip(plots, titles, strict=True):
         frame(plot, low, high, title)
 
 
 def chart(plot: Any, title: str, across: str = "", up: str = "") -> None:
-    """Give a chart its title, which says what to see, its axes' names, and a grid that stays behind."""
+    """Set the title of a chart, which states its message, its axis labels, and a grid in the background."""
     plot.set_title(title, fontsize=10, color=INK, loc="left", pad=9, fontweight="semibold")
     plot.set_xlabel(across, fontsize=8.5, color=INK)
     plot.set_ylabel(up, fontsize=8.5, color=INK)
@@ -96,7 +99,7 @@ def chart(plot: Any, title: str, across: str = "", up: str = "") -> None:
 
 
 def say(plot: Any, text: str, at: Any, colour: str = INK, **more: Any) -> None:
-    """Write a few words beside what they are about, in its colour."""
+    """Label a point with a few words in its colour."""
     plot.annotate(
         text, at, textcoords="offset points", fontsize=8.5, color=colour, **({"xytext": (6, 4)} | more)
     )

@@ -1,5 +1,4 @@
-"""Shaded surfaces in pictures: triangles from far to near, coloured by vertex, on their shadows; and the points that
-they do not hide."""
+"""Shaded surfaces in figures: depth-sorted triangles, coloured by vertex, with shadows; visible points."""
 
 from typing import Any
 
@@ -7,19 +6,20 @@ import numpy as np
 from jaxtyping import Float, Int
 
 PAPER, INK, CLAY = "#ffffff", "#1f2933", np.array([0.80, 0.79, 0.76])
-#: from the upper left, and a weaker one from the right; towards the light, in the frame of the eye
+#: direction towards the light in the view frame, and strength: from the upper left, and a weaker one from the
+#: right
 LIGHTS = ((np.array([-0.45, 0.65, 0.61]), 0.58), (np.array([0.80, 0.05, 0.45]), 0.20))
 AMBIENT = 0.36
-#: how much of the upper left light is mirrored, and how narrowly
+#: strength and exponent of the specular reflection of the upper left light
 GLOSS, NARROW = 0.10, 18
-#: of a mesh with fewer triangles each is drawn as four, so that light runs smoothly over it
+#: meshes with fewer triangles are subdivided once, for smooth shading
 COARSE = 9_000
-#: of a shadow, and where the light of shadows goes to, metres for a metre down
+#: colour of a shadow, and the light's direction for shadows, metres per metre down
 SHADOW, SHADOW_DIRECTION = "#e2e6ec", np.array([0.22, -1.0, -0.32])
 
 
 def view_axes(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation that shows a body upright from the front: its longest side up, its shallowest to the eye.
+    """Choose a view of an upright body from the front: its longest side up, its shallowest towards the eye.
 
     Rows are right, up, and towards the eye.
     """
@@ -34,7 +34,7 @@ def view_axes(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def turned(axes: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
-    """The same view after the body is turned about the vertical, to its left for positive degrees."""
+    """Rotate the body in a view about the vertical, to its left for positive degrees."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ axes
 
@@ -47,7 +47,8 @@ def draw_surface(
     colours: Float[np.ndarray, "V 3"] | Float[np.ndarray, "3"] = CLAY,
     opacity: float = 1.0,
 ) -> Float[np.ndarray, "V 3"]:
-    """Draw the triangles that face the eye into matplotlib axes, smoothly lit; returns the vertices as seen."""
+    """Draw the triangles that face the eye into matplotlib axes, with smooth shading; return the vertices in
+    view coordinates."""
     from matplotlib.collections import PolyCollection
 
     seen = whole = np.asarray(vertices, float) @ view.T
@@ -90,8 +91,11 @@ def draw_shadow(
     view: Float[np.ndarray, "3 3"],
     floor: float | None = None,
 ) -> Float[np.ndarray, "V 3"]:
-    """Draw the shadow of a surface on the floor at the height `floor`, metres along y, below its lowest vertex where None;
-    returns its vertices as seen. A `view` from above (`raised`) shows it."""
+    """Draw the shadow of a surface on the floor; return its vertices in view coordinates.
+
+    `floor` is the height of the floor, metres along y; below its lowest vertex if None. A `view` from above
+    (`raised`) shows the shadow.
+    """
     from matplotlib.collections import PolyCollection
 
     vertices = np.asarray(vertices, float)
@@ -107,7 +111,7 @@ def draw_shadow(
 
 
 def raised(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
-    """The same view from an eye that looks down by so many degrees."""
+    """Rotate a view so that the eye looks down by an angle, degrees."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ view
 
@@ -115,8 +119,11 @@ def raised(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, 
 def in_front(
     vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "N 3"], cell: float = 0.03
 ) -> Int[np.ndarray, "M"]:
-    """Return the indices of the points that a surface does not hide, far ones first; both as an eye sees them, with the
-    surface's nearest vertex of each `cell`, metres."""
+    """Find the points that a surface does not hide; return their indices, far ones first.
+
+    Points and vertices are in view coordinates. A point is hidden by the nearest vertex of its grid `cell`,
+    metres.
+    """
     corner = np.minimum(vertices.min(0), points.min(0))[:2]
     cells, asked = (np.floor((some[:, :2] - corner) / cell).astype(int) for some in (vertices, points))
     shape = np.maximum(cells.max(0), asked.max(0)) + 1
@@ -127,7 +134,7 @@ def in_front(
 
 
 def frame(plot: Any, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], title: str = "") -> None:
-    """Axes without lines around what is shown, as wide as it is."""
+    """Set the limits of axes to a bounding box with a margin, hide their lines, and set a title."""
     margin = 0.04 * float((high - low).max())
     plot.set(
         xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal"
@@ -138,7 +145,7 @@ def frame(plot: Any, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], 
 
 
 def _finer(seen: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Each triangle as four, with corners in the middle of its edges."""
+    """Subdivide each triangle into four, at the midpoints of its edges."""
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
     once, which = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
     middles = len(seen) + which.reshape(-1, 3)
@@ -153,7 +160,7 @@ def _finer(seen: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> tuple[np
 
 
 def distinct_colours(count: int) -> Float[np.ndarray, "K 3"]:
-    """Colours that differ, neighbours in number most."""
+    """Generate distinct colours, most of all for consecutive numbers."""
     from matplotlib.colors import hsv_to_rgb
 
     number = np.arange(count)

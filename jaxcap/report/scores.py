@@ -1,4 +1,4 @@
-"""How well a body meets registered meshes, in the form of the thesis (Adaptation, section 3.3.1)."""
+"""Fit errors of a body against registered meshes, in the form of the thesis (Adaptation, section 3.3.1)."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -14,23 +14,23 @@ from ..observe import MeshSequence
 
 
 class MeshScore(NamedTuple):
-    """One mesh against the posed body, metres."""
+    """Distances of one mesh from the posed body, metres."""
 
     name: str
     #: from the vertices of the mesh to the surface of the body
     mean: float
     #: standard deviation of the population
     sd: float
-    #: the farthest of them
+    #: largest distance
     worst: float
-    #: root mean square distance of the vertices to the body's own
+    #: root mean square distance of the vertices from the body's corresponding ones
     rmse: float
-    #: whether a pose was found for it
+    #: true if a pose was fitted to it
     fitted: bool
 
 
 class Scores(NamedTuple):
-    """All meshes, and all of their vertices together; meshes that were not fitted count in no mean."""
+    """The scores of all meshes, and of all their vertices together; meshes without a fit are in no mean."""
 
     meshes: tuple[MeshScore, ...]
     mean: float
@@ -38,7 +38,7 @@ class Scores(NamedTuple):
     rmse: float
 
     def report(self) -> dict:
-        """For JSON."""
+        """Convert the scores to a dictionary for JSON."""
         total = {"mean": self.mean, "sd": self.sd, "vertex_rmse": self.rmse, "meshes": len(self.meshes)}
         rows = [
             {
@@ -62,10 +62,10 @@ def score_meshes(
     fitted: np.ndarray | None = None,
     each: Callable[[Iterator[MeshScore]], Iterator[MeshScore]] = iter,
 ) -> Scores:
-    """The `Scores` of a body posed as in `motion` against the meshes.
+    """Compute the `Scores` of a body posed as in `motion` against the meshes.
 
-    **Arguments:** `names` of the meshes; `fitted (F,)` tells those whose pose means something, all where
-    not given; `each` may pass the scores through a progress bar.
+    **Arguments:** `names` of the meshes; `fitted (F,)` marks those with a valid pose, all if not given;
+    `each` may pass the scores through a progress bar.
     """
     fitted = np.ones(len(sequence), bool) if fitted is None else np.asarray(fitted)
     faces = np.asarray(body.faces)
@@ -86,7 +86,7 @@ def score_meshes(
 
 
 def total_scores(meshes: tuple[MeshScore, ...]) -> Scores:
-    """Means over all vertices of all meshes, which have as many each."""
+    """Average over all vertices of all meshes, which have equal numbers of vertices."""
     counted = [score for score in meshes if score.fitted]
     if not counted:
         return Scores(meshes, np.nan, np.nan, np.nan)
@@ -99,5 +99,5 @@ def total_scores(meshes: tuple[MeshScore, ...]) -> Scores:
 
 @eqx.filter_jit
 def posed_vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
-    """The vertices of a body in a pose; compiled once."""
+    """Pose the vertices of a body; compiled once."""
     return pose_body(body, pose).vertices

@@ -1,4 +1,4 @@
-"""Pictures of a body's skin and joints (Adaptation, fig. 3.7)."""
+"""Figures of a body's skin and joints (Adaptation, fig. 3.7)."""
 
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,10 @@ NEUTRAL = np.array([0.86, 0.86, 0.86])
 def weight_pictures(folder: str | Path, body: Body) -> list[Path]:
     """Write `weights.png`: parts, weights and joints of a body at rest, from two sides. Returns the files.
 
-    Every joint has a colour. A vertex has those of its joints by their shares; of a swing-twist skin the
-    shares of swing and of twist are shown apart, and grey is what neither moves but the base alone.
+    Every joint has a colour. A vertex mixes those of its joints by their weights. For a swing-twist skin,
+    swing and twist weights are shown separately; grey is the share that only the base bone moves.
 
-    **Raises:** `InputError` where a file cannot be written.
+    **Raises:** `InputError` if a file cannot be written.
     """
     count = body.skeleton.num_joints
     palette = distinct_colours(count)
@@ -69,7 +69,7 @@ def _draw(path: Path, body: Body, panels: list[tuple[str, np.ndarray]], palette:
 
 
 def _skeleton(plot: Any, body: Body, view: np.ndarray, palette: np.ndarray, length: float) -> None:
-    """Bones as lines, joints as dots, and the axes of each joint's own frame, x longest."""
+    """Draw bones as lines, joints as dots, and the axes of each joint's own frame, x longest."""
     skeleton = body.skeleton
     centres = np.asarray(skeleton.centres, float) @ view.T
     frames = np.asarray(rotation.to_matrix(skeleton.orientations), float)

@@ -1,1 +1,1 @@
-"""Inverse kinematics: the pose in which points of a body reach given places."""
+"""Inverse kinematics: solve for the pose in which points of a body reach given targets."""

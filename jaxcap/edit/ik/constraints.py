@@ -1,4 +1,4 @@
-"""Points of a body that are to reach places: as a user says them, and as arrays for a solver."""
+"""Point constraints of inverse kinematics: as a user specifies them, and as arrays for a solver."""
 
 import math
 from collections.abc import Sequence
@@ -17,10 +17,11 @@ from ...body.skin import RigidSkin
 from ...observe import padded_size
 from .held_points import HeldSkin
 
-#: metres from a joint's centre to the points that hold its orientation; a turn by a twentieth of a radian counts as
-#: much as a shift by a centimetre
+#: metres from a joint's centre to the points that constrain its orientation; a rotation by a twentieth of a
+#: radian counts as much as a translation by a centimetre
 ARM = 1.5**0.5 * 0.01 / 0.05
-#: the fewest points of padded arrays, and by how much more there are next: one more constraint compiles nothing
+#: least size of padded arrays, and the factor to the next size; one more constraint rarely causes a
+#: recompilation
 FEWEST, GROWTH = 16, 4
 
 
@@ -29,29 +30,30 @@ Turn = tuple[float, float, float, float]
 
 
 class Constraint(NamedTuple):
-    """One point of a body that is to reach a place (Kineben, section 4.2.1)."""
+    """A target position for one point of a body (Kineben, section 4.2.1)."""
 
-    #: index of a vertex, or name of a joint, whose centre it is
+    #: index of a vertex, or name of a joint for its centre
     point: int | str
-    #: where it is to be, metres
+    #: target position, metres
     target: Place
-    #: how much it counts beside the others
+    #: relative weight
     weight: float = 1.0
-    #: it comes before all that are not pinned
+    #: pinned constraints take precedence over all others
     pinned: bool = False
-    #: how the bone of a joint is to be turned from rest, in the world: a unit quaternion `wxyz`
+    #: world rotation of a joint's bone from rest: a unit quaternion `wxyz`
     orientation: Turn | None = None
 
 
 class Constraints(eqx.Module):
-    """Constraints of one body as points that are to reach places, of shapes that few counts of them share.
+    """Constraints of one body as points with target positions, padded so that few array shapes occur.
 
-    A point is a vertex, or fixed to a bone: a joint's centre, and for an orientation six points around it. So
-    all that is asked for is one kind of residual, with one closed Jacobian. A weight of zero is padding.
+    A point is a vertex, or fixed to a bone: a joint's centre, and for an orientation six points around it.
+    All constraints so have the same form of residual, with one closed-form Jacobian. A weight of zero is
+    padding.
     """
 
     vertices: Int[Array, "C"]
-    #: whether a point is at `rest (C, 3)` of a bone, and not at a vertex
+    #: if true, the point is at `rest (C, 3)` of a bone, otherwise at a vertex
     rigid: Bool[Array, "C"]
     bones: Int[Array, "C"]
     rest: Float[Array, "C 3"]
@@ -65,14 +67,14 @@ class Constraints(eqx.Module):
 
 @checked
 def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constraints:
-    """Arrays of constraints, vertices first, padded to 16, 64, 256, ... points.
+    """Make arrays of constraints, vertices first, padded to 16, 64, 256, ... points.
 
-    An orientation `R` is asked for by points at `c +- ARM e_i` around the joint's centre `c`, with targets `y +- ARM R e_i`
-    and a sixth of the weight each. Their sum is `w |c' - y|^2 + w (2/3) ARM^2 |theta|^2` to second order in the angle
-    `theta` that the bone is off, so place and turn do not disturb each other.
+    An orientation `R` is expressed by points at `c +- ARM e_i` around the joint's centre `c`, with targets `y
+    +- ARM R e_i` and a sixth of the weight each. Their sum is `w |c' - y|^2 + w (2/3) ARM^2 |theta|^2` to
+    second order in the angle error `theta` of the bone, so position and orientation are decoupled.
 
-    **Raises:** `InputError` with one sentence for a vertex or a joint that the body does not have, one that stands
-    twice, numbers that are not finite, a weight below zero, or an orientation of a vertex.
+    **Raises:** `InputError` with one sentence for a vertex or a joint that the body does not have, a
+    duplicate, numbers that are not finite, a negative weight, or an orientation of a vertex.
     """
     check_constraints(constraints, body.skeleton, len(body.vertices))
     skeleton, dtype = body.skeleton, body.vertices.dtype
@@ -100,7 +102,7 @@ def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constrain
 
 
 def constrained_body(body: Body, constraints: Constraints) -> Body:
-    """The body with no vertices but the constrained points, in their order, and no faces."""
+    """Reduce a body to the constrained points as its only vertices, in their order, without faces."""
     few = take_vertices(body, constraints.vertices)
     skin = HeldSkin(few.skin, RigidSkin(constraints.bones), constraints.rigid)
     points = jnp.where(constraints.rigid[:, None], constraints.rest, few.vertices)
@@ -108,7 +110,8 @@ def constrained_body(body: Body, constraints: Constraints) -> Body:
 
 
 def check_constraints(constraints: Sequence[Constraint], skeleton: Skeleton, num_vertices: int) -> None:
-    """That constraints are of a body with this skeleton and so many vertices; raises as `make_constraints`."""
+    """Check that constraints are valid for this skeleton and number of vertices; raises as
+    `make_constraints`."""
     seen = set()
     for c in constraints:
         name = describe(c.point)
@@ -135,12 +138,12 @@ def check_constraints(constraints: Sequence[Constraint], skeleton: Skeleton, num
 
 
 def describe(point: int | str) -> str:
-    """A point in words: `vertex 12`, `joint 'LeftHand'`."""
+    """Describe a point in words: `vertex 12`, `joint 'LeftHand'`."""
     return f"joint '{point}'" if isinstance(point, str) else f"vertex {point}"
 
 
 def _around(orientation: Turn | None) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Where points are about a joint's centre at rest, where they are to be about its target, and their shares."""
+    """List the offsets of points from a joint's centre at rest and from its target, and their shares."""
     if orientation is None:
         return [(np.zeros(3), np.zeros(3), 1.0)]
     turned = Rotation.from_quat(orientation, scalar_first=True).as_matrix()

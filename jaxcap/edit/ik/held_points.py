@@ -1,4 +1,4 @@
-"""A skin of points that are held: some are on a body's surface, others fixed to its bones."""
+"""A skin of constrained points: some on a body's surface, others fixed to its bones."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -7,10 +7,10 @@ from ...body.skin import AbstractSkin, RigidSkin
 
 
 class HeldSkin(AbstractSkin):
-    """Points of a skin beside points that move rigidly with a bone, such as joint centres, one row for each.
+    """A skin that combines surface points with points that move rigidly with a bone, such as joint centres.
 
-    Both skins have all rows, and `rigid (C,)` says whose counts. For a handful of points that costs nothing, and which
-    rows are rigid is data: it may change without a retrace.
+    Both skins have all rows, and `rigid (C,)` selects between them. The overhead is negligible for few
+    points. The selection is data, so it may change without a retrace.
     """
 
     skin: AbstractSkin
@@ -33,7 +33,7 @@ class HeldSkin(AbstractSkin):
         return HeldSkin(self.skin.take(vertices), self.bones.take(vertices), self.rigid[vertices])
 
     def carry(self, corners, shares, skeleton):
-        """There are no triangles between held points. Raises `NotImplementedError`."""
+        """Raise `NotImplementedError`: there are no triangles between constrained points."""
         raise NotImplementedError("Held points have no surface; carry the skin of the body that they are of.")
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):

@@ -1,4 +1,4 @@
-"""Where the points of a body are that constraints hold, and how its bones are turned."""
+"""Positions of constrained points, and rotations of bones."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,8 @@ from .constraints import Constraint, Constraints, Place, Turn, constrained_body,
 
 
 def places_of(body: Body, pose: Pose, constraints: Sequence[Constraint]) -> list[Place]:
-    """Where the points of constraints are in a pose, metres. Raises `ValueError` as `make_constraints` does."""
+    """Compute the positions of constrained points in a pose, metres. Raises `ValueError` as
+    `make_constraints` does."""
     arrays = make_constraints(body, constraints)
     vertices, joints = (np.asarray(found, float) for found in _places(body, pose, arrays))
     rows = iter(vertices)
@@ -25,7 +26,7 @@ def places_of(body: Body, pose: Pose, constraints: Sequence[Constraint]) -> list
 
 
 def bone_turns(body: Body, pose: Pose) -> list[Turn]:
-    """How every bone is turned from rest, in the world: `wxyz`."""
+    """Compute the world rotation of every bone from rest, `wxyz`."""
     return [(float(w), float(x), float(y), float(z)) for w, x, y, z in np.asarray(_turns(body, pose), float)]
 
 

@@ -1,7 +1,7 @@
-"""What a user does with constraints, one value after the other: no window is needed, and nothing is changed in place.
+"""An interactive session of inverse kinematics as a sequence of immutable values, without a window.
 
-Every verb takes a session and gives the next one; what changes the state can be undone. A drag is one step:
-`grab`, `drag` as often as the hand moves, `release`.
+Every verb takes a session and returns the next one; changes of the state can be undone. A drag is one undo
+step: `grab`, then `drag` for each movement of the hand, then `release`.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,12 +20,12 @@ from .constraints import Constraint, Place, Turn, check_constraints, describe, m
 from .places import places_of
 from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
 
-#: how many steps back a session remembers
+#: number of undo steps that a session keeps
 HISTORY = 200
 
 
 class IkSettings(NamedTuple):
-    """What a user switches."""
+    """The settings that a user switches."""
 
     solver: Solver = "levenberg-marquardt"
     keep_limits: bool = True
@@ -34,7 +34,7 @@ class IkSettings(NamedTuple):
 
 
 class IkState(NamedTuple):
-    """What undoing brings back."""
+    """The state that undo restores."""
 
     pose: Pose
     constraints: tuple[Constraint, ...] = ()
@@ -42,23 +42,23 @@ class IkState(NamedTuple):
 
 
 class IkSession(NamedTuple):
-    """One user's work on one body."""
+    """One user's session with one body."""
 
     body: Body
-    #: the pose that a reset goes back to
+    #: pose that a reset restores
     home: Pose
     limits: AbstractLimits | None
     prior: AbstractEnergy
     state: IkState
     past: tuple[IkState, ...] = ()
     future: tuple[IkState, ...] = ()
-    #: the state in which a drag began, while it lasts
+    #: state before the drag, during a drag
     grabbed: IkState | None = None
-    #: of the last solve
+    #: result of the last solve
     solution: IkSolution | None = None
 
 
-#: what leads from one session to the next
+#: maps a session to the next one
 Verb = Callable[[IkSession], IkSession]
 
 
@@ -69,11 +69,11 @@ def begin_session(
     prior: AbstractEnergy | None = None,
     settings: IkSettings | None = None,
 ) -> IkSession:
-    """A session without constraints.
+    """Begin a session without constraints.
 
-    **Arguments:** `pose` to begin with, rest where not given; `limits` and `prior` that can be switched on and off:
-    without a prior, poses near rest are likely (`RestPrior`, by the anatomy), which is off at first, and a
-    prior that is given is on.
+    **Arguments:** `pose` is the initial pose, rest if not given. `limits` and `prior` can be switched on and
+    off. Without a prior, `RestPrior` with anatomical deviations is used, which is off at first; a given prior
+    is on at first.
     """
     if settings is None:
         settings = IkSettings(use_prior=prior is not None)
@@ -84,7 +84,7 @@ def begin_session(
 
 
 def options_of(session: IkSession) -> IkOptions:
-    """What `solve_ik` takes of a session."""
+    """Collect the options of `solve_ik` from a session."""
     settings = session.state.settings
     return IkOptions(
         solver=settings.solver,
@@ -97,7 +97,7 @@ def options_of(session: IkSession) -> IkOptions:
 
 
 def constraint_at(session: IkSession, point: int | str) -> Constraint:
-    """The constraint on a point. Raises `ValueError` where there is none."""
+    """Find the constraint on a point. Raises `ValueError` if there is none."""
     for constraint in session.state.constraints:
         if constraint.point == point:
             return constraint
@@ -105,7 +105,8 @@ def constraint_at(session: IkSession, point: int | str) -> Constraint:
 
 
 def place_of(session: IkSession, point: int | str) -> Place:
-    """Where a vertex or a joint is now, metres. Raises `ValueError` where the body does not have it."""
+    """Compute the current position of a vertex or a joint, metres. Raises `ValueError` if the body does not
+    have it."""
     probe = (Constraint(point, (0.0, 0.0, 0.0)),)
     return places_of(session.body, session.state.pose, probe)[0]
 
@@ -113,9 +114,9 @@ def place_of(session: IkSession, point: int | str) -> Place:
 def add_constraint(
     session: IkSession, point: int | str, weight: float = 1.0, pinned: bool = False
 ) -> IkSession:
-    """Hold a point where it is; one that is held already stays as it is.
+    """Constrain a point to its current position; an existing constraint stays as it is.
 
-    **Raises:** `ValueError` where the body does not have the point.
+    **Raises:** `ValueError` if the body does not have the point.
     """
     if any(constraint.point == point for constraint in session.state.constraints):
         return session
@@ -124,29 +125,31 @@ def add_constraint(
 
 
 def remove_constraint(session: IkSession, point: int | str) -> IkSession:
-    """Let a point go; the pose stays. Raises `ValueError` where there is no constraint on it."""
+    """Remove the constraint on a point; the pose stays. Raises `ValueError` if there is none."""
     gone = constraint_at(session, point)
     kept = tuple(constraint for constraint in session.state.constraints if constraint != gone)
     return _set_constraints(session, kept)
 
 
 def remove_all(session: IkSession) -> IkSession:
-    """Let all points go; the pose stays."""
+    """Remove all constraints; the pose stays."""
     return _set_constraints(session, ()) if session.state.constraints else session
 
 
 def grab(session: IkSession) -> IkSession:
-    """Begin a drag: until `release`, what happens is one step back, and poses are held near the one now."""
+    """Begin a drag: until `release`, all changes are one undo step, and the current pose is the reference
+    pose."""
     return session if session.grabbed is not None else session._replace(grabbed=session.state)
 
 
 def drag(
     session: IkSession, point: int | str, target: Place | None = None, orientation: Turn | None = None
 ) -> IkSession:
-    """Move a target, turn a joint's, or both, and solve. Without `grab`, or after a drag was given up by `undo` or ended
-    by another step while the hand goes on, it does nothing.
+    """Move the target of a constraint, set its orientation, or both, and solve.
 
-    **Raises:** `ValueError` where there is no such constraint.
+    Without `grab`, it does nothing. The same holds after `undo` or another step has ended the drag.
+
+    **Raises:** `ValueError` if there is no such constraint.
     """
     if session.grabbed is None:
         return session
@@ -170,24 +173,24 @@ def release(session: IkSession) -> IkSession:
 def move_constraint(
     session: IkSession, point: int | str, target: Place | None = None, orientation: Turn | None = None
 ) -> IkSession:
-    """Move a target in one go: `grab`, `drag`, `release`."""
+    """Move a target in one step: `grab`, `drag`, `release`."""
     return release(drag(grab(session), point, target, orientation))
 
 
 def free_orientation(session: IkSession, point: str) -> IkSession:
-    """Let a joint turn as it likes again."""
+    """Remove the orientation from the constraint on a joint."""
     return _edited(session, _with(session.state, constraint_at(session, point)._replace(orientation=None)))
 
 
 def pin(session: IkSession, point: int | str, pinned: bool = True) -> IkSession:
-    """Hold a point where it is now, before all that are not pinned; or let it be like these again."""
+    """Pin a point at its current position, or unpin it; pinned points have precedence over the others."""
     target = place_of(session, point) if pinned else constraint_at(session, point).target
     changed = constraint_at(session, point)._replace(pinned=pinned, target=target)
     return _edited(session, _with(session.state, changed))
 
 
 def weigh(session: IkSession, point: int | str, weight: float) -> IkSession:
-    """Change how much a constraint counts, and solve. Raises `ValueError` where it is below zero."""
+    """Set the weight of a constraint, and solve. Raises `ValueError` if it is negative."""
     changed = _with(session.state, constraint_at(session, point)._replace(weight=weight))
     check_constraints(changed.constraints, session.body.skeleton, len(session.body.vertices))
     return solved(_edited(session, changed))
@@ -203,12 +206,12 @@ def change_settings(session: IkSession, settings: IkSettings) -> IkSession:
 
 
 def reset_pose(session: IkSession) -> IkSession:
-    """The pose that the session began with; constraints hold their points where they are then."""
+    """Restore the initial pose; constraints keep their points, with targets at the positions in that pose."""
     return set_pose(session, session.home)
 
 
 def set_pose(session: IkSession, pose: Pose) -> IkSession:
-    """Another pose; constraints hold their points where they are in it."""
+    """Set another pose; constraints keep their points, with targets at the positions in that pose."""
     pose, held = project(session.body.skeleton, pose), session.state.constraints
     places = places_of(session.body, pose, held)
     moved = tuple(one._replace(target=place) for one, place in zip(held, places, strict=True))
@@ -216,7 +219,7 @@ def set_pose(session: IkSession, pose: Pose) -> IkSession:
 
 
 def set_constraints(session: IkSession, constraints: Sequence[Constraint]) -> IkSession:
-    """Other constraints in place of all there are, and the pose that meets them.
+    """Replace all constraints, and solve for the pose.
 
     **Raises:** `ValueError` as `make_constraints` does.
     """
@@ -225,7 +228,8 @@ def set_constraints(session: IkSession, constraints: Sequence[Constraint]) -> Ik
 
 
 def undo(session: IkSession) -> IkSession:
-    """The state before the last step; a drag that goes on is given up. The same session where there is none."""
+    """Restore the state before the last step, and cancel a drag. The session is unchanged if there is no such
+    state."""
     if session.grabbed is not None:
         return session._replace(state=session.grabbed, grabbed=None, solution=None)
     if not session.past:
@@ -236,7 +240,7 @@ def undo(session: IkSession) -> IkSession:
 
 
 def redo(session: IkSession) -> IkSession:
-    """The state that `undo` left. The same session where there is none."""
+    """Restore the state that `undo` left. The session is unchanged if there is none."""
     if not session.future or session.grabbed is not None:
         return session
     after, *future = session.future
@@ -245,9 +249,11 @@ def redo(session: IkSession) -> IkSession:
 
 
 def solved(session: IkSession) -> IkSession:
-    """Solve for the constraints as they are, from the pose as it is; during a drag near the pose in which it
-    began. It is no step of its own: what led to it is. A solve that ends in numbers that are not finite leaves the
-    pose as it was."""
+    """Solve for the current constraints from the current pose.
+
+    During a drag, the reference is the pose in which it began. A solve adds no undo step; the change before
+    it does. If the result is not finite, the pose stays unchanged.
+    """
     state, begun = session.state, session.grabbed
     arrays = make_constraints(session.body, state.constraints)
     reference = state.pose if begun is None else begun.pose
@@ -258,7 +264,7 @@ def solved(session: IkSession) -> IkSession:
 
 
 def distances(session: IkSession) -> tuple[float, ...]:
-    """How far every constrained point is from its target in the pose as it is, metres."""
+    """Compute the distance of every constrained point from its target in the current pose, metres."""
     held = session.state.constraints
     places = places_of(session.body, session.state.pose, held)
     return tuple(
@@ -271,13 +277,13 @@ def _set_constraints(session: IkSession, constraints: tuple[Constraint, ...]) ->
 
 
 def _with(state: IkState, changed: Constraint) -> IkState:
-    """A state in which the constraint on a point is another one."""
+    """Replace the constraint on a point in a state."""
     held = tuple(changed if one.point == changed.point else one for one in state.constraints)
     return state._replace(constraints=held)
 
 
 def _edited(session: IkSession, state: IkState) -> IkSession:
-    """Another state, one step further; a drag that goes on ends before it, as a step of its own."""
+    """Add a state as a new undo step; a current drag ends before it, as a step of its own."""
     session = release(session)
     past = (*session.past, session.state)[-HISTORY:]
     return session._replace(state=state, past=past, future=(), solution=None)

@@ -1,4 +1,4 @@
-"""The pose in which points of a body reach given places, fast enough to follow a hand that drags them."""
+"""Solve inverse kinematics at interactive rates."""
 
 from typing import Literal, get_args
 
@@ -29,16 +29,16 @@ from .constraints import ARM, Constraints, constrained_body
 Solver = Literal["levenberg-marquardt", "gauss-newton", "priorities"]
 SOLVERS: tuple[str, ...] = get_args(Solver)
 
-#: deviation of a constraint of weight one, metres
+#: standard deviation of a constraint of weight one, metres
 METRES = 0.01
-#: how many times as much a pinned constraint weighs as one that is not, where weights decide
+#: factor on the weight of a pinned constraint, for weighted solvers
 PINNED = 1e3
-#: of limits, per squared radian, where weights decide
+#: weight of limits per squared radian, for weighted solvers
 LIMITS = 1e6
-#: how freely roots move before all else has, metres and radians; and hardly at all where they are held, both, which
-#: weighs 250 times as much as a pinned constraint
+#: standard deviations of free roots, metres and radians, and of fixed roots, both units; the latter weigh 250
+#: times as much as a pinned constraint
 ROOT, HELD = (0.05, 0.1), 2e-5
-#: radians of a joint that no anatomy knows
+#: standard deviation of a joint without anatomical data, radians
 UNKNOWN = 0.5
 
 
@@ -47,24 +47,25 @@ Deviations = tuple[Float[Array, "J"], Float[Array, "J 3"]]
 
 
 class IkOptions(eqx.Module):
-    """What a pose is held to besides its constraints, and how it is found. Switches and weights are data, so that
-    turning one compiles nothing."""
+    """Limits, prior and solver of `solve_ik`. Switches and weights are data, so changing them does not
+    recompile."""
 
-    #: `levenberg-marquardt`, `gauss-newton` (Kineben, algorithm 1), or `priorities`: limits before pinned
-    #: constraints, these before the others, and what is natural last, each without a loss to the ones before
+    #: `levenberg-marquardt`, `gauss-newton` (Kineben, algorithm 1), or `priorities`: limits, then pinned
+    #: constraints, then the others, and the prior last, each without loss to those before
     solver: Solver = eqx.field(static=True, default="levenberg-marquardt")
     limits: AbstractLimits | None = None
-    #: which poses are likely, in units of deviations: `MahalanobisPrior`, `RestPrior`, or one's own
+    #: prior on poses, in units of standard deviations: `MahalanobisPrior`, `RestPrior`, or a custom one
     prior: AbstractEnergy | None = None
     keep_limits: Bool[Array, ""] = eqx.field(default=True, converter=jnp.asarray)
     use_prior: Bool[Array, ""] = eqx.field(default=True, converter=jnp.asarray)
-    #: keep roots where they are, before all constraints but the limits; where a pinned constraint is on a root
-    #: itself, that says where it is, and with an orientation how it is turned
+    #: fix roots at the reference, before all constraints but the limits; a pinned constraint on a root
+    #: overrides this for its position, and one with an orientation for its rotation too
     hold_root: Bool[Array, ""] = eqx.field(default=False, converter=jnp.asarray)
-    #: of the pull to the reference, and of the prior, where a constraint of weight one is `METRES` off
+    #: weights of the pull to the reference and of the prior, relative to a constraint of weight one that is
+    #: `METRES` off
     stiffness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
     naturalness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
-    #: most steps of one solve
+    #: largest number of steps of one solve
     max_steps: int = eqx.field(static=True, default=32)
 
     def __check_init__(self):
@@ -74,13 +75,13 @@ class IkOptions(eqx.Module):
 
 
 class IkSolution(eqx.Module):
-    """The outcome of `solve_ik`."""
+    """The result of `solve_ik`."""
 
     pose: Pose
-    #: how far each point of the constraints is from its target, metres; zero where it is padding
+    #: distance of each constrained point from its target, metres; zero for padding
     distances: Float[Array, "C"]
     num_steps: Int[Array, ""]
-    #: `RESULTS.successful`, or why the solver stopped before it converged
+    #: `RESULTS.successful`, or the reason why the solver stopped before convergence
     result: optx.RESULTS
 
 
@@ -92,15 +93,17 @@ def solve_ik(
     options: IkOptions | None = None,
     reference: Pose | None = None,
 ) -> IkSolution:
-    """The pose near a start in which constrained points are nearest to their targets (Kineben, section 4.2.1).
+    """Solve for the pose near a start whose constrained points are nearest to their targets (Kineben, section
+    4.2.1).
 
-    Only the constrained vertices are posed, whatever the size of the body. What constraints leave free stays near
-    the `reference` pose, the start where it is not given: while one target moves, keep the reference and start
-    from the last solution, and the pose depends on where the targets are and not on the way there. Pinned
-    constraints weigh `PINNED` times as much, or come first where the solver is `priorities`.
+    Only the constrained vertices are posed, so the size of the body does not matter. Degrees of freedom that
+    constraints leave free stay near the `reference` pose, the start if not given. While one target moves,
+    keep the reference and start from the last solution; the pose then depends on the positions of the targets
+    and not on their paths. Pinned constraints weigh `PINNED` times as much, or have priority if the solver is
+    `priorities`.
 
-    Where `options.limits` are kept, the pose is within them (`AbstractLimits.nearest`). Targets out of reach end in
-    the nearest pose. Nothing is raised where the solver fails: see `IkSolution.result`.
+    If `options.limits` are kept, the pose is within them (`AbstractLimits.nearest`). Targets out of reach
+    give the nearest pose. No error is raised if the solver fails: see `IkSolution.result`.
     """
     options = IkOptions() if options is None else options
     reference = start if reference is None else reference
@@ -114,7 +117,7 @@ def solve_ik(
 @eqx.filter_jit
 def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
     few = constrained_body(body, constraints)
-    # pinned points weigh so much that normal equations as they are would have no digits left for the others
+    # with such weights, plain normal equations would leave no digits for the other points
     solver = GaussNewton() if options.solver == "gauss-newton" else LevenbergMarquardt()
     energy = _reach(constraints, jnp.where(constraints.pinned, PINNED, 1.0))
     energy = energy + _natural(few.skeleton, options, reference, _held(few.skeleton, constraints, options))
@@ -126,10 +129,10 @@ def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
 
 @eqx.filter_jit
 def _in_order(body, constraints, options, reference) -> tuple[Body, tuple[AbstractEnergy, ...]]:
-    """The small body, and groups of energies with the first first."""
+    """Build the reduced body, and groups of energies in order of priority."""
     few = constrained_body(body, constraints)
     held = _held(few.skeleton, constraints, options)
-    # in their group pinned constraints weigh what others do elsewhere
+    # within their group, pinned constraints have the weight of others
     stay = (1 / PINNED) * ReferencePrior(reference, *held)
     groups = (
         _reach(constraints, jnp.where(constraints.pinned, 1.0, 0.0)) + stay,
@@ -153,13 +156,13 @@ def _finished(few, constraints, options, pose, num_steps, result) -> IkSolution:
 
 
 def _reach(constraints: Constraints, more: Float[Array, "C"]) -> AbstractEnergy:
-    """All points at their targets, weighted besides by so much."""
+    """Build the energy of all points towards their targets, with additional weights."""
     order = jnp.arange(len(constraints.vertices))
     return VertexLandmarks(order, constraints.targets, constraints.weights * more / METRES**2)
 
 
 def _held(skeleton: Skeleton, constraints: Constraints, options: IkOptions) -> Deviations:
-    """How freely roots leave the reference where they are held, and all else does."""
+    """Build the deviations of roots from the reference: small for fixed roots, infinite for other joints."""
     roots, dtype = np.array(skeleton.parents) < 0, skeleton.centres.dtype
     asked = constraints.rigid & constraints.pinned & (constraints.weights > 0)
     arms = jnp.linalg.norm(constraints.rest - skeleton.centres[constraints.bones], axis=-1)
@@ -172,7 +175,8 @@ def _held(skeleton: Skeleton, constraints: Constraints, options: IkOptions) -> D
 
 
 def _natural(skeleton: Skeleton, options: IkOptions, reference: Pose, held: Deviations) -> AbstractEnergy:
-    """What decides where constraints do not: the reference, besides what is held to it, and which poses are likely."""
+    """Build the energy of the free degrees of freedom: the reference, with the deviations `held`, and the
+    prior."""
     own, roots = rest_deviations(skeleton, UNKNOWN), np.array(skeleton.parents) < 0
     free = np.full(len(roots), ROOT[0]), np.where(roots[:, None], ROOT[1], own)
     both = (1 / jnp.sqrt(options.stiffness / a**2 + 1 / b**2) for a, b in zip(free, held, strict=True))

@@ -1,1 +1,1 @@
-"""Bodies for programs and files that blend linearly and know no other skin."""
+"""Convert bodies for programs and files that support only linear blend skinning."""

@@ -1,4 +1,4 @@
-"""What a body does in example poses, as NumPy arrays; compiled once for any number of poses."""
+"""Evaluate a body in example poses, as NumPy arrays; compiled once for any number of poses."""
 
 from collections.abc import Iterator
 
@@ -16,18 +16,18 @@ from ...body.skin import AbstractSkin
 from .virtual_bones import bone_frames
 from .weight_rows import Rows, skin_of, take_rows
 
-#: poses, and virtual bones, that one program does
+#: number of poses, and of virtual bones, per compiled call
 BLOCK = 32
 
 
 def pose_blocks(poses: Pose) -> Iterator[Pose]:
-    """Stacked poses in blocks of at most `BLOCK`, in order."""
+    """Split stacked poses into blocks of at most `BLOCK`, in order."""
     for start in range(0, poses.rotations.shape[0], BLOCK):
         yield take_poses(poses, np.arange(start, min(start + BLOCK, poses.rotations.shape[0])))
 
 
 def own_frames(body: Body, poses: Pose) -> tuple[Float[np.ndarray, "F J 3 4"], Float[np.ndarray, "F V 3"]]:
-    """`[R | t]` of the skeleton's bones, and the vertices, metres."""
+    """Compute `[R | t]` of the skeleton's bones, and the vertices, metres."""
     parts = []
     for block in pose_blocks(poses):
         count = block.rotations.shape[0]
@@ -37,7 +37,7 @@ def own_frames(body: Body, poses: Pose) -> tuple[Float[np.ndarray, "F J 3 4"], F
 
 
 def virtual_frames(body: Body, rows: Rows, poses: Pose) -> Float[np.ndarray, "F S 3 4"]:
-    """`[R | t]` of virtual bones with these rows."""
+    """Compute `[R | t]` of the virtual bones of these rows."""
     total, count = len(rows.bases), poses.rotations.shape[0]
     frames = np.zeros((count, total, 3, 4))
     for start in range(0, total, BLOCK):

@@ -1,4 +1,4 @@
-"""Bodies for programs that let only so many bones move a vertex."""
+"""Limit the number of bones that influence a vertex."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,10 +12,11 @@ from ...body.skin import LinearSkin
 
 @checked
 def limit_influences(body: Body, count: int = 4) -> Body:
-    """The body with the `count` strongest bones of each vertex, their weights sharing what the
-    others leave. How far that moves the surface, `pose_body` of both tells.
+    """Keep the `count` strongest bones of each vertex and renormalise their weights.
 
-    **Raises:** `ValueError` where `count` is not positive or the skin does not blend linearly.
+    Compare `pose_body` of both bodies to measure the change of the surface.
+
+    **Raises:** `ValueError` if `count` is not positive or the skin does not blend linearly.
     """
     if count < 1:
         raise ValueError(f"A vertex was to follow {count} bones; give at least 1.")

@@ -1,10 +1,10 @@
-"""Nonlinear skinning by linear blending, for programs and files that know no other.
+"""Approximate nonlinear skinning by linear blend skinning, for programs and files that support no other.
 
-After Kavan, Collins and O'Sullivan, "Automatic linearization of nonlinear skinning" (I3D 2009):
-virtual bones where the residual is largest, and weights by least squares over example poses. There
-the virtual bones' motions are fitted too, frame by frame; here each is carried by the nonlinear
-skin itself, with the weights of the vertex that was furthest off. It is then exact at that vertex
-in every pose, and what is left is how smoothly the surface goes from one such vertex to the next.
+After Kavan, Collins and O'Sullivan, "Automatic linearization of nonlinear skinning" (I3D 2009): virtual bones
+are added at the largest residual, and weights are fitted by least squares over example poses. The paper also
+fits the virtual bones' motions, frame by frame. Here the nonlinear skin itself moves each bone, with the
+weights of the vertex of largest error. The result is exact at that vertex in every pose; the remaining error
+is that of interpolation between such vertices.
 """
 
 from typing import NamedTuple
@@ -35,24 +35,24 @@ from .weight_rows import (
 )
 from .weights import blend_errors, fit_linear_weights
 
-#: poses that weights are fitted to at first, and how many come in where they do not do for the rest
+#: poses of the first fit, and number of poses that are added if their error is too large
 _POSES, _MORE = 32, 8
-#: vertices that get bones of their own between two fits, and the difference of blends between them
+#: vertices that get their own bones between two fits, and the least difference of their blends
 _AT_ONCE, _APART = 16, 0.4
-#: virtual bones that a vertex may choose from
+#: candidate virtual bones of a vertex
 _CHOICE = 10
 
 
 class Linearised(eqx.Module):
-    """A body with linear blend skinning that follows one with another skin.
+    """A body with linear blend skinning that approximates one with another skin.
 
-    The skeleton of `body` is the source's with the virtual bones behind; `linear_pose` and
-    `linear_motion` give it the source's poses.
+    The skeleton of `body` is the source's with the virtual bones appended; `linear_pose` and `linear_motion`
+    convert the source's poses to it.
     """
 
     body: Body
     source: Skeleton
-    #: None where the source blends linearly
+    #: None if the source blends linearly
     bones: VirtualBones | None
     #: largest and mean distance of vertices from the source's over all given poses, metres
     error: float = eqx.field(static=True)
@@ -63,20 +63,18 @@ class Linearised(eqx.Module):
 def linearise(
     body: Body, poses: Pose, tolerance: float = 1e-3, *, influences: int = 4, most: int = 256
 ) -> Linearised:
-    """A body with a `LinearSkin` on a longer skeleton that stays within `tolerance` of `body`.
+    """Approximate `body` within `tolerance` by a body with a `LinearSkin` on an extended skeleton.
 
-    Virtual bones are added where vertices are furthest off until no vertex is further than
-    `tolerance` from where `body` has it in any of the `poses`, or until there are `most` of them;
-    `error` tells what was reached. Bodies that blend linearly already need none; where one of
-    their vertices follows more than `influences` bones, the strongest are kept, or, where that takes
-    it further than half of `tolerance`, those that follow it best with weights of their own; `error` tells
-    what that costs.
+    Virtual bones are added at the vertices of largest error until no vertex is further than `tolerance` from
+    its position in `body` in any of the `poses`, or until there are `most` of them; `error` is the error that
+    was reached. Bodies that blend linearly already need none. If one of their vertices follows more than
+    `influences` bones, the strongest are kept. If this moves it by more than half of `tolerance`, the bones
+    that fit it best are chosen with new weights; `error` is the resulting error.
 
-    **Arguments:** `poses` are stacked, `(F, J, ...)`: a motion's, or `sample_poses`; `tolerance` is
-    in metres; `influences` is the largest number of bones that move one vertex.
+    **Arguments:** `poses` are stacked, `(F, J, ...)`: a motion's, or `sample_poses`; `tolerance` is in
+    metres; `influences` is the largest number of bones per vertex.
 
-    **Raises:** `ValueError` where there are no poses, they are of another skeleton, or a number is
-    not positive.
+    **Raises:** `ValueError` if there are no poses, they are of another skeleton, or a number is not positive.
     """
     _check(body, poses, tolerance, influences, most)
     if not isinstance(body.skin, (LinearSkin, RigidSkin, SwingTwistSkin, DualQuaternionSkin)):
@@ -91,7 +89,7 @@ def linearise(
     while True:
         blend = _follow(body, blend, take_poses(poses, chosen), tolerance, influences, most)
         largest, mean = _errors(body, blend, poses)
-        # the poses that these bones and weights do worst, where they do not do
+        # add the poses of largest error if it exceeds the tolerance
         worst = np.argsort(-largest)[:_MORE]
         worst = worst[(largest[worst] > tolerance) & ~np.isin(worst, chosen)]
         if not len(worst):
@@ -101,7 +99,7 @@ def linearise(
 
 @checked
 def linear_pose(linearised: Linearised, pose: Pose) -> Pose:
-    """A pose of the source as a pose of the linearised body."""
+    """Convert a pose of the source to a pose of the linearised body."""
     if linearised.bones is None:
         return pose
     return extended_pose(linearised.source, linearised.bones, pose)
@@ -114,9 +112,9 @@ def _all_poses(linearised: Linearised, poses: Pose) -> Pose:
 
 @checked
 def linear_motion(linearised: Linearised, motion: Motion) -> Motion:
-    """A motion of the source as a motion of the linearised body.
+    """Convert a motion of the source to a motion of the linearised body.
 
-    **Raises:** `ValueError` where the motion has other joints.
+    **Raises:** `ValueError` if the motion has other joints.
     """
     joints = motion.poses.rotations.shape[1]
     if joints != linearised.source.num_joints:
@@ -138,22 +136,22 @@ def _check(body: Body, poses: Pose, tolerance: float, influences: int, most: int
 
 
 class _Blend(NamedTuple):
-    """The virtual bones so far, and of each vertex the bones it may follow, with their weights."""
+    """The virtual bones so far, and the candidate bones of each vertex with their weights."""
 
     rows: Rows
-    #: (V, K), -1 for none; virtual bones count on behind the skeleton's own
+    #: (V, K), -1 for none; the indices of virtual bones follow the skeleton's own
     candidates: np.ndarray
     weights: np.ndarray
 
 
 def _start(body: Body, influences: int) -> _Blend:
-    """No virtual bones yet, and the skin's own influences."""
+    """Start with the skin's own influences and no virtual bones."""
     weights = np.array(body.skin.influence(body.skeleton.num_joints), float)
     return _Blend(no_rows(body.skeleton.num_joints), *strongest_bones(weights, influences))
 
 
 def _fewer(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int) -> _Blend:
-    """With other bones and weights where keeping the strongest is too far off, and others are nearer."""
+    """Replace bones and weights if the strongest exceed half of the tolerance and others are nearer."""
     frames, targets = own_frames(body, poses)
     vertices, own = np.array(body.vertices, float), np.array(body.skin.influence(body.skeleton.num_joints))
     errors = blend_errors(vertices, targets, frames, blend.candidates, blend.weights).max(0)
@@ -169,7 +167,7 @@ def _fewer(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences:
 
 
 def _follow(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int, most: int) -> _Blend:
-    """With more rows, until the poses are followed or `most` are there."""
+    """Add rows until the poses are within the tolerance or there are `most` rows."""
     needs, rows = vertex_needs(body.skin), blend.rows
     own, targets = own_frames(body, poses)
     frames = np.concatenate([own, virtual_frames(body, rows, poses)], 1)
@@ -186,7 +184,7 @@ def _follow(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences
         gap = candidates.shape[1] - before.shape[1]
         before = np.pad(before, ((0, 0), (0, gap)), constant_values=-1)
         weights = np.pad(weights, ((0, 0), (0, gap)))
-        # what is well where it is stays there
+        # vertices with a small error keep their candidates
         again = (np.sort(before, 1) != np.sort(candidates, 1)).any(1) & (errors > tolerance / 2)
         candidates[~again] = before[~again]
         weights[again], errors[again] = fit_linear_weights(
@@ -196,7 +194,7 @@ def _follow(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences
 
 
 def _worst_rows(needs: Needs, rows: Rows, errors: np.ndarray, tolerance: float, most: int) -> Rows:
-    """Rows for the vertices that are furthest off, at places that lie apart."""
+    """Choose rows for the vertices of largest error, with blends that differ from each other."""
     new = no_rows(needs.blends.shape[1])
     done: list[int] = []
     for vertex in np.argsort(-errors):
@@ -214,7 +212,7 @@ def _worst_rows(needs: Needs, rows: Rows, errors: np.ndarray, tolerance: float, 
 
 
 def _errors(body: Body, blend: _Blend, poses: Pose) -> tuple[np.ndarray, float]:
-    """The largest distance of a vertex in each pose, and the mean over all, metres."""
+    """Compute the largest vertex distance in each pose, and the mean over all, metres."""
     vertices, largest, means = np.array(body.vertices, float), [], []
     for block in pose_blocks(poses):
         own, targets = own_frames(body, block)
@@ -226,7 +224,7 @@ def _errors(body: Body, blend: _Blend, poses: Pose) -> tuple[np.ndarray, float]:
 
 
 def _assemble(body: Body, blend: _Blend) -> tuple[Body, Skeleton, VirtualBones | None]:
-    """The linear body on the skeleton's own and those virtual bones that move anything."""
+    """Build the linear body on the skeleton's bones and those virtual bones that have a weight."""
     joints, rows = body.skeleton.num_joints, blend.rows
     weights = np.zeros((len(blend.weights), joints + len(rows.bases)))
     vertex, place = np.nonzero(blend.weights)

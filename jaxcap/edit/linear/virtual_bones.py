@@ -1,4 +1,4 @@
-"""Rigid bones beside those of a skeleton that move as a nonlinear skin moves its surface."""
+"""Virtual bones: additional rigid bones that move as a nonlinear skin moves its surface."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,24 +11,24 @@ from ...body.skeleton import Skeleton, make_skeleton
 from ...body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
 from ...geometry import rotation
 
-#: kinds of joints that have no shift of their own
+#: kinds of joints without a translation
 _TURNING = ("ball", "revolute", "universal", "fixed")
 
 
 class VirtualBones(eqx.Module):
-    """S bones, each carried by the skin like a vertex with weights of its own.
+    """S bones, each moved by the skin like a vertex with its own weights.
 
-    The rows of `skin` are such that a small frame is carried rigidly: blends of dual quaternions,
-    and at most one joint's swing. So the bones are functions of the joints' rotations, and follow
-    poses that nobody has fitted them to.
+    The rows of `skin` move a small frame rigidly: they are blends of dual quaternions, with at most one
+    joint's swing. The bones are therefore functions of the joints' rotations, and also follow poses to which
+    they were not fitted.
     """
 
     skin: AbstractSkin
-    #: the bone each one hangs on
+    #: parent bone of each virtual bone
     parents: Int[np.ndarray, "S"] = eqx.field(converter=np.asarray)
-    #: the joint of the skeleton at whose centre each one is shown
+    #: joint of the skeleton at whose centre each virtual bone is shown
     joints: Int[np.ndarray, "S"] = eqx.field(converter=np.asarray)
-    #: whether it turns about that centre alone
+    #: one if the bone only rotates about that centre
     turns: Float[np.ndarray, "S"] = eqx.field(converter=np.asarray)
 
     def __len__(self) -> int:
@@ -36,9 +36,9 @@ class VirtualBones(eqx.Module):
 
 
 def make_virtual_bones(skin: AbstractSkin, skeleton: Skeleton) -> VirtualBones:
-    """Virtual bones of the rows of a skin (see `VirtualBones`).
+    """Make virtual bones from the rows of a skin (see `VirtualBones`).
 
-    **Raises:** `TypeError` where the skin is not a nonlinear one.
+    **Raises:** `TypeError` if the skin is not a nonlinear one.
     """
     above = np.array(skeleton.parents)
     slides = ~np.isin(skeleton.kinds, _TURNING)
@@ -50,7 +50,7 @@ def make_virtual_bones(skin: AbstractSkin, skeleton: Skeleton) -> VirtualBones:
         weights = np.asarray(skin.weights)
         order = np.argsort(-weights, axis=1, kind="stable")[:, : min(2, weights.shape[1])]
         first, second = order[:, 0], order[:, -1]
-        # of a bone and the one it hangs on, the blend turns about the centre between them
+        # the blend of a bone and its parent rotates about the centre between them
         below = above[first] == second
         parents, joints = np.where(below, second, first), np.where(below, first, second)
         alone = ((weights > 0).sum(1) == 2) & (above[joints] == parents)
@@ -60,9 +60,10 @@ def make_virtual_bones(skin: AbstractSkin, skeleton: Skeleton) -> VirtualBones:
 
 
 def bone_frames(skeleton: Skeleton, skin: AbstractSkin, pose: Pose) -> Float[Array, "S 3 4"]:
-    """`[R | t]` of a small frame on each row of a skin, from rest to pose, in the world, with the pose's scale."""
+    """Compute `[R | t]` of a small frame at each row of a skin, from rest to pose, in the world, with the
+    pose's scale."""
     count = skin.parts().shape[0]
-    # where the skin takes the world's origin and a metre along each axis
+    # images of the world's origin and of a metre along each axis
     corners = jnp.concatenate([jnp.zeros((1, 3)), jnp.eye(3)]).astype(skeleton.centres.dtype)
     skin = skin.take(jnp.repeat(jnp.arange(count), 4))
     transforms = forward_kinematics(skeleton, pose)
@@ -72,7 +73,7 @@ def bone_frames(skeleton: Skeleton, skin: AbstractSkin, pose: Pose) -> Float[Arr
 
 
 def extended_skeleton(skeleton: Skeleton, bones: VirtualBones) -> Skeleton:
-    """The skeleton with the virtual bones behind its own joints, each named after its joint."""
+    """Append the virtual bones to the skeleton's joints, each named after its joint."""
     names, counts = list(skeleton.names), {}
     for joint in bones.joints.tolist():
         name = None
@@ -97,7 +98,7 @@ def extended_skeleton(skeleton: Skeleton, bones: VirtualBones) -> Skeleton:
 
 
 def extended_pose(skeleton: Skeleton, bones: VirtualBones, pose: Pose) -> Pose:
-    """A pose of `skeleton` as one of `extended_skeleton(skeleton, bones)`."""
+    """Convert a pose of `skeleton` to one of `extended_skeleton(skeleton, bones)`."""
     transforms = forward_kinematics(skeleton, pose)
     frames = bone_frames(skeleton, bones.skin, pose) / pose.scale
     above = transforms.rotations[bones.parents] / pose.scale

@@ -1,10 +1,9 @@
-"""The frames that a nonlinear skin carries rigidly, by the rows of its weights.
+"""Rows of skin weights whose frames a nonlinear skin moves rigidly.
 
-A swing-twist skin takes a vertex to `T_base (sum_k s_k S_k + s_0) D(t) x`: its twists `t` make one
-rigid motion `D`, after which the swings `S_k` blend linearly. So with a bone `T_base S_k D(t)` for
-each joint `k` that swings the vertex, and one without a swing, linear blending is exact. A
-dual quaternion skin takes it to `D(w) x`, for which one bone does. Vertices with equal blends,
-`t` or `w`, share their bones.
+A swing-twist skin moves a vertex to `T_base (sum_k s_k S_k + s_0) D(t) x`: its twists `t` give one rigid
+motion `D`, after which the swings `S_k` blend linearly. Linear blending is thus exact with one bone `T_base
+S_k D(t)` for each joint `k` that swings the vertex, and one without a swing. A dual quaternion skin moves it
+to `D(w) x`, for which one bone suffices. Vertices with equal blends, `t` or `w`, share their bones.
 """
 
 from typing import NamedTuple
@@ -16,35 +15,35 @@ from scipy.spatial.distance import cdist
 
 from ...body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
 
-#: a weight from here on is one, in single precision too
+#: weights of at least this count as one, in single precision too
 _WHOLE = 1 - 1e-6
 
 
 class Rows(NamedTuple):
-    """Frames that the skin carries; state `J` is the one without a swing."""
+    """Frames that the skin moves rigidly; state `J` is the one without a swing."""
 
-    #: base bones; zero where the skin has none
+    #: base bones; zero if the skin has none
     bases: Int[np.ndarray, "S"]
     #: weights of the dual quaternions
     blends: Float[np.ndarray, "S J"]
-    #: the joint whose swing comes after
+    #: joint whose swing is applied afterwards
     states: Int[np.ndarray, "S"]
 
 
 class Needs(NamedTuple):
-    """What each vertex is a linear blend of."""
+    """The terms of each vertex's linear blend."""
 
     bases: Int[np.ndarray, "V"]
     blends: Float[np.ndarray, "V J"]
-    #: the states that take part, and of these the ones for which no bone is there yet
+    #: states of the blend, and those of them without an existing bone
     states: Bool[np.ndarray, "V J+1"]
     virtual: Bool[np.ndarray, "V J+1"]
-    #: the skeleton's own bones that its joints move
+    #: the skeleton's own bones that influence the vertex
     bones: Bool[np.ndarray, "V J"]
 
 
 def vertex_needs(skin: AbstractSkin) -> Needs:
-    """The needs of every vertex of a skin. Raises `TypeError` where it is not a nonlinear one."""
+    """Compute the needs of every vertex of a skin. Raises `TypeError` if it is not a nonlinear one."""
     if isinstance(skin, DualQuaternionSkin):
         weights = np.array(skin.weights, float)
         states = np.zeros((len(weights), weights.shape[1] + 1), bool)
@@ -54,12 +53,12 @@ def vertex_needs(skin: AbstractSkin) -> Needs:
     if not isinstance(skin, SwingTwistSkin):
         raise TypeError(_unknown(skin))
     bases, swing, twist = (np.array(a) for a in (skin.bases, skin.swing, skin.twist))
-    # in single precision weights that are one in sum leave a little
+    # in single precision, weights whose sum is one leave a small rest
     rest = 1.0 - swing.sum(1, keepdims=True) > 1 - _WHOLE
     bones = (swing > 0) | (twist > 0)
     bones[np.arange(len(bases)), bases] = True
     states = np.concatenate([swing > 0, rest], 1)
-    # a joint's swing after its whole twist is that joint's bone; nothing at all is the base
+    # a joint's swing after its whole twist is that joint's bone; no swing and no twist is the base
     plain = np.concatenate([twist > _WHOLE, twist.sum(1, keepdims=True) < 1 - _WHOLE], 1)
     return Needs(bases, twist.astype(float), states, states & ~plain, bones)
 
@@ -77,7 +76,7 @@ def take_rows(rows: Rows, chosen: np.ndarray) -> Rows:
 
 
 def missing_rows(needs: Needs, vertex: int, rows: Rows) -> Rows:
-    """The frames that make a vertex exact, those left out that are there or are a bone's own."""
+    """Find the rows that make a vertex exact, without those that exist or equal a bone of the skeleton."""
     states = np.flatnonzero(needs.virtual[vertex])
     base, blend = needs.bases[vertex], needs.blends[vertex]
     same = (rows.bases == base) & (np.abs(rows.blends - blend).max(1, initial=0.0) < 1 - _WHOLE)
@@ -86,7 +85,7 @@ def missing_rows(needs: Needs, vertex: int, rows: Rows) -> Rows:
 
 
 def skin_of(skin: AbstractSkin, rows: Rows) -> AbstractSkin:
-    """A skin of the kind of `skin` with these rows. Raises as `vertex_needs` does."""
+    """Make a skin of the type of `skin` with these rows. Raises as `vertex_needs` does."""
     if isinstance(skin, DualQuaternionSkin):
         return DualQuaternionSkin(jnp.asarray(rows.blends, skin.weights.dtype))
     if not isinstance(skin, SwingTwistSkin):
@@ -99,8 +98,11 @@ def skin_of(skin: AbstractSkin, rows: Rows) -> AbstractSkin:
 
 
 def choose_candidates(needs: Needs, rows: Rows, count: int) -> Int[np.ndarray, "V K"]:
-    """Bones that a vertex may follow: its own, and of the virtual ones, which count on behind
-    them, up to `count` of the states it needs with the nearest blends; -1 is none."""
+    """Choose the candidate bones of each vertex.
+
+    They are its own bones and up to `count` virtual ones: those of its states with the nearest blends. The
+    indices of virtual bones follow the skeleton's; -1 is none.
+    """
     joints = needs.blends.shape[1]
     own = needs.bones.sum(1).max(initial=1)
     order = np.argsort(~needs.bones, axis=1, kind="stable")[:, :own]

@@ -1,10 +1,10 @@
-"""Linear blend weights of vertices over a few candidate bones each, from where they should go."""
+"""Fit linear blend weights of vertices over few candidate bones each to target positions."""
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import nnls
 
-#: vertices fitted at once, to bound memory
+#: vertices per block, to bound memory
 _BLOCK = 1024
 
 
@@ -15,16 +15,17 @@ def fit_linear_weights(
     candidates: Int[np.ndarray, "V K"],
     influences: int,
 ) -> tuple[Float[np.ndarray, "V K"], Float[np.ndarray, "V"]]:
-    """Weights of each vertex's candidate bones, and its largest distance from its targets, metres.
+    """Fit the weights of each vertex's candidate bones; also return its largest distance from its targets,
+    metres.
 
-    **Arguments:** `frames` are `[R | t]` of all bones in every frame; `candidates` index them,
-    -1 where a vertex has fewer.
+    **Arguments:** `frames` are `[R | t]` of all bones in every frame; `candidates` index them, -1 if a vertex
+    has fewer.
 
-    Weights are the least-squares ones at least zero and one in sum, at most `influences` of them
-    (the least is dropped and the rest fitted again until that holds). As the weights sum to one,
-    `sum w x - y` is `sum w (x - y)`, so with `D` the offsets of the candidates from the target,
-    the solution of `min |D w|^2 + (sum w - 1)^2, w >= 0` divided by its sum is that of
-    `min |D w|^2` on the simplex: along each ray the best value is `|D u|^2 / (1 + |D u|^2)`.
+    Weights minimise the least-squares error subject to being non-negative and of sum one, at most
+    `influences` of them: the smallest is dropped and the rest fitted again until this holds. As the weights
+    sum to one, `sum w x - y` is `sum w (x - y)`, so with `D` the offsets of the candidates from the target,
+    the solution of `min |D w|^2 + (sum w - 1)^2, w >= 0` divided by its sum is that of `min |D w|^2` on the
+    simplex: along each ray the best value is `|D u|^2 / (1 + |D u|^2)`.
     """
     weights, errors = np.zeros(candidates.shape), np.zeros(len(vertices))
     for start in range(0, len(vertices), _BLOCK):
@@ -36,7 +37,7 @@ def fit_linear_weights(
         )
         offsets -= targets[:, None, part].transpose(2, 1, 0, 3)
         offsets = offsets.reshape(*chosen.shape, -1).transpose(0, 2, 1)
-        # millimetres, against the row of ones
+        # millimetres, to scale them against the row of ones
         system = np.concatenate([1e3 * offsets, np.ones((len(chosen), 1, chosen.shape[1]))], 1)
         goal = np.zeros((len(chosen), system.shape[1], 1))
         goal[:, -1] = 1.0
@@ -55,7 +56,7 @@ def blend_errors(
     candidates: Int[np.ndarray, "V K"],
     weights: Float[np.ndarray, "V K"],
 ) -> Float[np.ndarray, "F V"]:
-    """Distances of blended vertices from their targets, metres; arguments as in
+    """Compute the distances of blended vertices from their targets, metres; arguments as in
     `fit_linear_weights`."""
     errors = np.zeros(targets.shape[:2])
     for start in range(0, len(vertices), _BLOCK):

@@ -1,1 +1,1 @@
-"""Find the joints of two skeletons that are the same joint of a person, by their names and by their trees."""
+"""Match the joints of two skeletons by names and kinematic trees."""

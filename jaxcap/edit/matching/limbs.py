@@ -1,8 +1,9 @@
-"""Find the arms and legs of a skeleton: chains of three joints, by names and by the tree.
+"""Find the arms and legs of a skeleton: chains of three joints, by names and by the kinematic tree.
 
-Every chain of three joints, each below the one before, gets a score as a leg and as an arm: what the names say, how alike the lengths of its two bones
-are, and how long it is. A limb has a twin on the other side with bones of the same lengths, so limbs are chosen in pairs, and legs together with arms.
-Lengths are taken along the bones, so no pose counts, and joints may have names that are in no table.
+Every chain of three joints, each below the one before, gets a score as a leg and as an arm. It depends on the
+names, the ratio of the lengths of its two bones, and its total length. A limb has a counterpart on the other
+side with bones of the same lengths, so limbs are chosen in pairs, and legs together with arms. Lengths are
+measured along the bones, so they do not depend on the pose, and joint names may be unknown.
 """
 
 from itertools import combinations
@@ -13,39 +14,41 @@ import numpy as np
 from ...body.skeleton import Skeleton
 from .names import ARM, LEG, JointName, Side
 
-#: points for a name that says the part, that likely says it, that may say it, and that says another
+#: points for a name that states the part, that probably states it, that may state it, and that states another
 SAYS, LIKELY, MAY_SAY, DENIES = 3.0, 2.5, 1.5, -4.0
-#: points for a helper, and for a joint that is passed over
+#: points for a helper joint, and for a joint that is skipped
 HELPER, PASSED = -3.0, -1.0
-#: how much longer the upper and the lower bone of a limb may be than the other without loss, as logarithms, and what more
-#: of it costs: of a person's limbs the lower bone is hardly ever the longer one
+#: largest excess of the upper and of the lower bone of a limb over the other without penalty, as logarithms,
+#: and the penalty beyond; the lower bone of a person's limb is rarely longer
 UPPER, LOWER, COST = 0.4, 0.1, 4.0
-#: the share of the points of its names that the lengths of a limb's bones may cost
+#: largest penalty for the lengths of a limb's bones, as a share of the points of its names
 UNLIKE = 0.5
-#: a limb needs so many points by its names where it has no twin, and a pair so many each where no name says anything
+#: least points by names of a limb without a counterpart, and least score of each limb of a pair without known
+#: names
 ALONE, UNNAMED = 5.0, -1.2
-#: by so many points more than all others the limbs of a body without names have to be likely
+#: margin in points over all others that the limbs of a body without names need
 SURE = 0.3
-#: joints from the first of a limb to its last, at most
+#: largest number of joints from the first of a limb to its last
 LONGEST = 24
-#: chains of each kind, and pairs of them, that are looked at together
+#: largest number of chains of each type, and of pairs of them, that are compared
 CHAINS, PAIRS = 40, 12
 
 
 class Limb(NamedTuple):
-    """Hold an arm or a leg: joints of the skeleton."""
+    """An arm or a leg, as joints of the skeleton."""
 
     #: thigh, shin and foot; or upper arm, forearm and hand
     joints: tuple[int, int, int]
-    #: what the names say
+    #: side by the names
     side: Side | None
-    #: points by names, and in all
+    #: points by names, and in total
     named: float
     score: float
 
 
 class Limbs(NamedTuple):
-    """Hold the limbs of a skeleton: none, one or two of each kind; of two without sides the order means nothing."""
+    """The limbs of a skeleton: none, one or two of each type; the order of two limbs without sides has no
+    meaning."""
 
     legs: tuple[Limb, ...]
     arms: tuple[Limb, ...]
@@ -77,7 +80,7 @@ def find_limbs(skeleton: Skeleton, names: list[JointName]) -> Limbs:
 
 
 def _unrivalled(limbs: tuple[Limb, ...], rivals: list[tuple[Limb, ...]]) -> tuple[Limb, ...]:
-    """The limbs, unless no name says that they are, and others of the same side are as likely."""
+    """Keep the limbs, unless no name supports them and other limbs are as likely."""
     if any(limb.named > 0 for limb in limbs):
         return limbs
     own = {limb.joints for limb in limbs}
@@ -85,14 +88,14 @@ def _unrivalled(limbs: tuple[Limb, ...], rivals: list[tuple[Limb, ...]]) -> tupl
 
 
 def lowest_common(skeleton: Skeleton, joints: list[int]) -> int:
-    """Find the joint that all of some joints hang on, the lowest; -1 where there is none."""
+    """Find the lowest common ancestor of some joints; -1 if there is none."""
     descent = skeleton.descent[:, joints].all(axis=1)
     common = np.flatnonzero(descent)
     return int(common[np.argmax(skeleton.depths[common])]) if len(common) else -1
 
 
 def _ancestors(skeleton: Skeleton) -> list[list[int]]:
-    """Joints above each one, the root first, and the joint itself."""
+    """List the ancestors of each joint, the root first, and the joint itself."""
     found: list[list[int]] = []
     for joint, parent in enumerate(skeleton.parents):
         found.append([*(found[parent] if parent >= 0 else []), joint])
@@ -100,7 +103,10 @@ def _ancestors(skeleton: Skeleton) -> list[list[int]]:
 
 
 def _have_twins(skeleton: Skeleton, along: np.ndarray) -> np.ndarray:
-    """(J,) whether another joint hangs as deep and as far from the root, as joints of limbs do and those of the trunk do not."""
+    """Mark joints for which another joint has the same depth and distance from the root, (J,).
+
+    This holds for joints of limbs, and not for those of the trunk.
+    """
     depths = skeleton.depths
     near = np.abs(along[:, None] - along) < 0.1 * np.maximum(along[:, None], along)
     alike = (depths[:, None] == depths) & near & ~np.eye(len(along), dtype=bool)
@@ -116,7 +122,7 @@ def _points(name: JointName, part: str) -> float:
 
 
 def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ...]) -> list[Limb]:
-    """Chains that may be limbs, the best first."""
+    """Find candidate chains for limbs, the best first."""
     points = {part: [_points(name, part) for name in names] for part in kind}
     found: list[Limb] = []
     reach = np.zeros(len(names))
@@ -131,13 +137,13 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
         return sum(part not in names[joint].parts and not names[joint].helper for joint in joints)
 
     for last, above in enumerate(ancestors):
-        # a joint that is called otherwise is the end of no such limb
+        # a joint named as another part cannot end such a limb
         if points[kind[2]][last] <= DENIES:
             continue
         for first, middle in combinations(above[-LONGEST:-1], 2):
             if points[kind[0]][first] <= DENIES or points[kind[1]][middle] <= DENIES:
                 continue
-            # what is called the joint of the hip is the thigh only where the knee hangs on it
+            # a joint named as the hip's side is the thigh only if the knee is its child, up to helper joints
             if "hip_side" in names[first].parts and not all(
                 names[joint].helper for joint in between(above, first, middle)
             ):
@@ -153,12 +159,12 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
             named = points[kind[0]][first] + points[kind[1]][middle] + points[kind[2]][last]
             if named <= 0 and not twins[[first, middle, last]].all():
                 continue
-            # beyond a hand or a foot there is less than half of a limb, unless it carries something
+            # less than half of a limb lies beyond a hand or a foot, unless it carries an object
             beyond = min(max(0.0, reach[last] / (upper + lower) - 0.5), 0.5)
             skipped = passed(above, first, middle, kind[0]) + passed(above, middle, last, kind[1])
             ratio = np.log(upper / lower)
             uneven = COST * max(0.0, ratio - UPPER, -ratio - LOWER)
-            # bones that speak so much against names that may say it are of no such limb: its middle joint is another one
+            # if the bone lengths contradict ambiguous names this strongly, another joint is the middle one
             if named > 0 and uneven > UNLIKE * named:
                 continue
             score = named + PASSED * skipped - COST * beyond - uneven
@@ -174,7 +180,8 @@ def _chains(ancestors, along, names: list[JointName], twins, kind: tuple[str, ..
 
 
 def _pairs(chains: list[Limb], along, ancestors) -> list[tuple[Limb, Limb]]:
-    """Two chains that are each other's twin, the best first, left before right where the names say it."""
+    """Pair chains that are each other's counterpart, the best first, left before right if the names give
+    sides."""
     found = []
     for a, b in combinations(chains, 2):
         if a.joints[0] in ancestors[b.joints[2]] or b.joints[0] in ancestors[a.joints[2]]:
@@ -194,10 +201,10 @@ def _pairs(chains: list[Limb], along, ancestors) -> list[tuple[Limb, Limb]]:
 
 
 def _together(legs, arms, along, ancestors) -> float:
-    """Points of a pair of legs and a pair of arms of one body; either may be missing."""
+    """Score a pair of legs and a pair of arms of one body; either may be missing."""
     if legs is None or arms is None:
         only = legs or arms
-        # one pair alone has to have names: two like chains may be anything
+        # one pair alone needs names, as two similar chains may be anything
         return (
             0.0
             if only is None or min(limb.named for limb in only) < ALONE
@@ -214,7 +221,7 @@ def _together(legs, arms, along, ancestors) -> float:
 
 
 def _with_single(limbs: Limbs, chains, ancestors) -> Limbs:
-    """A leg or an arm that has no twin, where its names leave no doubt."""
+    """Add a leg or an arm that has no counterpart, if its names are certain."""
     taken = [limb for pair in limbs for limb in pair]
     found = list(limbs)
     for place, kind in enumerate((LEG, ARM)):

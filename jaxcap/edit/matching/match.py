@@ -22,9 +22,9 @@ from .table import (
     told_of_target,
 )
 
-#: so many joints match at least
+#: least number of matched joints
 LEAST = 3
-#: joints without a match that a refusal lists
+#: number of unmatched joints that an error lists
 SAID = 12
 
 
@@ -35,18 +35,21 @@ def match_joints(
     *,
     motion: Motion | None = None,
 ) -> JointMatches:
-    """Match the joints of two skeletons, by the names of many programs and by their trees.
+    """Match the joints of two skeletons, by the names of many programs and by their kinematic trees.
 
-    Arms and legs are chains of three joints whose bones are about equally long, with a twin on the other side; names decide where they are known, and
-    lengths where they are not. Spine and neck are matched from the hips to the head; where their numbers of joints differ, joints share rotations.
-    Whatever is left matches where it is called alike and hangs on joints that match.
+    Arms and legs are chains of three joints whose bones are about equally long, with a counterpart on the
+    other side. Known names have priority over lengths. Spine and neck are matched from the hips to the head;
+    if their numbers of joints differ, joints share rotations. Remaining joints match if their names are equal
+    and their ancestors match.
 
-    **Arguments:** `names` leads from joints of the source to those of the target, or to None for a joint that has no match; it overrules names and
-    trees for these joints, and shows which limbs they belong to. `motion` of the source is for files whose rest pose is not that of a person.
+    **Arguments:** `names` maps joints of the source to those of the target, or to None for a joint that has
+    no match. It overrides names and trees for these joints, and also identifies the limbs to which they
+    belong. `motion` of the source is for files whose rest pose is not that of a person.
 
-    **Raises:** `UnmatchedJoints`, a `ValueError`, where both arms or both legs have no match, fewer than three joints match, or left and right do not
-    show; `ValueError` for a name that a skeleton does not have, two joints for one, a limb of the table whose joints do not hang on each other, or
-    where neither rest nor motion shows how the person stands.
+    **Raises:** `UnmatchedJoints`, a `ValueError`, if both arms or both legs have no match, fewer than three
+    joints match, or left and right cannot be determined. `ValueError` for a name that a skeleton does not
+    have, two joints for one, a limb of the table whose joints are not a chain, or if the person stands
+    neither at rest nor in the motion.
     """
     table = make_table(source, target, names or {})
     there = find_person(target, told_of_target(source, target, table))
@@ -77,12 +80,12 @@ def match_joints(
 
 
 def _person(source: Skeleton, target: Skeleton, there: Person, table: Table) -> Person:
-    """The person of the source, as names, tree and table show it."""
+    """Find the person of the source by names, tree and table."""
     return overruled(find_person(source, told_of_source(target, there, table)), there, table)
 
 
 def _sides_of(person: Person, error: UnknownSides) -> Person:
-    """A person whose sides are wrong with them exchanged, and one whose sides do not show without limbs."""
+    """Exchange the sides of a person if they are swapped; remove the limbs if the sides are unknown."""
     return swap_sides(person) if error.swapped else person._replace(parts={}, fingers={})
 
 
@@ -95,14 +98,14 @@ def _refused(
     *,
     alike: bool = True,
 ) -> UnmatchedJoints:
-    """A refusal with a table to start from."""
+    """Make an error that includes an initial table."""
     found = pair_joints(*persons, table)[0] if pairs is None else pairs
     chosen = table_to_start(*skeletons, persons[1] if alike else None, found, table)
     return UnmatchedJoints(sentence, *names_to_start(*skeletons, chosen, table.none))
 
 
 def _check_chains(matches: JointMatches, table: Table) -> None:
-    """That the joints of limbs that a table is of hang on each other. Raises `ValueError`."""
+    """Check that the joints of limbs in a table are chains. Raises `ValueError`."""
     person, names = matches.stands[1].person, matches.source.names
     for side in SIDES:
         for kind in ("leg", "arm"):
@@ -119,7 +122,7 @@ def _check_chains(matches: JointMatches, table: Table) -> None:
 
 
 def _facing(matches: JointMatches, table: Table) -> list[str]:
-    """A warning where the sides of a table make a person look backwards."""
+    """Warn if the sides of a table contradict the direction of the toes."""
     looks = [backward(stand.person, stand.places, stand.axes) for stand in matches.stands]
     if not table.pairs or looks[0] == looks[1]:
         return []
@@ -129,9 +132,10 @@ def _facing(matches: JointMatches, table: Table) -> list[str]:
 
 
 def _check_limbs(matches: JointMatches, table: Table) -> list[str]:
-    """Warnings of limbs without a match.
+    """Warn of limbs without a match.
 
-    **Raises:** `UnmatchedJoints` where no arm or no leg has one, unless a table is given and no joint of the source is left that could be of one.
+    **Raises:** `UnmatchedJoints` if no arm or no leg has one, unless a table is given and no source joint
+    that could belong to one remains.
     """
     here, there = (stand.person for stand in matches.stands)
     said = []

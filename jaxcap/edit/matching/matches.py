@@ -1,4 +1,4 @@
-"""Say which joints of two skeletons match, and what becomes of those that do not."""
+"""Matched joints of two skeletons, and the treatment of unmatched ones."""
 
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
@@ -8,10 +8,10 @@ from .reference import Reference
 
 
 class UnmatchedJoints(ValueError):
-    """Say that limbs have no match.
+    """An error: limbs have no match.
 
-    `names` is a table to start from; None where the table that was given says that a joint of the source has no match. `open` are the joints of
-    the source that nothing is known of.
+    `names` is an initial table; None if the given table states that a joint of the source has no match.
+    `open` are the joints of the source without any information.
     """
 
     def __init__(self, message: str, names: dict[str, str | None], open: tuple[str, ...] = ()):
@@ -21,22 +21,23 @@ class UnmatchedJoints(ValueError):
 
 
 class JointMatches(NamedTuple):
-    """Hold which joints of a source and a target match, by their indices."""
+    """The matching joints of a source and a target, by their indices."""
 
     source: Skeleton
     target: Skeleton
-    #: target -> source, where both are the same joint of a person, or are called alike
+    #: target -> source, for the same joint of a person, or equal names
     pairs: dict[int, int]
-    #: target -> (a, b, share): it turns as `a` of the source does, or by `share` of the way from `a` to `b`
+    #: target -> (a, b, share): it rotates as `a` of the source does, or by `share` from `a` to `b`
     followed: dict[int, tuple[int, int, float]]
-    #: the two as they stand, with their persons
+    #: the upright poses of both, with their persons
     stands: tuple[Reference, Reference]
-    #: sentences that a user has to read
+    #: sentences for the user
     warnings: tuple[str, ...]
 
     @property
     def names(self) -> dict[str, str | None]:
-        """The joints of the source by name with those of the target, None without a match; ends of bones are left out."""
+        """The joints of the source by name with those of the target, None without a match; ends of bones are
+        omitted."""
         found = {here: there for there, here in self.pairs.items()}
         return {
             name: self.target.names[found[joint]] if joint in found else None
@@ -46,7 +47,7 @@ class JointMatches(NamedTuple):
 
     @property
     def unmatched_source(self) -> dict[str, str]:
-        """Joints of the source without a match, and what becomes of their rotation."""
+        """Joints of the source without a match, and the treatment of their rotation."""
         used = {joint: self.target.names[there] for there, joint in self.pairs.items()}
         carried = dict(used)
         for there, (a, b, _) in self.followed.items():
@@ -71,7 +72,7 @@ class JointMatches(NamedTuple):
 
     @property
     def unmatched_target(self) -> dict[str, str]:
-        """Joints of the target without a match, and what they do."""
+        """Joints of the target without a match, and their behaviour."""
         found = {}
         for joint, name in enumerate(self.target.names):
             if joint in self.pairs or _is_end(self.target, joint):
@@ -91,7 +92,7 @@ class JointMatches(NamedTuple):
         return found
 
     def lines(self) -> list[str]:
-        """Say all of it, a line each."""
+        """Describe the matches in sentences, one per line."""
         pairs = {self.source.names[here]: self.target.names[there] for there, here in self.pairs.items()}
         alike = [name for name, there in pairs.items() if name == there]
         other = [f"{name} = {there}" for name, there in pairs.items() if name != there]
@@ -113,7 +114,7 @@ class JointMatches(NamedTuple):
 def names_to_start(
     source: Skeleton, target: Skeleton, pairs: Mapping[int, int], none: Collection[int]
 ) -> tuple[dict[str, str | None], tuple[str, ...]]:
-    """Write pairs as a table of names for `UnmatchedJoints`, with the joints of the source that are open."""
+    """Write pairs as a name table for `UnmatchedJoints`, with the source joints without information."""
     found = {here: target.names[there] for there, here in pairs.items()}
     names = {
         name: found.get(joint) for joint, name in enumerate(source.names) if joint in found or joint in none
@@ -125,12 +126,12 @@ def names_to_start(
 
 
 def _is_end(skeleton: Skeleton, joint: int) -> bool:
-    """Whether a joint only marks the end of a bone."""
+    """Check whether a joint only marks the end of a bone."""
     return skeleton.kinds[joint] == "fixed" and joint not in skeleton.parents
 
 
 def _next_below(children: dict[int, list[int]], joint: int, some: set[int]) -> list[int]:
-    """The nearest of some joints on every way down from a joint."""
+    """Find the nearest of some joints on every path down from a joint."""
     found, waiting = [], [joint]
     while waiting:
         for child in children.get(waiting.pop(), []):

@@ -1,8 +1,9 @@
 """Read side and body part from the name of a joint, in the naming schemes of other programs.
 
-The words are those of CMU's ASF and BVH files, Biovision, MotionBuilder, Motive, Vicon, Xsens, Kinect, Mixamo, Unity, VRM, Unreal, Rigify,
-MakeHuman, 3ds Max Biped, Source, Daz, Poser, SMPL and Bandai Namco. A word may stand for two parts, as "shoulder" is the clavicle in one
-scheme and the upper arm in another; the tree then decides (`limbs`).
+The words are those of CMU's ASF and BVH files, Biovision, MotionBuilder, Motive, Vicon, Xsens, Kinect,
+Mixamo, Unity, VRM, Unreal, Rigify, MakeHuman, 3ds Max Biped, Source, Daz, Poser, SMPL and Bandai Namco. A
+word may denote two parts: in one scheme "shoulder" is the clavicle, in another the upper arm. The tree then
+decides (`limbs`).
 """
 
 import re
@@ -19,7 +20,7 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-#: body part -> its words, in small letters without separators; parts in the order in which a word stands for them
+#: body part -> its words, in lower case without separators; parts in the order of their likelihood for a word
 _PARTS: dict[tuple[str, ...], str] = {
     ("thigh",): "thigh thighbend upleg upperleg legupper upthigh femur hipbend buttockthigh",
     ("shin", "thigh"): "leg",
@@ -56,12 +57,12 @@ PARTS: dict[str, tuple[str, ...]] = {word: parts for parts, words in _PARTS.item
 
 #: "hip" is the pelvis, unless it has a side: then it is the joint of the thigh
 HIP = "hip"
-#: words that say nothing of the part
+#: words without information on the part
 _EMPTY = _words(
     "mixamorig bip biped valvebiped valve cc def org mch jnt jt joint joints bone bones bn j b c m f g x sk skel skeleton character rig "
     "avg ctrl anim mesh armature reference actor base"
 )
-#: joints that serve the skin or an animator, and are no joint of a person
+#: joints for the skin or an animator, which are not joints of a person
 _HELPERS = _words(
     "twist roll ik fk pole end nub tip helper share corrective adj adjust bulge weapon prop attach socket volume aux muscle target dummy "
     "fix jiggle breast pec skirt hair cloth cape tail eye jaw face toeik null site locator"
@@ -69,26 +70,27 @@ _HELPERS = _words(
 _LEFT, _RIGHT = frozenset(["l", "left", "lft"]), frozenset(["r", "right", "rgt"])
 _GLUED: dict[str, Side] = {"left": "left", "right": "right", "l": "left", "r": "right"}
 _PIECES = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
-#: vertebrae, as Xsens has them
+#: vertebrae, as named by Xsens
 _VERTEBRA = re.compile(r"(l[1-5]|t\d{1,2}|c[1-7])$")
-#: places of a finger's bones
+#: order of a finger's bones
 _ORDER = {"metacarpal": 0, "proximal": 1, "intermediate": 2, "distal": 3}
 
 
 class JointName(NamedTuple):
-    """Hold what the name of a joint says."""
+    """The information in the name of a joint."""
 
     side: Side | None
-    #: parts of the body that the name may mean, likeliest first; empty for an unknown word
+    #: possible parts of the body, the most likely first; empty for an unknown word
     parts: tuple[str, ...]
-    #: the last number in the name; None without one
+    #: last number in the name; None without one
     number: int | None
-    #: whether it is a joint for skinning or control, such as a twist joint
+    #: a joint for skinning or control, such as a twist joint
     helper: bool
 
 
 def plain_name(name: str) -> str:
-    """Remove a namespace, such as `mixamorig:` or `Character1|`, and change to small letters without separators."""
+    """Remove a namespace, such as `mixamorig:` or `Character1|`, and convert to lower case without
+    separators."""
     name = re.sub(r"^(mixamorig|bip|valvebiped[._]bip)\d*[ _:]?", "", _bare(name), flags=re.IGNORECASE)
     return re.sub(r"[^0-9a-z]", "", name.lower())
 
@@ -115,7 +117,7 @@ def read_name(name: str) -> JointName:
             kept.append(word)
     side = next(iter(sides)) if len(sides) == 1 else None
     bare = "".join(word for word in kept if word not in _EMPTY)
-    # words before the part are a prefix; one behind it, as in HipJoint or FingerBase, may be of it
+    # words before the part are a prefix; one after it, as in HipJoint or FingerBase, may belong to it
     parts = _parts("".join(kept), side) or _parts("".join(dropwhile(_EMPTY.__contains__, kept)), side)
     parts = parts or _parts(bare, side)
     if not parts and not sides:

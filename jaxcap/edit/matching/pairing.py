@@ -1,4 +1,4 @@
-"""Pair the joints of two persons, and say which bones the bones of the target turn with."""
+"""Pair the joints of two persons, and choose the source bones that the bones of the target follow."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,7 +10,7 @@ from .person import Person
 from .table import Table
 
 SIDES: tuple[Side, Side] = ("left", "right")
-#: a joint that is nearer to the end of an upper arm or thigh, as a share of its length, is not on the bone but of the next joint
+#: a joint nearer than this share of the length to the end of an upper arm or thigh belongs to the next joint
 ON_BONE = 0.05
 
 #: joint of the target -> (a, b, share) of the source
@@ -18,9 +18,10 @@ Followed = dict[int, tuple[int, int, float]]
 
 
 def pair_joints(source: Person, target: Person, table: Table) -> tuple[dict[int, int], Followed]:
-    """Pair joints that are the same joint of a person, from target to source, and say what each joint of the target follows.
+    """Pair corresponding joints from target to source, and choose the source joints that each target joint
+    follows.
 
-    **Arguments:** `source` has the joints of the `table` where the target has them.
+    **Arguments:** `source` has the joints of the `table` at the roles that they have in the target.
     """
     pairs = {there: source.parts[key] for key, there in target.parts.items() if key in source.parts}
     if source.pelvis >= 0 and target.pelvis >= 0:
@@ -50,7 +51,7 @@ def pair_joints(source: Person, target: Person, table: Table) -> tuple[dict[int,
 
 
 def _trunk(source: Person, target: Person, table: Table) -> Followed:
-    """What the spine and the neck of the target follow."""
+    """Choose the joints that the spine and the neck of the target follow."""
     if source.pelvis < 0 or target.pelvis < 0:
         return {}
     spine = _shared([source.pelvis, *source.spine], target.spine, table)
@@ -62,8 +63,11 @@ def _trunk(source: Person, target: Person, table: Table) -> Followed:
 
 
 def _shared(source: Sequence[int], target: Sequence[int], table: Table) -> Followed:
-    """Joints of a chain of the target as places along one of the source, whose first joint is above the target's chain; the last are the same, and so
-    are those of the table."""
+    """Map joints of a target chain to positions along a source chain.
+
+    The first source joint is above the target's chain. The last joints correspond, and so do those of the
+    table.
+    """
     count, found = len(source) - 1, {}
     if not count:
         return found
@@ -73,7 +77,7 @@ def _shared(source: Sequence[int], target: Sequence[int], table: Table) -> Follo
         if table.pairs.get(joint) in source
     }
     places = sorted(known)
-    # joints that the table has for something else, or for nothing, are no place to be at
+    # joints that the table pairs otherwise or excludes cannot be followed here
     closed = [joint in table.given for joint in source]
     for place, joint in enumerate(target, 1):
         along = float(np.interp(place, places, [known[each] for each in places]))
@@ -94,7 +98,8 @@ def _shared(source: Sequence[int], target: Sequence[int], table: Table) -> Follo
 def pair_alike(
     source: Skeleton, target: Skeleton, pairs: dict[int, int], followed: Followed, table: Table
 ) -> None:
-    """Pair what is left and called alike, where it hangs on joints that match and those below it are below it in both."""
+    """Pair remaining joints of equal names, if their matched ancestors and descendants agree in both
+    skeletons."""
     plain = {}
     for joint, name in enumerate(source.names):
         plain.setdefault(plain_name(name), []).append(joint)
@@ -117,13 +122,15 @@ def pair_alike(
 
 
 def _matched_below(target: Skeleton, joint: int, pairs: Mapping[int, int]) -> list[int]:
-    """The joints of the source that match one below a joint of the target."""
+    """List the source joints that match a descendant of a target joint."""
     return [here for there, here in pairs.items() if there != joint and target.descent[joint, there]]
 
 
 def follow_ends(source: Skeleton, target: Person, pairs: Mapping[int, int], followed: Followed) -> None:
-    """Let upper arms and thighs turn as the far ends of the source's bones do, where twist joints lie along them: then elbows and knees bend as much
-    as the source's."""
+    """Make upper arms and thighs follow the far ends of the source's bones if these have twist joints.
+
+    Elbows and knees then bend as much as the source's.
+    """
     centres = np.asarray(source.centres, float)
     for side in SIDES:
         for kind in ("leg", "arm"):

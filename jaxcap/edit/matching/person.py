@@ -1,4 +1,4 @@
-"""Name the joints of a person: limbs, trunk, neck, head, hands and feet, whatever the file calls them."""
+"""Identify the joints of a person: limbs, trunk, neck, head, hands and feet, for any naming scheme."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -17,22 +17,24 @@ LIMBS = {"leg": (*LEG, "toes"), "arm": ("clavicle", *ARM)}
 
 
 class Person(NamedTuple):
-    """Hold which joints of a skeleton are which of a person; -1 or nothing where there is none."""
+    """The joints of a skeleton by their roles in a person; -1 or empty if there is none."""
 
     pelvis: int
     #: from the pelvis to the neck, and from there to the head, without both
     spine: tuple[int, ...]
     neck: tuple[int, ...]
     head: int
-    #: (side, part) -> joint; parts as in `LIMBS`, and "palm"; of limbs whose side no name says, left and right are still open
+    #: (side, part) -> joint; parts as in `LIMBS`, and "palm"; left and right are provisional for limbs in
+    #: `sideless`
     parts: dict[tuple[Side, str], int]
     #: (side, finger, number of the bone) -> joint
     fingers: dict[tuple[Side, str, int], int]
-    #: kinds of limbs whose sides no name says
+    #: types of limbs without a side in any name
     sideless: tuple[str, ...]
 
     def limb(self, side: Side, kind: str) -> tuple[int, ...]:
-        """Thigh, shin and foot of a "leg", or upper arm, forearm and hand of an "arm"; empty where it is not there."""
+        """Return thigh, shin and foot of a "leg", or upper arm, forearm and hand of an "arm"; empty if a
+        joint is missing."""
         names = LEG if kind == "leg" else ARM
         return (
             tuple(self.parts[side, part] for part in names)
@@ -42,9 +44,9 @@ class Person(NamedTuple):
 
 
 def find_person(skeleton: Skeleton, told: Mapping[int, JointName] | None = None) -> Person:
-    """Find a person in a skeleton, by the names of its joints and by its tree; no pose counts.
+    """Find a person in a skeleton, by joint names and the kinematic tree, independently of the pose.
 
-    **Arguments:** `told` is what the names of some joints say in place of what they are.
+    **Arguments:** `told` replaces the information in the names of some joints.
     """
     told = told or {}
     names = [told.get(joint) or read_name(name) for joint, name in enumerate(skeleton.names)]
@@ -72,7 +74,7 @@ def find_person(skeleton: Skeleton, told: Mapping[int, JointName] | None = None)
 def trunk_direction(
     person: Person, places: Float[np.ndarray, "... J 3"]
 ) -> Float[np.ndarray, "... 3"] | None:
-    """Find the direction from the hips to the shoulders, or to the head; None where the person has neither."""
+    """Compute the direction from the hips to the shoulders or the head; None if the person has neither."""
     thighs = [joint for (_, part), joint in person.parts.items() if part == "thigh"]
     upper = [joint for (_, part), joint in person.parts.items() if part == "upper_arm"]
     low = thighs or ([person.pelvis] if person.pelvis >= 0 else [])
@@ -84,9 +86,10 @@ def trunk_direction(
 
 
 def far_end(skeleton: Skeleton, person: Person, side: Side, kind: str, last: int) -> int | None:
-    """Find the joint at the far end of a hand or a foot: toes, palm, a finger, or else the only joint below it; None where it has none.
+    """Find the joint at the far end of a hand or a foot: toes, palm, a finger, or else its only child; None
+    if there is none.
 
-    **Arguments:** `last` is the hand, of the kind "arm", or the foot, of the kind "leg".
+    **Arguments:** `last` is the hand, for the type "arm", or the foot, for the type "leg".
     """
     named = person.parts.get((side, "toes" if kind == "leg" else "palm"))
     if named is not None:
@@ -105,7 +108,7 @@ def far_end(skeleton: Skeleton, person: Person, side: Side, kind: str, last: int
 
 
 def _sides(limbs: tuple[Limb, ...]) -> tuple[Side, ...]:
-    """The sides of one or two limbs, left first where no name says it."""
+    """List the sides of one or two limbs, left first if no name gives them."""
     if len(limbs) == 1:
         return (limbs[0].side or "left",)
     return ("left", "right") if limbs else ()
@@ -114,7 +117,7 @@ def _sides(limbs: tuple[Limb, ...]) -> tuple[Side, ...]:
 def _trunk(
     skeleton: Skeleton, names: list[JointName], limbs: Limbs
 ) -> tuple[int, tuple[int, ...], tuple[int, ...], int]:
-    """Pelvis, spine, neck and head."""
+    """Find pelvis, spine, neck and head."""
     thighs = [limb.joints[0] for limb in limbs.legs]
     arms = [limb.joints[0] for limb in limbs.arms]
     if not thighs and not arms:
@@ -127,7 +130,7 @@ def _trunk(
     )
     if thighs:
         pelvis = lowest_common(skeleton, [max(parents[thigh], 0) for thigh in thighs])
-        # of a leg alone the joint of the hip's side may be above the thigh
+        # for a single leg, the joint of the hip's side may be above the thigh
         while pelvis >= 0 and names[pelvis].parts[:1] == ("hip_side",) and parents[pelvis] >= 0:
             pelvis = parents[pelvis]
     else:
@@ -151,13 +154,13 @@ def _trunk(
         or (bool(under) and joint not in under and not (called and "spine" in names[joint].parts))
         for joint in chain
     ]
-    # from the first neck on all are neck
+    # all joints from the first neck joint on belong to the neck
     first = is_neck.index(True) if True in is_neck else len(chain)
     return pelvis, tuple(chain[:first]), tuple(chain[first:]), head
 
 
 def _path(skeleton: Skeleton, start: int, end: int) -> list[int]:
-    """The joints below `start`, which is left out, down to `end`."""
+    """List the joints below `start`, without it, down to `end`."""
     found = []
     while end >= 0 and end != start:
         found.append(end)
@@ -176,7 +179,7 @@ def _head(skeleton: Skeleton, names: list[JointName], top: int, taken: np.ndarra
         return min(named, key=lambda joint: depths[joint])
     if top < 0:
         return -1
-    # the end of the chain that goes on from the shoulders between the arms
+    # end of the chain that continues from the shoulders between the arms
     joint, last = top, -1
     while True:
         below = [
@@ -236,7 +239,7 @@ def _hand(skeleton: Skeleton, names: list[JointName], parts, fingers, side: Side
     for finger, joints in seen.items():
         joints = sorted(joints, key=lambda joint: skeleton.depths[joint])
         if not all(skeleton.descent[above, below] for above, below in pairwise(joints)):
-            # several fingers by one name: which one is which is not said
+            # several fingers share one name, so they cannot be distinguished
             continue
         for place, joint in enumerate(joints):
             number = names[joint].number
@@ -248,6 +251,6 @@ def _below(skeleton: Skeleton, joint: int) -> list[int]:
 
 
 def nearest_up(direction: Float[np.ndarray, "3"], within: float) -> Float[np.ndarray, "3"]:
-    """Find the coordinate axis that a direction is near to, within some radians; the direction itself where none is."""
+    """Find the coordinate axis within some radians of a direction; the direction itself if there is none."""
     axis = nearest_axis(direction)
     return axis if axis @ direction > np.cos(within) else direction

@@ -1,7 +1,8 @@
-"""Find a pose in which a person stands, by which rest poses are compared.
+"""Find a pose in which a person stands upright, for the comparison of rest poses.
 
-Rest poses of files need not be poses of a person: where joints have frames of their own, as in files from Unreal, Maya or Bandai Namco, all bones of a
-BVH file lie along one axis until the first frame. Then the frame of the motion in which the person stands straightest takes the place of rest.
+Rest poses of files need not be poses of a person. If joints have their own frames, as in files from Unreal,
+Maya or Bandai Namco, all bones of a BVH file lie along one axis until the first frame. The frame of the
+motion in which the person stands straightest then replaces the rest pose.
 """
 
 from collections.abc import Collection
@@ -18,37 +19,41 @@ from ...geometry.axes import nearest_axis
 from .person import Person, nearest_up, trunk_direction
 from .sides import UnknownSides, settle_sides
 
-#: cosine between trunk and legs of somebody who stands, at most, and how long a leg is of its bones, at least
+#: largest cosine between trunk and legs of a standing person, and least length of a leg relative to its bones
 STANDS, STRETCHED = -0.5, 0.7
-#: frames that are looked at, and degrees from a coordinate axis within which a person stands along it
+#: largest number of frames that are examined, and largest angle from a coordinate axis at which a person is
+#: taken to stand along it
 LOOKED_AT, NEAR = 300, np.radians(25.0)
 
 
 class Reference(NamedTuple):
-    """Hold a pose in which a person stands; J joints."""
+    """A pose in which a person stands upright; J joints."""
 
     person: Person
-    #: (J, 3) metres
+    #: (J, 3) positions, metres
     places: Float[np.ndarray, "J 3"]
-    #: (J, 4) rotations in the world, from rest
+    #: (J, 4) world rotations from rest
     rotations: Float[np.ndarray, "J 4"]
-    #: the frame of the motion; None where it is the rest pose
+    #: frame of the motion; None if it is the rest pose
     frame: int | None
-    #: columns left, up and front of the person; None where they do not show
+    #: columns left, up and front of the person; None if they cannot be determined
     axes: Float[np.ndarray, "3 3"] | None
-    #: the coordinate axis from the feet to the hips; None without legs
+    #: coordinate axis from the feet to the hips; None without legs
     up: Float[np.ndarray, "3"] | None
 
 
 def find_reference(
     skeleton: Skeleton, person: Person, motion: Motion | None, which: str, told: Collection[str] = ()
 ) -> Reference:
-    """Find the pose in which a person stands: rest, or else the straightest frame of a motion; and the sides of limbs without sides in their names.
+    """Find an upright pose of a person: rest, or else the straightest frame of a motion.
 
-    **Arguments:** `which` is "source" or "target", for sentences. `told` are kinds of limbs whose sides a table says.
+    The sides of limbs without sides in their names are determined too.
 
-    **Raises:** `ValueError` where the person stands neither at rest nor in any frame; `UnknownSides`, which is one too, where left and right do
-    not show.
+    **Arguments:** `which` is "source" or "target", for messages. `told` are types of limbs whose sides a name
+    table gives.
+
+    **Raises:** `ValueError` if the person stands neither at rest nor in any frame; its subclass
+    `UnknownSides` if left and right cannot be determined.
     """
     rest = np.asarray(skeleton.centres, float)
     still = np.tile([1.0, 0, 0, 0], (len(rest), 1))
@@ -76,9 +81,9 @@ def find_reference(
 
 
 def posed(skeleton: Skeleton, poses: Pose) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F J 4"]]:
-    """Find places and rotations of all joints in the world, in each pose of a stack, metres and quaternions.
+    """Compute world positions and rotations of all joints in each pose of a stack, metres and quaternions.
 
-    In NumPy, as a skeleton comes once and compiling for it would take longer.
+    It uses NumPy, because a skeleton is used once and compiling for it would take longer.
     """
     centres = np.asarray(skeleton.centres, float)
     turns = np.array(poses.rotations, float)
@@ -99,8 +104,11 @@ def posed(skeleton: Skeleton, poses: Pose) -> tuple[Float[np.ndarray, "F J 3"], 
 
 
 def standing(person: Person, places: Float[np.ndarray, "J 3"]) -> float:
-    """Say how straight a person stands: above zero where the legs go the other way than the trunk, and two for a straight line. One where
-    the skeleton has no legs or no trunk, which any pose may be."""
+    """Rate how straight a person stands.
+
+    The score is above zero if the legs point away from the trunk, and two for a straight line. It is one if
+    the skeleton has no legs or no trunk, as any pose is then possible.
+    """
     trunk = trunk_direction(person, places)
     legs = [leg for side in ("left", "right") if (leg := person.limb(side, "leg"))]
     if trunk is None or not legs:

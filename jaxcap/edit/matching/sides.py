@@ -1,4 +1,4 @@
-"""Find which limbs of a person are left and which right, and whether names and places agree on it."""
+"""Find the left and right limbs of a person, and check that names and positions agree."""
 
 from collections.abc import Collection
 
@@ -8,12 +8,13 @@ from jaxtyping import Float
 from .names import Side
 from .person import LIMBS, Person
 
-#: toes point forward by so many of their lengths at least where they say which side is left
+#: least forward component of the toes, relative to their lengths, that determines the sides
 POINTED = 0.3
 
 
 class UnknownSides(ValueError):
-    """Say that left and right do not show, or, where they are `swapped`, that names and places contradict each other."""
+    """An error: left and right cannot be determined, or, if `swapped`, names and positions contradict each
+    other."""
 
     def __init__(self, message: str, swapped: bool = False):
         super().__init__(message)
@@ -26,12 +27,16 @@ def settle_sides(
     up: Float[np.ndarray, "3"],
     told: Collection[str] = (),
 ) -> Person:
-    """Find left and right of limbs without sides in their names, by the joints' places in a pose that stands along `up`: by limbs that have
-    sides, or by the toes, which point forward.
+    """Determine left and right of limbs without sides in their names.
 
-    **Arguments:** `told` are kinds of limbs whose sides are said by somebody who knows: toes do not count against these.
+    The joint positions are those of a pose that stands along `up`. Limbs with sides determine the others;
+    without any, the toes do, which point forward.
 
-    **Raises:** `UnknownSides` where neither shows the sides, the toes show that names and places contradict each other, or legs and arms do.
+    **Arguments:** `told` are types of limbs whose sides are given by the user: toes do not count against
+    these.
+
+    **Raises:** `UnknownSides` if neither determines the sides, the toes contradict the names, or legs and
+    arms contradict each other.
     """
     across = _across(person, places, up)
     if len(across) == 2 and across["leg"] @ across["arm"] < 0:
@@ -66,7 +71,7 @@ def settle_sides(
 
 
 def backward(person: Person, places: Float[np.ndarray, "J 3"], axes: Float[np.ndarray, "3 3"] | None) -> bool:
-    """Say whether the toes point backward for somebody with such `axes`, left, up and front."""
+    """Check whether the toes point backward for a person with `axes` left, up and front."""
     forward = None if axes is None else _forward(person, places, axes[:, 1])
     return forward is not None and axes is not None and bool(forward @ axes[:, 2] < 0)
 
@@ -77,7 +82,7 @@ def swap_sides(person: Person) -> Person:
 
 
 def _across(person: Person, places: np.ndarray, up: np.ndarray) -> dict[str, np.ndarray]:
-    """Steps from right to left, level, of the kinds of limbs whose sides are known."""
+    """Compute horizontal steps from right to left, for the types of limbs whose sides are known."""
     found = {}
     for kind, part in (("leg", "thigh"), ("arm", "upper_arm")):
         if kind not in person.sideless and ("left", part) in person.parts and ("right", part) in person.parts:
@@ -87,7 +92,7 @@ def _across(person: Person, places: np.ndarray, up: np.ndarray) -> dict[str, np.
 
 
 def _forward(person: Person, places: np.ndarray, up: np.ndarray) -> np.ndarray | None:
-    """Where the toes point, level; None where they are not there or point nowhere."""
+    """Compute the horizontal direction of the toes; None without toes or a clear direction."""
     feet = [
         (person.parts.get((side, "foot")), person.parts.get((side, "toes"))) for side in ("left", "right")
     ]
@@ -100,7 +105,7 @@ def _forward(person: Person, places: np.ndarray, up: np.ndarray) -> np.ndarray |
 
 
 def _swapped(person: Person, kind: str) -> Person:
-    """With left and right of one kind of limb exchanged."""
+    """Exchange left and right of one type of limb."""
     own = {*LIMBS[kind], *(("palm",) if kind == "arm" else ())}
     other: dict[Side, Side] = {"left": "right", "right": "left"}
     parts = {

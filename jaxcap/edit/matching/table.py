@@ -1,7 +1,7 @@
-"""Hold what a table of names says of two skeletons: pairs of joints, and joints that have none.
+"""Name tables of two skeletons: pairs of joints, and joints without a match.
 
-A table says single joints and leaves the others to names and trees: a joint that it names is read as if the file had called it what it is in the
-other skeleton, so that it also shows the limb that it belongs to.
+A table gives single joints and leaves the others to names and trees. A joint in the table is read as if its
+name were that of its role in the other skeleton, so it also identifies the limb to which it belongs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,26 +11,26 @@ from ...body.skeleton import Skeleton
 from .names import JointName, Side, plain_name, read_name
 from .person import LIMBS, Person
 
-#: a joint that is said to have no match is passed over, and is no part of anybody
+#: a joint without a match by the table is skipped, and belongs to no body part
 NOBODY = JointName(None, ("none",), None, True)
 
 
 class Table(NamedTuple):
-    """Hold a table of names by the indices of joints."""
+    """A name table as indices of joints."""
 
     #: target -> source
     pairs: dict[int, int]
-    #: joints of the source that have no match
+    #: joints of the source without a match
     none: frozenset[int]
 
     @property
     def given(self) -> set[int]:
-        """Joints of the source that the table says anything of."""
+        """Joints of the source that the table contains."""
         return {*self.pairs.values(), *self.none}
 
 
 def make_table(source: Skeleton, target: Skeleton, names: Mapping[str, str | None]) -> Table:
-    """Find the joints that a table of names is of.
+    """Convert a name table to joint indices.
 
     **Raises:** `ValueError` for a name that a skeleton does not have, or two joints for one.
     """
@@ -51,7 +51,7 @@ def make_table(source: Skeleton, target: Skeleton, names: Mapping[str, str | Non
 
 
 def told_of_target(source: Skeleton, target: Skeleton, table: Table) -> dict[int, JointName]:
-    """Read joints of the target whose own names say nothing by the source's names in the table."""
+    """Read target joints with unknown names by the source's names in the table."""
     return {
         there: read_name(source.names[here])
         for there, here in table.pairs.items()
@@ -60,7 +60,7 @@ def told_of_target(source: Skeleton, target: Skeleton, table: Table) -> dict[int
 
 
 def told_of_source(target: Skeleton, person: Person, table: Table) -> dict[int, JointName]:
-    """Read the source's joints of the table as what they are in the `person` of the target."""
+    """Read the source's joints in the table by their roles in the `person` of the target."""
     roles: dict[int, JointName] = {}
     for part, joints in (("pelvis", (person.pelvis,)), ("spine", person.spine), ("neck", person.neck)):
         roles |= {joint: JointName(None, (part,), None, False) for joint in joints}
@@ -75,7 +75,7 @@ def told_of_source(target: Skeleton, person: Person, table: Table) -> dict[int, 
 
 
 def told_kinds(person: Person, table: Table) -> set[str]:
-    """Kinds of limbs of whose sides the table says something, by the `person` of the target."""
+    """Find the types of limbs whose sides the table gives, by the `person` of the target."""
     return {
         kind
         for kind, names in LIMBS.items()
@@ -85,7 +85,7 @@ def told_kinds(person: Person, table: Table) -> set[str]:
 
 
 def overruled(own: Person, target: Person, table: Table) -> Person:
-    """Put the joints of the table into the person that names and tree show in the source, in the places of the `target`'s."""
+    """Replace roles in the source's person by the joints of the table, at the `target`'s roles."""
     given = table.given
     parts = {key: joint for key, joint in own.parts.items() if joint not in given}
     parts |= {key: table.pairs[there] for key, there in target.parts.items() if there in table.pairs}
@@ -113,10 +113,11 @@ def overruled(own: Person, target: Person, table: Table) -> Person:
 def table_to_start(
     source: Skeleton, target: Skeleton, person: Person | None, pairs: Mapping[int, int], table: Table
 ) -> dict[int, int]:
-    """Choose pairs of joints for a table that somebody fills in: what the table says, then limbs by equal names, then what else was found.
+    """Choose pairs for an initial table: those of the table, then limbs by equal names, then other pairs
+    found.
 
-    Two joints of a limb that are called as in the `person` of the target say more than a reading of the tree that could not be finished. None for
-    it leaves equal names out.
+    Two joints of a limb with the names of the `person` of the target have priority over an incomplete result
+    of the tree. If `person` is None, equal names are not used.
     """
     found = {plain_name(name): joint for joint, name in enumerate(source.names)}
     chosen = dict(table.pairs)
@@ -130,7 +131,7 @@ def table_to_start(
         }
         if len(called.keys() & set(whole)) >= 2:
             chosen |= called
-            # what the tree says of this limb does not count beside that
+            # equal names have priority over the result of the tree for this limb
             pairs = {there: here for there, here in pairs.items() if there not in limb}
     taken = {*chosen.values(), *table.none}
     rest = {there: here for there, here in pairs.items() if there not in chosen and here not in taken}
@@ -138,7 +139,7 @@ def table_to_start(
 
 
 def _limbs(person: Person) -> list[tuple[list[int], tuple[int, ...]]]:
-    """The joints of each limb, with clavicle and toes and without."""
+    """List the joints of each limb, with and without clavicle and toes."""
     sides: tuple[Side, Side] = ("left", "right")
     return [
         (

@@ -1,1 +1,1 @@
-"""One body's motion for another: by joints, by surfaces of the same mesh, and by points that are to meet."""
+"""Retarget motions between bodies: by joints, by surfaces of the same mesh, and by corresponding points."""

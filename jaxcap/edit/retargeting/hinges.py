@@ -1,20 +1,20 @@
-"""Find the axis that an elbow or a knee bends about."""
+"""Find the hinge axes of elbows and knees."""
 
 import numpy as np
 from jaxtyping import Float
 
 from ...body.skeleton import Skeleton
 
-#: sine of a bend that shows its axis: at rest, and in the motion
+#: least sine of a bend that determines its axis: at rest, and in the motion
 BENT, BENDS = 0.1, 0.25
-#: frames that a motion needs, and how much of all bending has to be about one axis
+#: least number of frames of a motion, and least share of all bending about one axis
 FRAMES, ONE_AXIS = 10, 0.95
 
 
 def rest_normal(
     first: Float[np.ndarray, "3"], middle: Float[np.ndarray, "3"], last: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"] | None:
-    """Find the axis that a limb is bent about, from its three joints; None for a straight one."""
+    """Find the axis about which a limb is bent from its three joints; None for a straight one."""
     upper, lower = middle - first, last - middle
     normal = np.cross(upper, lower)
     length = float(np.linalg.norm(normal))
@@ -30,13 +30,14 @@ def hinge_normal(
     reference: Float[np.ndarray, "J 3"],
     reference_turn: Float[np.ndarray, "3 3"],
 ) -> Float[np.ndarray, "3"] | None:
-    """Find the axis that the middle joint of a limb bends about, where the first bone is in the reference pose.
+    """Find the hinge axis of a limb's middle joint, for the first bone in the reference pose.
 
-    A revolute joint has its axis. Otherwise it is the mean normal of the plane of both bones, as the first bone sees it over the motion,
-    where they bend about one axis; or the normal in the reference pose. Neither depends on the frames of the joints, nor on the twist of
-    the second bone.
+    A revolute joint has its axis. Otherwise it is the mean normal of the plane of both bones in the frame of
+    the first bone over the motion, if they bend about one axis; or the normal in the reference pose. Neither
+    depends on the frames of the joints, nor on the twist of the second bone.
 
-    **Arguments:** `turns` are the rotations of the first bone in each frame, and `reference_turn` in the reference pose.
+    **Arguments:** `turns` are the rotations of the first bone in each frame, and `reference_turn` in the
+    reference pose.
     """
     first, middle, last = limb
     if source.kinds[middle] == "revolute":
@@ -56,7 +57,7 @@ def hinge_normal(
 def twist_between(
     here: Float[np.ndarray, "3"], there: Float[np.ndarray, "3"], bone: Float[np.ndarray, "3"]
 ) -> float:
-    """Find the angle about a bone that turns one direction to the side of another, radians."""
+    """Compute the angle about a bone that rotates one direction into the half-plane of another, radians."""
     bone = bone / np.linalg.norm(bone)
     here, there = (vector - (vector @ bone) * bone for vector in (here, there))
     return float(np.arctan2(bone @ np.cross(here, there), here @ there))

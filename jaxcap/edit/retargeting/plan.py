@@ -1,8 +1,10 @@
-"""Work out what a retargeting does not change over its frames: which joint follows which, and how rest poses differ.
+"""Compute the part of a retargeting that is constant over frames: the correspondence of joints and alignment
+of rest poses.
 
-Every bone of the target that has a match turns in the world as its source bone does, after a constant rotation that makes up for the two rest
-poses (T-pose against A-pose): limbs are aligned bone by bone, so that they point the same way, and so that elbows and knees bend about the same
-axis; the trunk is aligned as a whole, as its bones differ by anatomy and not by pose.
+Every bone of the target with a match has the world rotation of its source bone, after a constant rotation
+that compensates for the two rest poses (T-pose and A-pose). Limbs are aligned bone by bone, so that they have
+the same directions, and so that elbows and knees bend about the same axis. The trunk is aligned as a whole,
+as its bones differ by anatomy and not by pose.
 """
 
 from collections.abc import Mapping
@@ -25,28 +27,29 @@ from ..matching.person import far_end
 from ..matching.reference import posed
 from .hinges import hinge_normal, rest_normal, twist_between
 
-#: the vertical where no legs show it
+#: default vertical, if no legs determine it
 UP = np.array([0.0, 1.0, 0.0])
-#: frames that hinges are found from
+#: number of frames for the estimation of hinges
 LOOKED_AT = 300
-#: limbs that rest alike to so many radians are not turned about their bones
+#: limbs whose rest poses agree within this are not rotated about their bones, radians
 ALIKE = 1e-3
 
 
 class RetargetPlan(NamedTuple):
-    """Hold what does not change over the frames of a retargeting; J is the number of joints of the target, S of the source."""
+    """The constant part of a retargeting; J is the number of joints of the target, S of the source."""
 
     matches: JointMatches
-    #: (J, 2) the joints of the source that each one lies between, -1 for none, and (J,) how far it is from the first to the second
+    #: (J, 2) the two source joints between which each one is interpolated, -1 for none, and (J,) the share of
+    #: the second
     sources: np.ndarray
     shares: np.ndarray
-    #: (S, 4) the rotations of the source in the world where it stands
+    #: (S, 4) world rotations of the source in its upright pose
     reference: np.ndarray
-    #: (J, 4) rotation from the target's rest to the source's where it stands, bone by bone
+    #: (J, 4) rotation from the target's rest to the source's upright pose, bone by bone
     alignment: np.ndarray
-    #: the joints whose mean is carried over: indices into source and target
+    #: joints whose mean position is transferred: indices into source and target
     anchors: tuple[np.ndarray, np.ndarray]
-    #: target metres for one source metre
+    #: size ratio of target to source
     ratio: float
     #: (3,) the vertical of the source's world
     up: np.ndarray
@@ -60,8 +63,8 @@ def plan_retarget(
 ) -> RetargetPlan:
     """Match two skeletons and align their rest poses.
 
-    **Arguments:** `names` as `match_joints` takes it. `motion` of the source shows about which axes its elbows and knees bend, and how it
-    stands where its rest pose does not.
+    **Arguments:** `names` as in `match_joints`. `motion` of the source determines the hinge axes of its
+    elbows and knees, and its upright pose if the rest pose is not one.
 
     **Raises:** as `match_joints` does.
     """
@@ -99,7 +102,7 @@ def plan_retarget(
 
 
 def _align(matches: JointMatches, centres: np.ndarray, upright: np.ndarray, hinges) -> np.ndarray:
-    """(J, 4) what turns each bone of the target from its rest to the source's where that stands."""
+    """Compute the rotation of each target bone from its rest to the source's upright pose, (J, 4)."""
     source, target = matches.source, matches.target
     person, pairs = matches.stands[1].person, matches.pairs
     places = matches.stands[0].places
@@ -118,7 +121,7 @@ def _align(matches: JointMatches, centres: np.ndarray, upright: np.ndarray, hing
         else:
             child = follows.get(joint)
             own = pairs.get(child) if child is not None else None
-        # a hand or foot without an end in both lies on as the bone above
+        # a hand or foot without an end in both skeletons continues the bone above
         blunt = joint in ends and joint not in limbs
         if joint not in pairs or child is None or own is None or joint in girdles or blunt:
             continue
@@ -129,7 +132,7 @@ def _align(matches: JointMatches, centres: np.ndarray, upright: np.ndarray, hing
         lengths = np.linalg.norm(bone), np.linalg.norm(goal)
         if min(lengths) < 1e-6:
             continue
-        # from where the parent's alignment leaves it, so that no twist comes in between
+        # start from the parent's alignment, so that no twist is introduced
         turned = jnp.asarray(alignment[joint])
         carried = rotation.rotate(turned, jnp.asarray(bone / lengths[0]))
         turned = rotation.multiply(rotation.shortest_arc(carried, jnp.asarray(goal / lengths[1])), turned)
@@ -143,7 +146,7 @@ def _align(matches: JointMatches, centres: np.ndarray, upright: np.ndarray, hing
 
 
 def _limb_bones(matches: JointMatches) -> dict[int, tuple[int, int]]:
-    """Of each joint of a limb of the target with a match, the far ends of its bone in target and source."""
+    """Find the far ends of the bones of matched limb joints, in target and source."""
     here, there = (stand.person for stand in matches.stands)
     found: dict[int, tuple[int, int]] = {}
     for side in SIDES:
@@ -161,7 +164,8 @@ def _limb_bones(matches: JointMatches) -> dict[int, tuple[int, int]]:
 
 
 def _hinges(matches: JointMatches, motion: Motion | None) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """First joints of limbs with the axes of their hinges: the target's at rest, and the source's where it stands."""
+    """Find the hinge axes of limbs by their first joints: the target's at rest, and the source's in the
+    upright pose."""
     stand, source = matches.stands[0], matches.source
     centres, found = np.asarray(matches.target.centres, float), {}
     if motion is None or len(motion) == 0:
@@ -190,7 +194,8 @@ def _hinges(matches: JointMatches, motion: Motion | None) -> dict[int, tuple[np.
             if normal is None:
                 continue
             if source.kinds[here[1]] == "revolute":
-                # the sign of its axis means nothing: the limb's own bend has it, or else the nearer one
+                # the sign of a joint axis is arbitrary: the limb's own bend determines it, or else the nearer
+                # direction
                 normal = normal * (
                     _bend_sign(places, turns[:, bone], here, normal, stand.rotations[bone]) or 1.0
                 )
@@ -199,14 +204,14 @@ def _hinges(matches: JointMatches, motion: Motion | None) -> dict[int, tuple[np.
 
 
 def _bend_sign(places, turns, limb, normal: np.ndarray, reference: np.ndarray) -> float:
-    """Whether a limb bends about an axis that way round, or the other; zero where it does not bend."""
+    """Determine the sign of a limb's bend about an axis; zero if it does not bend."""
     upper, lower = (places[:, limb[i + 1]] - places[:, limb[i]] for i in (0, 1))
     own = np.einsum("fba,fb->fa", _matrices(turns), np.cross(upper, lower)).sum(axis=0)
     return float(np.sign(_matrices(reference) @ own @ normal))
 
 
 def _rest_alike(here: np.ndarray, there: np.ndarray, matches: JointMatches) -> bool:
-    """Whether the bones of a limb point the same way in both rest poses."""
+    """Check whether the bones of a limb have the same directions in both rest poses."""
     if matches.stands[0].frame is not None:
         return False
     a, b = (
@@ -221,7 +226,7 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
 
 
 def _follows(target: Skeleton, source: Skeleton, pairs: Mapping[int, int]) -> dict[int, int]:
-    """The next matched joint along the longest chain of matched joints below each one."""
+    """Find the next matched joint along the longest chain of matched joints below each one."""
     chain = dict.fromkeys(pairs, 0)
     follows: dict[int, int] = {}
     for joint in sorted(pairs, reverse=True):
@@ -234,9 +239,13 @@ def _follows(target: Skeleton, source: Skeleton, pairs: Mapping[int, int]) -> di
 
 
 def _upright(matches: JointMatches, centres: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation from the target's rest to the source where it stands, whatever the arms do: by left, up and front of both; and where these do
-    not show, the best fit of the joints (Kabsch), put onto the nearest turn of the coordinate axes, because a person at rest
-    stands along them, and the fit itself where none is near."""
+    """Compute the rotation from the target's rest to the source's upright pose, independently of the arms,
+    (3, 3).
+
+    It is computed from left, up and front of both. If these are unknown, it is the best fit of the joints
+    (Kabsch), snapped to the nearest rotation of the coordinate axes, because a person at rest stands along
+    them. If none is near, it is the fit itself.
+    """
     here, there = matches.stands
     if here.axes is not None and there.axes is not None:
         return here.axes @ there.axes.T

@@ -1,4 +1,5 @@
-"""Points of a retargeted body brought to where the source's are, in its own size: hands together, feet on the floor."""
+"""Move points of a retargeted body to the positions of the source's, at its own size: hands together, feet on
+the floor."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,24 +20,25 @@ from ...fit.solve import solve
 from ..ik.constraints import Constraint, Constraints, constrained_body, make_constraints
 from .retarget import UP
 
-#: standard deviations of a pair of weight one, metres, and of the pose from what it was, metres and radians
+#: standard deviations of a pair of weight one, metres, and of the pose from its initial value, metres and
+#: radians
 MET, SLIDES, TURNS = 0.001, 0.05, 0.2
 
 
 class PointPair(NamedTuple):
-    """One point of the source and one of the target: a vertex by its number, or a joint by its name."""
+    """A point of the source and one of the target: a vertex by its number, or a joint by its name."""
 
     source: int | str
     target: int | str
-    #: how much it counts beside others, at least 0
+    #: relative weight, above 0
     weight: float = 1.0
 
 
 class Met(NamedTuple):
-    """A motion, and by how much its points miss their places."""
+    """A motion, and the remaining distances of its points from their targets."""
 
     motion: Motion
-    #: (F, K) metres, for every pair
+    #: (F, K) distance of each pair, metres
     distances: Float[np.ndarray, "F K"]
 
 
@@ -51,18 +53,19 @@ def meet_points(
     floor: float = 0.0,
     up: Float[np.ndarray, "3"] = UP,
 ) -> Met:
-    """The motion `moved` of the target, as `retarget` gives it, changed as little as it takes for its points to be where
-    those of the source's `motion` are.
+    """Adjust the retargeted motion `moved` so that points of the target reach those of the source's `motion`.
 
-    Every frame is solved by itself from its own pose, which a `PosePrior` draws it back to: what the points do not ask for
-    stays.
+    The motion `moved` of the target, from `retarget`, is changed as little as possible. Every frame is solved
+    separately from its own pose, to which a `PosePrior` pulls it; unconstrained degrees of freedom stay
+    unchanged.
 
-    **Arguments:** `ratio` target metres for one of the source, about the origin and the `floor`, metres along `up`: 1
-    brings points to the very places, where they touch things; `size_ratio` to those of the target's own size. A joint or
-    vertex of several pairs goes to the mean of its places, by their weights.
+    **Arguments:** `ratio` is the size ratio of target to source, about the origin and the `floor`, metres
+    along `up`. With 1, points reach the same world positions, as for contacts with objects; `size_ratio`
+    scales them to the target's size. A joint or vertex of several pairs gets the mean of its target
+    positions, by their weights.
 
-    **Raises:** `ValueError` where there are no pairs, a body does not have a point, vertices are named of a skeleton
-    without a surface, motions have other lengths, or a weight is not a number above 0.
+    **Raises:** `ValueError` if there are no pairs, a body does not have a point, vertices are named of a
+    skeleton without a surface, motions have unequal lengths, or a weight is not a number above 0.
     """
     if not pairs:
         raise ValueError("No pairs of points are given; give one at least.")
@@ -90,14 +93,14 @@ def meet_points(
 
 
 class _Points:
-    """Some points of a body or a skeleton, each of them once, as `Constraints` hold them."""
+    """Some points of a body or a skeleton, without duplicates, as `Constraints`."""
 
     def __init__(self, owner: Body | Skeleton, points: Sequence[int | str], which: str):
         _check_points(owner, points, which)
         self.body = owner if isinstance(owner, Body) else _bones_only(owner)
-        # vertices come first there
+        # vertices come first in `Constraints`
         order = sorted(dict.fromkeys(points), key=lambda point: isinstance(point, str))
-        #: the row of each of `points`
+        #: row of each of `points`
         self.rows = np.array([order.index(point) for point in points])
         self.held = make_constraints(self.body, [Constraint(point, (0.0, 0.0, 0.0)) for point in order])
 
@@ -107,7 +110,7 @@ class _Points:
     def means(
         self, places: Float[np.ndarray, "F K 3"], weights: Sequence[float]
     ) -> tuple[Float[np.ndarray, "F C 3"], Float[np.ndarray, "C"]]:
-        """The place and the weight of every row, of what several pairs ask of one point."""
+        """Average the targets of pairs that share a point; return position and weight of every row."""
         shares = np.zeros((len(self.held.weights), len(self.rows)))
         shares[self.rows, np.arange(len(self.rows))] = weights
         total = shares.sum(1)
@@ -134,7 +137,7 @@ def _check_points(owner: Body | Skeleton, points: Sequence[int | str], which: st
 
 
 def _bones_only(skeleton: Skeleton) -> Body:
-    """A body with a point at each joint, as arrays of points are taken from a body's vertices."""
+    """Make a body with a vertex at each joint, as point arrays refer to a body's vertices."""
     centres = skeleton.centres
     return Body(skeleton, RigidSkin(jnp.arange(len(centres))), centres, jnp.zeros((0, 3), int))
 

@@ -1,4 +1,4 @@
-"""Give one skeleton's motion to another of different proportions, another rest pose and other names."""
+"""Retarget motions to skeletons of other proportions, rest poses and names."""
 
 import warnings
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from ...geometry import rotation
 from ..matching.reference import posed
 from .plan import UP, RetargetPlan, plan_retarget
 
-#: the share of frames in which a motion is below its floor
+#: share of frames in which a motion may be below its floor
 LOWEST = 0.02
 
 
@@ -31,25 +31,29 @@ def retarget(
     floor: float | None = None,
     plan: RetargetPlan | None = None,
 ) -> Motion:
-    """Carry the `motion` of `source` over to `target`, in the world of the source.
+    """Retarget the `motion` of `source` to `target`, in the world of the source.
 
-    Joints match by their names in many programs and by the tree (`match_joints`, which also says what becomes of joints without a
-    match). Limb bones point where the source's point, exactly so where the target's joints are ball joints; a revolute or universal joint
-    takes the part that its axes allow. The rotation of a source joint without a match is composed onto the next joints below it; a target joint
-    without one stays as it is at rest, but for spine and neck, which share rotations where one skeleton has more joints there. The
-    middle of the hips follows that of the source, scaled by the ratio of the leg lengths about the floor, so that feet keep to it;
-    without matched legs the root does, scaled by the ratio of all matched bones. Heights are along `vertical`.
+    Joints match by their names in many programs and by the tree (`match_joints`, which also describes the
+    treatment of joints without a match). Limb bones have the directions of the source's, exactly if the
+    target's joints are ball joints; a revolute or universal joint takes the part that its axes allow. The
+    rotation of a source joint without a match is composed onto the next joints below it. A target joint
+    without one keeps its rest pose, except for spine and neck, which share rotations if one skeleton has more
+    joints there. The middle of the hips follows that of the source, scaled by the ratio of the leg lengths
+    about the floor, so that feet stay on it. Without matched legs the root does, scaled by the ratio of all
+    matched bones. Heights are along `vertical`.
 
-    **Arguments:** `names` leads from joints of the source to those of the target, or to None for a joint that has no match, and
-    overrules what names and trees show. `floor` is how high the floor of the source lies, metres; where it is not given, the lowest joint stands on it
-    (`floor_of`), which is some centimetres too high for a body whose soles are below its toes' joints: the feet then miss the floor by
-    that times one less the ratio. `plan` is what `plan_retarget` found for this motion, where it is known already; `names` then says
-    nothing, and the warnings of its matches are the caller's to pass on.
+    **Arguments:** `names` maps joints of the source to those of the target, or to None for a joint that has
+    no match, and overrides names and trees. `floor` is the height of the source's floor, metres. If it is not
+    given, it is estimated from the lowest joints (`floor_of`), which is some centimetres too high for a body
+    whose soles are below its toe joints. The feet then miss the floor by that times one minus the ratio.
+    `plan` is the result of `plan_retarget` for this motion, if it is known already; `names` is then ignored,
+    and the caller has to report the warnings of its matches.
 
-    **Warns:** `UserWarning` where one arm or one leg has no match, or where a table puts left where the right is.
+    **Warns:** `UserWarning` if one arm or one leg has no match, or a table exchanges left and right.
 
-    **Raises:** `UnmatchedJoints`, a `ValueError`, where both arms or both legs have no match or left and right do not show; `ValueError` for a name that a skeleton does
-    not have, where fewer than three joints match, where neither rest nor motion stands, or when the motion has other joints than
+    **Raises:** `UnmatchedJoints`, a `ValueError`, if both arms or both legs have no match or left and right
+    cannot be determined. `ValueError` for a name that a skeleton does not have, if fewer than three joints
+    match, if the person stands neither at rest nor in the motion, or if the motion has other joints than
     `source`.
     """
     if motion.poses.rotations.shape[1] != source.num_joints:
@@ -61,7 +65,7 @@ def retarget(
         plan = plan_retarget(source, target, names, motion)
         for sentence in plan.matches.warnings:
             warnings.warn(f"{sentence[0].upper()}{sentence[1:]}.", stacklevel=2)
-    # what is of the source stays in NumPy, so that one target compiles once for all sources
+    # source data stay in NumPy, so that one target compiles once for all sources
     places, turns = posed(source, motion.poses)
     if floor is None:
         floor = floor_of(places, plan.up)
@@ -88,8 +92,10 @@ def size_ratio(
     names: Mapping[str, str | None] | None = None,
     motion: Motion | None = None,
 ) -> float:
-    """Find the metres of the target for one of the source, by which `retarget` scales places: by the lengths of the legs, or of all
-    matched bones. Raises as `retarget` does."""
+    """Compute the size ratio of target to source by which `retarget` scales positions.
+
+    It is the ratio of the lengths of the legs, or of all matched bones. Raises as `retarget` does.
+    """
     return plan_retarget(source, target, names, motion).ratio
 
 
@@ -99,14 +105,20 @@ def vertical(
     names: Mapping[str, str | None] | None = None,
     motion: Motion | None = None,
 ) -> Float[np.ndarray, "3"]:
-    """Find the direction along which `retarget` scales heights: the coordinate axis from feet to hips of the source where it stands, whose
-    world the target comes into; y where no matched legs show it. Raises as `retarget` does."""
+    """Find the direction along which `retarget` scales heights.
+
+    It is the coordinate axis from feet to hips of the standing source, in whose world the target moves; y if
+    no matched legs determine it. Raises as `retarget` does.
+    """
     return plan_retarget(source, target, names, motion).up
 
 
 def floor_of(points: Float[Array | np.ndarray, "F N 3"], up: np.ndarray = UP) -> float:
-    """How high along `up` the floor of a motion lies, by the lowest of its points, metres: as high as the lowest
-    point of a frame is in a fiftieth of all frames, so that a single frame through the floor does not count."""
+    """Estimate the height of a motion's floor along `up` from its lowest points, metres.
+
+    It is the 2 % quantile of the lowest heights of all frames, so that a single frame below the floor does
+    not count.
+    """
     heights = np.asarray(points, float) @ up
     return float(np.quantile(heights.min(axis=1), LOWEST)) if heights.size else 0.0
 
@@ -135,8 +147,11 @@ def _retarget_frame(target, first, second, shares, alignment, matched, anchor, a
 
 
 def _local_rotations(target: Skeleton, wanted: Float[Array, "J 4"], matched: Array) -> Float[Array, "J 4"]:
-    """Local rotations by which each matched bone stands in the world as `wanted`, from the
-    root down, so that what one joint cannot do the next one makes good."""
+    """Compute local rotations that give each matched bone its `wanted` world rotation.
+
+    They are computed from the root down, so that each joint compensates for the restrictions of those above
+    it.
+    """
     identity = rotation.identity(wanted.dtype)
     local = jnp.tile(identity, (target.num_joints, 1))
     whole = local
@@ -152,7 +167,7 @@ def _local_rotations(target: Skeleton, wanted: Float[Array, "J 4"], matched: Arr
 
 
 def _allowed(skeleton: Skeleton, joints: np.ndarray, turn: Float[Array, "N 4"]) -> Float[Array, "N 4"]:
-    """The part of the rotations of some `joints` that their kinds can do."""
+    """Project the rotations of some `joints` onto those that their kinds allow."""
     kinds = np.array(skeleton.kinds)[joints, None]
     first, second = skeleton.axes[joints, 0], skeleton.axes[joints, 1]
     if "revolute" in kinds:

@@ -1,9 +1,10 @@
-"""The motion of one body for another of the same mesh: surfaces in the same pose, whatever the joints are.
+"""Retarget motions between bodies of the same mesh: fit the target's pose to the source's surface.
 
-Adaptation, section 4.2.3, automatic retargeting by exploiting mesh topology: pose parameters cannot be copied between
-bodies whose joints lie elsewhere, but vertices correspond, and a pose is fitted to them as to a registered mesh.
-Vertices of another build are not where one's own have to be, so the source's surface is first carried over to the
-target's build (`transfer`): a limb is then as long and as thick as the target's and in the pose of the source's.
+Adaptation, section 4.2.3, automatic retargeting by exploiting mesh topology: pose parameters cannot be copied
+between bodies with other joint positions, but vertices correspond, and a pose is fitted to them as to a
+registered mesh. Vertices of another body shape are at other positions, so the source's surface is first
+transferred to the target's shape (`transfer`): a limb then has the length and thickness of the target's and
+the pose of the source's.
 """
 
 from collections.abc import Callable, Iterable
@@ -21,25 +22,25 @@ from ...observe import MeshSequence
 from .soles import floor_under
 from .transfer import make_transfer, transfer_pose
 
-#: frames that are fitted in one call, and vertices that they are fitted by
+#: frames per fit, and number of vertices for the fit
 BLOCK, FITTED = 32, 1500
-#: vertices within so many metres of the lowest one bear the body
+#: vertices within this distance of the lowest one bear the body, metres
 SUPPORT = 0.01
-#: share of a limb's moment that draws its turn to none where its shape shows none
+#: share of a limb's moment that regularises its rotation to the identity if its shape does not determine one
 FLAT = 0.02
-#: rest poses differ where the surfaces of a limb are turned by so much, radians
+#: rest poses differ if the surfaces of a limb are rotated by more than this, radians
 OTHER_REST = np.radians(30.0)
 
 
 class ShapeRetarget(NamedTuple):
-    """A motion of the target, and how well it was met."""
+    """A motion of the target, and its fit errors."""
 
     motion: Motion
-    #: (F,) root mean square distance of the vertices from the source's pose in the target's build, metres
+    #: (F,) root mean square distance of the vertices from the source's pose in the target's shape, metres
     rmse: Float[np.ndarray, "F"]
-    #: target metres for one source metre
+    #: size ratio of target to source
     ratio: float
-    #: how high the floor lies that both stand on, metres
+    #: height of the common floor, metres
     floor: float
 
 
@@ -52,28 +53,28 @@ def retarget_shape(
     floor: float | None = None,
     progress: Callable[[list], Iterable] = iter,
 ) -> ShapeRetarget:
-    """The `motion` of `source` for `target`, whose vertices are the same points of a person in the same order.
+    """Retarget the `motion` of `source` to `target`, a body with corresponding vertices in the same order.
 
-    Every frame is fitted by `fit_meshes` to the source's surface in the target's build. Then the target is put
-    where its lowest point is as high over the floor as the source's, times the ratio of their sizes, so that it
-    neither floats nor sinks in; and it goes along the floor so that the part of the surface that bears it slides as much as
-    the source's does: feet that stand still stay where they are, and a shorter person covers less ground. It starts at
-    the source's place scaled about the origin.
+    Every frame is fitted by `fit_meshes` to the source's surface in the target's shape. The target is then
+    translated so that the height of its lowest point above the floor is the source's, times the ratio of
+    their sizes; it neither floats nor penetrates the floor. Along the floor it moves so that its bearing
+    surface slides as much as the source's does: feet at rest do not slide, and a shorter person travels a
+    shorter distance. It starts at the source's position scaled about the origin.
 
     Results are of scale 1. Rest poses must be alike, as those of bodies adapted from one template are.
 
-    **Arguments:** `floor` metres up the y axis, the source's lowest where not given (`floor_of`).
-    `progress` passes the blocks of frames through that are fitted in one call.
+    **Arguments:** `floor` is the height of the floor along y, metres, by default estimated from the source
+    (`floor_of`). `progress` wraps the iterable of blocks of frames that are fitted in one call.
 
-    **Raises:** `ValueError` where vertices or triangles are not the same, the motion moves other joints than the
-    source, has no frames, or the bodies rest in different poses.
+    **Raises:** `ValueError` if vertices or triangles do not correspond, the motion has other joints than the
+    source, has no frames, or the rest poses of the bodies differ.
     """
     _check(motion, source, target)
     rests = [np.asarray(body.vertices, float) for body in (source, target)]
     transfer = make_transfer(rests[0], rests[1], np.asarray(source.faces))
     ratio = float(np.ptp(rests[1][:, 1]) / np.ptp(rests[0][:, 1]))
     chosen = _spread(rests[1], FITTED)
-    # one length for all blocks, so that they are compiled once; the last one goes on with the last frame
+    # all blocks have one length, so that they are compiled once; the last one repeats the last frame
     length = min(BLOCK, len(motion))
     blocks = [
         (start, np.minimum(np.arange(start, start + length), len(motion) - 1))
@@ -103,21 +104,21 @@ def retarget_shape(
 
 
 class _Path:
-    """Where a body stands, frame by frame, from how its surface and the source's move."""
+    """The path of a body, computed frame by frame from the motion of its surface and the source's."""
 
     def __init__(self, ratio: float, floor: float):
         self.ratio, self.floor = ratio, floor
         self.before: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def step(self, there: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """(3,) the shift that puts the target, `here`, in its place while the source is `there`."""
+        """Compute the translation, (3,), of the target's surface `here` for the source's surface `there`."""
         bears = np.exp(-(there[:, 1] - there[:, 1].min()) / SUPPORT)
         offset = np.zeros(3)
         if self.before is None:
             offset = self.ratio * there.mean(0) - here.mean(0)
         else:
             last_there, last_here, share = self.before
-            # what bears in both frames
+            # weights of vertices that bear the body in both frames
             share = np.sqrt(share * bears) + 1e-12
             slide = (share @ (self.ratio * (there - last_there) - (here - last_here))) / share.sum()
             offset = self.offset + slide
@@ -128,7 +129,7 @@ class _Path:
 
 
 def _spread(vertices: np.ndarray, count: int) -> np.ndarray:
-    """About `count` vertices, evenly over the surface: one of each cube of a grid."""
+    """Choose about `count` vertices, evenly over the surface: one in each cube of a grid."""
     if len(vertices) <= count:
         return np.arange(len(vertices))
     low, high = 1e-4 * np.ptp(vertices), np.ptp(vertices)
@@ -169,7 +170,10 @@ def _check(motion: Motion, source: Body, target: Body) -> None:
 
 
 def _check_rest(source: Body, target: Body) -> None:
-    """That limbs rest alike: the best rotation of each bone's own vertices from one rest to the other is small."""
+    """Check that limbs have similar rest poses.
+
+    The best rotation of each bone's vertices from one rest pose to the other must be small.
+    """
     here, there = (np.asarray(body.vertices, float) for body in (source, target))
     parts = np.asarray(source.skin.parts())
     if len(parts) != len(here):
@@ -180,7 +184,7 @@ def _check_rest(source: Body, target: Body) -> None:
             continue
         a, b = (x[own] - x[own].mean(0) for x in (here, there))
         cross = b.T @ a
-        # what vertices on a line or in a plane leave open is no turn
+        # directions that collinear or planar vertices leave undetermined count as no rotation
         turn = nearest_rotation(cross + FLAT * np.trace(a.T @ a) * np.eye(3))
         angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
         if angle > OTHER_REST:

@@ -1,4 +1,4 @@
-"""A body's soles put on the floor."""
+"""Place the soles of a body on the floor."""
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -10,9 +10,9 @@ from ...body.skeleton import Skeleton
 from .plan import UP
 from .retarget import LOWEST, floor_of
 
-#: joints that come so near to the floor some time bear the body, metres
+#: joints that come this near to the floor at some time bear the body, metres
 BEARS = 0.15
-#: frames whose surfaces are held at once
+#: frames whose surfaces are in memory at once
 BLOCK = 64
 
 
@@ -22,11 +22,12 @@ def ground(
     heights: Float[np.ndarray | Array, "F"],
     up: Float[np.ndarray, "3"] = UP,
 ) -> Motion:
-    """The motion with every frame lifted or lowered until the body's lowest vertex is at its height along `up`, metres.
+    """Translate every frame along `up` so that the body's lowest vertex is at its given height, metres.
 
-    Where the heights are those of another person's soles, feet neither float nor sink in, and jumps stay jumps.
+    With the heights of another person's soles, feet neither float nor penetrate the floor, and jumps are
+    preserved.
 
-    **Raises:** `ValueError` where there is not one height for each frame.
+    **Raises:** `ValueError` if there is not one height for each frame.
     """
     if len(heights) != len(motion):
         raise ValueError(f"There are {len(heights)} heights and the motion has {len(motion)} frames.")
@@ -35,11 +36,11 @@ def ground(
 
 
 def lowest(body: Body, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> Float[np.ndarray, "F"]:
-    """How high the lowest vertex of a body is in each pose of a stack, metres along `up`."""
+    """Compute the height of the lowest vertex of a body in each pose of a stack, metres along `up`."""
     count = len(poses.scale)
     length, found = min(BLOCK, count), []
     for start in range(0, count, max(length, 1)):
-        # blocks are of one length, so that they are compiled once
+        # blocks have the same length, so that they are compiled once
         frames = np.minimum(np.arange(start, start + length), count - 1)
         block = take_poses(poses, frames)
         found.append((np.asarray(deform_all(body, block), float) @ up).min(1))
@@ -47,8 +48,8 @@ def lowest(body: Body, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> Float[np
 
 
 def floor_under(owner: Body | Skeleton, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> float:
-    """How high along `up` the floor of a motion lies (`floor_of`), by the vertices of a body or the joints of a skeleton,
-    metres."""
+    """Estimate the height of a motion's floor along `up` (`floor_of`), metres, from the vertices of a body or
+    the joints of a skeleton."""
     if isinstance(owner, Skeleton):
         return floor_of(joint_paths(owner, poses), up)
     return floor_of(lowest(owner, poses, up)[:, None, None] * up, up)
@@ -57,8 +58,11 @@ def floor_under(owner: Body | Skeleton, poses: Pose, up: Float[np.ndarray, "3"] 
 def sole_heights(
     paths: Float[np.ndarray | Array, "F J 3"], up: Float[np.ndarray, "3"] = UP
 ) -> Float[np.ndarray, "F"]:
-    """How high the soles are over the floor, from joints alone, metres: each joint that ever comes near to the floor is as
-    high over its sole as it is over the floor when it is lowest (`floor_of`), so ankles tell of heels, and toes of toes."""
+    """Estimate the heights of the soles above the floor from joints alone, metres.
+
+    The height of each bearing joint above its sole is its lowest height above the floor (`floor_of`). Ankles
+    therefore represent heels, and toe joints the toes. Joints that never come near the floor are ignored.
+    """
     heights = np.asarray(paths, float) @ up
     standing = np.quantile(heights, LOWEST, axis=0)
     bears = standing < floor_of(paths, up) + BEARS

@@ -1,8 +1,8 @@
-"""Deformation transfer: the pose of one surface on another of the same triangles and another build.
+"""Deformation transfer: apply the pose of one surface to another of the same triangles and another shape.
 
-Sumner and Popović, *Deformation Transfer for Triangle Meshes* (2004): each triangle of the target is deformed as the
-source's is, by the matrix that leads from its sides at rest to those in the pose; and since triangles
-meet, the vertices are those whose sides come nearest to that in least squares (there section 3.1, here in the form of
+Sumner and Popović, *Deformation Transfer for Triangle Meshes* (2004): each triangle of the target is deformed
+as the source's is, by the matrix that maps its sides at rest to those in the pose. As triangles share
+vertices, the vertices are fitted to these sides by least squares (there section 3.1, here in the form of
 Botsch et al. 2006, a Poisson equation whose matrix is the target's own).
 """
 
@@ -20,26 +20,27 @@ from ...geometry.linear import factor_sparse, inverse
 from ...geometry.mesh import mesh_edges
 from ...geometry.procrustes import nearest_rotation
 
-#: what a side that joins two pieces of a surface weighs, beside sides within them
+#: weight of a side that joins two pieces of a surface, relative to sides within them
 BRIDGE = 1.0
 
 
 class Transfer(NamedTuple):
-    """What does not change over the frames; E sides of triangles and bridges."""
+    """The constant part of a transfer; E sides of triangles and bridges."""
 
     faces: Int[np.ndarray, "T 3"]
-    #: (T, 3, 3) from a side's coordinates in the pose to a triangle's deformation: the inverse of its frame at rest
+    #: (T, 3, 3) inverse of a triangle's frame at rest, which maps its frame in the pose to its deformation
     frames: Float[np.ndarray, "T 3 3"]
     #: ends of the sides
     ends: Int[np.ndarray, "E 2"]
-    #: (E, 2) triangles whose deformations a side takes the mean of
+    #: (E, 2) triangles whose deformations are averaged for a side
     owners: Int[np.ndarray, "E 2"]
-    #: the sides of the target at rest, metres
+    #: sides of the target at rest, metres
     sides: Float[np.ndarray, "E 3"]
     weights: Float[np.ndarray, "E"]
     factor: scipy.sparse.linalg.SuperLU
     count: int
-    #: (B, 3, 3) for the bridges, the last of the sides: what turns and stretches a source's at rest to the target's
+    #: (B, 3, 3) for the bridges, the last of the sides: rotation and scale from the source's at rest to the
+    #: target's
     bridges: Float[np.ndarray, "B 3 3"]
 
 
@@ -48,9 +49,9 @@ def make_transfer(
 ) -> Transfer:
     """Prepare the transfer from one surface at rest to another, metres; the system is factorised once.
 
-    Pieces of a surface that hang together by nothing are joined where they are nearest to each other.
+    Disconnected pieces of a surface are joined at their nearest vertices.
 
-    **Raises:** `ValueError` where there are no faces, or a vertex is in none.
+    **Raises:** `ValueError` if there are no faces, or a vertex is in none.
     """
     source, target, faces = np.asarray(source, float), np.asarray(target, float), np.asarray(faces)
     count = len(source)
@@ -62,11 +63,11 @@ def make_transfer(
         )
     sides = faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
     corners = target[faces]
-    # half the cotangent of the angle across each side, in the order of `sides`
+    # half the cotangent of the angle opposite to each side, in the order of `sides`
     u, v = corners[:, [1, 2, 0]] - corners, corners[:, [2, 0, 1]] - corners
     across = np.linalg.norm(np.cross(u, v), axis=2)
     weights = 0.5 * np.sum(u * v, 2) / np.maximum(across, 1e-12 * max(float(across.max()), 1e-300))
-    # needles would weigh more than all else
+    # limit the weights of degenerate triangles
     weights = np.clip(weights, 1e-3, 10.0).reshape(-1)
     owners = np.repeat(np.arange(len(faces)), 3)
     bridges = _bridges(target, faces)
@@ -84,7 +85,7 @@ def make_transfer(
         (np.concatenate([ones, -ones]), (np.tile(rows, 2), sides.T.reshape(-1))), shape=(len(sides), count)
     )
     matrix = incidence.T @ scipy.sparse.diags_array(weights) @ incidence
-    # one vertex is held, as the surface may be anywhere
+    # fix one vertex, as the translation is arbitrary
     matrix = matrix + scipy.sparse.csr_array(([1.0], ([0], [0])), shape=matrix.shape)
     return Transfer(
         faces,
@@ -102,14 +103,17 @@ def make_transfer(
 def transfer_pose(
     transfer: Transfer, posed: Float[np.ndarray, "V 3"], scale: float = 1.0
 ) -> Float[np.ndarray, "V 3"]:
-    """The target's vertices as the source's are `posed`, about their mean; `scale` is what the source is larger
-    by than at rest, and the target is not."""
+    """Transfer the pose of the source's vertices `posed` to the target; the result is centred at its mean.
+
+    `scale` is the scale of the source relative to rest, which the target does not take over.
+    """
     deformations = _frames(np.asarray(posed, float), transfer.faces) @ transfer.frames / scale
     each = 0.5 * (deformations[transfer.owners[:, 0]] + deformations[transfer.owners[:, 1]])
     wanted = np.einsum("eab,eb->ea", each, transfer.sides)
     count = len(transfer.bridges)
     if count:
-        # between pieces nothing is deformed: the source's own way, as much longer and elsewhere as at rest
+        # bridges are not deformed: the source's bridge, with the rotation and scale from source to target at
+        # rest
         turns = nearest_rotation(each[-count:])
         ends = np.asarray(posed, float)[transfer.ends[-count:]]
         own = np.einsum("eba,eb->ea", turns, ends[:, 0] - ends[:, 1]) / scale
@@ -123,8 +127,11 @@ def transfer_pose(
 
 
 def _frames(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) two sides and the normal of each triangle as columns; the normal is as long as the root of the
-    area, so that it grows with the sides (Sumner and Popović, section 3)."""
+    """Compute the frame of each triangle, with two sides and the normal as columns, (T, 3, 3).
+
+    The length of the normal is the square root of the cross product of the sides, so it scales with them
+    (Sumner and Popović, section 3).
+    """
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     first, second = b - a, c - a
     normal = np.cross(first, second)
@@ -134,7 +141,8 @@ def _frames(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _similarities(source: np.ndarray, target: np.ndarray, bridges: np.ndarray) -> np.ndarray:
-    """(B, 3, 3) the shortest turn of a way at rest onto another, times the ratio of their lengths."""
+    """Compute the shortest rotation from source to target bridges at rest, times the ratio of their lengths,
+    (B, 3, 3)."""
     found = np.tile(np.eye(3), (len(bridges), 1, 1))
     for row, (end, start) in enumerate(bridges):
         here, there = source[end] - source[start], target[end] - target[start]
@@ -146,7 +154,8 @@ def _similarities(source: np.ndarray, target: np.ndarray, bridges: np.ndarray) -
 
 
 def _bridges(vertices: np.ndarray, faces: np.ndarray) -> Int[np.ndarray, "B 2"]:
-    """Pairs of vertices that join all pieces to one, the largest piece first and then each where it is nearest."""
+    """Find pairs of vertices that join all pieces to one, from the largest piece on, each at its nearest
+    vertices."""
     edges = mesh_edges(faces)
     graph = scipy.sparse.csr_array((np.ones(len(edges)), edges.T), shape=(len(vertices), len(vertices)))
     pieces, labels = connected_components(graph, directed=False)

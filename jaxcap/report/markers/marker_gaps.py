@@ -1,4 +1,4 @@
-"""A picture of when each marker was seen."""
+"""A figure of the frames in which each marker is observed."""
 
 from pathlib import Path
 
@@ -10,18 +10,18 @@ from ..pictures import new_figure
 from ..render import INK
 
 SEEN, GAP = (0.16, 0.24, 0.36), (0.97, 0.93, 0.88)
-#: inches of a marker's row, and rows that get a label at most
+#: height of a marker's row, inches, and largest number of rows with a label
 ROW, LABELLED = 0.16, 150
-#: columns of the picture that frames are gathered in
+#: largest number of columns of the picture, over which frames are grouped
 COLUMNS = 1600
 
 
 def draw_gaps(path: str | Path, frames: MarkerFrames, title: str = "markers") -> None:
-    """Write a PNG: a row for each marker, time to the right, dark where it is seen.
+    """Write a PNG: a row for each marker, time to the right, dark where it is observed.
 
-    Where several frames fall into one column, a gap in any of them is drawn, so that none is lost.
+    If several frames share one column, a gap in any of them is drawn, so that no gap is hidden.
 
-    **Raises:** `InputError` where the file cannot be written.
+    **Raises:** `InputError` if the file cannot be written.
     """
     seen = np.asarray(frames.seen)
     count = seen.shape[1]

@@ -1,4 +1,4 @@
-"""Pictures of a skeleton in its cloud of markers, and of how far each marker is from its place."""
+"""Figures of a skeleton with its markers, and of the residual of each marker."""
 
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,14 @@ from ...observe import MarkerFrames
 from ..pictures import new_figure, nice
 from ..render import INK, PAPER, distinct_colours, frame
 
-#: frames in a picture; columns that frames are gathered in; markers that get a label at most
+#: frames in a picture; largest number of columns for frames; largest number of labelled markers
 SHOWN, COLUMNS, LABELLED = 3, 1200, 150
-#: a marker on no bone; nothing seen
+#: colours of a marker on no bone, and of missing observations
 LOOSE, NOTHING = "#9aa5b1", (0.80, 0.80, 0.80)
-#: names of bones beside each other in the legend
+#: columns of the legend of bones
 NAMED = 8
 HEAT = ("#12355b", "#1c7293", "#4fb286", "#f2c14e", "#f2803c", "#c81d25")
-#: sides are as long as each other within this share: then z is up, as in most laboratories
+#: z is up if this share of the longest side or more lies along it, as in most laboratories
 ALIKE = 0.8
 
 
@@ -34,11 +34,12 @@ def draw_skeleton(
     residuals: Float[np.ndarray, "F M"],
     title: str,
 ) -> None:
-    """Write a PNG: some frames from the front and, below, from the side; bones from joint to joint and on to
-    the markers at a limb's end, markers as seen in the colour of their bone, crosses where the subject has
-    them.
+    """Write a PNG of some frames from the front and, below, from the side.
 
-    **Raises:** `InputError` where the file cannot be written.
+    Bones go from joint to joint, and to the markers at a limb's end. Observed markers are dots in the colour
+    of their bone; crosses are their positions predicted by the subject.
+
+    **Raises:** `InputError` if the file cannot be written.
     """
     matched = match_markers(subject, frames)
     seen, places = np.asarray(matched.seen), np.asarray(matched.places, float)
@@ -55,7 +56,7 @@ def draw_skeleton(
     canvas, figure = new_figure(3.9 * len(shown) + 0.4, 9.6 + legend)
     plots = figure.subplots(len(views), len(shown), squeeze=False)
     for row, view in enumerate(views):
-        # loose markers far off do not make the body small
+        # the frame ignores loose markers, which may be far from the body
         reach = np.concatenate([(joints[i] - middles[i]) @ view.T for i in range(len(shown))]
                                + [(expected[i, held] - middles[i]) @ view.T for i in range(len(shown))])  # fmt: skip
         low, high = reach.min(0)[:2], reach.max(0)[:2]
@@ -93,10 +94,12 @@ def draw_skeleton(
 def draw_residuals(
     path: str | Path, subject: Subject, residuals: Float[np.ndarray, "F M"], rate: float, title: str
 ) -> None:
-    """Write a PNG: a row for each marker, bone by bone, with its residual over time as colour and its root
-    mean square as a bar. Where frames share a column their worst is drawn.
+    """Write a PNG of marker residuals over time, one row per marker, ordered by bone.
 
-    **Raises:** `InputError` where the file cannot be written.
+    Colours are the residuals, and bars their root mean squares. If frames share a column, the largest
+    residual is drawn.
+
+    **Raises:** `InputError` if the file cannot be written.
     """
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
@@ -158,10 +161,10 @@ def draw_residuals(
 
 
 def upright(places: Float[np.ndarray, "F M 3"], seen: np.ndarray) -> Float[np.ndarray, "3 3"]:
-    """A view of a body from its front or back: rows are right, up and towards the eye.
+    """Choose a view of a body from its front or back: rows are right, up and towards the eye.
 
-    Up is the axis along which the markers of a frame reach farthest, z where that is hardly less; right is
-    the horizontal direction along which they are spread most.
+    Up is the axis of the markers' largest extent in a frame, or z if its extent is hardly less. Right is the
+    horizontal direction of the markers' largest variance.
     """
     sides = np.median([np.ptp(x[s], axis=0) for x, s in zip(places, seen, strict=True) if s.any()], axis=0)
     up = 2 if sides[2] > ALIKE * sides.max() else int(np.argmax(sides))
@@ -196,7 +199,7 @@ def _draw_bones(
 
 
 def _name_bones(figure: Any, subject: Subject, palette: np.ndarray, bottom: float) -> None:
-    """The colour of each bone with its name, below the views."""
+    """Add a legend of the colour of each bone below the views."""
     from matplotlib.lines import Line2D
 
     names = subject.skeleton.names
@@ -211,7 +214,7 @@ def _name_bones(figure: Any, subject: Subject, palette: np.ndarray, bottom: floa
 
 
 def _chosen(seen: np.ndarray, residuals: np.ndarray) -> list[int]:
-    """Frames of the first, second and last third that show most markers, the middlemost of these."""
+    """Choose the frames with most markers in each third, the middle one of equals."""
     told = np.isfinite(residuals).sum(1)
     shown = told if told.any() else seen.sum(1)
     chosen = []
@@ -235,5 +238,5 @@ def _rgb(colour: str) -> np.ndarray:
 
 
 def _plain(text: str) -> str:
-    """A dollar sign would begin a formula."""
+    """Escape dollar signs, which would begin a formula."""
     return text.replace("$", r"\$")

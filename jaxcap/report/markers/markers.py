@@ -1,4 +1,4 @@
-"""How well a subject explains its markers: figures for tables and `report.json`, and pictures."""
+"""Fit errors of a subject's markers: figures for tables and `report.json`, and pictures."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,13 +16,13 @@ from .marker_pictures import draw_residuals, draw_skeleton
 
 
 class MarkerScore(NamedTuple):
-    """One marker over all frames that show it, metres; NaN where none does."""
+    """Residuals of one marker over all frames in which it is observed, metres; NaN if there are none."""
 
     label: str
-    #: name of its bone; empty where it is loose
+    #: name of its bone; empty if it is loose
     bone: str
     weight: float
-    #: share of the frames that show it
+    #: share of the frames in which it is observed
     seen: float
     rms: float
     median: float
@@ -30,9 +30,9 @@ class MarkerScore(NamedTuple):
 
 
 class Bone(NamedTuple):
-    """The straight line from one joint's centre to the next."""
+    """The straight segment between two joint centres."""
 
-    #: joints that it leads from and to
+    #: joints at its start and end
     start: str
     end: str
     length: float
@@ -41,7 +41,7 @@ class Bone(NamedTuple):
 def score_markers(
     subject: Subject, residuals: Float[np.ndarray, "F M"], lost: Bool[np.ndarray, "F"] | None = None
 ) -> tuple[MarkerScore, ...]:
-    """The score of each marker of a subject; frames that are `lost` do not count."""
+    """Compute the score of each marker of a subject; `lost` frames are ignored."""
     kept = residuals if lost is None else residuals[~np.asarray(lost)]
     weights, bones = np.asarray(subject.weights), np.asarray(subject.bones)
     scores = []
@@ -58,13 +58,13 @@ def score_markers(
 def held_residuals(
     subject: Subject, residuals: Float[np.ndarray, "F M"], lost: Bool[np.ndarray, "F"] | None = None
 ) -> Float[np.ndarray, "F M"]:
-    """Residuals that mean something: NaN as well for markers on no bone, and in `lost` frames."""
+    """Mask residuals with NaN for markers on no bone, and in `lost` frames."""
     kept = np.where(np.asarray(subject.weights) > 0, np.asarray(residuals, float), np.nan)
     return kept if lost is None else np.where(np.asarray(lost)[:, None], np.nan, kept)
 
 
 def total_residuals(residuals: Float[np.ndarray, "F M"]) -> dict[str, float]:
-    """Over all frames and markers, metres; NaN where nothing is left."""
+    """Summarise the residuals over all frames and markers, metres; NaN if there are none."""
     some = residuals[np.isfinite(residuals)]
     if not len(some):
         return dict.fromkeys(("rms", "median", "p95", "worst"), float("nan"))
@@ -77,7 +77,7 @@ def total_residuals(residuals: Float[np.ndarray, "F M"]) -> dict[str, float]:
 
 
 def bones_between(skeleton: Skeleton) -> tuple[Bone, ...]:
-    """The bones whose two ends are joints that turn within the body; a root's own centre may be anywhere."""
+    """List the bones between two joints that are not roots, as a root's centre may be anywhere."""
     centres = np.asarray(skeleton.centres, float)
     return tuple(
         Bone(
@@ -102,13 +102,12 @@ def report_markers(
     lost: Bool[np.ndarray, "F"] | None = None,
     more: Mapping[str, object] | None = None,
 ) -> list[Path]:
-    """Write `report.json`, `skeleton.png` and `residuals.png` into a folder that is there; returns the
-    pictures.
+    """Write `report.json`, `skeleton.png` and `residuals.png` into an existing folder; return the pictures.
 
     **Arguments:** `motion` of the subject through `frames`; `residuals` in the subject's order of markers;
-    `told`, sentences for the user; `more`, what else the report says.
+    `told`, sentences for the user; `more`, further entries of the report.
 
-    **Raises:** `InputError` where a file cannot be written.
+    **Raises:** `InputError` if a file cannot be written.
     """
     folder, skeleton = Path(folder), subject.skeleton
     kept = held_residuals(subject, residuals, lost)
