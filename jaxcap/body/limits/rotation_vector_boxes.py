@@ -18,7 +18,7 @@ from .limits import AbstractLimits
 
 #: alternating projections onto a universal joint's axes and its box
 ALTERNATIONS = 20
-#: components of an axis below this are taken as zero
+#: axis components below this are taken as zero
 ASLANT = 1e-6
 #: largest norm of a rotation vector: slightly below pi, beyond which its sign flips
 HALF_TURN = np.pi - 1e-5
