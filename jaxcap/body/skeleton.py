@@ -211,11 +211,11 @@ def rest_distance(one: Skeleton, other: Skeleton) -> float:
 
 
 def rest_difference(one: Skeleton, other: Skeleton) -> str | None:
-    """Describe a difference between two skeletons with the same names that gives poses another meaning;
+    """Describe a difference between two skeletons with the same names by which poses have another meaning;
     None where there is none.
 
     Such a difference is another parent of a joint, or a bone whose direction at rest differs by more than
-    `TURNED` degrees, as between an A-pose and a T-pose. Bone lengths may differ. The words follow "whose".
+    `TURNED` degrees, as between raised and lowered arms. Bone lengths may differ. The words follow "whose".
     """
     for name, parent, there in zip(one.names, one.parents, other.parents, strict=True):
         if parent != there:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ...geometry import rotation
 
 ChartKind = Literal["hinge", "universal", "ball"]
-#: used dimensions of each kind of chart, of three
+#: number of used dimensions, of three, of each chart
 DIMENSIONS: dict[str, int] = {"hinge": 1, "universal": 2, "ball": 3}
 #: largest norm of a vector part; longer ones are shortened, as the chart ends half a turn from the middle
 LONGEST = 0.9999

@@ -34,6 +34,6 @@ class RigidSkin(AbstractSkin):
         return RigidSkin(self.bones[np.take_along_axis(np.asarray(corners), nearest, 1)[:, 0]])
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
-        """Move each vertex with the field of every joint whose descendant its bone is."""
+        """Evaluate the field of every parameter whose joint moves the vertex's bone; others are zero."""
         points = self.deform(vertices, skeleton, pose, transforms)
         return field_rows(points, directions, rates) * bones_below(skeleton, rates)[self.bones][:, None]
