@@ -1,4 +1,4 @@
-"""Fit articulated bodies to what sensors saw: poses, motions and their energies in JAX."""
+"""Fit articulated bodies to sensor data: poses, motions and their energies in JAX."""
 
 import functools
 import importlib
@@ -7,8 +7,11 @@ from pathlib import Path
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name when it is first used (PEP 562), so that `import jaxcap` alone loads nothing: the command line's
-    help has no need of JAX. `__init__.pyi` says where names come from, for type checkers too."""
+    """Import a public name on first use (PEP 562), so that `import jaxcap` alone loads nothing.
+
+    The command line's help does not need JAX. `__init__.pyi` lists the origins of names, also for type
+    checkers.
+    """
     if name == "__all__":
         return list(_origins())
     if name.startswith("__"):
@@ -27,7 +30,7 @@ def __dir__() -> list[str]:
 
 @functools.cache
 def _origins() -> dict[str, tuple[str, str | None]]:
-    """Each public name's module and its name there; None for a module itself."""
+    """Read the module of each public name and its name there; None for a module itself."""
     import ast
 
     found: dict[str, tuple[str, str | None]] = {}

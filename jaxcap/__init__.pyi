@@ -1,4 +1,4 @@
-"""Fit articulated bodies to what sensors saw: poses, motions and their energies in JAX."""
+"""Fit articulated bodies to sensor data: poses, motions and their energies in JAX."""
 
 from . import edit as edit
 from .adapt.adapt_body import AdaptState as AdaptState

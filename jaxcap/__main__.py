@@ -1,4 +1,4 @@
-"""`python -m jaxcap`: the program `jaxcap`, where the folder of installed programs is not on the path."""
+"""The program `jaxcap` as `python -m jaxcap`, where its installation folder is not on the path."""
 
 from .cli import main
 

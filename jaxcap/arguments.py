@@ -1,8 +1,9 @@
-"""Check what is given to public classes and functions against their annotations, and answer in a sentence.
+"""Validation of arguments of public classes and functions against their annotations, with messages of one
+sentence.
 
-Only shapes, kinds of numbers and types are looked at, never values, so that nothing is copied from a device, and traced
-arrays pass as any others. JAX rebuilds modules inside `vmap`, `tree_map` and `scan` without their constructors: what it
-puts into them there is not checked.
+Only shapes, dtypes and types are checked, never values. So nothing is copied from a device, and traced
+arrays are checked like any others. JAX rebuilds modules inside `vmap`, `tree_map` and `scan` without their
+constructors; the contents of such modules are not checked.
 """
 
 import collections.abc
@@ -23,19 +24,20 @@ import numpy as np
 from .errors import InputError, is_sentence, sentence_of
 
 Function = TypeVar("Function", bound=Callable)
-#: metres that a body or what is around it is wide at most, and what other units are in metres
+#: largest width of a body or scene, metres; sizes of other units, metres
 LARGEST = 50.0
 _UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
-#: a length by its name in annotations, and the field or argument that it is of
+#: length of each named dimension, with the field or argument that has it
 Lengths = dict[str, tuple[Any, str]]
 
 
 def check_fields(module: Any) -> Lengths:
-    """Check the fields of a dataclass against their annotations; for `__check_init__` of an `equinox.Module`.
+    """Check the fields of a dataclass against their annotations; for `__check_init__` of an
+    `equinox.Module`.
 
-    Returns the lengths that the annotations have names for, each with a field that has it.
+    Returns the lengths of the named dimensions of the annotations, each with a field that has it.
 
-    **Raises:** `InputError` with the class, the field, what was given and what is expected.
+    **Raises:** `InputError` with the class, the field, the given value and the expected one.
     """
     lengths: Lengths = {}
     for name, annotation in _fields(type(module)):
@@ -44,7 +46,7 @@ def check_fields(module: Any) -> Lengths:
 
 
 def lengths_of(module: Any) -> Lengths:
-    """The lengths of a checked module's arrays that its annotations have names for."""
+    """Collect the lengths of the named dimensions of a checked module's arrays."""
     lengths: Lengths = {}
     for name, annotation in _fields(type(module)):
         _mismatch(annotation, getattr(module, name), lengths, name)
@@ -52,9 +54,9 @@ def lengths_of(module: Any) -> Lengths:
 
 
 def check_length(module: Any, name: str, there: int, lengths: Lengths, dim: str) -> None:
-    """That something of a field counts as many as the dimension `dim` of others.
+    """Check that the length of a field equals the dimension `dim` of other fields.
 
-    **Raises:** `InputError` with the class, the field, what was given and what is expected.
+    **Raises:** `InputError` with the class, the field, the given value and the expected one.
     """
     size, owner = lengths.get(dim, (there, name))
     if there != size:
@@ -64,15 +66,16 @@ def check_length(module: Any, name: str, there: int, lengths: Lengths, dim: str)
 
 
 def check_rate(where: str, rate: Any) -> None:
-    """That a rate is a number of frames a second. Raises `InputError`."""
+    """Check that a rate is a positive number of frames per second. Raises `InputError`."""
     if isinstance(rate, (int, float)) and not 0 < rate < float("inf"):
         raise InputError(f"{where}: `rate` is {rate}; expected is a number of frames a second above 0.")
 
 
 def check_metres(where: str, name: str, points: np.ndarray) -> None:
-    """That points of one body or scene are in metres: not over 50 m wide, but for one point in twenty at each end.
+    """Check that points of one body or scene are in metres: at most 50 m wide, without the outer 5 % at
+    each end.
 
-    **Raises:** `InputError` with the unit that it may be, or with two where they are too near to each other to tell.
+    **Raises:** `InputError` with the likely unit, or with two where the width fits both.
     """
     if len(points) == 0:
         return
@@ -97,13 +100,13 @@ def _fields(kind: Any) -> tuple[tuple[str, Any], ...]:
 
 
 def checked(function: Function) -> Function:
-    """Decorate a public function so that its arguments are checked against their annotations when it is called.
+    """Decorate a public function so that its arguments are checked against their annotations at each call.
 
-    Arrays have to have the shapes and kinds of numbers of the annotation, with equal lengths where these have one name; and
-    poses have to be of as many joints as the body or skeleton that they are given with. A `ValueError` that the package
-    raises within becomes an `InputError` that names the function first.
+    Arrays must have the shapes and dtypes of the annotation, with equal lengths for dimensions of one name.
+    Poses must have as many joints as the body or skeleton passed with them. A `ValueError` that the package
+    raises inside becomes an `InputError` that begins with the name of the function.
 
-    **Raises:** `InputError` with the function, the argument, what was given and what is expected.
+    **Raises:** `InputError` with the function, the argument, the given value and the expected one.
     """
     signature, name = inspect.signature(function), getattr(function, "__name__", str(function))
 
@@ -112,7 +115,7 @@ def checked(function: Function) -> Function:
         try:
             found = typing.get_type_hints(inspect.unwrap(function))
         except NameError:
-            # a name that is there for type checkers only
+            # a name that is imported for type checkers only
             found = {key: value.annotation for key, value in signature.parameters.items()}
         return {key: value for key, value in found.items() if not isinstance(value, str) and key != "return"}
 
@@ -131,7 +134,7 @@ def checked(function: Function) -> Function:
         try:
             return function(*arguments, **named)
         except ValueError as error:
-            # one that names a function is told of the outermost, which the user has called
+            # the name becomes that of the outermost function, which the user has called
             if not is_sentence(error) or (isinstance(error, InputError) and not error.function):
                 raise
             raise InputError(sentence_of(error), name) from None
@@ -140,7 +143,7 @@ def checked(function: Function) -> Function:
 
 
 def signature_words(signature: inspect.Signature) -> str:
-    """The names of a function's arguments, those that may be left out in brackets."""
+    """List the names of a function's arguments, optional ones in brackets."""
     words = [
         key if value.default is value.empty else f"[{key}]" for key, value in signature.parameters.items()
     ]
@@ -148,7 +151,7 @@ def signature_words(signature: inspect.Signature) -> str:
 
 
 def describe(value: Any) -> str:
-    """What was given, in words: an array by its shape and numbers, another thing by its class."""
+    """Describe a given value in words: an array by its dtype and shape, any other object by its class."""
     if value is None or isinstance(value, (bool, int, float)):
         return f"is {value}"
     if isinstance(value, (str, Path)):
@@ -161,7 +164,8 @@ def describe(value: Any) -> str:
 
 
 def array(value: Any) -> Any:
-    """Convert a field to an array of JAX where that can be; leave anything else to `check_fields`, which has words for it."""
+    """Convert a field to a JAX array where possible; leave any other value to the message of
+    `check_fields`."""
     import jax.numpy as jnp
 
     try:
@@ -171,7 +175,7 @@ def array(value: Any) -> Any:
 
 
 def numbers_of(where: str, name: str, value: Any) -> np.ndarray:
-    """Floating-point numbers of anything that has real ones. Raises `InputError` for anything else."""
+    """Convert any real numbers to a floating-point array. Raises `InputError` for anything else."""
     try:
         given = np.asarray(value)
         if given.dtype.kind != "c":
@@ -189,7 +193,7 @@ def _check(where: str, name: str, annotation: Any, value: Any, lengths: Lengths)
 
 
 def _mismatch(annotation: Any, value: Any, lengths: Lengths, name: str) -> str | None:
-    """None where a value is what an annotation says, else what is expected, in words."""
+    """Compare a value with an annotation: return None where it fits, else the expected value in words."""
     is_array, origin, parts = _parsed(annotation)
     if is_array:
         return _array_mismatch(annotation, value, lengths, name)
@@ -208,7 +212,7 @@ def _mismatch(annotation: Any, value: Any, lengths: Lengths, name: str) -> str |
 
 @functools.cache
 def _parsed(annotation: Any) -> tuple[bool, Any, tuple]:
-    """Whether an annotation is of an array, and the parts of a generic one."""
+    """Parse an annotation: if it is of an array, and the origin and parts of a generic type."""
     is_array = hasattr(annotation, "dim_str") and hasattr(annotation, "dtypes")
     return is_array, typing.get_origin(annotation), typing.get_args(annotation)
 
@@ -260,7 +264,7 @@ def _is_instance(value: Any, kind: type) -> bool:
     try:
         return isinstance(value, kind)
     except TypeError:
-        # a protocol that is not for run time
+        # a protocol that is not checkable at run time
         return True
 
 
@@ -292,14 +296,14 @@ def _dims(annotation: Any) -> tuple[str, ...]:
 
 
 def _array_like(value: Any) -> Any:
-    """An array, or a number as one; None for anything else."""
+    """Convert a number to an array and return arrays unchanged; return None for anything else."""
     if isinstance(value, (bool, int, float, np.generic)):
         return np.asarray(value)
     return value if _is_array(value) else None
 
 
 def _numbers_fit(annotation: Any, value: Any) -> bool:
-    # a plain number of Python becomes what is needed: an integer is a floating-point number then
+    # a plain Python integer is accepted as a floating-point number
     plain = isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind in "iu"
     return _dtype_fits(annotation, value.dtype) or (plain and _dtype_fits(annotation, np.dtype(np.float32)))
 
@@ -311,13 +315,13 @@ def _dtype_fits(annotation: Any, dtype: Any) -> bool:
 
 
 def _lengths_fit(dims: tuple[str, ...], shape: tuple, lengths: Lengths, name: str) -> bool:
-    """Whether a shape has the lengths of an annotation, those with one name being equal; new names are added."""
+    """Test if a shape has the lengths of an annotation, equal for equal names; add new names to `lengths`."""
     variadic = [number for number, dim in enumerate(dims) if dim[0] in "*."]
     if variadic:
         before, after = variadic[0], len(dims) - variadic[0] - 1
         if len(shape) < before + after:
             return False
-        # `*frames` are as many dimensions, and as long, wherever they stand
+        # `*frames` have the same shape in all arguments
         whole = shape[before : len(shape) - after]
         if lengths.setdefault(dims[before], (whole, name))[0] != whole and dims[before] != "...":
             return False
@@ -340,7 +344,7 @@ def _lengths_fit(dims: tuple[str, ...], shape: tuple, lengths: Lengths, name: st
 
 
 def _check_joints(where: str, given: dict[str, Any]) -> None:
-    """That poses and motions have as many joints as the one body or skeleton that they are given with."""
+    """Check that poses and motions have as many joints as the one body or skeleton passed with them."""
     owners = {key: count for key, value in given.items() if (count := _owned_joints(value)) is not None}
     if len(owners) != 1:
         return
@@ -357,7 +361,8 @@ def _check_joints(where: str, given: dict[str, Any]) -> None:
 
 
 def _owned_joints(value: Any, deep: int = 2) -> int | None:
-    """Return the number of joints of a skeleton or of what has one; None where there is none, or where several differ."""
+    """Return the number of joints of a skeleton or of an object that contains one; None where there is
+    none, or where several differ."""
     joints = getattr(value, "num_joints", None)
     if isinstance(joints, int):
         return joints
@@ -374,7 +379,8 @@ def _named(kind: type) -> str:
 
 
 def public_name(kind: type) -> str:
-    """Return the name by which users import a class, such as `AdaptTask`; its own where that is the same, or where it has none."""
+    """Return the public import name of a class, such as `AdaptTask`; its own name where they are equal or
+    it is not public."""
     package = importlib.import_module(__package__ or "jaxcap")
     for name, (_, attribute) in package._origins().items():
         if attribute == kind.__name__ != name and getattr(package, name) is kind:

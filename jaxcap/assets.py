@@ -1,4 +1,4 @@
-"""Where the package keeps the files it brings along."""
+"""Paths of the data files of the package."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ PACKAGE = Path(__file__).resolve().parent
 
 
 def asset_path(name: str) -> Path:
-    """The path of a file that comes with jaxcap, in an installed wheel (`jaxcap/_assets`) or in
-    a checkout (`assets` beside the package).
+    """Return the path of a data file of jaxcap, in an installed wheel (`jaxcap/_assets`) or in a checkout
+    (`assets` next to the package).
 
-    **Raises:** `FileNotFoundError` with one sentence when it lies in neither.
+    **Raises:** `FileNotFoundError` with one sentence when it is in neither.
     """
     places = (PACKAGE / "_assets" / name, PACKAGE.parent / "assets" / name)
     for path in places:

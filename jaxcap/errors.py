@@ -1,4 +1,4 @@
-"""Errors that a user can mend."""
+"""Errors that a user can correct."""
 
 import dis
 from pathlib import Path
@@ -7,10 +7,11 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 class InputError(ValueError):
-    """Something the user gave is wrong; the message is one sentence that says what was
-    found, where, and what to do. The command line prints it alone and exits with 2.
+    """An error in the user's input; the message is one sentence with the fault, its location and the
+    remedy.
 
-    A public `function` that was given it is named before the sentence.
+    The command line prints it alone and exits with 2. The name of the public `function` that received the
+    input is put before the sentence.
     """
 
     def __init__(self, sentence: str, function: str = ""):
@@ -19,17 +20,19 @@ class InputError(ValueError):
 
 
 def sentence_of(error: BaseException) -> str:
-    """Return what an error says, without the function of the library that it is told of: for files and the command line,
-    whose users have not called it."""
+    """Return the message of an error without the name of a library function.
+
+    It is for files and the command line, whose users have not called that function.
+    """
     return error.sentence if isinstance(error, InputError) else str(error)
 
 
 def is_sentence(error: BaseException) -> bool:
-    """Whether the message of an error was written for users.
+    """Test if the message of an error was written for users.
 
-    That of an `InputError` is. So is that of a `ValueError` which a `raise` statement of this package raised. The
-    `ValueError` of another library is not: its C functions leave no frame in the traceback, so the instruction that
-    failed decides, and not its file alone.
+    That of an `InputError` is, and that of a `ValueError` from a `raise` statement of this package. A
+    `ValueError` of another library is not. C functions leave no frame in the traceback, so the instruction
+    that failed is tested, not only its file.
     """
     if isinstance(error, InputError):
         return True

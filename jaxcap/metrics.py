@@ -1,6 +1,6 @@
-"""How good a result is: distances from scan to surface, and errors at the joints.
+"""Metrics of a result: distances from scan to surface, and joint errors.
 
-Plain NumPy in float64, apart from the fitting it judges.
+Plain NumPy in float64, independent of the fitting code.
 """
 
 from typing import NamedTuple
@@ -20,13 +20,13 @@ class Summary(NamedTuple):
     median: float
     #: median absolute deviation from the median, not scaled to a normal distribution
     mad: float
-    #: distance between the quartiles
+    #: interquartile range
     iqr: float
     count: int
 
 
 def distance_summary(distances: Float[np.ndarray, "N"]) -> Summary:
-    """The `Summary` of distances; what is not finite is left out.
+    """Compute the `Summary` of distances; values that are not finite are excluded.
 
     **Raises:** `ValueError` where no finite distance is left.
     """
@@ -47,12 +47,12 @@ def distance_summary(distances: Float[np.ndarray, "N"]) -> Summary:
 def scan_to_surface(
     points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "N"]:
-    """The exact distance of each point to the nearest point of the triangles, metres."""
+    """Compute the exact distance of each point to the nearest point of the triangles, metres."""
     return nearest_on_surface(points, vertices, faces).distances
 
 
 def joint_errors(
     joints: Float[np.ndarray, "F J 3"], truth: Float[np.ndarray, "F J 3"]
 ) -> Float[np.ndarray, "F J"]:
-    """The distance between each joint centre and its true place, metres."""
+    """Compute the distance between each joint centre and its true position, metres."""
     return np.linalg.norm(np.asarray(joints, float) - np.asarray(truth, float), axis=-1)

@@ -1,4 +1,4 @@
-"""What sensors saw."""
+"""Observations of sensors: point clouds, scans, mesh sequences and optical markers."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -26,19 +26,19 @@ from .geometry.normals import estimate_normals
 from .geometry.stacking import stack
 from .values import check_faces
 
-#: metres from the origin to the middle of a cloud, at most: there single precision is to half a millimetre
+#: largest distance of a cloud's median from the origin, metres: float32 resolves half a millimetre there
 FARTHEST = 1e4
-#: coordinates beyond this are no places, whatever the unit; single ones beyond `FARTHEST` are outliers
+#: largest valid coordinate in any unit; single ones beyond `FARTHEST` are outliers
 WILD = 1e9
-#: metres that a cloud with any size is wide, at least
+#: smallest width of a cloud of more than one position, metres
 SPECK = 5e-3
 
 
 class Cloud(eqx.Module):
     """Points with unit normals and weights, metres; weight zero means padding.
 
-    One frame is `(N, ...)`. A sequence is a list of clouds, or one cloud with a leading
-    axis of frames, `(F, N, ...)`. A normal of zero is one that is not known.
+    One frame is `(N, ...)`. A sequence is a list of clouds, or one cloud with a leading axis of frames,
+    `(F, N, ...)`. A normal of zero is unknown.
     """
 
     points: Float[Array, "*frames N 3"]
@@ -50,27 +50,27 @@ class Cloud(eqx.Module):
 
 
 class Scan(NamedTuple):
-    """One frame as a file has it, metres; wherever clouds are taken, it is taken as `make_cloud(points, normals)`."""
+    """One frame of a file, metres; functions that take clouds convert it by `make_cloud(points, normals)`."""
 
     name: str
     points: Float[np.ndarray, "N 3"]
-    #: the file's own or those of its faces; None where there are none, and they are estimated
+    #: normals of the file or of its faces; None where there are none, and they are estimated
     normals: Float[np.ndarray, "N 3"] | None
-    #: the triangles of a mesh; none of a cloud
+    #: the triangles of a mesh; empty for a cloud
     faces: Int[np.ndarray, "T 3"]
 
 
 class MeshSequence(eqx.Module):
-    """One surface as it moves: meshes with the same vertices in the same order, metres.
+    """A surface in motion: meshes with the same vertices in the same order, metres.
 
-    Arrays of NumPy are taken as they are and become arrays of JAX. A number picks the vertices of a
-    mesh, `(V, 3)`; a slice or an array of numbers picks a shorter sequence.
+    NumPy arrays are accepted and become JAX arrays. An integer index returns the vertices of a mesh,
+    `(V, 3)`; a slice or an array of indices a shorter sequence.
     """
 
     vertices: Float[Array, "F V 3"] = eqx.field(converter=array)
     #: counter-clockwise as seen from outside
     faces: Int[Array, "T 3"] = eqx.field(converter=array)
-    #: meshes a second
+    #: meshes per second
     rate: float = eqx.field(static=True, default=30.0)
 
     def __check_init__(self):
@@ -95,16 +95,16 @@ class MeshSequence(eqx.Module):
 
 
 class MarkerFrames(eqx.Module):
-    """Optical markers as they move, metres; where a marker is not seen its place is zero.
+    """Positions of optical markers over time, metres; the position of an occluded marker is zero.
 
-    Arrays of NumPy are taken as they are and become arrays of JAX. A slice or an array of numbers picks
-    some of the frames. `make_markers` checks and takes NaN for what is not seen.
+    NumPy arrays are accepted and become JAX arrays. A slice or an array of indices selects frames.
+    `make_markers` checks its input and accepts NaN for occluded markers.
     """
 
     places: Float[Array, "F M 3"] = eqx.field(converter=array)
     seen: Bool[Array, "F M"] = eqx.field(converter=array)
     labels: tuple[str, ...] = eqx.field(static=True)
-    #: frames a second
+    #: frames per second
     rate: float = eqx.field(static=True, default=100.0)
 
     def __check_init__(self):
@@ -122,14 +122,14 @@ class MarkerFrames(eqx.Module):
 
 @checked
 def make_markers(places, labels, rate: float, *, name: str = "the markers") -> MarkerFrames:
-    """Checked `MarkerFrames`; a marker with NaN in any coordinate is not seen in that frame.
+    """Create checked `MarkerFrames`; a marker with NaN in any coordinate is occluded in that frame.
 
-    **Arguments:** `places (F, M, 3)` metres; `labels`, a name for each marker; `rate`, frames a second;
+    **Arguments:** `places (F, M, 3)` metres; `labels`, a name for each marker; `rate`, frames per second;
     `name` for messages.
 
     **Raises:** `InputError` with one sentence for another shape, no frames, no markers, labels too many,
-    too few, empty or twice the same, a place that is infinite, places that cannot be in metres, and a rate that is
-    not above zero.
+    too few, empty or duplicate, a position that is infinite, positions that cannot be in metres, and a rate
+    that is not above zero.
     """
     labels = tuple(str(label) for label in labels)
     single = getattr(places, "dtype", None) == np.float32
@@ -157,7 +157,7 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
             "marker is not seen."
         )
     seen = np.asarray(~np.isnan(places).any(2))
-    # of each frame about its own middle, for people walk far
+    # relative to the median of each frame, as people walk far
     shown = np.where(seen[..., None], places, np.nan)[seen.any(1)]
     shown = shown - np.nanmedian(shown, 1, keepdims=True)
     check_metres("make_markers", "places", shown[~np.isnan(shown).any(2)])
@@ -166,14 +166,15 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
 
 @checked
 def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -> Cloud:
-    """A checked `Cloud`, padded so that clouds of about the same size compile once, and put into
-    an order in which neighbours in space are neighbours in memory, which searches are faster for.
+    """Create a checked and padded `Cloud`, so that clouds of similar size compile once.
 
-    **Arguments:** `points (N, 3)` metres; `normals (N, 3)` of any length, estimated from the
-    points where not given; `weights (N,)`, one where not given; `name` for messages.
+    The points are sorted so that neighbours in space are neighbours in memory, which makes searches faster.
 
-    **Raises:** `InputError` with one sentence for an empty cloud, a coordinate that is not
-    finite, a negative weight, arrays of different lengths, and points that cannot be in metres or are too far away.
+    **Arguments:** `points (N, 3)` metres; `normals (N, 3)` of any length, estimated from the points where
+    not given; `weights (N,)`, one where not given; `name` for messages.
+
+    **Raises:** `InputError` with one sentence for an empty cloud, a coordinate that is not finite, a
+    negative weight, arrays of different lengths, and points that cannot be in metres or are too far away.
     """
     points = numbers_of("make_cloud", "points", points)
     if points.ndim != 2 or points.shape[1:] != (3,):
@@ -200,7 +201,8 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
 
 
 def check_place(points: Float[np.ndarray, "N 3"], name: str) -> None:
-    """Check that points are near enough to the origin for their digits, and more than specks, metres.
+    """Check that points are near enough to the origin for single precision, and that the cloud is not too
+    small, metres.
 
     **Raises:** `InputError` where they are not.
     """
@@ -221,11 +223,12 @@ def check_place(points: Float[np.ndarray, "N 3"], name: str) -> None:
 def ordered_cloud(
     points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N"]
 ) -> Cloud:
-    """Arrays as a cloud, in the order and with the padding of `make_cloud`, unchecked and of any unit."""
+    """Create a cloud from arrays, in the order and with the padding of `make_cloud`, unchecked and of any
+    unit."""
     order = spatial_order(points, weights)
     points, normals, weights = points[order], normals[order], weights[order]
     extra = padded_size(len(points)) - len(points)
-    # padding lies on the first point, so that boxes around the points stay as they are
+    # padding repeats the first point, so that bounding boxes do not change
     return Cloud(
         jnp.asarray(np.concatenate([points, np.repeat(points[:1], extra, 0)])),
         jnp.asarray(np.pad(normals, ((0, extra), (0, 0)))),
@@ -234,7 +237,8 @@ def ordered_cloud(
 
 
 def unit_normals(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Of length one; zero where they have no length, or are not finite, as those that are not known."""
+    """Normalise normals to length one; zero, which means unknown, where they have no length or are not
+    finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         return np.where(
@@ -243,10 +247,11 @@ def unit_normals(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
 
 
 def padded_size(count: int, rungs: Sequence[int] = (64, 80, 96, 112), growth: int = 2) -> int:
-    """The first size of a ladder that is large enough, so that few sizes are ever compiled for.
+    """Find the smallest size of a ladder that is large enough, so that few sizes are compiled.
 
-    The ladder is the ascending `rungs`, then `growth` times as much of each, and so on; by default 64, 80, 96, 112,
-    128, 160, ..., four rungs to a doubling."""
+    The ladder is the ascending `rungs`, then `growth` times each, and so on; by default 64, 80, 96, 112,
+    128, 160, ..., four rungs to a doubling.
+    """
     scale = 1
     while count > scale * rungs[-1]:
         scale *= growth
@@ -254,8 +259,8 @@ def padded_size(count: int, rungs: Sequence[int] = (64, 80, 96, 112), growth: in
 
 
 class CloudFrames(Sequence[Cloud]):
-    """Any sequence of frames as one of clouds, each made when it is asked for: clouds and scans, as `read_clouds` gives them,
-    or one cloud that is stacked over frames.
+    """A lazy sequence of clouds from any sequence of frames: clouds and scans, as `read_clouds` returns
+    them, or one cloud that is stacked over frames.
 
     **Raises:** `InputError` where it is none of these.
     """
@@ -279,7 +284,7 @@ class CloudFrames(Sequence[Cloud]):
     def __getitem__(self, index):
         if isinstance(index, slice):
             return [self[frame] for frame in range(len(self))[index]]
-        # an array of JAX has an element at any index; iteration ends by an IndexError
+        # JAX arrays clamp indices, but iteration ends by an IndexError
         frame = range(len(self))[index]
         if isinstance(self._frames, Cloud):
             return jax.tree.map(lambda leaf: leaf[frame], self._frames)
@@ -287,7 +292,7 @@ class CloudFrames(Sequence[Cloud]):
 
 
 def as_cloud(frame: "Cloud | Scan", number: int = 0) -> Cloud:
-    """A frame as a cloud; one that is a cloud as it is.
+    """Convert a frame to a cloud; a cloud is returned unchanged.
 
     **Raises:** `InputError` where it is neither a cloud nor a scan.
     """
@@ -302,7 +307,7 @@ def as_cloud(frame: "Cloud | Scan", number: int = 0) -> Cloud:
 
 @checked
 def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
-    """Clouds of one or of several sizes as one with a leading axis of frames."""
+    """Stack clouds of one or several sizes into one with a leading axis of frames."""
     frames: list[Cloud] = CloudFrames(clouds)[:]
     if not frames:
         raise InputError("stack_clouds: `clouds` is empty; expected is one cloud at least.")
@@ -319,8 +324,10 @@ def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
 
 
 def thin_cloud(cloud: Cloud, count: int, seed: int = 0) -> Cloud:
-    """A random `count` of the points of one frame, drawn by weight; padded as `make_cloud` does. Of a cloud without any,
-    only padding is left."""
+    """Sample `count` points of one frame at random by weight, padded as in `make_cloud`.
+
+    The sample of a cloud without points is only padding.
+    """
     weights = np.asarray(cloud.weights, float)
     size, there = padded_size(count), int((weights > 0).sum())
     likely = weights / weights.sum() if there else None

@@ -1,4 +1,4 @@
-"""Independent pieces of work on all cores at once."""
+"""Parallel map over independent items on all cores."""
 
 import os
 from collections import deque
@@ -11,10 +11,11 @@ Result = TypeVar("Result")
 
 
 def parallel_map(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Call a function on each item, in as many threads as there are cores; results come in the order of the items.
+    """Map a function over items in as many threads as there are cores; results are in the order of the
+    items.
 
-    Items are drawn in the caller's thread and no sooner than a core is free for them. The first is done before all others, so that what it
-    compiles is compiled once.
+    Items are taken in the caller's thread, and not before a core is free for them. The first is completed
+    before all others, so that its compilation is shared.
     """
     drawn = iter(items)
     for first in drawn:

@@ -1,4 +1,4 @@
-"""Check the values of a few numbers at the door of public functions, where nothing is done a thousand times a second.
+"""Validation of numeric values of arguments of public functions, outside of inner loops.
 
 Traced arrays pass, as their values are not known.
 """
@@ -15,7 +15,7 @@ from .errors import InputError
 
 
 def known(value: Any) -> np.ndarray | None:
-    """Return the numbers of something, or None where it is traced or has none."""
+    """Return the numbers of a value, or None where it is traced or has none."""
     if value is None or isinstance(value, Tracer):
         return None
     try:
@@ -26,9 +26,9 @@ def known(value: Any) -> np.ndarray | None:
 
 
 def check_values(where: str, fits: Callable[[np.ndarray], Any], expected: str, **given: Any) -> None:
-    """Check that all numbers of some arguments, by their names, fit; what is no number never does.
+    """Check that all numbers of some arguments, by their names, satisfy a condition; NaN never does.
 
-    **Raises:** `InputError` with the argument, the first number that does not, and what is expected.
+    **Raises:** `InputError` with the argument, the first number that fails, and the expected values.
     """
     for name, value in given.items():
         numbers = known(value)
@@ -41,31 +41,32 @@ def check_values(where: str, fits: Callable[[np.ndarray], Any], expected: str, *
 
 
 def check_positive(where: str, unit: str = "", **given: Any) -> None:
-    """Check that numbers are finite and above zero, of some `unit`. Raises `InputError`."""
+    """Check that numbers are finite and above zero, with a `unit` for the message. Raises `InputError`."""
     check_values(where, lambda x: (x > 0) & (x < np.inf), f"a finite number above 0{_of(unit)}", **given)
 
 
 def check_at_least(where: str, least: float | int, **given: Any) -> None:
-    """Check that numbers are finite and not below another. Raises `InputError`."""
+    """Check that numbers are finite and at least `least`. Raises `InputError`."""
     check_values(
         where, lambda x: (x >= least) & (x < np.inf), f"a finite number of at least {least:g}", **given
     )
 
 
 def check_within(where: str, low: float | int, high: float | int, unit: str = "", **given: Any) -> None:
-    """Check that numbers are from one to another. Raises `InputError`."""
+    """Check that numbers are from `low` to `high`. Raises `InputError`."""
     check_values(
         where, lambda x: (x >= low) & (x <= high), f"a number from {low:g} to {high:g}{_of(unit)}", **given
     )
 
 
 def check_deviations(where: str, **given: Any) -> None:
-    """Check that standard deviations are above zero; an infinite one leaves free what it is of. Raises `InputError`."""
+    """Check that standard deviations are above zero; an infinite one leaves its parameter free. Raises
+    `InputError`."""
     check_values(where, lambda x: x > 0, "a standard deviation above 0, infinite for what is free", **given)
 
 
 def check_direction(where: str, **given: Any) -> None:
-    """Check that vectors have a direction: three finite numbers, not all of them zero. Raises `InputError`."""
+    """Check that vectors have a direction: three finite numbers, not all zero. Raises `InputError`."""
     for name, value in given.items():
         numbers = known(value)
         if numbers is None:
@@ -78,7 +79,7 @@ def check_direction(where: str, **given: Any) -> None:
 
 
 def check_faces(where: str, faces: Any, count: int) -> None:
-    """Check that triangles are of vertices that there are. Raises `InputError`."""
+    """Check that triangles have only existing vertices. Raises `InputError`."""
     if not isinstance(faces, Tracer):
         corners = np.asarray(faces)
         wrong = (corners < 0) | (corners >= count)
@@ -90,7 +91,7 @@ def check_faces(where: str, faces: Any, count: int) -> None:
 
 
 def as_number(value: Any) -> Float[Array, ""]:
-    """Return a number as a floating-point array, also a whole one; an array keeps its precision."""
+    """Convert a number, also an integer, to a floating-point array; an array keeps its precision."""
     return jnp.asarray(value, jnp.result_type(value, float))
 
 

@@ -1,4 +1,4 @@
-"""A body: a skeleton, a surface, and a skin that binds the one to the other."""
+"""Bodies: a skeleton, a surface, and a skin that binds the surface to the skeleton."""
 
 from functools import partial
 
@@ -20,8 +20,7 @@ from .skin import AbstractSkin
 
 
 class Body(eqx.Module):
-    """An articulated surface at rest; `vertices` in metres, `faces` counter-clockwise
-    as seen from outside."""
+    """An articulated surface at rest; `vertices` in metres, `faces` counter-clockwise as seen from outside."""
 
     skeleton: Skeleton
     skin: AbstractSkin
@@ -39,14 +38,15 @@ class Body(eqx.Module):
 
 
 def check_skin(skin: AbstractSkin) -> None:
-    """Check that each vertex hangs on some bone where a skin has weights, which are looked at where they are not traced.
+    """Check that every vertex of a skin has a positive sum of weights; traced weights and skins without
+    weights pass.
 
-    **Raises:** `InputError` with the first vertex that does not.
+    **Raises:** `InputError` with the first vertex that has none.
     """
     weights = getattr(skin, "weights", None)
     if weights is None or isinstance(weights, Tracer):
         return
-    # written so that what is no number counts as wrong
+    # negated so that NaN counts as wrong
     loose = ~(np.asarray(weights).sum(1) > 0)
     if loose.any():
         raise InputError(
@@ -56,7 +56,7 @@ def check_skin(skin: AbstractSkin) -> None:
 
 
 class Posed(eqx.Module):
-    """A body in a pose: computed once for an evaluation and handed to every energy."""
+    """A body in a pose, computed once per evaluation and passed to every energy."""
 
     body: Body
     pose: Pose
@@ -70,7 +70,7 @@ class Posed(eqx.Module):
 @checked
 @partial(jax.jit, inline=True)
 def pose_body(body: Body, pose: Pose) -> Posed:
-    """Put a body into a pose. What the caller does not use is not computed under `jit`."""
+    """Pose a body. Outputs that the caller does not use are not computed under `jit`."""
     transforms = forward_kinematics(body.skeleton, pose)
     vertices = body.skin.deform(body.vertices, body.skeleton, pose, transforms)
     return Posed(
@@ -84,17 +84,18 @@ def pose_body(body: Body, pose: Pose) -> Posed:
 
 
 def take_vertices(body: Body, rows: Int[Array, "R"], faces: Int[Array, "F 3"] | None = None) -> Body:
-    """The body with only these vertices, in this order; `faces` are of the new rows, none where not given."""
+    """Restrict a body to `rows` of its vertices, in this order. `faces` index the new rows; without them
+    the body has none."""
     faces = jnp.zeros((0, 3), body.faces.dtype) if faces is None else faces
     return Body(body.skeleton, body.skin.take(rows), body.vertices[rows], faces)
 
 
 @eqx.filter_jit
 def deform_all(body: Body, poses: Pose) -> Float[Array, "F V 3"]:
-    """The vertices of a body in every pose of a stack, metres."""
+    """Compute the vertices of a body in every pose of a stack, metres."""
     return jax.lax.map(lambda pose: pose_body(body, pose).vertices, poses)
 
 
 def body_height(body: Body) -> Float[Array, ""]:
-    """Length of the longest side of the box around the body at rest, metres."""
+    """Compute the longest side of the bounding box of a body at rest, metres."""
     return jnp.max(jnp.max(body.vertices, 0) - jnp.min(body.vertices, 0))

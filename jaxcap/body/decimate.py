@@ -1,4 +1,4 @@
-"""Fewer vertices for the same body: decimation, and what it takes to carry shape and skin over."""
+"""Mesh decimation of bodies, with transfer of shape and skin."""
 
 from typing import NamedTuple
 
@@ -10,36 +10,36 @@ from ..arguments import checked
 from ..geometry.mesh import triangle_sides
 from .body import Body
 
-#: the smallest closed surface
+#: number of vertices of the smallest closed surface, a tetrahedron
 LEAST_VERTICES = 4
 
 
 class Attachment(NamedTuple):
-    """How points hang on a surface: each in the plane of its nearest triangle, and off it.
+    """Points attached to a surface by their nearest triangles and their heights above them.
 
-    It holds for any shape of the surface with the same triangles, and gives back the points
-    exactly on the one it was made for.
+    An attachment is valid for any shape of the surface with the same triangles. It reproduces the points
+    exactly on the shape that it was made for.
     """
 
     #: vertices of the nearest triangle
     corners: Int[np.ndarray, "N 3"]
     #: barycentric coordinates of the foot of the perpendicular; they may leave [0, 1] by a little
     shares: Float[np.ndarray, "N 3"]
-    #: heights over the triangle, metres
+    #: heights above the triangle, metres
     heights: Float[np.ndarray, "N"]
 
 
 @checked
 def reduce_body(body: Body, vertices: int) -> Body:
-    """The same body with about so many `vertices`, for speed; the skeleton stays as it is.
+    """Reduce a body to about `vertices` vertices; the skeleton stays as it is.
 
     The surface is decimated by quadric errors (Garland and Heckbert 1997, as implemented by
-    `fast_simplification`), which keeps its volume and leaves a closed surface closed. The skin is
-    carried over at the nearest points of the full surface (`AbstractSkin.carry`). The same body
-    always gives the same result; a body that already is as small is returned as it is.
+    `fast_simplification`). This preserves its volume and keeps a closed surface closed. The skin is
+    interpolated at the nearest points of the full surface (`AbstractSkin.carry`). The result is
+    deterministic. A body with no more vertices than asked for is returned unchanged.
 
-    **Raises:** `InputError` with one sentence when fewer than 4 vertices are asked for, or when the
-    surface cannot be reduced so far.
+    **Raises:** `InputError` with one sentence when fewer than 4 vertices are asked for, or when the surface
+    cannot be reduced so far.
     """
     if vertices < LEAST_VERTICES:
         raise ValueError(
@@ -61,16 +61,16 @@ def reduce_body(body: Body, vertices: int) -> Body:
 def decimate(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "G 3"]]:
-    """A surface of about `count` vertices; none of them unused, no triangle without area.
+    """Decimate a surface to about `count` vertices, without unused vertices or degenerate triangles.
 
     **Raises:** `ValueError` with one sentence when the surface cannot be reduced so far.
     """
     closed, present = _is_closed(faces), len(np.unique(faces))
-    # inside a surface a collapsed edge takes a vertex and two triangles away, at its border fewer
+    # an edge collapse removes one vertex and two triangles in the interior, fewer triangles at the border
     target = len(faces) - 2 * (present - count) if closed else round(len(faces) * count / present)
     target = max(target, LEAST_VERTICES)
     best = None
-    # the gentlest collapse that gets there: hasty ones spoil the shape, and may tear a closed surface
+    # the least aggressive collapse that suffices: others distort the shape and may open a closed surface
     for haste in (3.0, 4.0, 5.0, 6.0, 7.0):
         points, triangles = _tidy(*_collapse(vertices, faces, target, haste))
         if len(triangles) and _is_closed(triangles) >= closed:
@@ -88,12 +88,12 @@ def _collapse(
     vertices: np.ndarray, faces: np.ndarray, target: int, haste: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Collapse edges until `target` triangles are left, or as few as `haste` allows."""
-    import fast_simplification  # here, as most programs never decimate
+    import fast_simplification  # imported here, as most programs never decimate
 
-    # to halve it time and again, with errors counted anew, keeps the volume better than one go
+    # repeated halving recomputes the quadric errors, which preserves the volume better than one pass
     while len(faces) > target:
         before = len(faces)
-        # it takes writable arrays in C order only
+        # fast_simplification takes writable arrays in C order only
         vertices, faces = fast_simplification.simplify(
             np.array(vertices, float),
             np.array(faces, np.int32),
@@ -108,10 +108,10 @@ def _collapse(
 def attach(
     points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Attachment:
-    """Hang `points` on a surface. Works in metres or any other unit."""
+    """Attach `points` to a surface. Works in metres or any other unit."""
     import trimesh
 
-    # triangles without area have no plane to hang on
+    # triangles without area have no normal
     sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
     faces = faces[np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0]
     surface = trimesh.Trimesh(vertices, faces, process=False)
@@ -123,7 +123,7 @@ def attach(
 
 
 def follow(attachment: Attachment, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "N 3"]:
-    """Where attached points lie on another shape of the surface."""
+    """Compute the positions of attached points on another shape of the surface."""
     _, normal = _frames(vertices, attachment.corners)
     foot = np.einsum("nc,nca->na", attachment.shares, vertices[attachment.corners])
     return foot + attachment.heights[:, None] * normal
@@ -137,7 +137,7 @@ def _frames(vertices: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, ...]
 
 
 def _is_closed(faces: np.ndarray) -> bool:
-    """Whether every edge has exactly two triangles, once in each direction."""
+    """Test that every edge has exactly two triangles, once in each direction."""
     edges = triangle_sides(faces)
     if len(np.unique(edges, axis=0)) < len(edges):
         return False
@@ -145,7 +145,7 @@ def _is_closed(faces: np.ndarray) -> bool:
 
 
 def _tidy(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Without triangles that have no area, and then without unused vertices."""
+    """Remove degenerate triangles, then unused vertices."""
     first, second = np.moveaxis(points[triangles[:, 1:]] - points[triangles[:, :1]], 1, 0)
     triangles = triangles[np.linalg.norm(np.cross(first, second), axis=1) > 0]
     used, places = np.unique(triangles, return_inverse=True)

@@ -1,9 +1,8 @@
-"""How the joints of a body answer to unknown numbers: of a pose, or of the joints themselves.
+"""Geometric Jacobians: rates of the joints by parameters of a pose or of the joints themselves.
 
-A skin needs no more than this to say how its vertices move with these numbers
-(`AbstractSkin.jacobian`): all that hangs below a joint moves along a linear field of the
-world, `x -> a x x + b` (Kineben, eqs. 8 to 13 and 41, has it as a 4 x 4 operator), and the
-surface beside the joint by the rates of the joint's own twist and swing.
+A skin needs only these rates for the velocities of its vertices (`AbstractSkin.jacobian`). All descendants
+of a joint move along a linear field of the world, `x -> a x x + b` (Kineben, eqs. 8 to 13 and 41, writes it
+as a 4 x 4 operator). The surface around the joint moves by the rates of the joint's own twist and swing.
 """
 
 import equinox as eqx
@@ -20,24 +19,25 @@ from .skeleton import Skeleton, dof_layout
 
 
 class Rates(eqx.Module):
-    """Rates of N numbers, each of which belongs to one joint; metres and radians a unit."""
+    """Rates of N parameters, each of which belongs to one joint; metres and radians per unit."""
 
-    #: the joint of each number
+    #: the joint of each parameter
     joints: tuple[int, ...] = eqx.field(static=True)
-    #: the field that moves all of the world below that joint, `x -> angular x x + linear`
+    #: velocity field of that joint's descendants in the world, `x -> angular x x + linear`
     angular: Float[Array, "N 3"]
     linear: Float[Array, "N 3"]
-    #: rate of that joint's own twist, a dual quaternion, and of its own swing (`Split`)
+    #: rates of that joint's own twist, a dual quaternion, and of its own swing (`Split`)
     twist: Float[Array, "N 8"]
     swing: Float[Array, "N 3 4"]
 
 
 def pose_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates:
-    """Rates by the D numbers `d` of `retract(skeleton, pose, d)` at `d = 0`, as `dof_layout` has them.
+    """Compute the rates by the D parameters `d` of `retract(skeleton, pose, d)` at `d = 0`, in the order of
+    `dof_layout`.
 
-    For a turn about the world axis `a` through the joint's centre `c` the field is
-    `(a, -a x c)` (Kineben, eqs. 10 and 13), for a shift along `a` it is `(0, a)` (eq. 8, with
-    the axis carried by the joint's ancestors and by the scale).
+    For a rotation about the world axis `a` through the joint's centre `c` the field is `(a, -a x c)`
+    (Kineben, eqs. 10 and 13). For a translation along `a` it is `(0, a)` (eq. 8, with the axis transformed
+    by the joint's ancestors and by the scale).
     """
     joints, numbers, turning = _slots(skeleton)
     shifts, turns = world_axes(skeleton, pose, transforms)
@@ -45,7 +45,7 @@ def pose_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates:
     axes = jnp.where(turning[:, None], turns[joints, numbers], shifts[joints, numbers])
     angular = jnp.where(turning[:, None], axes, 0.0)
     linear = jnp.where(turning[:, None], jnp.cross(centres, axes), axes)
-    # joints do not share numbers, so one pass moves a number of each joint at once
+    # joints share no parameters, so one pass differentiates by one parameter of every joint
     kinds = 3 * turning + numbers
     directions = jnp.asarray(np.arange(6)[:, None] == kinds, centres.dtype)
     split = _rates(lambda d: split_joints(skeleton, retract(skeleton, pose, d)), directions)
@@ -53,11 +53,11 @@ def pose_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates:
 
 
 def joint_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates:
-    """Rates by 6 J numbers, joint by joint: three of the joint's centre, along the axes of the
-    world at rest, and three of its orientation, `o <- o exp(w)`. The pose stays as it is.
+    """Compute the rates by 6 J parameters of the joints: for each joint, three of its centre along the axes
+    of the world at rest, and three of its orientation, `o <- o exp(w)`. The pose stays as it is.
 
-    A centre that is shifted by `e` shifts all below its joint by `R_parent (I - R) e`; an
-    orientation changes nothing but where twist ends and swing begins.
+    A translation of a joint's centre by `e` translates all of its descendants by `R_parent (I - R) e`. A
+    change of orientation changes only the split into twist and swing.
     """
     count, parents = skeleton.num_joints, np.array(skeleton.parents)
     dtype = skeleton.centres.dtype
@@ -77,29 +77,31 @@ def joint_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates
 
 
 def stack_rates(*rates: Rates) -> Rates:
-    """All numbers of several `Rates`, one after the other."""
+    """Concatenate the parameters of several `Rates`."""
     joints = sum((some.joints for some in rates), ())
     moving = [(some.angular, some.linear, some.twist, some.swing) for some in rates]
     return Rates(joints, *(jnp.concatenate(parts) for parts in zip(*moving, strict=True)))
 
 
 def take_rates(rates: Rates, numbers: Int[np.ndarray, "M"]) -> Rates:
-    """Some of the numbers, in their order; which ones must be known when traced."""
+    """Select some of the parameters, in the given order; `numbers` must be known at trace time."""
     joints = tuple(rates.joints[number] for number in numbers.tolist())
     moving = (rates.angular, rates.linear, rates.twist, rates.swing)
     return Rates(joints, *(some[numbers] for some in moving))
 
 
 def bones_below(skeleton: Skeleton, rates: Rates) -> Float[Array, "J N"]:
-    """One where a bone moves with a number's joint."""
+    """Compute the matrix that is one where a bone moves with a parameter's joint, else zero."""
     return jnp.asarray(skeleton.descent[list(rates.joints)].T, rates.linear.dtype)
 
 
 def field_rows(
     points: Float[Array, "V 3"], directions: Float[Array, "V R 3"], rates: Rates
 ) -> Float[Array, "V R N"]:
-    """`n . (a x p + b)` along directions `n`, as if all points `p` hung below all joints: with
-    `n . (a x p) = a . (p x n)`, one product of wrenches and twists."""
+    """Compute `n . (a x p + b)` along directions `n`, as if all points `p` were descendants of all joints.
+
+    With `n . (a x p) = a . (p x n)` it is one product of wrenches and twists.
+    """
     x, y, z = (points[:, None, i] for i in range(3))
     nx, ny, nz = (directions[:, :, i] for i in range(3))
     wrench = jnp.stack([y * nz - z * ny, z * nx - x * nz, x * ny - y * nx, nx, ny, nz], -1)
@@ -107,13 +109,13 @@ def field_rows(
 
 
 def _rates(function, directions: Float[Array, "K D"]) -> Split:
-    """The derivative of a `Split` at zero along each direction."""
+    """Differentiate a function that returns a `Split` at zero along each direction."""
     still = jnp.zeros_like(directions[0])
     return jax.vmap(lambda direction: jax.jvp(function, (still,), (direction,))[1])(directions)
 
 
 def _slots(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The joint of each number of a tangent, which of its axes it is, whether it turns."""
+    """Find the joint of each parameter of a tangent, the index of its axis, and if it is a rotation."""
     layout = dof_layout(skeleton)
     numbers = np.zeros(skeleton.num_dofs, int)
     turning = np.zeros(skeleton.num_dofs, bool)

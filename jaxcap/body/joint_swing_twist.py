@@ -1,4 +1,4 @@
-"""What a joint does to the surface beside it, split into a twist and a swing."""
+"""Decomposition of each joint's own motion into a twist and a swing."""
 
 from typing import NamedTuple
 
@@ -13,14 +13,14 @@ from .skeleton import Skeleton
 class Split(NamedTuple):
     """The joints' own motions, `swing after twist`, in the rest frame of the world."""
 
-    #: unit dual quaternions of the turns about the joints' own x axes through their centres
+    #: unit dual quaternions of the rotations about the joints' own x axes through their centres
     twists: Float[Array, "*joints 8"]
-    #: `[R | t]` of the turns about perpendiculars of those axes, then the joints' shifts
+    #: `[R | t]` of the rotations about perpendiculars of those axes, then the joints' translations
     swings: Float[Array, "*joints 3 4"]
 
 
 def split_joints(skeleton: Skeleton, pose: Pose) -> Split:
-    """The own motion of every joint, `Translate(t) . Rot(q about c)`, as swing after twist."""
+    """Decompose every joint's own motion, `Translate(t) . Rot(q about c)`, into swing after twist."""
     return split_motions(pose.rotations, pose.translations, skeleton.centres, skeleton.orientations)
 
 
@@ -30,18 +30,19 @@ def split_motions(
     centres: Float[Array, "*joints 3"],
     orientations: Float[Array, "*joints 4"],
 ) -> Split:
-    """Swing and twist of joints (Adaptation, eqs. 3.13 and 3.14), metres and unit quaternions.
+    """Decompose motions of joints into swing and twist (Adaptation, eqs. 3.13 and 3.14); metres, unit
+    quaternions.
 
-    The paper writes `o* q o` for the way from a joint's frame into the world, so its `o` is
-    the inverse of `Skeleton.orientations`, which lead from the joint's frame into the world
-    at rest. The pose's `q` is in the world's axes already: in the joint's frame it is
-    `o* q o` with *our* `o`, of which `(q_w, q_x, 0, 0)` is taken and carried back. That is
-    the twist about the axis `o e_x`, with no change of frame to be made.
+    The paper writes `o* q o` for the map from a joint's frame into the world. So its `o` is the inverse of
+    `Skeleton.orientations`, which map from the joint's frame into the world at rest. The pose's `q` is
+    already in the axes of the world. In the joint's frame it is `o* q o` with *our* `o`; its part
+    `(q_w, q_x, 0, 0)` is mapped back. This is the twist about the axis `o e_x`, and needs no change of
+    frame.
 
-    Shifts of the joint (kinds `free` and `translate`) belong to the swing, so that swing and
-    twist by whole weights are the whole motion of the joint.
+    Translations of the joint (kinds `free` and `translate`) belong to the swing, so that swing and twist of
+    weight one are the whole motion of the joint.
 
-    Where the twist is not defined (a swing by pi) it is taken to be none.
+    The twist is the identity where it is not defined (a swing by pi).
     """
     ahead = jnp.broadcast_to(jnp.array([1.0, 0.0, 0.0], orientations.dtype), centres.shape)
     axes = rotation.rotate(orientations, ahead)

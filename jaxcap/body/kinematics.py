@@ -17,7 +17,7 @@ from .skeleton import Skeleton
 class Transforms(eqx.Module):
     """Rigid motions of bones from rest to pose: `x' = rotations x + translations`.
 
-    The pose's scale is part of both, so they are similarities where it is not one.
+    Both include the pose's scale; the motions are similarities where it is not one.
     """
 
     rotations: Float[Array, "J 3 3"]
@@ -27,16 +27,16 @@ class Transforms(eqx.Module):
 @checked
 @partial(jax.jit, inline=True)
 def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
-    """The world transform of every bone, `T_j = T_parent . Translate(t_j) . Rot(q_j about c_j)`
-    (Kineben, eq. 1; Adaptation, section 3.1), and last the pose's scale.
+    """Compute the world transform of every bone, `T_j = T_parent . Translate(t_j) . Rot(q_j about c_j)`
+    (Kineben, eq. 1; Adaptation, section 3.1). The pose's scale is applied last.
 
-    Composes by pointer doubling: a tree of `n` levels takes `log2 n` products batched over all
-    joints, and few operations compile fast.
+    Transforms are composed by pointer doubling: a tree of `n` levels takes `log2 n` products batched over
+    all joints, and few operations compile fast.
     """
     rotations = rotation.to_matrix(pose.rotations)
     centres = skeleton.centres
     translations = pose.translations + centres - jnp.einsum("jab,jb->ja", rotations, centres)
-    # each joint's transform is relative to its ancestor here; the row after the last joint is the world
+    # each joint's transform is relative to `ancestors`; the row after the last joint is the world
     world = skeleton.num_joints
     ancestors = np.array([*skeleton.parents, world])
     ancestors[ancestors < 0] = world
@@ -52,7 +52,7 @@ def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
 
 @partial(jax.jit, inline=True)
 def joint_positions(skeleton: Skeleton, transforms: Transforms) -> Float[Array, "J 3"]:
-    """World positions of the joint centres, metres."""
+    """Compute the world positions of the joint centres, metres."""
     return jnp.einsum("jab,jb->ja", transforms.rotations, skeleton.centres) + transforms.translations
 
 
@@ -60,13 +60,13 @@ def joint_positions(skeleton: Skeleton, transforms: Transforms) -> Float[Array, 
 def world_axes(
     skeleton: Skeleton, pose: Pose, transforms: Transforms
 ) -> tuple[Float[Array, "J 3 3"], Float[Array, "J 3 3"]]:
-    """The world directions of each joint's translation and rotation numbers, as
+    """Compute the world directions of each joint's translation and rotation parameters, as
     `(translations, rotations)`, each `(J, number, 3)`.
 
-    A tangent's rotation number `i` turns everything below joint `j` about
-    `rotations[j, i]` through the joint's centre: for a ball joint the columns of its whole
-    rotation `R_1..i` (Kineben, eq. 13), for a revolute one its axis carried by its
-    ancestors (eq. 10). Numbers that a kind does not have are zero.
+    Rotation parameter `i` of a tangent rotates all descendants of joint `j` about `rotations[j, i]` through
+    the joint's centre. For a ball joint these are the columns of its total rotation `R_1..i` (Kineben, eq.
+    13). For a revolute joint it is its axis, rotated by its ancestors (eq. 10). Parameters that a kind does
+    not have are zero.
     """
     scale = pose.scale
     whole = transforms.rotations / scale
@@ -91,5 +91,5 @@ def world_axes(
 
 @jax.jit
 def joint_paths(skeleton: Skeleton, poses: Pose) -> Float[Array, "F J 3"]:
-    """The world positions of the joint centres in every pose of a stack, metres."""
+    """Compute the world positions of the joint centres in every pose of a stack, metres."""
     return jax.lax.map(lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose)), poses)

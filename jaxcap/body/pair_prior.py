@@ -1,6 +1,6 @@
-"""How likely the turns of two successive joints are together: a Gaussian mixture for each pair.
+"""Prior of the joint distribution of two successive joints' rotations: a Gaussian mixture for each pair.
 
-Poses as a whole have too many numbers to be learned, neighbouring joints do not: a pair has six
+Whole poses have too many dimensions to be learned, but a pair of neighbouring joints has only six
 (Adaptation, section 4.1.1).
 """
 
@@ -19,31 +19,31 @@ from .limits.rotation_vector_boxes import turning_joints
 from .pose import Pose, own_vectors
 from .skeleton import Skeleton
 
-#: a joint whose own frame is turned by more than this, radians, is at rest in another pose
+#: frames at rest that differ by more than this, radians, belong to different rest poses
 TURNED = np.radians(35.0)
 
 
 class PairPrior(eqx.Module):
-    """Mixtures of Gaussians over the turns `x = (r_parent, r_child)` of P pairs of joints (Adaptation,
-    eq. 4.1), `r` being the exponential map of a joint's turn from rest, in the joint's own frame:
-    twist, flexion, sideways, radians.
+    """Gaussian mixtures over the rotations `x = (r_parent, r_child)` of P pairs of joints (Adaptation, eq.
+    4.1).
 
-    Mixtures of fewer than K components are padded with ones of weight zero.
+    `r` is the rotation vector of a joint's rotation from rest, in the joint's own frame: twist, flexion,
+    sideways, radians. Mixtures of fewer than K components are padded with components of weight zero.
     """
 
     #: names of each pair, the joint nearer to the root first
     pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
-    #: orientations at rest of the joints that it was learned on, unit quaternions
+    #: orientations at rest of the joints in the training skeleton, unit quaternions
     frames: Float[Array, "P 2 4"]
     #: mixing weights, which sum to one
     weights: Float[Array, "P K"]
     means: Float[Array, "P K 6"]
     #: lower triangular `L`, with `L L^T` the inverse of the covariance
     factors: Float[Array, "P K 6 6"]
-    #: where each mixture is highest, and the logarithm of its density there
+    #: mode of each mixture, and the log-density there
     modes: Float[Array, "P 6"]
     log_peaks: Float[Array, "P"]
-    #: `B` with `-B B^T` the second derivative of the log-density at the mode
+    #: `B` with `-B B^T` the Hessian of the log-density at the mode
     bends: Float[Array, "P 6 6"]
 
     def __check_init__(self):
@@ -61,43 +61,45 @@ class PairPrior(eqx.Module):
 
 
 def pair_indices(prior: PairPrior, skeleton: Skeleton) -> Int[np.ndarray, "P 2"]:
-    """Where the pairs stand in a skeleton. Raises `KeyError` where it lacks a joint."""
+    """Look up the joint indices of the pairs in a skeleton. Raises `KeyError` where it lacks a joint."""
     return np.array([[skeleton.index(name) for name in pair] for pair in prior.pairs], int).reshape(-1, 2)
 
 
 def pair_vectors(prior: PairPrior, skeleton: Skeleton, pose: Pose) -> Float[Array, "P 6"]:
-    """The turns of every pair in a pose: the parent's rotation vector, then the child's."""
+    """Compute the rotation vectors of every pair in a pose: the parent's, then the child's."""
     return own_vectors(skeleton, pose)[pair_indices(prior, skeleton)].reshape(-1, 6)
 
 
 def component_offsets(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P K 6"]:
-    """`L^T (x - mu)` to every component: in its own deviations, uncorrelated."""
+    """Compute the whitened offset `L^T (x - mu)` to every component."""
     return jnp.einsum("pkji,pkj->pki", prior.factors, x[:, None] - prior.means)
 
 
 def log_components(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P K"]:
-    """Logarithm of weight times density of each component; padded ones have minus infinity."""
+    """Compute the logarithm of weight times density of each component; minus infinity for padding."""
     present = prior.weights > 0
     weights = jnp.where(present, jnp.log(jnp.where(present, prior.weights, 1.0)), -jnp.inf)
     return weights + prior.log_norms - 0.5 * jnp.sum(component_offsets(prior, x) ** 2, -1)
 
 
 def log_density(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P"]:
-    """Logarithm of the mixtures (eq. 4.1), of a density by radians to the sixth."""
+    """Compute the log-density of the mixtures (eq. 4.1); the density is per radian to the sixth power."""
     return jax.nn.logsumexp(log_components(prior, x), axis=-1)
 
 
 @checked
 def likelihood(prior: PairPrior, skeleton: Skeleton, pose: Pose) -> Float[Array, "P"]:
-    """How likely each pair is as it is turned, as a share of the likeliest turn there is: one at the
-    mixture's peak, towards zero far from all that was learned."""
+    """Compute the density of each pair relative to its mixture's peak: one at the mode, towards zero far
+    from the training data."""
     x = pair_vectors(prior, skeleton, pose)
     return jnp.exp(jnp.minimum(log_density(prior, x) - prior.log_peaks, 0.0))
 
 
 def successive_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
-    """Every turning joint with the nearest one above it that turns; joints that do not turn are passed
-    over, and roots, which say where the whole body is headed, are in no pair."""
+    """List every rotating joint with its nearest rotating ancestor.
+
+    Joints that do not rotate are skipped. Roots are in no pair, as they only orient the whole body.
+    """
     turning = set(turning_joints(skeleton))
     pairs = []
     for joint in sorted(turning):
@@ -110,8 +112,10 @@ def successive_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
 
 
 def misfit(prior: PairPrior, skeleton: Skeleton) -> str | None:
-    """Why a prior is of another skeleton than this one, as half a sentence; None where it fits. Frames
-    are compared too, as turns from another rest pose mean something else."""
+    """Describe why a prior does not fit a skeleton, as half a sentence; return None where it fits.
+
+    The frames are compared too, as rotations from another rest pose have another meaning.
+    """
     there = set(successive_pairs(skeleton))
     for pair, frames in zip(prior.pairs, np.asarray(prior.frames), strict=True):
         for name, frame in zip(pair, frames, strict=True):
@@ -134,7 +138,7 @@ def make_pair_prior(
     means: Float[np.ndarray, "P K 6"],
     factors: Float[np.ndarray, "P K 6 6"],
 ) -> PairPrior:
-    """A prior of its mixtures, with the peak of each.
+    """Create a prior from its mixtures, and find the mode of each.
 
     **Raises:** `ValueError` where there is no pair, arrays do not fit together, weights of a pair are
     negative or do not sum to one, or a factor is not lower triangular with a positive diagonal.
@@ -176,22 +180,24 @@ def make_pair_prior(
 def mixture_peak(
     weights: Float[np.ndarray, "K"], means: Float[np.ndarray, "K D"], factors: Float[np.ndarray, "K D D"]
 ) -> tuple[Float[np.ndarray, "D"], float, Float[np.ndarray, "D D"]]:
-    """Find the highest place of a mixture, its log-density there, and `B` with `-B B^T` its curvature: up from every mean
-    by Newton's method in a trust region."""
+    """Find the mode of a mixture, its log-density there, and `B` with `-B B^T` its Hessian there.
+
+    Newton's method in a trust region starts from every mean.
+    """
     precisions = factors @ np.swapaxes(factors, 1, 2)
     log_scales = (
         np.log(weights) + np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(1) - means.shape[1] / 2 * np.log(2 * np.pi)
     )  # fmt: skip
 
     def depth(x):
-        """Minus the log-density, and its slope."""
+        """Evaluate the negative log-density and its gradient."""
         joint = log_scales - 0.5 * (np.einsum("kji,kj->ki", factors, x - means) ** 2).sum(-1)
         total = np.logaddexp.reduce(joint)
         slopes = np.einsum("kij,kj->ki", precisions, x - means)
         return -total, np.exp(joint - total) @ slopes
 
     def bend(x):
-        """Minus the second derivative of the log-density."""
+        """Evaluate the Hessian of the negative log-density."""
         joint = log_scales - 0.5 * (np.einsum("kji,kj->ki", factors, x - means) ** 2).sum(-1)
         shares = np.exp(joint - np.logaddexp.reduce(joint))
         slopes = np.einsum("kij,kj->ki", precisions, x - means)
@@ -205,5 +211,5 @@ def mixture_peak(
     ]
     lowest = min(found, key=lambda one: one.fun)
     values, vectors = np.linalg.eigh(bend(lowest.x))
-    # a saddle of two peaks about to part is flat in one direction
+    # the Hessian is singular where two peaks merge
     return lowest.x, -float(lowest.fun), vectors * np.sqrt(np.maximum(values, 1e-9 * values.max()))

@@ -1,4 +1,4 @@
-"""One frame's configuration of a skeleton, and how a tangent vector changes it."""
+"""Poses and motions of a skeleton, and their tangent vectors."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -17,13 +17,12 @@ from .skeleton import Skeleton, dof_layout
 
 
 class Pose(eqx.Module):
-    """How far every joint has moved from rest.
+    """The translation and rotation of every joint from rest.
 
-    Every rotation is a quaternion whatever its joint's kind; the kind says only which
-    tangents exist. `scale` is the similarity about the world's origin (Adaptation, 3.1);
-    `retract` leaves it as it is.
+    Every rotation is a quaternion, for all kinds of joints; the kind only determines the tangents. `scale`
+    is the similarity about the world's origin (Adaptation, 3.1); `retract` does not change it.
 
-    The verbs take one frame, `(J, ...)`; a `Motion` holds poses stacked, `(F, J, ...)`.
+    Functions take one frame, `(J, ...)`; a `Motion` stacks poses, `(F, J, ...)`.
     """
 
     translations: Float[Array, "*frames J 3"]
@@ -35,7 +34,7 @@ class Pose(eqx.Module):
 
 
 class Motion(eqx.Module):
-    """Poses stacked over frames, with their rate in frames a second."""
+    """Poses stacked over frames, with their rate in frames per second."""
 
     poses: Pose
     rate: float = eqx.field(static=True, default=30.0)
@@ -56,19 +55,19 @@ class Motion(eqx.Module):
         return self.num_frames
 
     def __getitem__(self, frame: int) -> Pose:
-        """The pose of one frame, counted from the end where negative. Raises `IndexError`."""
+        """Return the pose of one frame, counted from the end where negative. Raises `IndexError`."""
         if not -len(self) <= frame < len(self):
             raise IndexError(f"There is no frame {frame} in a motion of {len(self)} frames.")
         return Pose(self.poses.translations[frame], self.poses.rotations[frame], self.poses.scale[frame])
 
     def slice(self, frames: slice) -> "Motion":
-        """Some of the frames; a step divides the rate."""
+        """Select a range of frames; a step divides the rate."""
         return Motion(take_poses(self.poses, frames), self.rate / abs(frames.step or 1))
 
 
 @checked
 def rest_pose(skeleton: Skeleton) -> Pose:
-    """The pose in which nothing has moved."""
+    """Create the rest pose: zero translations, identity rotations and scale one."""
     dtype = skeleton.centres.dtype
     count = skeleton.num_joints
     return Pose(
@@ -78,19 +77,19 @@ def rest_pose(skeleton: Skeleton) -> Pose:
 
 @checked
 def stack_poses(poses: Sequence[Pose], rate: float = 30.0) -> Motion:
-    """Stack single poses to a `Motion`, differentiably. Raises `InputError` where there are none."""
+    """Stack single poses into a `Motion`, differentiably. Raises `InputError` where there are none."""
     if not poses:
         raise InputError("stack_poses: `poses` is empty; expected is one pose at least.")
     return Motion(jax.tree.map(lambda *leaves: stack(leaves), *poses), rate)
 
 
 def take_poses(poses: Pose, frames: Int[np.ndarray | Array, "K"] | slice) -> Pose:
-    """Some poses of a stack, by their numbers or a slice."""
+    """Select poses of a stack by index or by slice."""
     return Pose(poses.translations[frames], poses.rotations[frames], poses.scale[frames])
 
 
 def concatenate_poses(parts: Sequence[Pose]) -> Pose:
-    """Stacks of poses, one behind the other."""
+    """Concatenate stacks of poses along their frames."""
     return Pose(
         concatenate([part.translations for part in parts]),
         concatenate([part.rotations for part in parts]),
@@ -100,9 +99,9 @@ def concatenate_poses(parts: Sequence[Pose]) -> Pose:
 
 @partial(jax.jit, inline=True)
 def shift_roots(skeleton: Skeleton, poses: Pose, shifts: Float[np.ndarray | Array, "*frames 3"]) -> Pose:
-    """A pose, or each of a stack, moved in the world as a whole by its own `shifts`, metres."""
+    """Translate a pose, or each pose of a stack, as a whole in the world by its own `shifts`, metres."""
     roots = np.flatnonzero(np.array(skeleton.parents) < 0)
-    # the pose's scale comes last, so it is in the way of a shift of the world
+    # the pose's scale is applied after the translations
     steps = jnp.asarray(shifts, poses.translations.dtype) / poses.scale[..., None]
     translations = poses.translations.at[..., roots, :].add(steps[..., None, :])
     return Pose(translations, poses.rotations, poses.scale)
@@ -111,10 +110,10 @@ def shift_roots(skeleton: Skeleton, poses: Pose, shifts: Float[np.ndarray | Arra
 @checked
 @partial(jax.jit, inline=True)
 def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:
-    """Move a pose along a tangent vector `d`, metres and radians, laid out by `dof_layout`.
+    """Move a pose along a tangent vector `d`, metres and radians, in the layout of `dof_layout`.
 
-    A rotation is updated on the right, in the body frame (Kineben, 3.2.2); a revolute
-    joint stays on its axis and a universal joint on its two.
+    A rotation is updated on the right, in the body frame (Kineben, 3.2.2). A revolute joint stays on its
+    axis and a universal joint on its two.
     """
     layout = dof_layout(skeleton)
     padded = jnp.append(d, jnp.zeros((), d.dtype))
@@ -132,7 +131,7 @@ def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:
 @checked
 @partial(jax.jit, inline=True)
 def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
-    """The tangent `d` with `retract(a, d) = b`, where the joints' kinds allow `b`."""
+    """Compute the tangent `d` with `retract(a, d) = b`, where the joints' kinds allow `b`."""
     layout = dof_layout(skeleton)
     relative = rotation.log(rotation.multiply(rotation.conjugate(a.rotations), b.rotations))
     revolute = _of_kind(skeleton, "revolute")
@@ -152,8 +151,10 @@ def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
 @checked
 @partial(jax.jit, inline=True)
 def project(skeleton: Skeleton, pose: Pose) -> Pose:
-    """The pose nearest to `pose` among those that the joints' kinds allow: a fixed joint
-    does not turn, a revolute one turns about its axis only, and so on."""
+    """Project a pose onto the poses that the joints' kinds allow.
+
+    For example, a fixed joint does not rotate, and a revolute joint rotates only about its axis.
+    """
     kinds = np.array(skeleton.kinds)[:, None]
     twist = rotation.about_axis(skeleton.axes[:, 0], revolute_angles(skeleton, pose))
     angles = universal_angles(skeleton, pose)
@@ -168,25 +169,26 @@ def project(skeleton: Skeleton, pose: Pose) -> Pose:
 
 @partial(jax.jit, inline=True)
 def revolute_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J"]:
-    """Turn of every joint about its first axis, in `[-pi, pi]`; for revolute joints, the angle."""
+    """Compute the twist angle of every joint about its first axis, in `[-pi, pi]`; for revolute joints, the
+    joint angle."""
     return rotation.angle_about(pose.rotations, skeleton.axes[:, 0])
 
 
 @partial(jax.jit, inline=True)
 def universal_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 2"]:
-    """The two angles of universal joints, with `R = Rot(axis 0, first) Rot(axis 1, second)`; rows of
+    """Compute the two angles of universal joints, `R = Rot(axis 0, first) Rot(axis 1, second)`; rows of
     other joints have no meaning."""
     return rotation.angles_about(pose.rotations, skeleton.axes[:, 0], skeleton.axes[:, 1])
 
 
 @partial(jax.jit, inline=True)
 def own_vectors(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 3"]:
-    """Every joint's turn from rest as a rotation vector in the joint's own frame, radians."""
+    """Compute every joint's rotation from rest as a rotation vector in the joint's own frame, radians."""
     return rotation.rotate(rotation.conjugate(skeleton.orientations), rotation.log(pose.rotations))
 
 
 def _rotation_vectors(skeleton: Skeleton, numbers: Float[Array, "J 3"]) -> Float[Array, "J 3"]:
-    """Each joint's right update as a rotation vector, from its own one or three numbers."""
+    """Compute each joint's right update as a rotation vector, from its one or three parameters."""
     kinds = np.array(skeleton.kinds)[:, None]
     along = numbers[:, :1] * skeleton.axes[:, 0]
     return jnp.where(kinds == "revolute", along, jnp.where(kinds == "universal", 0.0, numbers))

@@ -1,4 +1,4 @@
-"""Ways in which a body at rest may change, joints and surface together, by a few numbers."""
+"""Linear shape modes: joint displacements and vertex displacements of a body at rest, with common amounts."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from .skeleton import Skeleton
 
 
 class Modes(eqx.Module):
-    """Directions at rest: a body by the amounts `z` has its joints at `c + z . centres`, its vertices at
+    """Displacements at rest: with amounts `z` the joints are at `c + z . centres` and the vertices at
     `x + z . vertices`, metres."""
 
     centres: Float[Array, "K J 3"]
@@ -18,7 +18,7 @@ class Modes(eqx.Module):
 
 
 def moved(body: Body, modes: Modes, amounts: Float[Array, "K"]) -> Body:
-    """The body with its joints and surface moved by so much of each mode."""
+    """Displace the joints and the surface of a body by amounts of its modes."""
     return eqx.tree_at(
         lambda b: (b.skeleton.centres, b.vertices),
         body,
@@ -30,9 +30,12 @@ def moved(body: Body, modes: Modes, amounts: Float[Array, "K"]) -> Body:
 
 
 def joint_modes(body: Body, follow: bool = True) -> Modes:
-    """Every joint along every axis, `3 J` modes. Where the surface is to follow, a bone that grows takes its skin with
-    it: a vertex beside its start moves with the start, one at its end with the joint there; behind joints
-    without children with the joint."""
+    """Create the `3 J` modes that displace every joint along every axis.
+
+    With `follow` the surface moves with its bones, as a bone that grows stretches its skin. A vertex near
+    the start of a bone moves with the start, one near the end with the joint there. Vertices of a joint
+    without children move with that joint.
+    """
     count = body.skeleton.num_joints
     axes = np.eye(3)
     centres = np.einsum("ij,ab->iajb", np.eye(count), axes).reshape(-1, count, 3)
@@ -43,8 +46,11 @@ def joint_modes(body: Body, follow: bool = True) -> Modes:
 
 
 def _shares(body: Body) -> Float[np.ndarray, "V J"]:
-    """Each vertex's shares of the joints' shifts: those of the two ends of the bones that move it, by where it lies
-    between them."""
+    """Compute the weight of each joint's displacement for each vertex.
+
+    A bone's influence is interpolated between the joints at its two ends, by the position of the vertex
+    along the bone.
+    """
     skeleton: Skeleton = body.skeleton
     influence = np.asarray(body.skin.influence(skeleton.num_joints), float)
     vertices, centres = np.asarray(body.vertices, float), np.asarray(skeleton.centres, float)
@@ -55,7 +61,7 @@ def _shares(body: Body) -> Float[np.ndarray, "V J"]:
         if not children:
             shares[:, joint] += held
             continue
-        # towards each child by how far along the way to it, the rest stays with the joint
+        # weight of each child by the position along the bone; the joint has the rest
         ways = centres[children] - centres[joint]
         lengths = np.maximum(np.sum(ways**2, 1), 1e-12)
         along = np.clip((vertices - centres[joint]) @ ways.T / lengths, 0.0, 1.0)

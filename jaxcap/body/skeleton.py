@@ -1,4 +1,4 @@
-"""The tree of joints: which joint hangs on which, where it is, and how it may move."""
+"""Skeletons: trees of joints, with their parents, positions and degrees of freedom."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,9 +12,10 @@ from jaxtyping import Array, Float
 from ..arguments import check_fields, check_length, checked
 from ..errors import InputError
 
-#: degrees that bones of one rest may differ by, and the share of a skeleton's size below which they are not compared
+#: largest angle between bones of one rest pose, degrees; smallest length of compared bones, relative to the
+#: skeleton's size
 TURNED, SHORT = 20.0, 0.03
-#: How many numbers move a joint of each kind, as (translations, rotations).
+#: degrees of freedom of each kind of joint, as (translations, rotations)
 KINDS: dict[str, tuple[int, int]] = {
     "fixed": (0, 0),
     "translate": (3, 0),
@@ -28,16 +29,15 @@ KINDS: dict[str, tuple[int, int]] = {
 class Skeleton(eqx.Module):
     """A tree of joints, in its rest pose.
 
-    Joint `j` moves bone `j`: the rigid frame of all that hangs on it. A joint turns about
-    its rest centre, `T_j = T_parent(j) . Translate(t_j) . Rot(q_j about c_j)` (Adaptation,
-    section 3.1; the same map as Kineben, eq. 1). Centres, axes and orientations are in the
-    rest frame of the world, in metres.
+    Joint `j` moves bone `j`, the rigid frame of everything attached to it. A joint rotates about its rest
+    centre, `T_j = T_parent(j) . Translate(t_j) . Rot(q_j about c_j)` (Adaptation, section 3.1; the same map
+    as Kineben, eq. 1). Centres, axes and orientations are in the rest frame of the world, in metres.
 
     - `fixed`: does not move.
     - `translate`: 3 translations, along the rest axes of the world.
-    - `revolute`: turns about `axes[j, 0]`.
-    - `universal`: turns about `axes[j, 1]`, then about `axes[j, 0]`.
-    - `ball`: turns freely, the update in the body frame, `R <- R exp([dw]x)`.
+    - `revolute`: rotates about `axes[j, 0]`.
+    - `universal`: rotates about `axes[j, 1]`, then about `axes[j, 0]`.
+    - `ball`: rotates freely, the update in the body frame, `R <- R exp([dw]x)`.
     - `free`: `translate` and `ball` at once, the usual root.
     """
 
@@ -47,7 +47,7 @@ class Skeleton(eqx.Module):
     centres: Float[Array, "J 3"]
     #: unit quaternions; the x axis of joint `j`'s own frame is its twist axis
     orientations: Float[Array, "J 4"]
-    #: unit axes of revolute (the first) and universal (both) joints; others ignore them
+    #: unit axes of revolute (the first) and universal (both) joints; other kinds ignore them
     axes: Float[Array, "J 2 3"]
 
     def __check_init__(self):
@@ -68,7 +68,7 @@ class Skeleton(eqx.Module):
 
     @property
     def num_dofs(self) -> int:
-        """D, the length of a tangent vector: how many numbers change a pose."""
+        """D, the number of degrees of freedom: the length of a tangent vector."""
         return sum(sum(KINDS[kind]) for kind in self.kinds)
 
     @property
@@ -79,7 +79,7 @@ class Skeleton(eqx.Module):
 
     @property
     def depths(self) -> np.ndarray:
-        """(J,) how many joints lie between a joint and its root."""
+        """(J,) depth of each joint: the number of its ancestors."""
         depth = np.zeros(self.num_joints, int)
         for joint, parent in enumerate(self.parents):
             depth[joint] = 0 if parent < 0 else depth[parent] + 1
@@ -95,15 +95,17 @@ class Skeleton(eqx.Module):
         return descends
 
     def index(self, name: str) -> int:
-        """The index of a joint by its name. Raises `KeyError` with the names there are."""
+        """Return the index of a joint by its name. Raises `KeyError` with the existing names."""
         if name not in self.names:
             raise KeyError(f"There is no joint '{name}'; the skeleton has {', '.join(self.names)}.")
         return self.names.index(name)
 
 
 class DofLayout(NamedTuple):
-    """Where each joint's numbers lie in a tangent vector `d (D,)`; plain NumPy, known when
-    traced. `D` itself stands for "no such number": gather from `d` with a zero appended."""
+    """The slots of each joint's parameters in a tangent vector `d (D,)`; plain NumPy, known at trace time.
+
+    The slot `D` means "no such parameter": gather from `d` with a zero appended.
+    """
 
     #: (J, 3) slots of each joint's translations
     translations: np.ndarray
@@ -116,7 +118,7 @@ class DofLayout(NamedTuple):
 
 
 def dof_layout(skeleton: Skeleton) -> DofLayout:
-    """The layout of a tangent vector: joint by joint, translations before rotations."""
+    """Create the layout of a tangent vector: joint by joint, translations before rotations."""
     total = skeleton.num_dofs
     translations = np.full((skeleton.num_joints, 3), total)
     rotations = np.full((skeleton.num_joints, 3), total)
@@ -138,15 +140,14 @@ def make_skeleton(
     orientations=None,
     axes=None,
 ) -> Skeleton:
-    """A checked `Skeleton`; joints may come in any order and are sorted parents first.
+    """Create a checked `Skeleton`; joints may come in any order and are sorted parents first.
 
-    **Arguments:** `names` J different names; `parents` J indices into `names`, -1 for a
-    root; `kinds` J of `fixed, translate, revolute, universal, ball, free`; `centres (J, 3)`
-    metres; `orientations (J, 4)` quaternions, the identity where not given;
-    `axes (J, 2, 3)`, x and y where not given.
+    **Arguments:** `names` J different names; `parents` J indices into `names`, -1 for a root; `kinds` J of
+    `fixed, translate, revolute, universal, ball, free`; `centres (J, 3)` metres; `orientations (J, 4)`
+    quaternions, the identity where not given; `axes (J, 2, 3)`, x and y where not given.
 
-    **Raises:** `InputError` with one sentence when names repeat, a parent or a kind is
-    unknown, the tree has a cycle, or a number is not finite.
+    **Raises:** `InputError` with one sentence when names repeat, a parent or a kind is unknown, the tree
+    has a cycle, or a number is not finite.
     """
     names, parents, kinds = list(names), [int(p) for p in parents], list(kinds)
     count = len(names)
@@ -198,21 +199,23 @@ def make_skeleton(
 
 
 def same_joints(one: Skeleton, other: Skeleton) -> bool:
-    """Whether two skeletons have the same joints in the same order, hanging on each other alike; wherever they stand."""
+    """Test that two skeletons have the same joints in the same order with the same parents; positions may
+    differ."""
     return (one.names, one.parents) == (other.names, other.parents)
 
 
 def rest_distance(one: Skeleton, other: Skeleton) -> float:
-    """How far a joint of one skeleton is at most from the same joint of the other at rest, metres."""
+    """Compute the largest distance between the same joint of two skeletons at rest, metres."""
     apart = np.asarray(one.centres, float) - np.asarray(other.centres, float)
     return float(np.linalg.norm(apart, axis=1).max())
 
 
 def rest_difference(one: Skeleton, other: Skeleton) -> str | None:
-    """Say where two skeletons with the same names differ such that a pose of one would mean another in the other.
+    """Describe a difference between two skeletons with the same names by which poses have another meaning;
+    None where there is none.
 
-    A joint hangs on another one, or a bone points elsewhere at rest by more than `TURNED` degrees, as where one stands with
-    its arms out and the other with them down; None where neither does. Bones may be longer. The words follow "whose".
+    Such a difference is another parent of a joint, or a bone whose direction at rest differs by more than
+    `TURNED` degrees, as between raised and lowered arms. Bone lengths may differ. The words follow "whose".
     """
     for name, parent, there in zip(one.names, one.parents, other.parents, strict=True):
         if parent != there:
@@ -225,7 +228,7 @@ def rest_difference(one: Skeleton, other: Skeleton) -> str | None:
     centres = [np.asarray(skeleton.centres, float) for skeleton in (one, other)]
     long = [there[bones] - there[above] for there in centres]
     length = [np.linalg.norm(bone, axis=1) for bone in long]
-    # the direction of a short one is chance
+    # the direction of a short bone is not reliable
     counts = np.all(
         [some > SHORT * np.ptp(there, 0).max() for some, there in zip(length, centres, strict=True)], 0
     )
@@ -241,10 +244,10 @@ def rest_difference(one: Skeleton, other: Skeleton) -> str | None:
 
 
 def _parents_first(names: list[str], parents: list[int]) -> list[int]:
-    """The joints' own order where it will do, else depth first; a cycle is an error."""
+    """Sort joints parents first: their own order where it is valid, else depth first; a cycle is an error."""
     if all(parent < joint for joint, parent in enumerate(parents)):
         return list(range(len(names)))
-    # dictionaries keep their order, and find their keys at once
+    # dictionaries as ordered sets
     order: dict[int, None] = {}
     for joint in range(len(names)):
         chain: dict[int, None] = {}

@@ -1,4 +1,4 @@
-"""Joints of the left and of the right: which are twins, and bones that are as long as their twins."""
+"""Left-right symmetry: pairs of joints by their names, and equal lengths of their bones."""
 
 from collections.abc import Sequence
 
@@ -11,12 +11,12 @@ from jaxtyping import Array, Float, Int
 
 from .skeleton import Skeleton
 
-#: of joints, the left one first
+#: pairs of joints, the left one first
 Pairs = Sequence[tuple[int, int]] | Int[np.ndarray, "P 2"]
 
 
 def twin_joints(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Joints of the left with those of the right that are called alike but for the side."""
+    """Find pairs of left and right joints whose names are equal but for the side."""
     places = {name: joint for joint, name in enumerate(names)}
     found = []
     for left, right in (("Left", "Right"), ("left", "right"), ("L", "R"), ("l", "r")):
@@ -31,7 +31,7 @@ def twin_joints(names: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
-    """Pairs of joints of the left and the right, by their names; each joint in one of them at most."""
+    """Find disjoint pairs of left and right joints by their names."""
     found: list[tuple[int, int]] = []
     for pair in twin_joints(skeleton.names):
         if not any(joint in other for other in found for joint in pair):
@@ -40,13 +40,13 @@ def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
 
 
 def length_differences(skeleton: Skeleton, pairs: Pairs) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
-    """By how much the bone from its parent to the left joint is longer than to the right one,
-    metres, and how that changes with the centres of the joints.
+    """Compute the length of the left bone minus that of the right bone of each pair, metres, and its
+    derivative by the joint centres.
 
-    It is the residual of the paper's symmetry (Adaptation, eqs. 3.23 to 3.26): there the right
-    bone is turned into the left one's direction by `R_lr`, and what is left of their difference
-    is along that direction, as long as the bones differ. A joint that hangs on a root ends no
-    bone, as a root's own centre may be anywhere: such pairs are left out.
+    It is the residual of the paper's symmetry (Adaptation, eqs. 3.23 to 3.26). There the right bone is
+    rotated into the direction of the left one by `R_lr`; the difference then lies along that direction and
+    is the difference of lengths. Pairs whose parent is a root are omitted: they end no bone, as a root's
+    own centre is arbitrary.
     """
     count = skeleton.num_joints
     parents = np.array(skeleton.parents)
@@ -65,14 +65,14 @@ def length_differences(skeleton: Skeleton, pairs: Pairs) -> tuple[Float[Array, "
 
 
 def bones_of(skeleton: Skeleton, pairs: Pairs) -> Int[np.ndarray, "B 2"]:
-    """The pairs that end bones: those whose parents have parents."""
+    """Select the pairs that end bones: those whose parents have parents."""
     pairs = np.asarray(pairs, int).reshape(-1, 2)
     grand = np.array([-1 if parent < 0 else skeleton.parents[parent] for parent in skeleton.parents], int)
     return pairs[(grand[pairs] >= 0).all(1) if len(pairs) else slice(0)]
 
 
 def symmetrise(skeleton: Skeleton, pairs: Pairs, steps: int = 20) -> Skeleton:
-    """Make paired bones equally long, by the smallest shifts of the skeleton's centres."""
+    """Make paired bones equally long, by the smallest displacements of the joint centres."""
     if len(bones_of(skeleton, pairs)) == 0:
         return skeleton
     bones = tuple((int(left), int(right)) for left, right in bones_of(skeleton, pairs))
@@ -82,7 +82,7 @@ def symmetrise(skeleton: Skeleton, pairs: Pairs, steps: int = 20) -> Skeleton:
 @eqx.filter_jit
 def _evened(skeleton: Skeleton, bones: tuple[tuple[int, int], ...], steps: int) -> Float[Array, "J 3"]:
     eps = float(jnp.finfo(skeleton.centres.dtype).eps)
-    # of all solutions of fewer rows than unknowns the SVD gives the shortest
+    # the SVD gives the minimum-norm step of the underdetermined system
     solver = optx.GaussNewton(rtol=eps, atol=eps, linear_solver=lx.SVD())
 
     def differences(centres: Float[Array, "J 3"], skeleton: Skeleton) -> Float[Array, "B"]:

@@ -1,8 +1,8 @@
-"""How posed points move with the numbers of a pose, in closed form.
+"""Jacobians of posed vertices by the parameters of a pose, in closed form.
 
-It is the derivative at `d = 0` of the vertices of `pose_body(body, retract(skeleton, pose, d))`,
-which the body's skin makes from the rates of its joints (`AbstractSkin.jacobian`, `pose_rates`).
-The paper's own operators (Kineben, eqs. 8 to 16) stand below.
+These are derivatives at `d = 0` of the vertices of `pose_body(body, retract(skeleton, pose, d))`. The
+body's skin computes them from the rates of its joints (`AbstractSkin.jacobian`, `pose_rates`). The paper's
+own operators (Kineben, eqs. 8 to 16) are at the end.
 """
 
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from .geometric_jacobian import pose_rates
 
 
 def point_jacobian(posed: Posed, vertices: Int[Array, "C"]) -> Float[Array, "C 3 D"]:
-    """The derivative of posed vertices with respect to the tangent, metres a unit.
+    """Compute the derivative of posed vertices by the tangent, metres per unit.
 
     **Arguments:** `vertices (C,)` are indices of body vertices.
     """
@@ -24,15 +24,17 @@ def point_jacobian(posed: Posed, vertices: Int[Array, "C"]) -> Float[Array, "C 3
 def projected_jacobian(
     posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C 3"]
 ) -> Float[Array, "C D"]:
-    """Rows `n_v . dx_v/dd` along `directions n (C, 3)`, for distances to planes; the `(C, 3, D)`
-    Jacobian is never formed."""
+    """Compute rows `n_v . dx_v/dd` along directions `n (C, 3)`, for point-to-plane distances.
+
+    The `(C, 3, D)` Jacobian is never formed.
+    """
     return vertex_rows(posed, vertices, directions[:, None])[:, 0]
 
 
 def vertex_rows(
     posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C R 3"]
 ) -> Float[Array, "C R D"]:
-    """Rows `n_v . dx_v/dd` along R directions for each of the chosen vertices."""
+    """Compute rows `n_v . dx_v/dd` along R directions for each of the chosen vertices."""
     body = posed.body
     rates = pose_rates(body.skeleton, posed.pose, posed.transforms)
     return body.skin.take(vertices).jacobian(
@@ -41,15 +43,20 @@ def vertex_rows(
 
 
 def translate_operator(axis: Float[Array, "3"]) -> Float[Array, "4 4"]:
-    """The derivative of points under a shift along the world `axis` (Kineben, eq. 8): maps
-    homogeneous `x` to its rate. The paper has the unit axes, which is a root's case."""
+    """Compute the derivative of points under a translation along the world `axis` (Kineben, eq. 8).
+
+    It maps homogeneous `x` to its rate. The paper uses the unit axes, which is the case of a root.
+    """
     return jnp.zeros((4, 4), axis.dtype).at[:3, 3].set(axis)
 
 
 def revolute_operator(axis: Float[Array, "3"], centre: Float[Array, "3"]) -> Float[Array, "4 4"]:
-    """The derivative of points under a turn about the world `axis` through the world
-    `centre` of a joint: the paper's `T_1..i-1 xi T_1..i-1^-1` (Kineben, eq. 10) multiplied
-    out, `[[axis]x, -axis x centre]`."""
+    """Compute the derivative of points under a rotation about the world `axis` through the world `centre`
+    of a joint.
+
+    It is the paper's `T_1..i-1 xi T_1..i-1^-1` (Kineben, eq. 10) multiplied out,
+    `[[axis]x, -axis x centre]`.
+    """
     turn = jnp.stack([jnp.cross(axis, unit) for unit in jnp.eye(3, dtype=axis.dtype)], 1)
     return jnp.zeros((4, 4), axis.dtype).at[:3, :3].set(turn).at[:3, 3].set(-jnp.cross(axis, centre))
 
@@ -57,14 +64,19 @@ def revolute_operator(axis: Float[Array, "3"], centre: Float[Array, "3"]) -> Flo
 def ball_operator(
     rotation: Float[Array, "3 3"], centre: Float[Array, "3"], number: int
 ) -> Float[Array, "4 4"]:
-    """The derivative of points under number `number` of a ball joint's update (Kineben,
-    eqs. 12, 13 and 41): a turn about that column of the joint's whole `rotation` `R_1..i`
-    through its world `centre`, `R_1..i q + t_1..i` in the paper."""
+    """Compute the derivative of points under component `number` of a ball joint's update (Kineben, eqs. 12,
+    13 and 41).
+
+    It is a rotation about that column of the joint's total `rotation` `R_1..i` through its world `centre`,
+    `R_1..i q + t_1..i` in the paper.
+    """
     return revolute_operator(rotation[:, number], centre)
 
 
 def cone_gradient(axis: Float[Array, "3"], rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """The gradient of `x . R x` of a cone limit to the update `R exp([d]x)` at `d = 0`:
-    `x x R^T x` (Kineben, eq. 16; its sign is right, as finite differences show:
-    `x . R (d x x) = R^T x . (d x x) = d . (x x R^T x)`)."""
+    """Compute the gradient of `x . R x` of a cone limit by the update `R exp([d]x)` at `d = 0`.
+
+    It is `x x R^T x` (Kineben, eq. 16). Its sign is correct, as finite differences show:
+    `x . R (d x x) = R^T x . (d x x) = d . (x x R^T x)`.
+    """
     return jnp.cross(axis, rotation.T @ axis)

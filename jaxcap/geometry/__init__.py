@@ -1,1 +1,1 @@
-"""Rotations, meshes, cameras and linear equations as arrays."""
+"""Geometry on arrays: rotations, meshes, cameras and linear equations."""

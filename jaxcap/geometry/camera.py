@@ -1,4 +1,4 @@
-"""Pinhole cameras: where points of the world fall in a picture, and back."""
+"""Pinhole cameras: projection of points into images, and back-projection."""
 
 from collections.abc import Sequence
 
@@ -11,29 +11,29 @@ from ..arguments import array, check_fields, checked
 from ..errors import InputError
 from ..values import check_at_least, check_positive, known
 
-#: fewer pixels along a side make no picture, and more of them no depth camera's
+#: smallest side of an image, pixels; largest number of pixels, above that of any depth camera
 LEAST_PIXELS, MOST_PIXELS = 8, 25_000_000
-#: cameras of a ring, far more than anyone has built
+#: largest number of cameras of a ring
 MOST_CAMERAS = 1000
-#: what products of the rows of a rotation are off by at most: files have as few as four digits
+#: largest error of products of the rows of a rotation: files may have only four digits
 TURNED = 1e-2
 
 
 class Camera(eqx.Module):
     """A calibrated pinhole camera without distortion.
 
-    A point `x` of the world, metres, is at `rotation @ x + translation` before the camera, whose x goes
-    to the right, y down and z forward. Pixels are counted from the upper left, and the middle of the
-    first one is at (0, 0). Arrays of NumPy are taken as they are and become arrays of JAX.
+    A point `x` of the world, metres, is at `rotation @ x + translation` in the frame of the camera, with x
+    to the right, y down and z forward. Pixels are counted from the upper left; the centre of the first one
+    is at (0, 0). NumPy arrays are accepted and become JAX arrays.
     """
 
     rotation: Float[Array, "3 3"] = eqx.field(converter=array)
     translation: Float[Array, "3"] = eqx.field(converter=array)
-    #: focal lengths across and down, pixels
+    #: horizontal and vertical focal lengths, pixels
     focal: Float[Array, "2"] = eqx.field(converter=array)
-    #: where the optical axis meets the picture, pixels
+    #: intersection of the optical axis with the image, pixels
     principal_point: Float[Array, "2"] = eqx.field(converter=array)
-    #: pixels in a row, and rows
+    #: number of columns and of rows, pixels
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
 
@@ -42,7 +42,7 @@ class Camera(eqx.Module):
         check_positive("Camera", "pixels", focal=self.focal)
         check_at_least("Camera", 1, width=self.width, height=self.height)
         axes = known(self.rotation)
-        # written so that what is no number counts as wrong
+        # negated so that NaN counts as wrong
         if axes is not None and not (
             np.abs(axes @ axes.T - np.eye(3)).max() < TURNED and np.linalg.det(axes) > 0
         ):
@@ -53,16 +53,16 @@ class Camera(eqx.Module):
 
     @property
     def eye(self) -> Float[Array, "3"]:
-        """Where the camera stands, metres."""
+        """The position of the camera, metres."""
         return -self.translation @ self.rotation
 
 
 def project(
     camera: Camera, points: Float[Array, "*points 3"]
 ) -> tuple[Float[Array, "*points 2"], Float[Array, "*points"]]:
-    """Pixels `(column, row)` of points of the world, and their depths along the optical axis, metres.
+    """Project points of the world to pixels `(column, row)` and depths along the optical axis, metres.
 
-    Where a depth is not above zero the point is behind the camera and its pixel means nothing.
+    Where a depth is not above zero the point is behind the camera, and its pixel has no meaning.
     """
     there = points @ camera.rotation.T + camera.translation
     depth = there[..., 2]
@@ -73,21 +73,22 @@ def project(
 def unproject(
     camera: Camera, pixels: Float[Array, "*points 2"], depth: Float[Array, "*points"]
 ) -> Float[Array, "*points 3"]:
-    """The points of the world, metres, at pixels and depths: `project` backwards."""
+    """Compute the points of the world, metres, from pixels and depths: the inverse of `project`."""
     across = (pixels - camera.principal_point) / camera.focal * depth[..., None]
     there = jnp.concatenate([across, depth[..., None]], -1)
     return (there - camera.translation) @ camera.rotation
 
 
 def in_picture(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array, "*points"]:
-    """Which points lie in front of the camera and within its picture, hidden by something or not."""
+    """Test which points lie in front of the camera and within its image, occluded or not."""
     pixels, depth = project(camera, points)
     size = jnp.array([camera.width, camera.height])
     return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
 
 
 def check_picture(width: int, height: int, where: str = "") -> None:
-    """Check the size of pictures. Raises `InputError`, which begins with `where`, for too few pixels or too many."""
+    """Check the size of images. Raises `InputError`, which begins with `where`, for too few pixels or too
+    many."""
     what = f"{where}: pictures" if where else "Pictures"
     if min(width, height) < LEAST_PIXELS:
         raise InputError(
@@ -101,13 +102,13 @@ def check_picture(width: int, height: int, where: str = "") -> None:
 
 @checked
 def look_at(eye, target, width: int, height: int, field_of_view: float | int) -> Camera:
-    """A camera at `eye (3,)` that looks at `target (3,)`, metres, upright where y is up.
+    """Create a camera at `eye (3,)` that looks at `target (3,)`, metres, upright where y is up.
 
-    `field_of_view` is the angle across the picture, degrees; pixels are square and the optical axis
-    meets the picture's middle.
+    `field_of_view` is the horizontal angle of view, degrees. Pixels are square, and the principal point is
+    the centre of the image.
 
-    **Raises:** `InputError` for pictures of fewer than 8 pixels a side, an angle outside of 1 to 170
-    degrees, and a target that is not apart from the eye.
+    **Raises:** `InputError` for images of fewer than 8 pixels a side, an angle outside of 1 to 170 degrees,
+    and a target that coincides with the eye.
     """
     check_picture(width, height)
     if not 1 <= field_of_view <= 170:
@@ -119,7 +120,7 @@ def look_at(eye, target, width: int, height: int, field_of_view: float | int) ->
             f"A camera at {_told(eye)} cannot look at {_told(target)}; place it apart from what it looks at."
         )
     forward = (target - eye) / apart
-    # one that looks straight up or down has its right along x
+    # a camera that looks straight up or down has its x axis along the x axis of the world
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0, 0])
     rotation = np.stack([right, np.cross(forward, right), forward])
@@ -138,15 +139,14 @@ def ring_of_cameras(
     resolution: tuple[int, int] = (320, 240),
     field_of_view: float | int = 60.0,
 ) -> list[Camera]:
-    """Cameras on an arc around the vertical through `target`, all of which look at it.
+    """Create cameras on an arc around the vertical through `target`, all looking at it.
 
-    **Arguments:** `arc` in degrees, with its middle towards +z: less than 360 has a camera at each end,
-    and a whole ring begins at +z and goes on towards +x; `distance` from the vertical and `height` above
-    y = 0, metres; `target (3,)`; `resolution`, width and height in pixels; `field_of_view` across the
-    picture, degrees.
+    **Arguments:** `arc` in degrees, with its middle towards +z: less than 360 has a camera at each end, and
+    a whole ring begins at +z and goes on towards +x; `distance` from the vertical and `height` above y = 0,
+    metres; `target (3,)`; `resolution`, width and height in pixels; `field_of_view`, horizontal, degrees.
 
-    **Raises:** `InputError` for no cameras or too many, an arc that is not above 0 and at most 360, a distance that
-    is not above 0, a height that is not finite, and what `look_at` refuses.
+    **Raises:** `InputError` for no cameras or too many, an arc that is not above 0 and at most 360, a
+    distance that is not above 0, a height that is not finite, and the errors of `look_at`.
     """
     if not 1 <= count <= MOST_CAMERAS:
         raise InputError(f"{count} views were asked for; give from 1 to {MOST_CAMERAS}.")
@@ -173,10 +173,10 @@ def ring_of_cameras(
 
 
 def check_sees(cameras: Sequence[Camera], points: Float[np.ndarray, "N 3"], where: str) -> None:
-    """That each camera has some of the points in its picture; `where` names cameras in messages.
+    """Check that each camera has some of the points in its image; `where` names the cameras in messages.
 
-    **Raises:** `InputError` that says of the first camera without any, by its number, whether it looks
-    away or past them.
+    **Raises:** `InputError` for the first camera without any, by its number, with the reason: it looks away
+    from them or past them.
     """
     for number, camera in enumerate(cameras):
         if bool(in_picture(camera, jnp.asarray(points)).any()):

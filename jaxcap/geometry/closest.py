@@ -1,4 +1,4 @@
-"""The nearest point of a surface of triangles, exactly. Plain NumPy in float64."""
+"""Exact nearest points on a triangle mesh. Plain NumPy in float64."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-#: triangles of a size that are tried at first
+#: number of triangles of a size that are tested first
 FIRST = 8
 
 
@@ -14,9 +14,9 @@ class OnSurface(NamedTuple):
     """Points on triangles: `sum_k shares_k vertices[faces[triangles, k]]`."""
 
     triangles: Int[np.ndarray, "N"]
-    #: barycentric coordinates, at least zero, one in sum
+    #: barycentric coordinates, at least zero, with sum one
     shares: Float[np.ndarray, "N 3"]
-    #: from the points that were asked for, in their unit; infinite where nothing is within reach
+    #: distances to the query points, in their unit; infinite where nothing is within reach
     distances: Float[np.ndarray, "N"]
 
 
@@ -26,17 +26,17 @@ def nearest_on_surface(
     faces: Int[np.ndarray, "F 3"],
     reach: float = np.inf,
 ) -> OnSurface:
-    """Where a surface is nearest to each point: exact, whatever the triangles' sizes and shapes.
+    """Find the nearest point of a surface to each point, exactly, for any sizes and shapes of triangles.
 
-    Triangles are sorted by size, since a triangle whose middle is farther than the best distance and
-    its own radius together cannot be nearer: among triangles of one size few are left to try. Beyond
-    `reach` nothing is looked for: the distance is infinite there and the place that of no meaning.
+    A triangle cannot be nearer if the distance to its centre exceeds the best distance plus its own radius.
+    Triangles are grouped by size, so that few of each group remain to be tested. Beyond `reach` nothing is
+    searched: the distance is infinite there, and triangle and coordinates have no meaning.
     """
     points, faces = np.asarray(points, float), np.asarray(faces)
     corners = np.asarray(vertices, float)[faces]
     middles = 0.5 * (corners.min(1) + corners.max(1))
     radii = np.sqrt(np.sum((corners - middles[:, None]) ** 2, 2).max(1))
-    # sizes that differ by less than a factor of two go together; points have the least
+    # one group for each factor of two in size; degenerate triangles are in the smallest
     sizes = np.floor(np.log2(np.maximum(radii, 1e-6 * radii.max(initial=0.0) + 1e-300))).astype(int)
     best = _nearest_corners(points, vertices, faces, reach)
     for size in np.unique(sizes):
@@ -48,16 +48,17 @@ def nearest_on_surface(
 def closest_shares(
     triangles: Float[np.ndarray, "N 3 3"], points: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N"]]:
-    """The point of each triangle nearest to a point, as barycentric coordinates, and its squared distance.
+    """Compute the nearest point of each triangle to a point, as barycentric coordinates, and its squared
+    distance.
 
-    It lies on one of the three sides, or where the point falls on the plane. Triangles without an area have
-    their sides alone.
+    It lies on one of the three sides, or at the projection of the point onto the plane. Degenerate
+    triangles have only their sides.
     """
     a, b, c = (np.ascontiguousarray(triangles[:, k].T) for k in range(3))
     p = np.ascontiguousarray(points.T)
     shares, squared = np.zeros((3, len(points))), np.full(len(points), np.inf)
     ab, ac, ap = b - a, c - a, p - a
-    # on the plane
+    # the interior
     bb, bc, cc, pb, pc = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac), _dot(ap, ab), _dot(ap, ac)
     area = bb * cc - bc * bc
     safe = np.where(area > 0, area, 1.0)
@@ -67,7 +68,7 @@ def closest_shares(
     apart = ap - second * ab - third * ac
     squared = np.where(inside, _dot(apart, apart), np.inf)
     shares = np.where(inside, np.stack([first, second, third]), 0.0)
-    # on the sides
+    # the sides
     for start, end, side, length, along in (
         (0, 1, ab, bb, pb),
         (0, 2, ac, cc, pc),
@@ -91,35 +92,38 @@ def _dot(a: Float[np.ndarray, "3 N"], b: Float[np.ndarray, "3 N"]) -> Float[np.n
 
 
 def _nearest_corners(points, vertices, faces, reach: float) -> OnSurface:
-    """The nearest corner of all triangles; the first triangle of each corner stands for it."""
+    """Find the nearest corner of all triangles; the first triangle of each corner represents it."""
     used, first = np.unique(faces, return_index=True)
     distances, nearest = KDTree(np.asarray(vertices, float)[used]).query(points, workers=-1)
     triangles, corner = np.divmod(first[nearest], 3)
-    # what lies beyond reach is as good as at its end
+    # distances beyond reach are clamped to it
     return OnSurface(triangles, np.eye(3)[corner], np.minimum(distances, np.nextafter(reach, np.inf)))
 
 
 def _improve(best: OnSurface, points, corners, alike, middles, radii) -> None:
-    """Put what is nearer on triangles of about one size into `best`, nearest middles first; the number
-    tried doubles for the points that a farther one could still be nearer to."""
+    """Update `best` in place with nearer points on triangles of similar size, in order of distance to their
+    centres.
+
+    The number of tested triangles doubles for points that a farther one could still be nearer to.
+    """
     tree, largest = KDTree(middles), radii.max()
     left, tried = np.arange(len(points)), np.zeros(len(points))
     count = min(FIRST, len(alike))
     while left.size:
-        # from the nearest on each time: middles as near as each other change ranks from query to query
+        # always from the first neighbour: ranks of equidistant centres change between queries
         apart, near = tree.query(
             points[left],
             list(range(1, count + 1)),  # pyright: ignore[reportArgumentType]
             distance_upper_bound=np.nextafter(np.max(best.distances[left]) + largest, np.inf),
             workers=-1,
         )
-        # where there is none the distance is infinite, and the number one too many
+        # a missing neighbour has an infinite distance and an index out of range
         near = np.minimum(near, len(alike) - 1)
         reach = best.distances[left, None] + radii[near]
         row, column = np.nonzero((apart < reach) & (apart >= tried[left, None]))
         which, triangle = left[row], alike[near[row, column]]
         shares, squared = closest_shares(corners[triangle], points[which])
-        # the nearest of each point's triangles is the last one written
+        # the last triangle written for each point is its nearest
         order = np.flatnonzero(np.sqrt(squared) < best.distances[which])
         order = order[np.argsort(-squared[order], kind="stable")]
         best.triangles[which[order]] = triangle[order]

@@ -1,12 +1,11 @@
 """Rigid motions as unit dual quaternions, `[real wxyz, dual wxyz]`.
 
-A dual quaternion `q0 + e qe` with `e^2 = 0` turns by `q0` and then shifts by `t`, with
-`qe = (0, t) q0 / 2` (Adaptation, appendix A.1; Kavan, Collins, Zara and O'Sullivan 2008).
-`d` and `-d` are the same motion. Every function works on one `(8,)` or on any stack
-`(..., 8)` of them.
+A dual quaternion `q0 + e qe` with `e^2 = 0` rotates by `q0` and then translates by `t`, with
+`qe = (0, t) q0 / 2` (Adaptation, appendix A.1; Kavan, Collins, Zara and O'Sullivan 2008). `d` and `-d` are
+the same motion. Every function works on one `(8,)` or on any stack `(..., 8)` of them.
 
-What is blended is left unnormalised: `apply` and `to_rigid` divide by the squared length of
-the real part, so that no square root stands in the way of a derivative.
+Blends stay unnormalised: `apply` and `to_rigid` divide by the squared length of the real part, so that
+derivatives need no square root.
 """
 
 from functools import partial
@@ -21,32 +20,34 @@ DualQuaternion = Float[Array, "*shape 8"]
 
 
 def identity(dtype=None) -> Float[Array, "8"]:
-    """The motion that moves nothing."""
+    """Return the identity motion."""
     return jnp.zeros(8, dtype).at[0].set(1.0)
 
 
 @partial(jax.jit, inline=True)
 def from_rigid(q: rotation.Quaternion, t: rotation.Vector) -> DualQuaternion:
-    """The motion `x -> R x + t`, metres, of a unit quaternion and a shift."""
+    """Convert a unit quaternion and a translation, metres, to the motion `x -> R x + t`."""
     return jnp.concatenate([q, rotation.multiply(_imaginary(t) / 2.0, q)], -1)
 
 
 @partial(jax.jit, inline=True)
 def about_centre(q: rotation.Quaternion, centre: rotation.Vector) -> DualQuaternion:
-    """The turn by the unit quaternion `q` about `centre`, metres."""
+    """Create the rotation by the unit quaternion `q` about `centre`, metres."""
     return from_rigid(q, centre - rotation.rotate(q, centre))
 
 
 @partial(jax.jit, inline=True)
 def from_twist(twist: Float[Array, "*shape 6"]) -> DualQuaternion:
-    """The rate at rest of a motion along the field `x -> a x x + b`, with `twist = (a, b)`: a motion
-    `d` that is carried along has the rate `from_twist(twist) d`."""
+    """Compute the rate at the identity of a motion along the field `x -> a x x + b`, with `twist = (a, b)`.
+
+    A motion `d` transported by the field has the rate `from_twist(twist) d`.
+    """
     return jnp.concatenate([_imaginary(twist[..., :3]), _imaginary(twist[..., 3:])], -1) / 2.0
 
 
 @partial(jax.jit, inline=True)
 def multiply(a: DualQuaternion, b: DualQuaternion) -> DualQuaternion:
-    """The motion `b` followed by `a` (eq. A.2 with quaternions for numbers)."""
+    """Compose motions: `b` followed by `a` (eq. A.2 with quaternions for numbers)."""
     real = rotation.multiply(a[..., :4], b[..., :4])
     dual = rotation.multiply(a[..., :4], b[..., 4:]) + rotation.multiply(a[..., 4:], b[..., :4])
     return jnp.concatenate([real, dual], -1)
@@ -54,7 +55,7 @@ def multiply(a: DualQuaternion, b: DualQuaternion) -> DualQuaternion:
 
 @partial(jax.jit, inline=True)
 def conjugate(d: DualQuaternion) -> DualQuaternion:
-    """The inverse motion of a unit dual quaternion."""
+    """Invert the motion of a unit dual quaternion."""
     return jnp.concatenate([rotation.conjugate(d[..., :4]), rotation.conjugate(d[..., 4:])], -1)
 
 
@@ -63,8 +64,8 @@ def apply(d: DualQuaternion, x: rotation.Vector) -> rotation.Vector:
     """Move the point `x` by the motion that `d` is a multiple of, `d` of unit length or not.
 
     With `d = (a0, v0) + e (ae, ve)` and `n = |(a0, v0)|^2`, this is
-    `x + 2 (v0 x (v0 x x + a0 x) + a0 ve - ae v0 + v0 x ve) / n` (Kavan 2008, algorithm 1).
-    A part of `qe` along `q0`, which a blend has, does not show in it.
+    `x + 2 (v0 x (v0 x x + a0 x) + a0 ve - ae v0 + v0 x ve) / n` (Kavan 2008, algorithm 1). A component of
+    `qe` along `q0`, as in a blend, has no effect.
     """
     return x + 2.0 * _displacement(d, x) / _squared(d)
 
@@ -73,10 +74,10 @@ def apply(d: DualQuaternion, x: rotation.Vector) -> rotation.Vector:
 def pull_back(
     d: Float[Array, "V 8"], x: Float[Array, "V 3"], directions: Float[Array, "V R 3"]
 ) -> Float[Array, "V R 8"]:
-    """How `apply(d, x)` moves along directions `m (V, R, 3)` with the eight numbers of `d`, unit or
-    not: the derivative of `m . apply(d, x)`, in closed form."""
+    """Differentiate `m . apply(d, x)` along directions `m (V, R, 3)` by the eight components of `d`, unit
+    or not, in closed form."""
 
-    # component by component, which a CPU does several times faster than by short vectors
+    # component by component, which is several times faster on a CPU than short vectors
     def dot(a, b):
         return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -99,7 +100,7 @@ def pull_back(
 
 @partial(jax.jit, inline=True)
 def to_rigid(d: DualQuaternion) -> tuple[rotation.Quaternion, rotation.Vector]:
-    """Unit quaternion and shift of the motion that `d` is a multiple of."""
+    """Convert to the unit quaternion and translation of the motion that `d` is a multiple of."""
     a0, v0, ae, ve = d[..., :1], d[..., 1:4], d[..., 4:5], d[..., 5:]
     squared = _squared(d)
     return d[..., :4] / jnp.sqrt(squared), 2.0 * (a0 * ve - ae * v0 + jnp.cross(v0, ve)) / squared
@@ -107,8 +108,7 @@ def to_rigid(d: DualQuaternion) -> tuple[rotation.Quaternion, rotation.Vector]:
 
 @partial(jax.jit, inline=True)
 def normalise(d: DualQuaternion) -> DualQuaternion:
-    """`d` divided by its dual norm (eq. 3.17): real part of unit length, dual part
-    perpendicular to it."""
+    """Divide `d` by its dual norm (eq. 3.17): real part of unit length, dual part perpendicular to it."""
     real, dual = d[..., :4], d[..., 4:]
     squared = _squared(d)
     along = jnp.sum(real * dual, -1, keepdims=True) / squared
@@ -117,11 +117,11 @@ def normalise(d: DualQuaternion) -> DualQuaternion:
 
 @partial(jax.jit, inline=True)
 def align(weights: Float[Array, "V N"], motions: Float[Array, "N 8"]) -> Float[Array, "V N"]:
-    """Weights with the sign that brings each motion to the hemisphere of the one with the row's
-    largest weight, so that blends go the shorter way (Adaptation, "Note on Anti-Podality").
+    """Negate weights of motions in the opposite hemisphere to the motion with the row's largest weight.
 
-    The blend `align(weights, motions) @ motions` is nowhere near zero then: its real part
-    along that motion is at least the largest weight.
+    Blends then take the shorter path (Adaptation, "Note on Anti-Podality"). The blend
+    `align(weights, motions) @ motions` is bounded away from zero: its real part along that motion is at
+    least the largest weight.
     """
     real = motions[:, :4]
     opposite = real @ real.T < 0
@@ -133,12 +133,12 @@ def _imaginary(v: rotation.Vector) -> rotation.Quaternion:
 
 
 def _displacement(d: DualQuaternion, x: rotation.Vector) -> rotation.Vector:
-    """How far `apply` moves `x`, times half the squared length of the real part."""
+    """Compute the displacement of `x` by `apply`, times half the squared length of the real part."""
     a0, v0, ae, ve = d[..., :1], d[..., 1:4], d[..., 4:5], d[..., 5:]
     return jnp.cross(v0, jnp.cross(v0, x) + a0 * x + ve) + a0 * ve - ae * v0
 
 
 def _squared(d: DualQuaternion) -> Float[Array, "*shape 1"]:
-    """Squared length of the real part; one where it has none, as in a row without weights."""
+    """Compute the squared length of the real part; one where it is zero, as in a row without weights."""
     squared = jnp.sum(d[..., :4] ** 2, -1, keepdims=True)
     return jnp.where(squared < jnp.finfo(d.dtype).tiny, 1.0, squared)

@@ -1,11 +1,11 @@
-"""The uniform Laplacian of a mesh, and the metric in which learned surfaces conform.
+"""The uniform Laplacian of a mesh, and the conformance metric of learned surfaces.
 
 A field of errors `e (V, 3)` over a mesh is measured by
 
     |e|^2 + alpha |L e|^2 = sum e . A e,    A = I + alpha L^T L
 
-with `L` the uniform Laplacian (Adaptation, eqs. 3.19 and 3.20): errors that neighbours share
-cost little, cracks between neighbours cost much.
+with `L` the uniform Laplacian (Adaptation, eqs. 3.19 and 3.20). Errors that neighbours share have a low
+cost, differences between neighbours a high cost.
 """
 
 import equinox as eqx
@@ -30,7 +30,7 @@ class Conformance(eqx.Module):
 
 
 def make_conformance(faces: Int[np.ndarray, "F 3"], num_vertices: int, alpha: float) -> Conformance:
-    """The metric of a triangle mesh; `alpha >= 0` weighs shape against distance.
+    """Create the metric of a triangle mesh; `alpha >= 0` weighs shape against distance.
 
     **Raises:** `ValueError` for a negative or infinite `alpha`.
     """
@@ -54,35 +54,35 @@ def make_conformance(faces: Int[np.ndarray, "F 3"], num_vertices: int, alpha: fl
 
 
 def laplacian(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
-    """`L e`: how far each vertex's value is from the mean of its neighbours' (eq. 3.20)."""
+    """Compute `L e`: the difference of each vertex's value from the mean of its neighbours (eq. 3.20)."""
     width = metric.neighbours.shape[1]
-    # a padded slot holds the vertex itself, and adds nothing to the sum of differences
+    # a padded slot has the vertex itself, and adds nothing to the sum of differences
     total = sum(field[metric.neighbours[:, i]] for i in range(width))
     return metric.shares[:, None] * (width * field - total)
 
 
 def adjoint(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
-    """`L^T e`. Each vertex gathers, as the neighbours of a mesh are so on both sides."""
+    """Compute `L^T e` by gathering, as the adjacency is symmetric."""
     width = metric.neighbours.shape[1]
     weighted = metric.shares[:, None] * field
     total = sum(weighted[metric.neighbours[:, i]] for i in range(width))
-    # sum over real neighbours of (own share of the vertex - the neighbour's share), the padding cancels
+    # sum over real neighbours of (own weighted value - the neighbour's); the padding cancels
     real = jnp.sum(metric.neighbours != jnp.arange(len(metric.neighbours))[:, None], 1)[:, None]
     return real * weighted - (total - (width - real) * weighted)
 
 
 def apply(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
-    """`A e`, which is half the gradient of `energy`."""
+    """Compute `A e`, half the gradient of `energy`."""
     return field + metric.alpha * adjoint(metric, laplacian(metric, field))
 
 
 def energy(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, ""]:
-    """`e . A e` (Adaptation, eq. 3.19), in squared metres."""
+    """Compute `e . A e` (Adaptation, eq. 3.19), in squared metres."""
     return jnp.sum(field**2) + metric.alpha * jnp.sum(laplacian(metric, field) ** 2)
 
 
 def matrix(metric: Conformance) -> scipy.sparse.csr_array:
-    """`A (V, V)` as a sparse matrix."""
+    """Assemble `A (V, V)` as a sparse matrix."""
     count = len(metric.neighbours)
     operator = laplacian_matrix(_adjacency(neighbour_pairs(metric), count))
     identity = scipy.sparse.eye_array(count, format="csr")
@@ -90,20 +90,20 @@ def matrix(metric: Conformance) -> scipy.sparse.csr_array:
 
 
 def neighbour_pairs(metric: Conformance) -> Int[np.ndarray, "E 2"]:
-    """Every vertex with each of its neighbours, so that an edge is there in both directions."""
+    """List every vertex with each of its neighbours, so that each edge appears in both directions."""
     neighbours = np.asarray(metric.neighbours)
     pairs = np.stack([np.repeat(np.arange(len(neighbours)), neighbours.shape[1]), neighbours.ravel()], 1)
     return pairs[pairs[:, 0] != pairs[:, 1]]
 
 
 def vertex_adjacency(faces: Int[np.ndarray, "F 3"], num_vertices: int) -> scipy.sparse.csr_array:
-    """`(V, V)`, one where two vertices share an edge."""
+    """Assemble the `(V, V)` adjacency matrix: one where two vertices share an edge."""
     edges = mesh_edges(faces)
     return _adjacency(np.concatenate([edges, edges[:, ::-1]]), num_vertices)
 
 
 def _adjacency(edges: Int[np.ndarray, "E 2"], num_vertices: int) -> scipy.sparse.csr_array:
-    """Ones at the given pairs, each of which is there in both directions."""
+    """Assemble a matrix of ones at the given pairs, each of which is given in both directions."""
     shape = (num_vertices, num_vertices)
     adjacency = scipy.sparse.csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=shape)
     adjacency.sort_indices()
@@ -111,7 +111,8 @@ def _adjacency(edges: Int[np.ndarray, "E 2"], num_vertices: int) -> scipy.sparse
 
 
 def laplacian_matrix(adjacency: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
-    """`(V, V)` the uniform Laplacian `L` (eq. 3.20) of a `vertex_adjacency`; zero for a vertex without neighbours."""
+    """Assemble the uniform Laplacian `L` (eq. 3.20), `(V, V)`, from a `vertex_adjacency`; zero for a vertex
+    without neighbours."""
     counts = np.asarray(adjacency.sum(1)).ravel()
     inverse = np.where(counts > 0, 1.0 / np.maximum(counts, 1), 0.0)
     inside = scipy.sparse.diags_array((counts > 0).astype(float))

@@ -1,9 +1,9 @@
-"""Closed-form solutions of small and of sparse linear equations, in NumPy: one place for what is no iteration.
+"""Closed-form solutions of small dense and of sparse linear equations, in NumPy.
 
-What is minimised in steps goes to the solvers of `fit/solvers`, whose factors live in JAX. Here are equations that are
-solved once: stacks of small systems, the covariance of an information matrix, and a sparse factor for many right-hand
-sides. Symmetric matrices are first brought to a unit diagonal, so that metres, radians and what is hardly known stand
-beside each other without loss.
+Iterative minimisation belongs to the solvers of `fit/solvers`, whose factors are JAX arrays. This module
+solves equations once: stacks of small systems, the covariance of an information matrix, and a sparse factor
+for many right-hand sides. Symmetric matrices are first scaled to a unit diagonal, so that metres, radians
+and weakly observed parameters mix without loss of precision.
 """
 
 import numpy as np
@@ -15,8 +15,8 @@ from jaxtyping import Float
 def solve(matrix: Float[np.ndarray, "*B N N"], side: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
     """Compute `x` with `A x = b` for every square `A` of a stack.
 
-    **Raises:** `numpy.linalg.LinAlgError` where a matrix is singular to the last bit; one that is nearly so has an
-    answer of rounding.
+    **Raises:** `numpy.linalg.LinAlgError` where a matrix is exactly singular; the solution of a nearly
+    singular one is dominated by rounding.
     """
     return np.linalg.solve(matrix, side[..., None])[..., 0]
 
@@ -24,7 +24,7 @@ def solve(matrix: Float[np.ndarray, "*B N N"], side: Float[np.ndarray, "*B N"]) 
 def inverse(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N N"]:
     """Compute the inverse of every square matrix of a stack.
 
-    **Raises:** `numpy.linalg.LinAlgError` where a matrix is singular to the last bit.
+    **Raises:** `numpy.linalg.LinAlgError` where a matrix is exactly singular.
     """
     return np.linalg.inv(matrix)
 
@@ -32,19 +32,24 @@ def inverse(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N N"]:
 def solve_symmetric(
     matrix: Float[np.ndarray, "*B N N"], side: Float[np.ndarray, "*B N"]
 ) -> Float[np.ndarray, "*B N"]:
-    """Compute `x` with `A x = b` for every symmetric `A` of a stack, brought to a unit diagonal. `A` may be indefinite.
+    """Compute `x` with `A x = b` for every symmetric `A` of a stack, scaled to a unit diagonal. `A` may be
+    indefinite.
 
-    **Raises:** `numpy.linalg.LinAlgError` where a matrix is singular to the last bit, as one with a row of zeros is.
+    **Raises:** `numpy.linalg.LinAlgError` where a matrix is exactly singular, such as one with a row of
+    zeros.
     """
     scale = _scale(matrix)
     return scale * solve(_even(matrix, scale), scale * side)
 
 
 def inverse_symmetric(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N N"]:
-    """Compute the inverse of every symmetric matrix of a stack, symmetric itself: the covariance of an information
-    matrix, and the other way round. It may be indefinite.
+    """Compute the symmetric inverse of every symmetric matrix of a stack: covariance from information and
+    the reverse.
 
-    **Raises:** `numpy.linalg.LinAlgError` where a matrix is singular to the last bit, as one with a row of zeros is.
+    The matrix may be indefinite.
+
+    **Raises:** `numpy.linalg.LinAlgError` where a matrix is exactly singular, such as one with a row of
+    zeros.
     """
     scale = _scale(matrix)
     found = _even(inverse(_even(matrix, scale)), scale)
@@ -52,8 +57,8 @@ def inverse_symmetric(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, 
 
 
 def factor_symmetric(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N N"]:
-    """Compute the lower triangular `L` with `L L^T = A` and a positive diagonal, for every symmetric `A` of a stack. It
-    reads the lower triangle only.
+    """Compute the Cholesky factor: lower triangular `L` with `L L^T = A` and a positive diagonal, for every
+    symmetric `A` of a stack. Only the lower triangle of `A` is read.
 
     **Raises:** `numpy.linalg.LinAlgError` where a matrix is not positive definite.
     """
@@ -61,23 +66,26 @@ def factor_symmetric(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "
 
 
 def least_squares(rows: Float[np.ndarray, "R N"], side: Float[np.ndarray, "R"]) -> Float[np.ndarray, "N"]:
-    """Compute the `x` with the least `|A x - b|`, and of several that with the least `|x|`: rows may be fewer than
-    unknowns, or tell some of these nothing."""
+    """Compute the minimum-norm `x` with the least `|A x - b|`.
+
+    There may be fewer rows than unknowns, and rows may leave some unknowns undetermined.
+    """
     return np.linalg.lstsq(rows, side, rcond=None)[0]
 
 
 def factor_sparse(matrix: scipy.sparse.sparray | scipy.sparse.spmatrix) -> scipy.sparse.linalg.SuperLU:
-    """Factor a sparse symmetric positive definite matrix, its unknowns in an order that keeps the factor sparse. Its
-    `solve` takes right-hand sides `(N,)` or `(N, K)`.
+    """Factor a sparse symmetric positive definite matrix with a fill-reducing ordering.
 
-    **Raises:** `RuntimeError` where the matrix is singular to the last bit.
+    The `solve` of the result takes right-hand sides `(N,)` or `(N, K)`.
+
+    **Raises:** `RuntimeError` where the matrix is exactly singular.
     """
     columns = scipy.sparse.csc_array(matrix)
     return scipy.sparse.linalg.splu(columns, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
 def _scale(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N"]:
-    """What brings a diagonal to one, or minus one; one where it is zero."""
+    """Compute the scale that makes the diagonal one or minus one; one where the diagonal is zero."""
     size = np.abs(np.diagonal(matrix, axis1=-2, axis2=-1))
     return 1.0 / np.sqrt(np.where(size > 0, size, 1.0))
 

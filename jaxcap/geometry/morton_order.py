@@ -1,11 +1,12 @@
-"""Orders of points that keep neighbours together."""
+"""Spatial sorting of points."""
 
 import numpy as np
 from jaxtyping import Array, Float
 
 
 def spatial_order(points: Float[Array | np.ndarray, "N 3"], weights=None) -> np.ndarray:
-    """An order `(N,)` of points in which neighbours are near in space (Morton's curve).
+    """Compute an order `(N,)` of points along a Morton curve, so that neighbours in space are near in
+    memory.
 
     Points whose `weights (N,)` are zero come last. In NumPy, once for each cloud.
     """

@@ -1,4 +1,4 @@
-"""Normals of clouds that come without."""
+"""Normal estimation for point clouds."""
 
 import numpy as np
 from jaxtyping import Float
@@ -8,13 +8,12 @@ from scipy.spatial import KDTree
 
 
 def estimate_normals(points: Float[np.ndarray, "N 3"], neighbours: int = 12) -> Float[np.ndarray, "N 3"]:
-    """Unit normals by local planes, oriented outwards.
+    """Estimate unit normals from local planes, oriented outwards.
 
-    A normal is the direction of least spread of a point's neighbours (PCA). Signs are
-    carried along a minimum spanning tree of the neighbourhood graph, from plane to most
-    parallel plane (Hoppe et al. 1992), and each connected piece is turned so that its normals
-    look away from its middle on the whole. Where fewer than three points lie together the
-    normal is zero, which is "not known".
+    A normal is the direction of least variance of a point's neighbours (PCA). Signs are propagated along a
+    minimum spanning tree of the neighbourhood graph, between the most parallel planes (Hoppe et al. 1992).
+    Each connected component is flipped so that its normals point away from its mean on average. A normal is
+    zero, which means unknown, in clouds of fewer than four points and where neighbours have no plane.
     """
     points = np.asarray(points, float)
     count = min(neighbours + 1, len(points))
@@ -24,7 +23,7 @@ def estimate_normals(points: Float[np.ndarray, "N 3"], neighbours: int = 12) -> 
     patches = points[near] - points[near].mean(1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nka,nkb->nab", patches, patches))
     normals = vectors[:, :, 0]
-    # a line of points, or a heap of equal ones, has no plane
+    # collinear or coincident points have no plane
     flat = values[:, 1] > 1e-9 * np.maximum(values[:, 2], 1e-30)
     rows = np.repeat(np.arange(len(points)), count - 1)
     columns = near[:, 1:].reshape(-1)

@@ -1,4 +1,4 @@
-"""The Laplacian of fields with many columns, patch by patch of the mesh."""
+"""The Laplacian of fields with many columns, by patches of the mesh."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,23 +11,23 @@ from .laplacian import Conformance
 class Blocks(eqx.Module):
     """The Laplacian of some vertices as small dense matrices, one for each patch of the mesh.
 
-    For fields of many columns: a product of patches reads every row little more than once, where a
-    sum over neighbours reads it as often as it has neighbours.
+    It is efficient for fields of many columns. A product with patches reads every row little more than
+    once, a sum over neighbours once for each neighbour.
     """
 
-    #: the vertices that each patch reads, padded with any
+    #: the vertices that each patch reads, padded with arbitrary ones
     columns: Int[Array, "B H"]
     #: `L` from these to the patch's own rows; rows beyond the patch are zero
     matrices: Float[Array, "B R H"]
 
 
 def make_blocks(metric: Conformance, vertices: Int[np.ndarray, "S"], size: int = 32) -> Blocks:
-    """Patches of about `size` of the given vertices, grown from neighbour to neighbour."""
+    """Partition the given vertices into patches of about `size`, grown over neighbours."""
     neighbours, shares = np.asarray(metric.neighbours), np.asarray(metric.shares)
     patches = _grow_patches(neighbours, np.asarray(vertices), size)
     reads = [np.unique(neighbours[patch]) for patch in patches]
     reads = [np.union1d(read, patch) for read, patch in zip(reads, patches, strict=True)]
-    # few different widths, so that meshes of about the same size compile once
+    # widths in multiples of 16, so that meshes of similar size compile once
     width = -16 * (-max(len(read) for read in reads) // 16)
     columns = np.zeros((len(patches), width), int)
     matrices = np.zeros((len(patches), size, width))
@@ -36,14 +36,14 @@ def make_blocks(metric: Conformance, vertices: Int[np.ndarray, "S"], size: int =
         own = np.searchsorted(read, patch)
         around = np.searchsorted(read, neighbours[patch])
         rows = np.arange(len(patch))
-        # a padded slot holds the vertex itself, and cancels
+        # a padded slot has the vertex itself, and cancels
         np.add.at(matrices[number], (rows[:, None], around), -shares[patch, None])
         matrices[number, rows, own] += shares[patch] * neighbours.shape[1]
     return Blocks(jnp.asarray(columns), jnp.asarray(matrices, metric.diagonal.dtype))
 
 
 def laplacian_rows(blocks: Blocks, field: Float[Array, "V C"]) -> Float[Array, "R C"]:
-    """`L e` at the vertices of the blocks, patch by patch, among rows of zeros."""
+    """Compute `L e` at the vertices of the blocks, patch by patch, with rows of zeros as padding."""
     rows = jnp.einsum("brh,bhc->brc", blocks.matrices, field[blocks.columns])
     return rows.reshape(-1, field.shape[1])
 
@@ -51,7 +51,7 @@ def laplacian_rows(blocks: Blocks, field: Float[Array, "V C"]) -> Float[Array, "
 def _grow_patches(
     neighbours: Int[np.ndarray, "V N"], vertices: Int[np.ndarray, "S"], size: int
 ) -> list[Int[np.ndarray, "R"]]:
-    """Every vertex in one patch of at most `size`, each grown breadth first."""
+    """Partition vertices into patches of at most `size`, each grown breadth first."""
     wanted = np.zeros(len(neighbours), bool)
     wanted[vertices] = True
     met = np.zeros(len(neighbours), int)

@@ -1,10 +1,10 @@
-"""Orthogonal Procrustes: the rigid motion that best carries one set of points onto another.
+"""Orthogonal Procrustes: the rigid motion that best aligns one set of points with another.
 
-A set of points in F frames enters the best rigid motions, and the error that they leave, by its
-sums of first and second order only (Schönemann 1966; Kabsch 1976). Sums add up: those of a union
-are the sum of those of its parts, so that a union's error costs as much as a point's.
+The best rigid motions of a set of points in F frames, and their error, depend only on its sums of first and
+second order (Schönemann 1966; Kabsch 1976). The sums of a union are the sums of those of its parts, so the
+error of a union costs no more than that of a point.
 
-Plain NumPy in the arrays' own precision; give float64 where errors are small against distances.
+Plain NumPy in the arrays' own precision; give float64 where errors are small compared with distances.
 """
 
 from typing import NamedTuple
@@ -16,7 +16,7 @@ Floats = np.ndarray
 
 
 class Moments(NamedTuple):
-    """Sums over sets of weighted points `p` and where they are, `x`, in every frame.
+    """Sums over sets of weighted source points `p` and their target positions `x`, in every frame.
 
     Any leading axes, here `S` sets; all moments add, field by field.
     """
@@ -35,11 +35,11 @@ class Moments(NamedTuple):
     cross: Float[Floats, "*S F 3 3"]
 
     def at(self, sets) -> "Moments":
-        """The moments of some of the sets."""
+        """Select the moments of some of the sets."""
         return Moments(*(field[sets] for field in self))
 
     def plus(self, other: "Moments") -> "Moments":
-        """The moments of unions."""
+        """Add moments field by field, for unions of sets."""
         return Moments(*(a + b for a, b in zip(self, other, strict=True)))
 
 
@@ -48,7 +48,7 @@ def group_moments(
     source: Float[Floats, "V 3"],
     target: Float[Floats, "V F 3"],
 ) -> Moments:
-    """Moments of sets of points; `groups (S, V)` is a dense or scipy.sparse matrix of weights."""
+    """Compute moments of sets of points; `groups (S, V)` is a dense or scipy.sparse matrix of weights."""
     count, frames = target.shape[:2]
     flat = target.reshape(count, 3 * frames)
     columns = [(groups @ (flat * source[:, b : b + 1])).reshape(-1, frames, 3) for b in range(3)]
@@ -63,7 +63,7 @@ def group_moments(
 
 
 def nearest_rotation(matrix: Float[Floats, "*N 3 3"]) -> Float[Floats, "*N 3 3"]:
-    """The rotation `R` with the greatest `tr(R^T M)`; proper also where M mirrors or is flat."""
+    """Find the rotation `R` with the greatest `tr(R^T M)`; proper also where M is a reflection or singular."""
     u, _, vt = np.linalg.svd(matrix)
     sign = np.where(np.linalg.det(u) * np.linalg.det(vt) < 0, -1.0, 1.0)
     u[..., :, 2] *= sign[..., None]
@@ -71,14 +71,14 @@ def nearest_rotation(matrix: Float[Floats, "*N 3 3"]) -> Float[Floats, "*N 3 3"]
 
 
 def rigid_motions(moments: Moments) -> tuple[Float[Floats, "*S F 3 3"], Float[Floats, "*S F 3"]]:
-    """The best rotations and translations, `x = R p + t`, of every set in every frame."""
+    """Compute the best rotations and translations, `x = R p + t`, of every set in every frame."""
     middle, places = _means(moments)
     rotations = nearest_rotation(_centred(moments))
     return rotations, places - np.einsum("...fab,...b->...fa", rotations, middle)
 
 
 def rigid_errors(moments: Moments) -> Float[Floats, "*S"]:
-    """What the best rigid motions leave, `sum of w |R p + t - x|^2` over points and frames."""
+    """Compute the residual of the best rigid motions, `sum of w |R p + t - x|^2` over points and frames."""
     frames = moments.target.shape[-2]
     middle, places = _means(moments)
     cross = _centred(moments)
@@ -94,9 +94,9 @@ def rigid_errors(moments: Moments) -> Float[Floats, "*S"]:
 def rigid_fit(
     source: Float[Floats, "V 3"], target: Float[Floats, "V 3"], weights: Float[Floats, "V"] | None = None
 ) -> tuple[Float[Floats, "3 3"], Float[Floats, "3"]]:
-    """The rotation and translation with the least `sum of w |R p + t - x|^2` (Kabsch 1976).
+    """Find the rotation and translation with the least `sum of w |R p + t - x|^2` (Kabsch 1976).
 
-    Points on a line, or a single one, leave a rotation open; one of the best is given.
+    Collinear points, or a single one, leave the rotation undetermined; one of the best is returned.
     """
     weights = np.ones(len(source)) if weights is None else weights
     rotations, translations = rigid_motions(group_moments(weights[None], source, target[:, None]))

@@ -1,11 +1,10 @@
 """Rotations as unit quaternions: Hamilton product, order `wxyz`, shortest arc.
 
-Every function works on one quaternion `(4,)` or on any stack of them `(..., 4)`.
-A small rotation is applied on the right, in the body frame: `R <- R exp([w]x)`
-(Kineben, section 3.2.2).
+Every function works on one quaternion `(4,)` or on any stack of them `(..., 4)`. A small rotation is
+applied on the right, in the body frame: `R <- R exp([w]x)` (Kineben, section 3.2.2).
 
-Around a removable singularity both branches of a `where` are kept finite ("double
-where"), so that values and derivatives of every order are finite there.
+At a removable singularity both branches of a `where` are kept finite ("double where"), so that values and
+derivatives of every order are finite there.
 """
 
 from functools import partial
@@ -20,13 +19,13 @@ Matrix = Float[Array, "*shape 3 3"]
 
 
 def identity(dtype=None) -> Float[Array, "4"]:
-    """The rotation by nothing, `(1, 0, 0, 0)`."""
+    """Return the identity rotation, `(1, 0, 0, 0)`."""
     return jnp.array([1.0, 0.0, 0.0, 0.0], dtype)
 
 
 @partial(jax.jit, inline=True)
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation `b` followed by `a` (Hamilton product `a b`)."""
+    """Compose rotations: `b` followed by `a` (Hamilton product `a b`)."""
     aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
     w = aw * bw - jnp.sum(av * bv, -1, keepdims=True)
     return jnp.concatenate([w, aw * bv + bw * av + jnp.cross(av, bv)], -1)
@@ -34,20 +33,20 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 @partial(jax.jit, inline=True)
 def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse rotation of a unit quaternion."""
+    """Invert the rotation of a unit quaternion."""
     return q * jnp.array([1.0, -1.0, -1.0, -1.0], q.dtype)
 
 
 @partial(jax.jit, inline=True)
 def normalise(q: Quaternion) -> Quaternion:
-    """`q` at unit length, with `w >= 0`: the shortest of the two arcs."""
+    """Scale `q` to unit length, with `w >= 0`: the shorter of the two arcs."""
     q = q / jnp.sqrt(jnp.sum(q * q, -1, keepdims=True))
     return jnp.where(q[..., :1] < 0, -q, q)
 
 
 @partial(jax.jit, inline=True)
 def rotate(q: Quaternion, x: Vector) -> Vector:
-    """Turn the vector `x` by `q`."""
+    """Rotate the vector `x` by `q`."""
     w, v = q[..., :1], q[..., 1:]
     t = 2.0 * jnp.cross(v, x)
     return x + w * t + jnp.cross(v, t)
@@ -55,7 +54,7 @@ def rotate(q: Quaternion, x: Vector) -> Vector:
 
 @partial(jax.jit, inline=True)
 def exp(w: Vector) -> Quaternion:
-    """Rotation about `w` by `|w|` radians; smooth at `w = 0`.
+    """Compute the rotation about `w` by `|w|` radians; smooth at `w = 0`.
 
     The exponential map of SO(3), Rodrigues' formula (Kineben, eq. 37) in quaternions.
     """
@@ -70,10 +69,10 @@ def exp(w: Vector) -> Quaternion:
 
 @partial(jax.jit, inline=True)
 def log(q: Quaternion) -> Vector:
-    """Rotation vector of `q`, at most pi radians long; the inverse of `exp`.
+    """Compute the rotation vector of `q`, at most pi radians long; the inverse of `exp`.
 
-    Smooth at the identity and near pi: the angle comes from `atan2`, never from `acos`.
-    At pi itself one of the two equal vectors is taken.
+    Smooth at the identity and near pi: the angle comes from `atan2`, never from `acos`. At pi itself one of
+    the two equivalent vectors is returned.
     """
     q = jnp.where(q[..., :1] < 0, -q, q)
     w, v = q[..., :1], q[..., 1:]
@@ -90,14 +89,14 @@ def log(q: Quaternion) -> Vector:
 
 @partial(jax.jit, inline=True)
 def about_axis(axis: Vector, angle: Float[Array, "*shape"]) -> Quaternion:
-    """Rotation about a unit `axis` by `angle` radians."""
+    """Create the rotation about a unit `axis` by `angle` radians."""
     half = jnp.asarray(angle)[..., None] / 2.0
     return jnp.concatenate([jnp.cos(half), jnp.sin(half) * axis], -1)
 
 
 @partial(jax.jit, inline=True)
 def angle_about(q: Quaternion, axis: Vector) -> Float[Array, "*shape"]:
-    """Angle of the twist of `q` about a unit `axis`, in `[-pi, pi]` radians.
+    """Compute the angle of the twist of `q` about a unit `axis`, in `[-pi, pi]` radians.
 
     Zero where the twist is not defined (a swing by pi).
     """
@@ -109,10 +108,10 @@ def angle_about(q: Quaternion, axis: Vector) -> Float[Array, "*shape"]:
 
 @partial(jax.jit, inline=True)
 def angles_about(q: Quaternion, first: Vector, second: Vector) -> Float[Array, "*shape 2"]:
-    """The two angles of `q = Rot(first, a) Rot(second, b)` about unit axes, in `[-pi, pi]` radians.
+    """Compute the two angles of `q = Rot(first, a) Rot(second, b)` about unit axes, in `[-pi, pi]` radians.
 
-    Well defined everywhere: the second axis, perpendicular in part to the first, shows the first
-    angle wherever the second one stands.
+    They are defined for any second angle: the first angle comes from the image of the second axis, whose
+    part perpendicular to the first axis rotates by it.
     """
     along = jnp.sum(first * second, -1, keepdims=True)
     across = second - along * first
@@ -126,10 +125,10 @@ def angles_about(q: Quaternion, first: Vector, second: Vector) -> Float[Array, "
 
 @partial(jax.jit, inline=True)
 def swing_twist(q: Quaternion, axis: Vector) -> tuple[Quaternion, Quaternion]:
-    """Split `q = swing * twist`: the twist turns about `axis`, the swing about a
-    perpendicular of it (Adaptation, section 3.1).
+    """Decompose `q = swing * twist`: the twist rotates about `axis`, the swing about a perpendicular of it
+    (Adaptation, section 3.1).
 
-    Where the twist is not defined (a swing by pi) it is taken to be none.
+    The twist is the identity where it is not defined (a swing by pi).
     """
     twist = about_axis(axis, angle_about(q, axis))
     return multiply(q, conjugate(twist)), twist
@@ -137,7 +136,7 @@ def swing_twist(q: Quaternion, axis: Vector) -> tuple[Quaternion, Quaternion]:
 
 @partial(jax.jit, inline=True)
 def shortest_arc(a: Vector, b: Vector) -> Quaternion:
-    """The smallest rotation that turns unit vector `a` onto unit vector `b`.
+    """Compute the smallest rotation from unit vector `a` onto unit vector `b`.
 
     For opposite vectors it is a half turn about some perpendicular of `a`.
     """
@@ -152,7 +151,7 @@ def shortest_arc(a: Vector, b: Vector) -> Quaternion:
 
 @partial(jax.jit, inline=True)
 def to_matrix(q: Quaternion) -> Matrix:
-    """The 3 x 3 rotation matrix of a unit quaternion."""
+    """Convert a unit quaternion to its 3 x 3 rotation matrix."""
     w, x, y, z = (q[..., i] for i in range(4))
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -164,8 +163,10 @@ def to_matrix(q: Quaternion) -> Matrix:
 
 @partial(jax.jit, inline=True)
 def from_matrix(r: Matrix) -> Quaternion:
-    """The quaternion of a rotation matrix (Shepperd 1978: the largest of the four
-    components is taken first, so that none is lost to cancellation)."""
+    """Convert a rotation matrix to its quaternion (Shepperd 1978).
+
+    The largest of the four components is computed first, which avoids cancellation.
+    """
 
     def m(i, j):
         return r[..., i, j]
@@ -187,7 +188,7 @@ def from_matrix(r: Matrix) -> Quaternion:
 
 @partial(jax.jit, inline=True)
 def skew(w: Vector) -> Matrix:
-    """The matrix `[w]x` of the cross product: `skew(w) @ x = w x x` (Kineben, eq. 33)."""
+    """Create the matrix `[w]x` of the cross product: `skew(w) @ x = w x x` (Kineben, eq. 33)."""
     x, y, z = w[..., 0], w[..., 1], w[..., 2]
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack(row, -1) for row in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
@@ -195,7 +196,7 @@ def skew(w: Vector) -> Matrix:
 
 @partial(jax.jit, inline=True)
 def right_jacobian(w: Vector) -> Matrix:
-    """`Jr(w)` with `exp(w + d) = exp(w) exp(Jr(w) d)` to first order in `d`."""
+    """Compute `Jr(w)` with `exp(w + d) = exp(w) exp(Jr(w) d)` to first order in `d`."""
     squared = jnp.sum(w * w, -1)[..., None, None]
     small = squared < 1e-6
     angle = jnp.sqrt(jnp.where(small, 1.0, squared))
@@ -207,12 +208,12 @@ def right_jacobian(w: Vector) -> Matrix:
 
 @partial(jax.jit, inline=True)
 def slerp(a: Quaternion, b: Quaternion, t: Float[Array, "*shape"]) -> Quaternion:
-    """The rotation a share `t` of the way from `a` to `b` along the shortest arc."""
+    """Interpolate from `a` to `b` along the shortest arc; `t` is the fraction of the angle."""
     return multiply(a, exp(jnp.asarray(t)[..., None] * log(multiply(conjugate(a), b))))
 
 
 @partial(jax.jit, inline=True)
 def distance(a: Quaternion, b: Quaternion) -> Float[Array, "*shape"]:
-    """Angle between two rotations, in `[0, pi]` radians."""
+    """Compute the angle between two rotations, in `[0, pi]` radians."""
     relative = multiply(conjugate(a), b)
     return 2.0 * jnp.arctan2(jnp.linalg.norm(relative[..., 1:], axis=-1), jnp.abs(relative[..., 0]))

@@ -1,4 +1,4 @@
-"""Many arrays as one."""
+"""Stacking and concatenation of many arrays."""
 
 from collections.abc import Sequence
 
@@ -11,14 +11,14 @@ from jaxtyping import Array
 def stack(arrays: Sequence[Array | np.ndarray]) -> Array:
     """Stack arrays along a new first axis, differentiably.
 
-    `jnp.stack` compiles for every number of arrays, and for minutes from some thousands on: it is only called where it is
-    traced.
+    `jnp.stack` compiles for every number of arrays, and takes minutes for some thousands. So it is called
+    only with traced arrays.
     """
     return jnp.stack(arrays) if _traced(arrays) else jnp.asarray(np.stack(arrays))
 
 
 def concatenate(arrays: Sequence[Array | np.ndarray]) -> Array:
-    """Join arrays along their first axis, differentiably; as `stack`."""
+    """Concatenate arrays along their first axis, differentiably; as `stack`."""
     return jnp.concatenate(arrays) if _traced(arrays) else jnp.asarray(np.concatenate(arrays))
 
 

@@ -1,1 +1,1 @@
-"""Limits of joints: ranges, boxes and implicit surfaces."""
+"""Joint limits: ranges, boxes and implicit surfaces."""

@@ -1,4 +1,4 @@
-"""A joint's rotation as a point in space: one angle, two angles, or a quaternion's vector part."""
+"""Charts of a joint's rotation: one angle, two angles, or a quaternion's vector part."""
 
 from typing import Literal
 
@@ -9,20 +9,20 @@ from jaxtyping import Array, Float
 from ...geometry import rotation
 
 ChartKind = Literal["hinge", "universal", "ball"]
-#: dimensions that each kind of chart uses of the three that all have
+#: number of used dimensions, of three, of each chart
 DIMENSIONS: dict[str, int] = {"hinge": 1, "universal": 2, "ball": 3}
-#: vector parts longer than this are shortened: half a turn from the middle there is no way on
+#: largest norm of a vector part; longer ones are shortened, as the chart ends half a turn from the middle
 LONGEST = 0.9999
 
 
 class Chart(eqx.Module):
-    """Coordinates `(3,)` of a joint's rotation, about half angles in radians from the middle of what
-    the joint does (Limits, section 3.2); dimensions that a joint has not are zero.
+    """Coordinates `(3,)` of a joint's rotation, about half angles in radians from the middle of the joint's
+    range (Limits, section 3.2); unused dimensions are zero.
 
-    - `hinge`: half the angle about `axes[0]`, from `middle`'s.
+    - `hinge`: half the angle about `axes[0]`, relative to `middle`.
     - `universal`: halves of two Euler angles, `R = middle Rot(axes[0], a) Rot(axes[1], b)`.
-    - `ball`: the vector part of `middle^-1 R` as a quaternion with positive scalar. Half a turn
-      from the middle a rotation jumps to the other side, so ranges must not reach there.
+    - `ball`: the vector part of `middle^-1 R` as a quaternion with positive scalar. It is discontinuous
+      half a turn from the middle, so ranges must not reach there.
     """
 
     middle: Float[Array, "4"]
@@ -35,7 +35,8 @@ class Chart(eqx.Module):
         return DIMENSIONS[self.kind]
 
     def coordinates(self, turned: Float[Array, "4"]) -> Float[Array, "3"]:
-        """Where a rotation lies; of one that the joint's kind does not have, the part that it has."""
+        """Compute the coordinates of a rotation; of a rotation that the joint's kind does not allow, those
+        of its allowed part."""
         relative = rotation.multiply(rotation.conjugate(self.middle), turned)
         if self.kind == "ball":
             return jnp.where(relative[0] < 0, -relative[1:], relative[1:])
@@ -44,7 +45,7 @@ class Chart(eqx.Module):
         return jnp.append(rotation.angles_about(relative, *self.axes) / 2, jnp.zeros((), turned.dtype))
 
     def rotation(self, place: Float[Array, "3"]) -> Float[Array, "4"]:
-        """The rotation at a place: `coordinates(rotation(x)) = x` within the chart."""
+        """Compute the rotation at coordinates: `coordinates(rotation(x)) = x` within the chart."""
         if self.kind == "ball":
             squared = jnp.sum(place**2)
             long = squared > LONGEST**2
@@ -58,8 +59,10 @@ class Chart(eqx.Module):
         return rotation.normalise(rotation.multiply(self.middle, relative))
 
     def squared_distance(self, a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:
-        """How far two places are apart as rotations: about the square of half the angle between
-        them; for quaternions `sin^2` of it, the chord's, which knows no antipode."""
+        """Compute about the square of half the angle between two rotations, from their coordinates.
+
+        For quaternions it is `sin^2` of that half angle, which is the same for `q` and `-q`.
+        """
         if self.kind != "ball":
             return jnp.sum((a - self.image(b, a)) ** 2)
         scalars = jnp.sqrt(jnp.maximum(1.0 - jnp.sum(a**2), 1e-12)) * jnp.sqrt(
@@ -70,7 +73,7 @@ class Chart(eqx.Module):
         return 1.0 - cosine**2
 
     def image(self, place: Float[Array, "3"], near: Float[Array, "3"]) -> Float[Array, "3"]:
-        """The same rotation as `place`, whole turns of its angles away, that is closest to `near`."""
+        """Add whole turns to the angles of `place` so that it is closest to `near`."""
         if self.kind == "ball":
             return place
         return near + (place - near + jnp.pi / 2) % jnp.pi - jnp.pi / 2

@@ -1,4 +1,4 @@
-"""Boxes of Euler angles: the usual limits of joints that turn freely."""
+"""Boxes of Euler angles: the usual limits of ball joints."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -15,8 +15,11 @@ from .limits import AbstractLimits
 
 
 class EulerBox(NamedTuple):
-    """The limit of one joint: its angles about three axes, radians. `frame (3, 3)` has the axes as
-    columns, rest frame of the world; the first is turned about first."""
+    """The limit of one joint: ranges of its angles about three axes, radians.
+
+    `frame (3, 3)` has the axes as columns, rest frame of the world; the rotation about the first is applied
+    first.
+    """
 
     lower: Float[np.ndarray, "3"]
     upper: Float[np.ndarray, "3"]
@@ -24,9 +27,12 @@ class EulerBox(NamedTuple):
 
 
 class EulerBoxes(AbstractLimits):
-    """Euler angles `R = Rot(z, c) Rot(y, b) Rot(x, a)` within `[lower, upper]`, where x, y, z are the
-    axes of each joint's frame: what `.asf` files say of joints with three angles. They couple
-    nothing, neither swing with twist nor a child with its parent."""
+    """Euler angles `R = Rot(z, c) Rot(y, b) Rot(x, a)` within `[lower, upper]`, where x, y, z are the axes
+    of each joint's frame.
+
+    These are the limits of `.asf` files for joints with three angles. They couple neither swing with twist
+    nor a child with its parent.
+    """
 
     joints: Int[Array, "E"]
     #: unit quaternions of the frames
@@ -35,7 +41,7 @@ class EulerBoxes(AbstractLimits):
     upper: Float[Array, "E 3"]
 
     def residual(self, skeleton: Skeleton, pose: Pose):
-        """Each angle beyond its range, radians, below it negative."""
+        """Compute the excess of each angle beyond its range, radians, negative below it."""
         angles = self._angles(pose)
         return (angles - jnp.clip(angles, self.lower, self.upper)).reshape(-1)
 
@@ -43,7 +49,7 @@ class EulerBoxes(AbstractLimits):
         return jnp.repeat(self.joints, 3)
 
     def nearest(self, skeleton: Skeleton, pose: Pose):
-        """Every angle at the end of its range."""
+        """Clamp every angle to its range."""
         angles = self._angles(pose)
         clamped = jnp.clip(angles, self.lower, self.upper)
         axes = jnp.broadcast_to(jnp.eye(3, dtype=angles.dtype), (len(angles), 3, 3))
@@ -55,7 +61,7 @@ class EulerBoxes(AbstractLimits):
         return Pose(pose.translations, pose.rotations.at[self.joints].set(turned), pose.scale)
 
     def _angles(self, pose: Pose) -> Float[Array, "E 3"]:
-        """Of the two triples that make a rotation, the one that is less beyond its box."""
+        """Compute the Euler angles; of the two equivalent triples, the one nearer to its box."""
         return euler_angles(pose.rotations[self.joints], self.frames, self.lower, self.upper)
 
 
@@ -65,7 +71,8 @@ def euler_angles(
     lower: Float[Array, "#E 3"],
     upper: Float[Array, "#E 3"],
 ) -> Float[Array, "E 3"]:
-    """Angles about the axes of `frames`, within half a turn of a box's middle, nearest to the box."""
+    """Compute the angles about the axes of `frames`, within half a turn of the middle of the box and
+    nearest to the box."""
     middle = (lower + upper) / 2
     m = rotation.to_matrix(
         rotation.multiply(rotation.conjugate(frames), rotation.multiply(rotations, frames))
@@ -87,10 +94,11 @@ def euler_angles(
 
 @checked
 def make_euler_boxes(skeleton: Skeleton, boxes: Mapping[str, EulerBox]) -> EulerBoxes:
-    """`EulerBoxes` by joint name; a left-handed frame has its last axis and range turned over.
+    """Create `EulerBoxes` from boxes by joint name; a left-handed frame has its last axis and range
+    negated.
 
-    **Raises:** `ValueError` where a joint is unknown, a lower angle is above its upper one, or a
-    frame is not of unit axes at right angles.
+    **Raises:** `ValueError` where a joint is unknown, a lower angle is above its upper one, or a frame is
+    not of unit axes at right angles.
     """
     joints, frames, lowers, uppers = [], [], [], []
     place = {name: joint for joint, name in enumerate(skeleton.names)}

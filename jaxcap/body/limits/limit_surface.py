@@ -1,4 +1,4 @@
-"""Limits of joints as implicit surfaces of spherical primitives, a child's coupled to its parent."""
+"""Joint limits as implicit surfaces of spherical primitives, with coupling of a child to its parent."""
 
 import equinox as eqx
 import jax
@@ -15,31 +15,31 @@ from .surface_projection import nearest_inside
 
 
 class LimitSurface(eqx.Module):
-    """What one joint may do: a union of blended spheres in the chart of its rotation (Limits, eq. 2),
-    one such for every keyframe of its parent (section 4.2).
+    """The limits of one joint: a union of blended spheres in the chart of its rotation (Limits, eq. 2), one
+    for every keyframe of its parent (section 4.2).
 
-    Primitive `n` of keyframe `v` is the match of primitive `n` of every other keyframe, so that the
-    surface at any rotation of the parent is a mean of centres and radii, continuous wherever
-    keyframes meet. A joint on its own has one keyframe, and no parent.
+    Primitive `n` of keyframe `v` is matched with primitive `n` of every other keyframe. The surface at any
+    rotation of the parent therefore has weighted means of centres and radii, and is continuous between
+    keyframes. An uncoupled joint has one keyframe and no parent.
     """
 
     joint: str = eqx.field(static=True)
-    #: the joint that it is coupled to
+    #: the joint that this joint is coupled to
     parent: str | None = eqx.field(static=True)
     chart: Chart
     parent_chart: Chart | None
-    #: places of the keyframes in the parent's chart, and how far one reaches there
+    #: positions of the keyframes in the parent's chart, and the standard deviation of their Gaussian weights
     keys: Float[Array, "V 3"]
     reach: Float[Array, ""]
     centres: Float[Array, "V N 3"]
-    #: thickness of the primitives; one that a keyframe lacks lies on another of it
+    #: thickness of the primitives; one that a keyframe lacks coincides with another one there
     thickness: Float[Array, "V N"]
-    #: half the width of the smallest voxel: the unit in which `stiffness` and `level` count
+    #: half the width of the smallest voxel: the unit of `stiffness` and `level`
     unit: Float[Array, ""]
     #: `iso` and `k` of eq. 2
     level: Float[Array, ""]
     stiffness: Float[Array, ""]
-    #: samples that each primitive stands for at each keyframe
+    #: number of samples of each primitive at each keyframe
     counts: Float[Array, "V N"]
     #: densities at the training samples, sorted, for the comfort of a pose
     densities: Float[Array, "Q"]
@@ -48,12 +48,12 @@ class LimitSurface(eqx.Module):
         check_fields(self)
 
     def shares(self, parent: Float[Array, "3"]) -> Float[Array, "V"]:
-        """How much of each keyframe is in the limits at a place of the parent; sums to one."""
+        """Compute the blend weight of each keyframe at coordinates of the parent; they sum to one."""
         apart = jnp.sum((self.keys - parent) ** 2, -1)
         return jax.nn.softmax(-0.5 * apart / self.reach**2)
 
     def primitives(self, parent: Float[Array, "3"] | None) -> Primitives:
-        """The surface at a place of the parent."""
+        """Interpolate the primitives at coordinates of the parent."""
         if parent is None:
             centres, thickness = self.centres[0], self.thickness[0]
         else:
@@ -63,7 +63,7 @@ class LimitSurface(eqx.Module):
         return Primitives(centres, thickness, self.unit, self.level, self.stiffness)
 
     def places(self, skeleton: Skeleton, pose: Pose) -> tuple[Float[Array, "3"], Float[Array, "3"] | None]:
-        """Where a pose lies in the charts of the joint and of its parent."""
+        """Compute the coordinates of a pose in the charts of the joint and of its parent."""
         place = self.chart.coordinates(pose.rotations[skeleton.index(self.joint)])
         if self.parent_chart is None or self.parent is None:
             return place, None
@@ -76,8 +76,9 @@ class SurfaceLimits(AbstractLimits):
     surfaces: tuple[LimitSurface, ...]
 
     def residual(self, skeleton: Skeleton, pose: Pose):
-        """`max(0, iso - F)` over the stiffness, in radians, going on with the distance to the nearest
-        primitive where none reaches (Limits, section 5.2); see `signed_distance`."""
+        """Compute `max(0, iso - F)` over the stiffness, in radians, continued by the distance to the
+        nearest primitive beyond the cut-off of all primitives (Limits, section 5.2); see `signed_distance`.
+        """
         beyond = []
         for surface in self.surfaces:
             place, parent = surface.places(skeleton, pose)
@@ -88,7 +89,8 @@ class SurfaceLimits(AbstractLimits):
         return jnp.array([skeleton.index(surface.joint) for surface in self.surfaces], jnp.int32)
 
     def nearest(self, skeleton: Skeleton, pose: Pose):
-        """Parents first, then each child within what its parent leaves it (Limits, section 4.2)."""
+        """Project parents first, then each child onto the limits at its parent's new rotation (Limits,
+        section 4.2)."""
         rotations = pose.rotations
         for surface in self.surfaces:
             here = Pose(pose.translations, rotations, pose.scale)
@@ -103,17 +105,20 @@ class SurfaceLimits(AbstractLimits):
 
 @checked
 def comfort(limits: SurfaceLimits, skeleton: Skeleton, pose: Pose) -> Float[Array, "S"]:
-    """For each surface the share of training samples that were in a rarer place than this pose: one
-    where the joint is most of the time, zero where it has never been. A density of joint and parent
-    together, each sample spread over its voxel."""
+    """Compute for each surface the share of training samples whose density is no higher than that of this
+    pose.
+
+    It is one where the joint is most of the time, and zero where it has never been. The density is that of
+    joint and parent together, with each sample spread over its voxel.
+    """
     return jnp.stack([_comfort(surface, *surface.places(skeleton, pose)) for surface in limits.surfaces])
 
 
 def density(
     surface: LimitSurface, place: Float[Array, "3"], parent: Float[Array, "3"] | None
 ) -> Float[Array, ""]:
-    """How densely samples lie about a place, up to a factor."""
-    # a sample's own voxel is two units wide
+    """Estimate the density of samples at a point, up to a factor."""
+    # the standard deviation is the width of a sample's voxel, two units
     near = jnp.exp(-0.125 * jnp.sum((surface.centres - place) ** 2, -1) / surface.unit**2)
     by_key = jnp.sum(surface.counts * near, -1)
     if parent is None:
@@ -129,6 +134,6 @@ def _comfort(surface: LimitSurface, place, parent) -> Float[Array, ""]:
 
 
 def fits(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, ...]:
-    """Joints that the limits name and the skeleton lacks."""
+    """List the joints that the limits name and the skeleton lacks."""
     named = [name for s in limits.surfaces for name in (s.joint, s.parent) if name is not None]
     return tuple(dict.fromkeys(name for name in named if name not in skeleton.names))

@@ -1,7 +1,6 @@
-"""How far joints may turn: what all limits answer to, and ranges of single angles and cones.
+"""Joint limits: their interface, and ranges of single angles and cones.
 
-Energies that hold a pose to limits are elsewhere; `.cst` and `.asf` files are read into
-these arrays.
+Energies that penalise violated limits are elsewhere; `.cst` and `.asf` files are read into these arrays.
 """
 
 import abc
@@ -19,17 +18,17 @@ from ...geometry import rotation
 from ..pose import Pose, revolute_angles, universal_angles
 from ..skeleton import KINDS, Skeleton
 
-#: a joint is allowed where no residual of it is larger than this, about radians
+#: largest residual of an allowed joint, about radians
 TOLERANCE = 1e-6
-#: turns from one cone to the other until a rotation is within both
+#: alternating projections onto the two cones
 ALTERNATIONS = 20
 
 
 class AbstractLimits(eqx.Module):
-    """Which rotations of joints are allowed, for one pose of a skeleton.
+    """The allowed rotations of joints, for one pose of a skeleton.
 
-    Boxes, cones and learned surfaces answer to the same three verbs, so that energies, checks
-    and projections take any of them.
+    Boxes, cones and learned surfaces have the same three methods, so that energies, checks and projections
+    take any of them.
     """
 
     def __check_init__(self):
@@ -37,29 +36,28 @@ class AbstractLimits(eqx.Module):
 
     @abc.abstractmethod
     def residual(self, skeleton: Skeleton, pose: Pose) -> Float[Array, "C"]:
-        """How far a pose is beyond each limit: zero where it is allowed, and else about
-        radians, in cosines for cones, of either sign."""
+        """Compute the violation of each limit: zero where the pose is allowed, else about radians, or
+        cosines for cones, of either sign."""
 
     @abc.abstractmethod
     def owners(self, skeleton: Skeleton) -> Int[Array, "C"]:
-        """The joint that each residual is of."""
+        """Return the joint of each residual."""
 
     @abc.abstractmethod
     def nearest(self, skeleton: Skeleton, pose: Pose) -> Pose:
-        """The pose with every limited joint turned back to the nearest rotation that is
-        allowed; joints that are allowed stay where they are."""
+        """Project every limited joint onto its nearest allowed rotation; allowed joints stay unchanged."""
 
 
 @checked
 def allowed(limits: AbstractLimits, skeleton: Skeleton, pose: Pose) -> Bool[Array, "J"]:
-    """Whether each joint is within its limits; joints without limits are."""
+    """Test if each joint is within its limits; joints without limits are."""
     beyond = jnp.abs(limits.residual(skeleton, pose))
     worst = jnp.zeros(skeleton.num_joints, beyond.dtype).at[limits.owners(skeleton)].max(beyond)
     return worst <= TOLERANCE
 
 
 class AllLimits(AbstractLimits):
-    """Several limits together; the nearest pose is sought for one after the other."""
+    """A combination of several limits; the nearest pose is projected onto one after the other."""
 
     parts: tuple[AbstractLimits, ...]
 
@@ -76,9 +74,11 @@ class AllLimits(AbstractLimits):
 
 
 class Cone(NamedTuple):
-    """The limit of one ball joint: its turned `heading` axis stays within `heading_angle`
-    of where it was at rest, and its `bank` axis within `bank_angle` (Kineben, eqs. 15 and
-    42). Axes `(3,)` in the rest frame of the world, angles in radians, in `[0, pi]`."""
+    """The limit of one ball joint: its rotated `heading` axis stays within `heading_angle` of its direction
+    at rest, and its `bank` axis within `bank_angle` (Kineben, eqs. 15 and 42).
+
+    Axes `(3,)` in the rest frame of the world, angles in radians, in `[0, pi]`.
+    """
 
     heading: tuple[float, float, float]
     heading_angle: float
@@ -87,15 +87,15 @@ class Cone(NamedTuple):
 
 
 class JointRanges(AbstractLimits):
-    """Limits of a skeleton's joints; arrays of any length, zero included.
+    """Ranges and cones of a skeleton's joints; arrays of any length, zero included.
 
-    A range holds one rotation number of a revolute or universal joint (Kineben, eq. 14);
-    a cone pair holds one ball joint (eqs. 15 and 42). Angles in radians.
+    A range limits one angle of a revolute or universal joint (Kineben, eq. 14). A pair of cones limits one
+    ball joint (eqs. 15 and 42). Angles in radians.
     """
 
     #: joint of each range
     joints: Int[Array, "R"]
-    #: which of its joint's angles a range is for: 0, or 1 for a universal joint's second
+    #: index of the limited angle of its joint: 0, or 1 for a universal joint's second
     numbers: Int[Array, "R"]
     lower: Float[Array, "R"]
     upper: Float[Array, "R"]
@@ -110,9 +110,12 @@ class JointRanges(AbstractLimits):
     bank_angle: Float[Array, "B"]
 
     def residual(self, skeleton: Skeleton, pose: Pose):
-        """Angles beyond their range (Kineben, eq. 14), in radians, below it negative; then turned
-        axes beyond their cone (eqs. 15 and 42), in cosines: `x_B . R x_B - t` where it is negative,
-        with `t` the cosine of the cone's angle, for the heading and the bank axis."""
+        """Compute the excess of angles beyond their ranges, then of rotated axes beyond their cones.
+
+        Angles (Kineben, eq. 14) are in radians, negative below the range. Cones (eqs. 15 and 42) are in
+        cosines: `x_B . R x_B - t` where it is negative, with `t` the cosine of the cone's angle, for the
+        heading and the bank axis.
+        """
         angles = self._angles(skeleton, pose)
         beyond = jnp.minimum(angles - self.lower, 0.0) + jnp.maximum(angles - self.upper, 0.0)
         turned = pose.rotations[self.ball_joints]
@@ -123,10 +126,10 @@ class JointRanges(AbstractLimits):
         return jnp.concatenate([self.joints, self.ball_joints, self.ball_joints])
 
     def nearest(self, skeleton: Skeleton, pose: Pose):
-        """Angles at the end of their range, each by itself; cones in turn until both hold."""
+        """Clamp each angle to its range, and project onto the two cones alternately until both hold."""
         angles = self._angles(skeleton, pose)
         clamped = jnp.clip(angles, self.lower, self.upper)
-        # only what is beyond moves, so that what is allowed stays to the last bit
+        # only violated joints change, so that allowed ones stay bitwise equal
         table = jnp.stack([revolute_angles(skeleton, pose), jnp.zeros(skeleton.num_joints)], -1)
         table = jnp.where(_universal(skeleton)[:, None], universal_angles(skeleton, pose), table)
         table = table.at[self.joints, self.numbers].set(clamped.astype(table.dtype))
@@ -142,13 +145,13 @@ class JointRanges(AbstractLimits):
                 _into_cone(turned, self.heading, self.heading_angle), self.bank, self.bank_angle
             )
 
-        # unrolled, it would be most of what a program with limits takes to compile
+        # unrolled, it would dominate the compile time of a program with limits
         turned = jax.lax.fori_loop(0, ALTERNATIONS if len(turned) else 0, into_both, turned)
         rotations = rotations.at[self.ball_joints].set(turned)
         return Pose(pose.translations, rotations, pose.scale)
 
     def _angles(self, skeleton: Skeleton, pose: Pose) -> Float[Array, "R"]:
-        """The angle of each range: of those a turn apart the one nearest to the middle."""
+        """Compute the angle of each range, modulo a turn the one nearest to the middle of the range."""
         first, pairs = revolute_angles(skeleton, pose), universal_angles(skeleton, pose)
         universal = _universal(skeleton)[self.joints]
         angles = jnp.where(universal, pairs[self.joints, self.numbers], first[self.joints])
@@ -159,19 +162,19 @@ class JointRanges(AbstractLimits):
 def cone_residual(
     turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
 ) -> Float[Array, "B"]:
-    """`min(x_B . R x_B - cos(angle), 0)` (Kineben, eq. 15)."""
+    """Compute `min(x_B . R x_B - cos(angle), 0)` (Kineben, eq. 15)."""
     return jnp.minimum(jnp.sum(axis * rotation.rotate(turned, axis), -1) - jnp.cos(angle), 0.0)
 
 
 def _into_cone(
     turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
 ) -> Float[Array, "B 4"]:
-    """Turned back by the shortest way until the axis is within its cone."""
+    """Apply the smallest rotation that brings the axis into its cone."""
     there = rotation.rotate(turned, axis)
     across = jnp.cross(there, axis)
     sine = jnp.sqrt(jnp.maximum(jnp.sum(across**2, -1), 1e-30))
     beyond = jnp.arctan2(sine, jnp.sum(there * axis, -1)) - angle
-    # a hair more than to the edge, so that rounding does not leave it outside
+    # slightly inside of the edge, so that rounding does not leave it outside
     back = rotation.about_axis(across / sine[:, None], beyond + 1e-6)
     return jnp.where((beyond > 0)[:, None], rotation.multiply(back, turned), turned)
 
@@ -186,14 +189,14 @@ def make_joint_ranges(
     ranges: Mapping[str, Sequence] | None = None,
     cones: Mapping[str, Cone] | None = None,
 ) -> JointRanges:
-    """`JointRanges` from limits by joint name.
+    """Create `JointRanges` from limits by joint name.
 
     **Arguments:** `ranges` gives `(lower, upper)` radians for a revolute joint and
-    `((lower, upper), (lower, upper))` for a universal one; `cones` a `Cone` for a ball or
-    free joint. Axes need not be of unit length.
+    `((lower, upper), (lower, upper))` for a universal one; `cones` a `Cone` for a ball or free joint. Axes
+    need not be of unit length.
 
-    **Raises:** `InputError` when a joint is unknown or of another kind, a lower bound is
-    above its upper one, an angle is not in `[0, pi]`, or an axis has no length.
+    **Raises:** `InputError` when a joint is unknown or of another kind, a lower bound is above its upper
+    one, an angle is not in `[0, pi]`, or an axis has no length.
     """
     rows, balls = [], []
     place = {name: joint for joint, name in enumerate(skeleton.names)}
@@ -210,7 +213,7 @@ def make_joint_ranges(
                 raise ValueError(
                     f"The range of joint '{name}' goes from {lower:g} down to {upper:g}; swap them."
                 )
-            # a bound at infinity would leave a range without a middle
+            # a range with an infinite bound has no middle
             rows.append((joint, number, max(lower, -2 * np.pi), min(upper, 2 * np.pi)))
     for name, cone in (cones or {}).items():
         joint = _joint(skeleton, place, name, ("ball", "free"), "cone")

@@ -1,4 +1,4 @@
-"""The implicit surface of spherical primitives (Limits, eq. 2), and how far a point is outside."""
+"""Implicit surfaces of spherical primitives (Limits, eq. 2), and the signed distance to them."""
 
 from typing import NamedTuple
 
@@ -9,13 +9,15 @@ from jaxtyping import Array, Float
 #: `iso` and `k` of the paper
 LEVEL, STIFFNESS = 7.0, 20.0
 #: sharpness of the smooth minimum over primitives, in the units of `k d`: small, so that thousands
-#: of primitives on one place count as one
+#: of coincident primitives count as one
 SHARPNESS = 0.2
 
 
 class Primitives(NamedTuple):
-    """Spheres whose fields add up; the surface is where the sum is `level`. Lengths are in those of
-    the space but for `stiffness`, which counts in multiples of `unit`."""
+    """Spheres whose fields add up; the surface is where the sum is `level`.
+
+    Lengths are in the unit of the space, but `stiffness` is per `unit`.
+    """
 
     centres: Float[Array, "N 3"]
     thickness: Float[Array, "N"]
@@ -25,28 +27,29 @@ class Primitives(NamedTuple):
 
 
 def excess(primitives: Primitives, point: Float[Array, "3"]) -> Float[Array, "N"]:
-    """`k (d - e)` of every primitive: what its field is a function of."""
+    """Compute `k (d - e)` of every primitive, the argument of its field."""
     squared = jnp.sum((point - primitives.centres) ** 2, -1)
-    # at a centre the slope, of which there is none, is taken as zero
+    # the gradient, undefined at a centre, is set to zero
     at = squared > 0
     distance = jnp.where(at, jnp.sqrt(jnp.where(at, squared, 1.0)), 0.0)
     return primitives.stiffness / primitives.unit * (distance - primitives.thickness)
 
 
 def field(primitives: Primitives, point: Float[Array, "3"]) -> Float[Array, ""]:
-    """`F` of eq. 2: linear inside of a primitive's thickness, quadratic to the cut-off at `2 / k` beyond."""
+    """Evaluate `F` of eq. 2: linear within the thickness of a primitive, quadratic up to the cut-off at
+    `2 / k` beyond it."""
     x = excess(primitives, point)
     return jnp.sum(_local(x))
 
 
 def signed_distance(primitives: Primitives, point: Float[Array, "3"]) -> Float[Array, ""]:
-    """About how far a point is outside of the surface: `(iso - F + q) / k`, less than zero inside.
+    """Compute the approximate signed distance to the surface: `(iso - F + q) / k`, negative inside.
 
-    Beyond the cut-off the paper's field is flat and shows no way back. `q` is zero within the
-    thickness of the nearest primitive, goes on as `x^2 / 4` with its excess `x` up to 2 and as
-    `x - 1` further out, which makes of a single primitive one straight line, `F - q = 1 - x`, for
-    `(x - 2)^2 / 4 - x^2 / 4 = 1 - x`. The minimum over primitives is a smooth one, so value and
-    slope are continuous where the nearest one changes.
+    Beyond the cut-off the paper's field is constant and has no gradient, so `q` continues it. `q` is zero
+    within the thickness of the nearest primitive, `x^2 / 4` up to an excess `x` of 2, and `x - 1` further
+    out. For a single primitive this gives one straight line, `F - q = 1 - x`, as
+    `(x - 2)^2 / 4 - x^2 / 4 = 1 - x`. The minimum over primitives is smooth, so value and gradient are
+    continuous where the nearest primitive changes.
     """
     x = excess(primitives, point)
     nearest = jnp.maximum(-SHARPNESS * jax.nn.logsumexp(-x / SHARPNESS), 0.0)
@@ -55,7 +58,7 @@ def signed_distance(primitives: Primitives, point: Float[Array, "3"]) -> Float[A
 
 
 def radii(primitives: Primitives) -> Float[Array, "N"]:
-    """How far around its centre each primitive alone reaches the level."""
+    """Compute the radius at which each primitive alone reaches the level."""
     return primitives.thickness - (primitives.level - 1.0) * primitives.unit / primitives.stiffness
 
 

@@ -1,4 +1,4 @@
-"""Boxes of rotation vectors: a least and a largest value for every number of a joint's turn."""
+"""Boxes of rotation vectors: a range for each component of a joint's rotation vector."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -16,20 +16,20 @@ from ..pose import Pose, own_vectors, retract
 from ..skeleton import KINDS, Skeleton, dof_layout
 from .limits import AbstractLimits
 
-#: turns from a universal joint's axes to its box until it is on both
+#: alternating projections onto a universal joint's axes and its box
 ALTERNATIONS = 20
-#: an axis that leans less than this towards a number does not turn it
+#: axis components below this are taken as zero
 ASLANT = 1e-6
-#: rotation vectors end a hair before half a turn, behind which they are those of the other side
+#: largest norm of a rotation vector: slightly below pi, beyond which its sign flips
 HALF_TURN = np.pi - 1e-5
 
 
 class PoseBoxes(AbstractLimits):
-    """Each number of some joints' rotation vectors within `[lower, upper]` (Adaptation, section 4.1.1):
-    a hard limit for each degree of freedom, which couples nothing.
+    """Boxes `[lower, upper]` of some joints' rotation vectors (Adaptation, section 4.1.1): a hard limit for
+    each degree of freedom, without coupling.
 
-    A rotation vector is the exponential map of the joint's turn from rest, in the joint's own frame:
-    twist, flexion, sideways. It is at most pi long, so a box cannot reach past half a turn. Bounds may be infinite.
+    A rotation vector is that of the joint's rotation from rest, in the joint's own frame: twist, flexion,
+    sideways. It is at most pi long, so a box cannot reach past half a turn. Bounds may be infinite.
     """
 
     joints: tuple[str, ...] = eqx.field(static=True)
@@ -37,7 +37,7 @@ class PoseBoxes(AbstractLimits):
     upper: Float[Array, "J 3"]
 
     def residual(self, skeleton: Skeleton, pose: Pose):
-        """Each number beyond its range, radians, below it negative."""
+        """Compute the excess of each component beyond its range, radians, negative below it."""
         own = own_vectors(skeleton, pose)[self.indices(skeleton)]
         return (own - jnp.clip(own, self.lower, self.upper)).reshape(-1)
 
@@ -45,23 +45,26 @@ class PoseBoxes(AbstractLimits):
         return jnp.repeat(jnp.asarray(self.indices(skeleton), jnp.int32), 3)
 
     def nearest(self, skeleton: Skeleton, pose: Pose):
-        """Every number at the end of its range; nearest in these numbers. A revolute joint stays on its
-        axis and a universal one on its two, where these meet the box. What cannot turn stays."""
+        """Clamp every component to its range, which is the projection in these coordinates.
+
+        A revolute joint stays on its axis and a universal one on its two, where these intersect the box.
+        Joints that cannot rotate stay unchanged.
+        """
         joints = self.indices(skeleton)
         own = own_vectors(skeleton, pose)[joints]
         turned = _turned(skeleton, joints, self._on_axes(skeleton, own))
-        # only what is beyond moves, so that what is allowed stays to the last bit
+        # only violated joints change, so that allowed ones stay bitwise equal
         beyond = jnp.any(jnp.clip(own, self.lower, self.upper) != own, -1, keepdims=True)
         beyond = beyond & ~_of_kinds(skeleton, joints, "fixed", "translate")[:, None]
         rotations = jnp.where(beyond, turned, pose.rotations[joints]).astype(pose.rotations.dtype)
         return Pose(pose.translations, pose.rotations.at[joints].set(rotations), pose.scale)
 
     def indices(self, skeleton: Skeleton) -> Int[np.ndarray, "J"]:
-        """The joint of each box. Raises `KeyError` where the skeleton lacks one."""
+        """Look up the joint of each box. Raises `KeyError` where the skeleton lacks one."""
         return np.array([skeleton.index(name) for name in self.joints], int)
 
     def _on_axes(self, skeleton: Skeleton, own: Float[Array, "J 3"]) -> Float[Array, "J 3"]:
-        """Rotation vectors in the boxes, of turns that the joints' kinds can make."""
+        """Project rotation vectors onto the boxes and onto the rotations that the joints' kinds allow."""
         joints, within = self.indices(skeleton), _within(own, self.lower, self.upper)
         revolute, universal = (_of_kinds(skeleton, joints, kind) for kind in ("revolute", "universal"))
         if revolute.any():
@@ -84,25 +87,25 @@ class PoseBoxes(AbstractLimits):
 
 
 class BoxChart(NamedTuple):
-    """Other numbers `x` for tangents of a pose, `d = turn @ x`, in which boxes are bounds."""
+    """Coordinates `x` of the tangents of a pose, `d = turn @ x`, in which boxes are bounds."""
 
-    #: radians and metres; the identity but for ball joints that have a box
+    #: radians and metres; the identity except for ball joints with a box
     turn: Float[Array, "D D"]
-    #: how far each number of `x` may go; infinite where nothing bounds it
+    #: bounds of each component of `x`; infinite where it is free
     low: Float[Array, "D"]
     high: Float[Array, "D"]
 
 
 def box_chart(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> BoxChart:
-    """The chart of boxes about a pose that is within them (Adaptation, 4.1.4).
+    """Create the chart of boxes about a pose that is within them (Adaptation, 4.1.4).
 
-    A pose changes by `R <- R exp(d)`, a box bounds `w = O^T log R`, with `O` the joint's own frame. As
-    `exp(log R + e) = R exp(Jr(log R) e)` to first order, with `Jr` the right Jacobian, a change of `w` by `x` is
-    `d = Jr(log R) O x`. A revolute joint has one number, its angle, whose range is where the axis is in
-    the box. A universal joint is not bounded here; `PoseBoxes.nearest` turns it back.
+    A pose changes by `R <- R exp(d)`, and a box bounds `w = O^T log R`, with `O` the joint's own frame. As
+    `exp(log R + e) = R exp(Jr(log R) e)` to first order, with `Jr` the right Jacobian, a change of `w` by
+    `x` is `d = Jr(log R) O x`. A revolute joint has one coordinate, its angle, with the range in which its
+    axis is in the box. A universal joint is not bounded here; `PoseBoxes.nearest` projects it.
     """
     layout, dtype = dof_layout(skeleton), pose.rotations.dtype
-    # one slot more, for numbers that a joint does not have
+    # one more slot, for parameters that a joint does not have
     turn = jnp.eye(skeleton.num_dofs + 1, dtype=dtype)
     low, high = (jnp.full(skeleton.num_dofs + 1, end, dtype) for end in (-jnp.inf, jnp.inf))
     joints = boxes.indices(skeleton)
@@ -129,7 +132,7 @@ def box_chart(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> BoxChart:
 def chart_equations(
     chart: BoxChart, matrix: Float[Array, "D D"], side: Float[Array, "D"]
 ) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
-    """Normal equations of tangents as those of the chart's numbers."""
+    """Transform normal equations of tangents to the chart's coordinates."""
     product = partial(jnp.matmul, precision="highest")
     return product(chart.turn.T, product(matrix, chart.turn)), product(chart.turn.T, side)
 
@@ -137,9 +140,11 @@ def chart_equations(
 def move_within(
     boxes: PoseBoxes, skeleton: Skeleton, pose: Pose, chart: BoxChart, x: Float[Array, "D"]
 ) -> Pose:
-    """Move a pose by numbers of its chart, any length of them, and stay in the boxes to rounding. Ball
-    joints with a box go straight in their rotation vectors, so that a number that is set to its bound is there; all
-    else moves as `retract` does."""
+    """Move a pose by coordinates of its chart, of any size, and keep it in the boxes to rounding.
+
+    Ball joints with a box move straight in their rotation vectors, so that a component set to its bound
+    reaches it. All other joints move as in `retract`.
+    """
     joints = boxes.indices(skeleton)
     moved = retract(skeleton, pose, jnp.matmul(chart.turn, x, precision="highest"))
     rows = np.flatnonzero(_of_kinds(skeleton, joints, "ball", "free"))
@@ -155,7 +160,7 @@ def move_within(
 def make_pose_boxes(
     joints: Sequence[str], lower: Float[np.ndarray, "J 3"], upper: Float[np.ndarray, "J 3"]
 ) -> PoseBoxes:
-    """Checked boxes, radians. Raises `ValueError` where a lower bound is above its upper one."""
+    """Create checked boxes, radians. Raises `ValueError` where a lower bound is above its upper one."""
     for name, low, high in zip(joints, lower, upper, strict=True):
         if not (low <= high).all():
             raise ValueError(f"The box of joint '{name}' goes from {low} down to {high}; swap them.")
@@ -163,13 +168,15 @@ def make_pose_boxes(
 
 
 def no_boxes() -> PoseBoxes:
-    """Boxes of no joint: all may turn as they like."""
+    """Create boxes of no joint, which limit nothing."""
     return make_pose_boxes((), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 def turning_joints(skeleton: Skeleton) -> tuple[int, ...]:
-    """The joints whose turns are part of a pose: all that turn but the roots, which only say where
-    the whole body is headed."""
+    """List the joints whose rotations are part of a pose: all that rotate except roots.
+
+    Roots only orient the whole body.
+    """
     return tuple(
         joint
         for joint, (parent, kind) in enumerate(zip(skeleton.parents, skeleton.kinds, strict=True))
@@ -180,12 +187,14 @@ def turning_joints(skeleton: Skeleton) -> tuple[int, ...]:
 def _within(
     own: Float[Array, "B 3"], lower: Float[Array, "B 3"], upper: Float[Array, "B 3"]
 ) -> Float[Array, "B 3"]:
-    """Every number in its range, and the vector no longer than half a turn: back along the line to the
-    least turn that the box has, which stays in the box."""
+    """Clamp every component to its range, and shorten the vector to at most half a turn.
+
+    It is shortened along the line to the smallest rotation in the box, which stays in the box.
+    """
     clipped = jnp.clip(own, lower, upper)
     least = jnp.clip(jnp.zeros_like(own), lower, upper)
     way = clipped - least
-    # |least + share way| = half a turn; a box without any turn has no solution, and share is none
+    # solve |least + share way| = pi; where the vector is shorter, share is at least 1
     a, b, c = (jnp.sum(p * q, -1, keepdims=True) for p, q in ((way, way), (way, least), (least, least)))
     room = jnp.maximum(HALF_TURN**2 - c, 0.0)
     share = room / (b + jnp.sqrt(jnp.maximum(b**2 + a * room, 1e-30)))
@@ -195,7 +204,7 @@ def _within(
 def _hinges(
     boxes: PoseBoxes, skeleton: Skeleton, joints: Int[np.ndarray, "B"]
 ) -> tuple[Float[Array, "B 3"], Float[Array, "B"], Float[Array, "B"]]:
-    """Each joint's first axis in its own frame, and the least and largest angle about it in the box."""
+    """Compute each joint's first axis in its own frame, and the range of angles about it in the box."""
     axes = rotation.rotate(rotation.conjugate(skeleton.orientations[joints]), skeleton.axes[joints, 0])
     turns = jnp.abs(axes) > ASLANT
     ends = jnp.stack([boxes.lower, boxes.upper]) / jnp.where(turns, axes, 1.0)
@@ -205,24 +214,24 @@ def _hinges(
 
 
 def _bounded(boxes: PoseBoxes) -> Bool[Array, "B 1"]:
-    """Whether a box bounds its joint at all."""
+    """Test if a box bounds its joint at all."""
     return jnp.any(jnp.isfinite(boxes.lower) | jnp.isfinite(boxes.upper), -1, keepdims=True)
 
 
 def _own(
     skeleton: Skeleton, joints: Int[np.ndarray, "B"], rotations: Float[Array, "B 4"]
 ) -> Float[Array, "B 3"]:
-    """Turns as rotation vectors in their joints' own frames."""
+    """Convert rotations to rotation vectors in their joints' own frames."""
     return rotation.rotate(rotation.conjugate(skeleton.orientations[joints]), rotation.log(rotations))
 
 
 def _turned(
     skeleton: Skeleton, joints: Int[np.ndarray, "B"], own: Float[Array, "B 3"]
 ) -> Float[Array, "B 4"]:
-    """What `_own` made of them, as quaternions."""
+    """Convert rotation vectors of `_own` back to quaternions."""
     return rotation.normalise(rotation.exp(rotation.rotate(skeleton.orientations[joints], own)))
 
 
 def _of_kinds(skeleton: Skeleton, joints: Int[np.ndarray, "B"], *kinds: str) -> np.ndarray:
-    """(B,) whether joints are of some kinds."""
+    """Test if joints are of some kinds, (B,)."""
     return np.isin(np.array(skeleton.kinds)[joints], kinds)

@@ -1,4 +1,4 @@
-"""The point of an implicit surface that is nearest to one outside."""
+"""Projection onto implicit limit surfaces."""
 
 import jax
 import jax.numpy as jnp
@@ -7,19 +7,19 @@ from jaxtyping import Array, Bool, Float
 from .chart import Chart
 from .primitives import Primitives, field, radii
 
-#: rounds of going straight for the point and then aside along the surface; halvings of a stretch
+#: rounds of a straight step to the surface and a tangential step along it; bisections of a straight step
 ROUNDS, HALVINGS = 3, 5
-#: how far above the level a point is left, so that rounding does not take it out again
+#: margin of the field above the level, so that rounding does not put a point outside again
 ABOVE = 0.02
 
 
 def nearest_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
-    """The allowed place nearest to a forbidden one, as rotations go.
+    """Find the allowed point nearest to a forbidden one, by rotation distance.
 
-    Every primitive holds a ball that is inside by itself, so the nearest point of these balls is
-    allowed and no further than the nearest sample. From there the surface, which blends the balls,
-    is met on the straight way to the point, and followed to where that way leaves it at right
-    angles.
+    Every primitive contains a ball that is inside the surface by itself. The nearest point of these balls
+    is allowed and no further than the nearest sample, so the search starts there. It goes straight towards
+    the point until it reaches the surface, which blends the balls. Then it follows the surface until the
+    direction to the point is normal to it.
     """
 
     def inside(x):
@@ -37,13 +37,13 @@ def nearest_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"
         best = jnp.where(apart(edge) < apart(place), edge, place)
         return jnp.where(inside(aside) & (apart(aside) < apart(best)), aside, best)
 
-    # on a line there is no way aside
+    # in one dimension there is no tangential direction
     rounds = 1 if chart.dimension == 1 else ROUNDS
     return jax.lax.fori_loop(0, rounds, improve, _nearest_ball(primitives, chart, point))
 
 
 def _nearest_ball(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
-    """The nearest point of the balls, each by the way to it as rotations go."""
+    """Find the nearest point of the balls, by rotation distance."""
     apart = jax.vmap(chart.squared_distance, (0, None))(primitives.centres, point)
     reach = radii(primitives) - ABOVE * primitives.unit / primitives.stiffness
     nearest = jnp.argmin(jnp.sqrt(jnp.maximum(apart, 0.0)) - reach)
@@ -54,7 +54,7 @@ def _nearest_ball(primitives: Primitives, chart: Chart, point: Float[Array, "3"]
 
 
 def _furthest(inside, start: Float[Array, "3"], end: Float[Array, "3"]) -> Float[Array, "3"]:
-    """How far one gets from an allowed start towards a forbidden end."""
+    """Find the last allowed point from an allowed start towards a forbidden end, by bisection."""
 
     def halve(_, shares):
         low, high = shares

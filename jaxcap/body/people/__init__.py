@@ -1,1 +1,1 @@
-"""The embedded human, and people like it."""
+"""The embedded human, and people with its topology."""

@@ -1,4 +1,4 @@
-"""How far the joints of a human skeleton stray from rest, as standard deviations."""
+"""Standard deviations of the joint rotations of a human skeleton from rest."""
 
 import numpy as np
 from jaxtyping import Float
@@ -29,10 +29,10 @@ DEVIATIONS: dict[str, tuple[float, float, float]] = {
 
 
 def rest_deviations(skeleton: Skeleton, default: float = 1.0) -> Float[np.ndarray, "J 3"]:
-    """Standard deviations of every joint about the axes of its own frame, radians.
+    """Return standard deviations of every joint about the axes of its own frame, radians.
 
-    Joints with the names of the embedded human have those of an adult; others, and roots
-    in any case, have `default` and infinity.
+    Joints with the names of the embedded human have those of an adult, other joints `default`. Roots always
+    have infinity.
     """
     deviations = np.full((skeleton.num_joints, 3), default)
     for joint, name in enumerate(skeleton.names):

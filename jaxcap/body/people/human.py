@@ -1,4 +1,4 @@
-"""The embedded human: one mesh, one rig, and as many people as its shape targets give."""
+"""The embedded human: one mesh and one rig, with morph targets for the shapes of people."""
 
 import functools
 from typing import Literal, NamedTuple
@@ -17,7 +17,7 @@ from ..skin import LinearSkin
 from ..skin.interpolate import interpolate_weights
 from .morph_targets import AGES, Morphs, Traits, apply_morphs, reach_height
 
-#: joints that only lead on to the next one and never move in CMU's motions
+#: intermediate joints that never move in CMU's motions
 CARRIERS = ("LHipJoint", "RHipJoint")
 #: joints too small for a scan of a whole body to show
 TWIGS = (
@@ -27,12 +27,12 @@ RESOLUTIONS = ("full", "medium", "low")
 
 
 class _Human(NamedTuple):
-    """What `assets/human.npz` holds (scripts/build_human.py writes it)."""
+    """The content of `assets/human.npz` (written by scripts/build_human.py)."""
 
     names: list[str]
     parents: list[int]
     morphs: Morphs
-    #: the triangles, the skinning weights and, where reduced, the hold on the full mesh
+    #: the triangles, the skinning weights and, where reduced, the attachment to the full mesh
     surfaces: dict[str, tuple[np.ndarray, np.ndarray, Attachment | None]]
 
 
@@ -71,33 +71,32 @@ def human(
     resolution: Literal["full", "medium", "low"] | int = "full",
     joints: Literal["full", "tracking"] = "full",
 ) -> Body:
-    """A human body with the 31 joints of the CMU motion capture database.
+    """Create a human body with the 31 joints of the CMU motion capture database.
 
-    The body is MakeHuman's (CC0; `assets/README.md`): closed, with linear blend skinning, in
-    metres. Y is up, the person looks along +z with the left side towards +x, and stands in an
-    A-pose with the elbows a little bent. The origin is MakeHuman's: the soles of everybody are
-    at y = -0.82 (to 2 mm), so people stand on one floor.
+    The body is MakeHuman's (CC0; `assets/README.md`): closed, with linear blend skinning, in metres. Y is
+    up; the person looks along +z with the left side towards +x, in an A-pose with slightly bent elbows. The
+    origin is MakeHuman's: all soles are at y = -0.82 (to 2 mm), so people share one floor.
 
     **Arguments:**
 
     - `sex`: "female", "male" or a mixture from 0 (female) to 1 (male).
     - `age`: years, from 10 to 90.
     - `weight`, `muscle`: from 0 (least) over 0.5 (average) to 1 (most).
-    - `height`: standing height in metres, reached by MakeHuman's own height targets, so that trunk
-      and limbs change as they do in people and the joints stay inside; where it is not given it
-      follows from sex and age (1.75 m for a man of 25, 1.61 m for a woman).
-    - `resolution`: "full" (13,380 vertices), "medium" (5,000), "low" (1,500), or a number of
-      vertices. People of one named resolution share their triangles, so their vertices correspond;
-      a number decimates this very person (`reduce_body`).
-    - `joints`: "full" makes every joint a ball joint except the two that carry the hips, which do
-      not move in CMU's motions and are fixed; "tracking" also fixes fingers and thumbs, which a
-      scan of a whole body does not show.
+    - `height`: standing height in metres, reached by MakeHuman's own height targets, so that trunk and
+      limbs change as in people and the joints stay inside. Where it is not given it follows from sex and
+      age (1.75 m for a man of 25, 1.61 m for a woman).
+    - `resolution`: "full" (13,380 vertices), "medium" (5,000), "low" (1,500), or a number of vertices.
+      People of one named resolution share their triangles, so their vertices correspond; a number decimates
+      this very person (`reduce_body`).
+    - `joints`: "full" makes every joint a ball joint except the two that carry the hips, which do not move
+      in CMU's motions and are fixed; "tracking" also fixes fingers and thumbs, which a scan of a whole body
+      does not show.
 
-    The root, `Hips`, is free. The x axis of a joint's own frame lies along its bone; its y axis is
-    the axis of flexion, and `axes[j]` are its y and z.
+    The root, `Hips`, is free. The x axis of a joint's own frame lies along its bone; its y axis is the axis
+    of flexion, and `axes[j]` are its y and z.
 
-    **Raises:** `InputError` with one sentence for an option out of its range, `FileNotFoundError`
-    where the asset is missing.
+    **Raises:** `InputError` with one sentence for an option out of its range, `FileNotFoundError` where the
+    asset is missing.
     """
     traits = _traits(sex, age, weight, muscle)
     if height is not None:
@@ -106,7 +105,7 @@ def human(
 
 
 def body_of(traits: Traits, resolution: str | int = "full", joints: str = "full") -> Body:
-    """The embedded human with given traits, which are within their ranges; see `human`."""
+    """Create the embedded human with given traits, which are within their ranges; see `human`."""
     if isinstance(resolution, str) and resolution not in RESOLUTIONS:
         raise ValueError(
             f"The resolution '{resolution}' is unknown; give 'full', 'medium', 'low' or a number of vertices."
@@ -124,7 +123,7 @@ def body_of(traits: Traits, resolution: str | int = "full", joints: str = "full"
 def shape_of(
     traits: Traits, resolution: str = "full"
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 2 3"]]:
-    """Vertices of a named resolution and both ends of the bones at rest, metres, of given traits."""
+    """Compute vertices of a named resolution and both ends of the bones at rest, metres, from traits."""
     asset = _load()
     vertices, ends = apply_morphs(asset.morphs, traits)
     hold = asset.surfaces[resolution][2]
@@ -159,7 +158,7 @@ def _skeleton(asset: _Human, ends: Float[np.ndarray, "J 2 3"], joints: str) -> S
 
 
 def _joint_frames(names: list[str], ends: Float[np.ndarray, "J 2 3"]) -> Float[np.ndarray, "J 3 3"]:
-    """Rotation matrices: columns along the bone, along the axis of flexion, and the third.
+    """Compute rotation matrices with columns along the bone, along the axis of flexion, and the third.
 
     Arms flex about the normal of the plane in which they are bent, all else about the lateral axis.
     """
@@ -170,7 +169,7 @@ def _joint_frames(names: list[str], ends: Float[np.ndarray, "J 2 3"]) -> Float[n
         for part in ("Arm", "ForeArm", "Hand", "FingerBase", "HandFinger1"):
             flexion[f"{side}{part}"] = bend
         flexion[f"{side[0]}Thumb"] = bend
-        # these bones lie along the lateral axis itself, so they lift about the one through the chest
+        # these bones lie along the lateral axis, so they flex about the sagittal axis
         flexion[f"{side}Shoulder"] = flexion[f"{side[0]}HipJoint"] = np.array([0.0, 0.0, 1.0])
     x = np.array([along[name] for name in names])
     z = np.cross(x, np.array([flexion[name] for name in names]))

@@ -1,4 +1,4 @@
-"""Shape targets: how sex, age, weight, muscle and height displace one mesh and its joints."""
+"""Morph targets: displacements of one mesh and its joints by sex, age, weight, muscle and height."""
 
 import functools
 from typing import Any, NamedTuple
@@ -7,17 +7,17 @@ import numpy as np
 from jaxtyping import Float, Integer
 from scipy.optimize import brentq
 
-#: the age in years at which each target of age has its full share
+#: age in years at which each age target has weight one
 AGES = {"child": 10.0, "young": 25.0, "old": 90.0}
-#: deltas are stored as whole tenths of a millimetre, which is what MakeHuman's files hold
+#: unit of the stored displacements, a tenth of a millimetre as in MakeHuman's files, metres
 STEP = 1e-4
 
 
 class Morphs(NamedTuple):
     """A mesh with its bones, and T targets that displace both.
 
-    The weight of a target is the product of the shares of all states in its name, such as
-    `female young averagemuscle maxweight` (MakeHuman's macro targets, as `macro.json` has them).
+    The weight of a target is the product of the weights of all states in its name, such as
+    `female young averagemuscle maxweight` (MakeHuman's macro targets, as in `macro.json`).
     """
 
     #: metres
@@ -32,8 +32,11 @@ class Morphs(NamedTuple):
 
 
 class Traits(NamedTuple):
-    """What makes a person: `sex` from 0 (female) to 1 (male), `age` in years, `weight` and `muscle`
-    from 0 to 1, `stature` from -1 (MakeHuman's shortest) over 0 (as sex and age have it) to 1."""
+    """Traits of a person: `sex` from 0 (female) to 1 (male), `age` in years, `weight` and `muscle` from 0
+    to 1.
+
+    `stature` goes from -1 (MakeHuman's shortest) over 0 (that of sex and age) to 1 (tallest).
+    """
 
     sex: float
     age: float
@@ -43,7 +46,7 @@ class Traits(NamedTuple):
 
 
 def shares(traits: Traits) -> dict[str, float]:
-    """How much of each state a person has: linear between the states of one trait."""
+    """Compute the weight of each state for a person: linear between the states of one trait."""
     return {
         **_between(traits.sex, {"female": 0.0, "male": 1.0}),
         **_between(traits.age, AGES),
@@ -65,7 +68,7 @@ def _between(value: float, places: dict[str, float]) -> dict[str, float]:
 def apply_morphs(
     morphs: Morphs, traits: Traits
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 2 3"]]:
-    """Vertices and ends of the bones of one person, metres."""
+    """Compute vertices and ends of the bones of one person, metres."""
     present = shares(traits)
     vertices, joints = morphs.vertices.astype(float), morphs.joints.astype(float)
     for target, states in enumerate(morphs.target_states):
@@ -77,9 +80,9 @@ def apply_morphs(
 
 
 def reach_height(morphs: Morphs, traits: Traits, height: float) -> Traits:
-    """The same person with the stature that makes it `height` metres tall, to a micrometre.
+    """Find the stature of a person that is `height` metres tall, to a micrometre.
 
-    **Raises:** `ValueError` with one sentence when no stature does.
+    **Raises:** `ValueError` with one sentence when no stature reaches it.
     """
 
     @functools.cache

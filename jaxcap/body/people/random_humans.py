@@ -1,4 +1,4 @@
-"""People of many shapes."""
+"""Random people of many shapes."""
 
 import functools
 
@@ -12,8 +12,10 @@ from .human import RESOLUTIONS, human
 def people_of_many_shapes(
     count: int, *, seed: int = 0, resolution: str = "full", joints: str = "full"
 ) -> tuple[Body, ...]:
-    """Women and men drawn at random, from 18 to 75 years, of all weights and muscles, 1.45 to 2 m tall: `human` of one
-    resolution, so that their vertices correspond."""
+    """Sample women and men of 18 to 75 years, of all weights and muscles, 1.45 to 2 m tall.
+
+    They are `human` of one resolution, so that their vertices correspond.
+    """
     rng = np.random.default_rng(seed)
     people = []
     for _ in range(count):
@@ -26,7 +28,8 @@ def people_of_many_shapes(
 
 
 def human_resolution(body: Body) -> str | None:
-    """The named resolution of `human` whose triangles and joints a body has; None where it is another's."""
+    """Find the named resolution of `human` with the triangles and joint names of a body; None where there
+    is none."""
     for resolution in RESOLUTIONS:
         one = human(resolution=resolution, joints="tracking")
         if body.skeleton.names == one.skeleton.names and np.array_equal(body.faces, one.faces):

@@ -1,4 +1,4 @@
-"""Poses to try a body in: made where no motion is at hand, and picked from many."""
+"""Sampled poses for tests of a body, and selection of diverse poses."""
 
 import equinox as eqx
 import jax
@@ -13,16 +13,17 @@ from ..pose import Pose, project, rest_pose
 from ..skeleton import Skeleton
 from .anatomy import rest_deviations
 
-#: radians about every axis of a joint that no anatomy knows, and the deviations that none exceeds
+#: standard deviation of joints without known anatomy, radians; largest multiple of the deviation
 _UNKNOWN, _MOST = 0.5, 2.0
 
 
 @checked
 def sample_poses(skeleton: Skeleton, count: int = 64, seed: int = 0) -> Pose:
-    """`count` poses stacked, the rest pose first, the same for one seed.
+    """Sample `count` stacked poses, the rest pose first; deterministic for a seed.
 
-    Joints turn about the axes of their own frames by normal numbers, with the deviations of
-    `rest_deviations` where the skeleton has human names, and none beyond twice that. Roots stay.
+    Joints rotate about the axes of their own frames by normal random angles. Their deviations are those of
+    `rest_deviations` where the skeleton has human names. Angles are clipped at twice the deviation. Roots
+    do not move.
 
     **Raises:** `ValueError` where `count` is not positive.
     """
@@ -48,8 +49,10 @@ def _turned(skeleton: Skeleton, turns: jax.Array) -> Pose:
 
 
 def unlike_poses(skeleton: Skeleton, poses: Pose, count: int) -> Int[np.ndarray, "N"]:
-    """At most `count` numbers of stacked poses in rising order: the first, and then each the furthest from those
-    before, by the places of joints about the root."""
+    """Select at most `count` diverse poses of a stack by farthest-point sampling, as ascending indices.
+
+    The first pose is always selected. Distances are those of joint positions relative to the root.
+    """
     joints = np.asarray(joint_paths(skeleton, poses), float)
     joints = (joints - joints[:, :1]).reshape(len(joints), -1)
     chosen, apart = [0], np.linalg.norm(joints - joints[0], axis=1)

@@ -1,4 +1,4 @@
-"""How a surface follows its bones."""
+"""Skinning: deformation of a surface by its bones."""
 
 from .dual_quaternion import DualQuaternionSkin as DualQuaternionSkin
 from .linear import LinearSkin as LinearSkin

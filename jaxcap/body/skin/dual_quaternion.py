@@ -1,4 +1,4 @@
-"""Dual quaternion blending of the bones' world transforms."""
+"""Dual quaternion skinning of the bones' world transforms."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -12,12 +12,12 @@ from .skin import AbstractSkin
 
 
 class DualQuaternionSkin(AbstractSkin):
-    """Dual quaternion linear blending of bones (DLB; Kavan, Collins, Zara and O'Sullivan 2008):
-    `v' = d v d*` with `d = sum_j w_vj d_j` at unit length, where each bone's `d_j` has the sign
-    that is nearer to the bone of the largest weight. The pose's scale comes last.
+    """Dual quaternion linear blending of bones (DLB; Kavan, Collins, Zara and O'Sullivan 2008).
 
-    Twists keep their volume, which linear blending loses; bends bulge.
-    `weights (V, J)` are at least zero and sum to one over the bones.
+    It is `v' = d v d*` with `d = sum_j w_vj d_j` at unit length. The sign of each bone's `d_j` is the one
+    nearer to the bone of the largest weight. The pose's scale is applied last. Twists preserve their
+    volume, which linear blending loses; bends bulge. `weights (V, J)` are at least zero and sum to one over
+    the bones.
     """
 
     weights: Float[Array, "V J"]
@@ -38,15 +38,17 @@ class DualQuaternionSkin(AbstractSkin):
         return DualQuaternionSkin(self.weights[vertices])
 
     def carry(self, corners, shares, skeleton):
-        """The weights between those of the corners."""
+        """Interpolate the weights of the corners."""
         del skeleton
         return DualQuaternionSkin(
             jnp.asarray(interpolate_weights(self.weights, corners, shares), self.weights.dtype)
         )
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
-        """A bone's `d_j` turns with the field of the joints above it at the rate `(a + e b) d_j / 2`,
-        so each vertex feels, at each bone, what six unit fields do to its blend."""
+        """Differentiate the blend of each vertex by six unit fields at each bone.
+
+        A bone's `d_j` moves with the field of the joints above it at the rate `(a + e b) d_j / 2`.
+        """
         motions = bone_motions(pose, transforms)
         weights = dualquat.align(self.weights, motions)
         pulled = dualquat.pull_back(weights @ motions, vertices, pose.scale * directions)
@@ -60,6 +62,6 @@ class DualQuaternionSkin(AbstractSkin):
 
 
 def bone_motions(pose: Pose, transforms: Transforms) -> Float[Array, "J 8"]:
-    """The bones' world transforms without the pose's scale, as unit dual quaternions."""
+    """Convert the bones' world transforms without the pose's scale to unit dual quaternions."""
     q = rotation.from_matrix(transforms.rotations / pose.scale)
     return dualquat.from_rigid(q, transforms.translations / pose.scale)

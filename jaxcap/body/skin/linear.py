@@ -18,7 +18,7 @@ class LinearSkin(AbstractSkin):
 
     def deform(self, vertices, skeleton, pose, transforms):
         del skeleton, pose
-        # one product (V x 4J)(4J x 3) is the fastest form on a CPU
+        # a single product (V x 4J)(4J x 3) is the fastest form on a CPU
         homogeneous = jnp.concatenate([vertices, jnp.ones_like(vertices[:, :1])], 1)
         spread = (self.weights[:, :, None] * homogeneous[:, None, :]).reshape(len(vertices), -1)
         bones = jnp.concatenate([transforms.rotations, transforms.translations[:, :, None]], 2)
@@ -35,18 +35,18 @@ class LinearSkin(AbstractSkin):
         return LinearSkin(self.weights[vertices])
 
     def carry(self, corners, shares, skeleton):
-        """The weights between those of the corners."""
+        """Interpolate the weights of the corners."""
         del skeleton
         return LinearSkin(jnp.asarray(interpolate_weights(self.weights, corners, shares), self.weights.dtype))
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
-        """A vertex rides with the bones below a joint by their weights,
+        """Differentiate by a weighted sum over the bones below each joint,
 
             dx_v / dk = sum_{i below joint(k)} w_vi (a_k x T_i v + b_k),
 
-        which takes one sum down the tree for each joint, not a pass over the surface for each
-        number. Along one direction `n . (a x p) = a . (p x n)` comes first: each bone feels
-        the moment `p x n` and the force `n`, and the sums are made of these.
+        which takes one sum over the descendants of each joint, not a pass over the surface for each
+        parameter. For one direction, `n . (a x p) = a . (p x n)` is used first: the moment `p x n` and the
+        force `n` of each bone are summed.
         """
         del pose
         below = bones_below(skeleton, rates)
@@ -66,5 +66,5 @@ class LinearSkin(AbstractSkin):
             a[2] * x - a[0] * z + b[1] * share,
             a[0] * y - a[1] * x + b[2] * share,
         )
-        # summed by hand: a product for every vertex is slow on a CPU
+        # an explicit sum, as one small product per vertex is slow on a CPU
         return sum(directions[:, :, i, None] * moved[i][:, None] for i in range(3))

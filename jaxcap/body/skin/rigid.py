@@ -1,4 +1,4 @@
-"""Rigid parts."""
+"""Rigid skinning: one bone for each vertex."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,12 +28,12 @@ class RigidSkin(AbstractSkin):
         return RigidSkin(self.bones[vertices])
 
     def carry(self, corners, shares, skeleton):
-        """The bones of the nearest corners."""
+        """Select the bones of the nearest corners."""
         del skeleton
         nearest = np.argmax(np.asarray(shares), 1)[:, None]
         return RigidSkin(self.bones[np.take_along_axis(np.asarray(corners), nearest, 1)[:, 0]])
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
-        """Each vertex moves with the field of every joint that its bone hangs on."""
+        """Evaluate the field of every parameter whose joint moves the vertex's bone; others are zero."""
         points = self.deform(vertices, skeleton, pose, transforms)
         return field_rows(points, directions, rates) * bones_below(skeleton, rates)[self.bones][:, None]

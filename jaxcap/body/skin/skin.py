@@ -1,4 +1,4 @@
-"""How a surface follows its bones: one interface, a final class for each scheme."""
+"""The interface of skins; each skinning method is one final class."""
 
 import abc
 
@@ -16,10 +16,9 @@ from .interpolate import AnyArray
 class AbstractSkin(eqx.Module):
     """Binds every vertex of a body to its bones.
 
-    A skin says where the vertices go (`deform`), which bone each one belongs to (`parts`),
-    how strongly each bone moves it (`influence`), and how it moves with unknown numbers
-    (`jacobian`); and it gives the skin of some of the vertices (`take`) and of other points on
-    the same surface (`carry`).
+    A skin deforms the vertices (`deform`), assigns each to one bone (`parts`), gives the weight of each
+    bone (`influence`), and differentiates by unknown parameters (`jacobian`). It also makes the skin of a
+    subset of the vertices (`take`) and of other points on the same surface (`carry`).
     """
 
     def __check_init__(self):
@@ -29,31 +28,31 @@ class AbstractSkin(eqx.Module):
     def deform(
         self, vertices: Float[Array, "V 3"], skeleton: Skeleton, pose: Pose, transforms: Transforms
     ) -> Float[Array, "V 3"]:
-        """Posed positions `(V, 3)` of the rest `vertices (V, 3)`, metres.
+        """Compute posed positions `(V, 3)` of the rest `vertices (V, 3)`, metres.
 
         `transforms` are those of the `pose`: `forward_kinematics(skeleton, pose)`.
         """
 
     @abc.abstractmethod
     def parts(self) -> Int[Array, "V"]:
-        """The bone that each vertex belongs to."""
+        """Return the bone of each vertex."""
 
     @abc.abstractmethod
     def influence(self, num_bones: int) -> Float[Array, "V J"]:
-        """Share of each bone in the motion of each vertex; rows sum to one."""
+        """Return the share of each bone in the motion of each vertex; rows sum to one."""
 
     @abc.abstractmethod
     def take(self, vertices: Int[Array, "C"]) -> "AbstractSkin":
-        """The skin of chosen vertices, in their order."""
+        """Select the skin of chosen vertices, in their order."""
 
     @abc.abstractmethod
     def carry(
         self, corners: Int[AnyArray, "N 3"], shares: Float[AnyArray, "N 3"], skeleton: Skeleton
     ) -> "AbstractSkin":
-        """The skin of points on the surface, each in a triangle of three vertices.
+        """Interpolate the skin at points on the surface, each in a triangle of three vertices.
 
-        **Arguments:** `corners` are the vertices of the triangles, `shares` the barycentric
-        coordinates of the points; negative ones count as zero.
+        **Arguments:** `corners` are the vertices of the triangles, `shares` the barycentric coordinates of
+        the points; negative ones count as zero.
         """
 
     @abc.abstractmethod
@@ -66,8 +65,8 @@ class AbstractSkin(eqx.Module):
         transforms: Transforms,
         rates: Rates,
     ) -> Float[Array, "V R N"]:
-        """How far each posed vertex moves along its `directions (V, R, 3)` with each of the N
-        numbers of `rates`: `n . dx_v / dk`, the derivative of `deform`.
+        """Differentiate `deform` along `directions (V, R, 3)` of each posed vertex by the N parameters of
+        `rates`: `n . dx_v / dk`.
 
-        `vertices (V, 3)` are those of the whole skin, at rest; `take` makes it smaller first.
+        `vertices (V, 3)` are those of the whole skin, at rest; `take` reduces it first.
         """

@@ -14,21 +14,21 @@ from .skin import AbstractSkin
 
 
 class SwingTwistSkin(AbstractSkin):
-    """Every vertex rides on a base bone, and the joints that hang on that bone blend beside it
-    (Adaptation, eqs. 3.1 and 3.13 to 3.18; after Kavan and Sorkine 2012): `x = T_base S(v)`.
+    """Every vertex has a base bone, and the child joints of that bone are blended (Adaptation, eqs. 3.1 and
+    3.13 to 3.18; after Kavan and Sorkine 2012): `x = T_base S(v)`.
 
-    `S` blends the joints' own motions, each about its rest centre: first the twists about the
-    joints' own x axes, as dual quaternions with weights `twist`, the identity with the rest, and
-    the signs nearest to whichever of these weighs most; then the swings, linearly, with weights
-    `swing` and the rest for what does not move. A joint's own shift counts to its swing. Then
-    the transform of the base bone, which holds the pose's scale, moves the vertex with all above.
+    `S` blends the joints' own motions, each about its rest centre. First come the twists about the joints'
+    own x axes, as dual quaternions with weights `twist`. The identity has the remaining weight, and the
+    signs follow the motion of largest weight. Then come the swings, linearly, with weights `swing` and the
+    remaining weight for the identity. A joint's own translation belongs to its swing. Last, the transform
+    of the base bone, which includes the pose's scale, is applied.
 
-    Weight one at a joint and base its parent is the same map as that joint for a base and no
-    weights: so do weights slide along a chain past its joints.
+    A joint of weight one with its parent as base gives the same map as that joint as base without weights.
+    So weights can move along a chain past its joints continuously.
 
     - `bases (V,)` bones.
-    - `swing (V, J)`, `twist (V, J)`: at least zero, non-zero at children of the vertex's base
-      only, rows at most one in sum.
+    - `swing (V, J)`, `twist (V, J)`: at least zero, non-zero only at children of the vertex's base, rows at
+      most one in sum.
     """
 
     bases: Int[Array, "V"]
@@ -45,7 +45,7 @@ class SwingTwistSkin(AbstractSkin):
         return jnp.einsum("vab,vb->va", r, beside) + t
 
     def _aligned(self, twists: Float[Array, "J 8"]) -> tuple[Float[Array, "V K"], Float[Array, "K 8"]]:
-        """Signed weights of all joints' twists and, last, of the neutral motion; and these motions."""
+        """Compute signed weights of all joints' twists and, last, of the identity; and these motions."""
         neutral = 1.0 - jnp.sum(self.twist, 1, keepdims=True)
         motions = jnp.concatenate([twists, dualquat.identity(twists.dtype)[None]])
         return dualquat.align(jnp.concatenate([self.twist, neutral], 1), motions), motions
@@ -58,7 +58,7 @@ class SwingTwistSkin(AbstractSkin):
         return jnp.argmax(self.influence(self.swing.shape[1]), 1)
 
     def influence(self, num_bones):
-        """The mean of swing and twist weights; the base has the rest."""
+        """Compute the mean of swing and twist weights; the base has the rest."""
         del num_bones
         return (with_base(self.swing, self.bases) + with_base(self.twist, self.bases)) / 2
 
@@ -66,7 +66,7 @@ class SwingTwistSkin(AbstractSkin):
         return SwingTwistSkin(self.bases[vertices], self.swing[vertices], self.twist[vertices])
 
     def carry(self, corners, shares, skeleton):
-        """The weights between those of the corners, on the base that keeps most of them."""
+        """Interpolate the weights of the corners, on the base that keeps most of them."""
         rows = [
             interpolate(np.asarray(with_base(weights, self.bases)), corners, shares)
             for weights in (self.swing, self.twist)
@@ -74,8 +74,10 @@ class SwingTwistSkin(AbstractSkin):
         return on_best_base(rows[0], rows[1], skeleton, self.swing.dtype)
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
-        """The base rides with the joints above it; beside it, each child moves the vertex by its
-        own twist's and swing's rates, weighted. No number needs a pass over the surface."""
+        """Move the base with the joints above it, and add the weighted twist and swing rates of each child.
+
+        No parameter needs a pass over the surface.
+        """
         split = split_joints(skeleton, pose)
         weights, motions = self._aligned(split.twists)
         blended = weights @ motions
@@ -85,7 +87,7 @@ class SwingTwistSkin(AbstractSkin):
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
         posed = jnp.einsum("vab,vb->va", r, beside) + t
         rows = field_rows(posed, directions, rates) * bones_below(skeleton, rates)[self.bases][:, None]
-        # directions as the blended surface has them before its base moves, and before it swings
+        # directions in the frame before the base moves, and before the swing
         inner = jnp.einsum("vrb,vbc->vrc", directions, r)
         innermost = jnp.einsum("vrb,vbc->vrc", inner, swings[:, :, :3])
         joints = np.array(rates.joints)
@@ -98,12 +100,11 @@ class SwingTwistSkin(AbstractSkin):
 
 @checked
 def swing_twist_from(skin: AbstractSkin, skeleton: Skeleton) -> SwingTwistSkin:
-    """A swing-twist skin from any other: the way to it from a body with LBS weights.
+    """Convert any skin to a swing-twist skin, such as that of a body with LBS weights.
 
-    Each vertex gets the base that, with its children, has most of the vertex's influences. The
-    rest goes where it acts alike: what lies further down a branch to the child it hangs on,
-    everything else to the base. So where one joint moves alone, and swings, a vertex with that
-    joint beside its base goes where LBS takes it.
+    Each vertex gets the base that, with its children, has most of the vertex's influences. The rest is
+    reassigned: from deeper descendants to the child above them, and everything else to the base. So where
+    one joint swings alone, a vertex with that joint as a child of its base moves as under LBS.
 
     **Raises:** `ValueError` where the skin is for another number of bones.
     """
@@ -117,7 +118,7 @@ def swing_twist_from(skin: AbstractSkin, skeleton: Skeleton) -> SwingTwistSkin:
 
 
 def with_base(weights: Float[Array, "V J"], bases: Int[Array, "V"]) -> Float[Array, "V J"]:
-    """Weights of the children, and what is left of one at the base."""
+    """Add the remaining weight of each row to the base."""
     rest = 1.0 - jnp.sum(weights, 1, keepdims=True)
     return weights + jnp.where(bases[:, None] == jnp.arange(weights.shape[1]), rest, 0.0)
 
@@ -125,12 +126,12 @@ def with_base(weights: Float[Array, "V J"], bases: Int[Array, "V"]) -> Float[Arr
 def on_best_base(
     swing: Float[np.ndarray, "V J"], twist: Float[np.ndarray, "V J"], skeleton: Skeleton, dtype
 ) -> SwingTwistSkin:
-    """Influences of any bones, rows one in sum, as weights of the children of one base."""
+    """Convert influences of any bones, rows one in sum, to weights of the children of one base."""
     parents = np.array(skeleton.parents)
     hangs = parents[:, None] == np.arange(len(parents))
     swing, twist = np.asarray(swing, float), np.asarray(twist, float)
     mean = (swing + twist) / 2
-    # among bases that keep as much, the one that weighs most itself
+    # among equal bases, the one with the largest weight of its own
     bases = np.argmax(mean @ hangs + (1 + 1e-6) * mean, 1)
     children = hangs[:, bases].T
     below = skeleton.descent.T
