@@ -18,5 +18,6 @@ def reference(task: Task, state: AdaptState) -> Body:
 
 
 def shape_prior_of(task: Task, state: AdaptState) -> ShapePrior:
-    """What is known of the actor's shape: that of training meshes at the actor's size, else of the reference itself."""
+    """What is known of the actor's shape: that of training meshes at the actor's size, else of the reference
+    itself."""
     return own_shape_prior(reference(task, state)) if task.shape is None else scaled(task.shape, state.size)

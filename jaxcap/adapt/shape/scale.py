@@ -37,9 +37,10 @@ def fit_size(
     terms: AbstractEnergy | None = None,
     already: float = 1.0,
 ) -> tuple[Body, list[Pose], float]:
-    """Scale the body to the actor, with its poses in some scans: new pairs, and a step of all poses and of the size
-    that they share, in turn. Joints and vertices do the rest later. `cameras`, `boxes` and `terms` as in `fit_pose`;
-    `already` is how many times as large as the template the body is. Return body, poses and its further scale."""
+    """Scale the body to the actor, with its poses in some scans: new pairs, and a step of all poses and of
+    the size that they share, in turn. Joints and vertices do the rest later. `cameras`, `boxes` and `terms`
+    as in `fit_pose`; `already` is how many times as large as the template the body is. Return body, poses and
+    its further scale."""
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=LENGTHS)
     count = len(scans)
 

@@ -1,4 +1,5 @@
-"""The shape around every vertex, as training meshes show it (Adaptation, 4.1.1 and 4.1.3): Laplacian vectors."""
+"""The shape around every vertex, as training meshes show it (Adaptation, 4.1.1 and 4.1.3): Laplacian
+vectors."""
 
 from typing import NamedTuple
 
@@ -33,8 +34,8 @@ def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]
 
     **Arguments:** `poses`, those of the body in each mesh, stacked; `meshes`, metres.
 
-    **Raises:** `ValueError` where there are no poses, they are of other joints than the body's, there are other
-    numbers of meshes than of poses or of vertices than the body has, or a mesh is not finite.
+    **Raises:** `ValueError` where there are no poses, they are of other joints than the body's, there are
+    other numbers of meshes than of poses or of vertices than the body has, or a mesh is not finite.
     """
     count = len(poses.rotations) if poses.rotations.ndim == 3 else 0
     if not count:
@@ -74,8 +75,8 @@ def neighbours_in(prior: ShapePrior) -> Int[np.ndarray, "E 2"]:
 
 
 def shape_energy(prior: ShapePrior, body: Body) -> float:
-    """`Q = 1/(M V) sum |L(v_m) - L(T_m(v))|^2`, metres squared: how far the body's Laplacian vectors are from the
-    prior's, mean over meshes and vertices (eqs. 4.11 and 4.12)."""
+    """`Q = 1/(M V) sum |L(v_m) - L(T_m(v))|^2`, metres squared: how far the body's Laplacian vectors are from
+    the prior's, mean over meshes and vertices (eqs. 4.11 and 4.12)."""
     meshes = np.asarray(_deform_all(body, prior.poses), float)
     apart = np.stack([prior.laplacian @ mesh for mesh in meshes]) - prior.vectors
     return float(np.mean(np.sum(apart**2, -1)))

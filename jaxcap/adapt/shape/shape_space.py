@@ -22,7 +22,8 @@ COUNT = 30
 DRAWN, OTHER = 200, "medium"
 #: how often somebody like such a template is brought nearer to it, and how far joints are off in him, metres
 ROUNDS, JOINTS_TRUST = 15, 0.1
-#: a template is like somebody where this share of its vertices is as near, as a share of its height, and joints on average
+#: a template is like somebody where this share of its vertices is as near, as a share of its height, and
+#: joints on average
 MOST, NEAR = 0.95, 0.02
 
 
@@ -66,9 +67,9 @@ def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> 
 
 @checked
 def people_like(template: Body, whole: Body | None = None) -> People | None:
-    """How people differ, where the template has the human's triangles and joints, by humans of many shapes; or where the
-    `whole` body has them that the template was reduced from, whose surface its vertices then hang on; or where it has
-    other triangles, but the joints and about the surface of some human at rest."""
+    """How people differ, where the template has the human's triangles and joints, by humans of many shapes;
+    or where the `whole` body has them that the template was reduced from, whose surface its vertices then
+    hang on; or where it has other triangles, but the joints and about the surface of some human at rest."""
     of, shift = template if whole is None else whole, np.zeros(3)
     resolution = human_resolution(of)
     if resolution is not None:
@@ -89,9 +90,9 @@ def people_like(template: Body, whole: Body | None = None) -> People | None:
 
 
 def someone_like(template: Body, people: People) -> tuple[Body, Float[np.ndarray, "3"]]:
-    """The person whose surface comes nearest to a template's with the same joints and other triangles, standing where it
-    does, and how far off that is, metres: begun by the joints, then by the nearest points of the template, again and
-    again."""
+    """The person whose surface comes nearest to a template's with the same joints and other triangles,
+    standing where it does, and how far off that is, metres: begun by the joints, then by the nearest points
+    of the template, again and again."""
     centres = np.asarray(template.skeleton.centres - people.template.skeleton.centres, float)
     body = person(people, _traits(people.modes.centres, centres, people.standing, JOINTS_TRUST))
     shift = np.asarray(template.skeleton.centres - body.skeleton.centres, float).mean(0)
@@ -132,8 +133,9 @@ def person(people: People, traits: Float[Array, "K"]) -> Body:
 
 
 def traits_like(people: People, body: Body, trust: float = 0.1) -> Float[Array, "K"]:
-    """The traits of the person who is most like a body of the same triangles at rest, wherever it stands: least
-    squares of the vertices' shifts, with `trust` the deviation of one that no person explains, metres."""
+    """The traits of the person who is most like a body of the same triangles at rest, wherever it stands:
+    least squares of the vertices' shifts, with `trust` the deviation of one that no person explains,
+    metres."""
     return _traits(people.modes.vertices, body.vertices - people.template.vertices, people.standing, trust)
 
 

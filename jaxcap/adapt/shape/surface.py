@@ -1,8 +1,9 @@
-"""Rest vertices from the pairs of many frames, held to the shape that people have (Adaptation, 4.1.3); with poses and joints
-where these are adapted in the same step (4.1.4: "a huge sparse equation system").
+"""Rest vertices from the pairs of many frames, held to the shape that people have (Adaptation, 4.1.3); with
+poses and joints where these are adapted in the same step (4.1.4: "a huge sparse equation system").
 
-Unknown are the numbers of every frame's pose, the amounts of modes, which move joints, and the shifts of all rest vertices.
-Frames meet only through what is shared. Vertices meet where they share a pair or lie within two edges.
+Unknown are the numbers of every frame's pose, the amounts of modes, which move joints, and the shifts of all
+rest vertices. Frames meet only through what is shared. Vertices meet where they share a pair or lie within
+two edges.
 """
 
 import itertools
@@ -45,7 +46,8 @@ class ShapeTerm(eqx.Module):
     across: Float[Array, "E"]
     poses: Pose
     vectors: Float[Array, "M V 3"]
-    #: of squared changes of Laplacian vectors, mean over meshes, against the sum of the pairs' squared distances
+    #: of squared changes of Laplacian vectors, mean over meshes, against the sum of the pairs' squared
+    #: distances
     weight: Float[Array, ""]
     #: of every vertex's squared shift, as a part that no scan shows is only known by its shape
     hold: Float[Array, ""]
@@ -78,7 +80,8 @@ def adapt_shape(
     """The rest vertices that make least of the pairs' squared distances, summed over frames, plus `weight`
     times the squared change of the Laplacian vectors, mean over the prior's poses: one sparse system.
 
-    `hold` ties every vertex weakly to where it is; `tolerance` is the share of the right side at which conjugate gradients end.
+    `hold` ties every vertex weakly to where it is; `tolerance` is the share of the right side at which
+    conjugate gradients end.
 
     **Raises:** `ValueError` where two vertices of a pair share no edge.
     """
@@ -98,14 +101,16 @@ def adapt_together(
     hold: float | Float[Array, ""] = 1e-4,
     tolerance: float = 1e-5,
 ) -> tuple[Body, Pose]:
-    """One Gauss-Newton step on all poses, the amounts of the modes and all rest vertices, which takes the place of a step of
-    `problem` and of `adapt_shape`. Other than there, the shape of the posed training meshes also depends on the joints (4.1.3).
+    """One Gauss-Newton step on all poses, the amounts of the modes and all rest vertices, which takes the
+    place of a step of `problem` and of `adapt_shape`. Other than there, the shape of the posed training
+    meshes also depends on the joints (4.1.3).
 
     **Arguments:** `problem`, as a rule `shared_problem` with `joint_modes(body, follow=False)`, as vertices
     move by themselves; `poses` and `pairs` stacked over frames; the others as in `adapt_shape`.
 
-    Differentiable by every array of numbers, in either mode: the iteration by the implicit function theorem, to its
-    tolerance. Which vertices are in a pair must be known when it is called, so not under `jit`; it is jitted within.
+    Differentiable by every array of numbers, in either mode: the iteration by the implicit function theorem,
+    to its tolerance. Which vertices are in a pair must be known when it is called, so not under `jit`; it is
+    jitted within.
 
     **Raises:** `ValueError` where two vertices of a pair share no edge.
     """
@@ -173,8 +178,8 @@ class SurfaceEstimate(eqx.Module):
 
 
 class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
-    """Find what a sequence's problem finds, and all rest vertices, with the shape as a further term. Of the terms of frames only
-    the distances of `pairs` depend on the vertices."""
+    """Find what a sequence's problem finds, and all rest vertices, with the shape as a further term. Of the
+    terms of frames only the distances of `pairs` depend on the vertices."""
 
     sequence: SequenceProblem
     pairs: Pairs
@@ -271,7 +276,8 @@ def _vertex_step(
 def vertex_equations(
     body: Body, poses: Pose, pairs: Pairs, coupling: Coupling, shape: ShapeTerm, tolerance: Float[Array, ""]
 ) -> tuple[SparseBlocks, Float[Array, "V 3"]]:
-    """Sum the normal equations of rest vertices over frames and training meshes, with their hold; the right side is what a step is to close."""
+    """Sum the normal equations of rest vertices over frames and training meshes, with their hold; the right
+    side is what a step is to close."""
     couples, count = _couples(pairs.vertices.shape[-1]), len(body.vertices)
 
     def of_frame(total, frame):
