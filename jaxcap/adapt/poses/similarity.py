@@ -52,8 +52,7 @@ def shape_of(cloud: Cloud, height: float) -> Shape:
 
 
 def turned_distances(one: Shape, other: Shape) -> Float[np.ndarray, "T"]:
-    """Compute the RMS difference of two fields, metres, for each rotation `2 pi k / T` of `one` about the
-    vertical."""
+    """Compute the RMS difference of two fields, metres, for rotations `2 pi k / T` of `one` about y."""
     # circular correlation over all rotations
     both = np.fft.irfft(np.sum(np.conj(one.spectrum) * other.spectrum, 0), n=DIRECTIONS)
     squares = np.sum(one.field**2) + np.sum(other.field**2) - 2 * both
@@ -89,7 +88,6 @@ def is_unordered(cloud: Callable[[int], Cloud], frames: Sequence[int], height: f
 
 
 def share_nearer(steps: Float[np.ndarray, "S"], apart: Float[np.ndarray, "P"]) -> float:
-    """Estimate the probability that a step is shorter than the distance of a random pair; 0.5 for random
-    order."""
+    """Estimate the probability that a step is shorter than a random pair's distance; 0.5 without order."""
     ranks = np.searchsorted(np.sort(apart), steps) / len(apart)
     return float(1.0 - ranks.mean())

@@ -79,8 +79,7 @@ def smooth_windows(
     times: Sequence[int] | None = None,
     begin: int = 0,
 ) -> Iterator[tuple[list[Pose], int]]:
-    """Smooth poses as `smooth_poses`, and yield after each window all poses and the first frame of the next
-    window.
+    """Smooth poses as `smooth_poses`; yield all poses and the next window's first frame after each window.
 
     `begin` at this frame resumes from these poses with the same result. After the last window it is the
     number of poses.

@@ -80,8 +80,7 @@ class Meetings:
 def told(
     task: Task, state: AdaptState, name: str, frames: Sequence[int], meetings: Meetings | None = None
 ) -> AdaptState:
-    """Record the terms after a stage in some frames in the state's history; `meetings` may cache their
-    pairs."""
+    """Append a stage's terms in some frames to the state's history; `meetings` may cache their pairs."""
     body, poses = state.body, [state.motion[n] for n in frames]
     pairs = (Meetings(task) if meetings is None else meetings).pairs(body, frames, poses)
     squares = [mean_square(body, pose, some) for pose, some in zip(poses, pairs, strict=True)]

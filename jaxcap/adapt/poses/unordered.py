@@ -69,8 +69,7 @@ def are_worse(likelihoods: Float[np.ndarray, "F"]) -> Bool[np.ndarray, "F"]:
 
 
 def visiting_order(shapes: Mapping[int, Shape]) -> list[int]:
-    """Sort frames so that each is as similar as possible to one before it; the first frame stays the
-    first."""
+    """Sort frames so that each is as similar as possible to one before it; the first one stays first."""
     frames = list(shapes)
     order, nearest = frames[:1], dict.fromkeys(frames[1:], np.inf)
     while nearest:
@@ -85,8 +84,7 @@ def visiting_order(shapes: Mapping[int, Shape]) -> list[int]:
 def find_poses(
     task: Task, body: Body, poses: Mapping[int, Pose], *, known: bool, done: int = 0
 ) -> Iterator[tuple[Found, int]]:
-    """Find the poses of unordered scans; yield the poses so far and the number of finished frames after every
-    frame.
+    """Find the poses of unordered scans; yield them and the number of finished frames after every frame.
 
     A frame keeps the pose that explains it best among three kinds: its own in `poses`, the refined one, and
     those fitted from the poses of the most similar explained scans. Then frames that stay worse than the
@@ -144,8 +142,8 @@ class _Search:
         return self.improved(frame, pose)
 
     def starts(self, frame: int, found: Found, cloud: Cloud, count: int, turns: int) -> Pose:
-        """Stack start poses: those of the most similar explained frames, moved to a cloud, in `turns`
-        directions each."""
+        """Stack start poses from the most similar explained frames, at a cloud, in `turns` directions
+        each."""
         own = self.shapes[frame]
         apart = {n: turned_distances(self.shapes[n], own) for n in found.explained if n != frame}
         near = sorted(apart, key=lambda n: float(apart[n].min()))[:count]
