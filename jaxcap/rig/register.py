@@ -1,5 +1,4 @@
-"""Registration of the template to a surface by closest points in both directions, found anew in every
-step."""
+"""Registration of the template to a surface by closest points in both directions, new in every step."""
 
 from typing import NamedTuple
 

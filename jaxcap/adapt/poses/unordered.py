@@ -142,8 +142,7 @@ class _Search:
         return self.improved(frame, pose)
 
     def starts(self, frame: int, found: Found, cloud: Cloud, count: int, turns: int) -> Pose:
-        """Stack start poses from the most similar explained frames, at a cloud, in `turns` directions
-        each."""
+        """Stack start poses from the most similar explained frames, in `turns` directions each."""
         own = self.shapes[frame]
         apart = {n: turned_distances(self.shapes[n], own) for n in found.explained if n != frame}
         near = sorted(apart, key=lambda n: float(apart[n].min()))[:count]
