@@ -1,4 +1,4 @@
-"""A template becomes the actor of a sequence of scans, in two passes (Adaptation, 4.1.4 and 4.2.1)."""
+"""Adaptation of a template to the actor in scans, in two passes (Adaptation, 4.1.4 and 4.2.1)."""
 
 import functools
 import logging
@@ -34,33 +34,36 @@ from .task import tracker_of
 
 _LOG = logging.getLogger(__name__)
 
-#: frames that the actor's size is read from
+#: number of frames from which the actor's size is estimated
 SIZED = 3
-#: share of the weights that balance the pose prior and second differences with the data (eqs. 4.15 and 4.16): as much
-#: rolls forearms towards rest until hands lie the wrong way up, and makes motions smoother than people move
+#: share of the weights that balance the pose prior and second differences with the data (eqs. 4.15 and 4.16):
+#: the full weights roll forearms towards rest until hands are flipped, and oversmooth motions
 BALANCE = 0.1
-#: weight of the pose prior while the first poses are found, where it is to be balanced with the data
+#: weight of the pose prior while the first poses are found, if it is balanced with the data afterwards
 FIRST_WEIGHT = 1e-6
 
-#: mean log-likelihood by which a pose from before hands were turned over has to be better: they have few of the points
+#: mean log-likelihood by which a pose from before the flip of hands must be better, as hands have few of the
+#: points
 TURNED = 0.05
 
-#: what is reached within a stage, and at its end
+#: yields the states within a stage, and returns the one at its end
 Steps = Generator[AdaptState, None, AdaptState]
 
 
 @checked
 def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> Iterator[AdaptState]:
-    """Adapt a template to an actor, and yield what is reached after every stage; and where `every` is given, within the
-    stages that go through the frames, which are tracking, single poses and smoothing, also after every so many of them.
+    """Adapt a template to an actor, and yield the state after every stage.
 
-    The stages (`plan`): the actor's size from the first frames; all frames tracked; proportions, and hands turned over
-    that lie the wrong way up; then vertices and joints adapted to some that are spread over the motion, in rounds; all
-    tracked and adapted again; every pose by itself; all of them smooth. `state` is one to go on from.
+    The stages (`plan`) are: estimate the actor's size in the first frames; track all frames; estimate
+    proportions and correct flipped hands; adapt vertices and joints, in rounds, to some frames that are
+    spread over the motion; track and adapt again; fit every pose by itself; smooth all poses.
 
-    A frame that is `missing` is lost: its pose lies between those of the frames around it.
+    A frame that is `missing` is lost: its pose is interpolated between those of the frames around it.
 
     Memory is that of the clouds of the chosen frames, or of one window.
+
+    **Arguments:** `state`, one to resume from; `every`, if above zero, also yields a state after so many
+    frames within the stages that process single frames (tracking, single poses and smoothing).
     """
     meetings = Meetings(task)
     stages = plan(task.settings)
@@ -82,13 +85,13 @@ def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> I
 
 
 def _size(task: Task) -> AdaptState:
-    """The first poses, and how large the actor is."""
-    # where scans do not follow each other the first one does not lead to others yet
+    """Estimate the first poses and the actor's size."""
+    # the first of unordered scans does not lead to the next one
     frames = task.scanned[: 1 if task.settings.unordered else SIZED]
     scans = [task.scan(n) for n in frames]
     found = [_sized(task, scans, frames, task.template, 1.0)]
     if task.start is None:
-        # a body of about the right size may find another pose, and finds it more surely
+        # a body of about the right size may find a better pose, and more reliably
         found.append(_sized(task, scans, frames, found[0].body, found[0].size))
     best = min(found, key=lambda state: state.history[-1][1])
     poses = {frame: best.motion[n] for n, frame in enumerate(frames)}
@@ -96,7 +99,7 @@ def _size(task: Task) -> AdaptState:
 
 
 def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body, size: float) -> AdaptState:
-    """From the template at some size."""
+    """Estimate poses and size from a body that is the template scaled by `size`."""
     settings, search = task.settings, task.start is None
     weight = FIRST_WEIGHT if settings.pose is None else settings.pose
     clouds = (task.cloud(n) for n in frames)
@@ -118,14 +121,15 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
     state = AdaptState(0, body, size * step, motion, weight=weight)
     state = told(task.some(frames), state, "size", range(len(frames)))
     if settings.pose is None:
-        # first poses are often at rest and later ones are not: a prior that is right is worth one a number
+        # first poses are often at rest, later ones are not: a correct prior has an energy of one per degree
+        # of freedom
         worth = max(state.terms[0].pose, float(body.skeleton.num_dofs))
         weight = BALANCE * balanced(state.terms[0].data, worth)
     return state._replace(weight=weight)
 
 
 def _every_frame(task: Task, poses: Mapping[int, Pose]) -> Motion:
-    """A pose for every frame: its own, or one between those of the frames around it, as far as it is along."""
+    """Fill in the poses of all frames by linear interpolation between the known ones."""
     known, every = sorted(poses), []
     for frame in range(task.frames):
         if frame in poses:
@@ -140,19 +144,19 @@ def _every_frame(task: Task, poses: Mapping[int, Pose]) -> Motion:
 
 @eqx.filter_jit
 def _between(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Array, ""]) -> Pose:
-    """The pose at a share of the way between two."""
+    """Interpolate between two poses; `share` is from 0 to 1."""
     return retract(skeleton, before, share * difference(skeleton, before, after))
 
 
 def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
-    """Hands that lie the wrong way up, which shows once proportions are the actor's; then all frames are tracked again."""
+    """Correct flipped hands, which show with the actor's proportions, and track all frames again."""
     if task.settings.unordered:
         return (yield from _turn_each(task, state, stage, every))
     if state.within:
         return (yield from _track(task, state, stage, every))
     first, tracker = task.scanned[:SIZED], tracker_of(task, state.body)
     clouds = [task.cloud(n) for n in first]
-    # the body has changed since these were tracked, and other frames have been fitted to it
+    # these were tracked with an earlier body
     poses = [
         frame.pose
         for frame in track_frames(tracker, clouds, state.motion[first[0]], search=False, sigma=0.03)
@@ -164,7 +168,7 @@ def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
 
 
 def _turn_each(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
-    """The same where a hand may lie the wrong way up in one scan and not in another."""
+    """Correct flipped hands in each of unordered scans by itself."""
     tracker, there = tracker_of(task, state.body), task.scanned
     while state.within < len(there):
         some = there[state.within :][: every or None]
@@ -180,8 +184,10 @@ def _turn_each(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps
 
 
 def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose | None = None) -> Steps:
-    """All frames, or the first ones, by the tracker, which is fast, and searches for frames that are lost. A frame keeps
-    its pose where the tracker finds none that explains it better."""
+    """Track all frames, or the first ones, and search for lost poses.
+
+    A frame keeps its pose if the tracker finds none that explains it better.
+    """
     if task.settings.unordered:
         return (yield from _find(task, state, stage, every))
     there, passed = task.frames_of(stage), state.within
@@ -191,7 +197,7 @@ def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose 
     clouds = (task.cloud(n) for n in there[passed:])
 
     def known(number: int) -> list[Pose]:
-        # those of the frame itself and of the one after it, as they were before this stage
+        # candidates: the poses of this frame and the next one from before this stage
         return [own[n] for n in there[number : number + 2]]
 
     own = state.motion
@@ -216,13 +222,13 @@ def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose 
             yield state._replace(motion=motion, lost=tuple(sorted(lost)), within=done, tracked=frame)
     motion = _every_frame(task, poses)
     state = state._replace(motion=motion, lost=tuple(sorted(lost)), within=0, tracked=None)
-    # with all frames known what is normal shows; of the first ones the tracker's own judgement counts
+    # normal values need all frames; for the first ones keep the tracker's own judgement
     state = flag_frames(task, state) if stage.frames is None else state
     return told(task, state, str(stage), some_of(task.scanned) if stage.frames is None else there[-1:])
 
 
 def _find(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
-    """All frames, from those that are most like them."""
+    """Find the poses of unordered scans, each from the most similar ones."""
     there = task.scanned
     poses = {n: state.motion[n] for n in there}
     for found, number in find_poses(task, state.body, poses, known=state.done > 1, done=state.within):
@@ -234,7 +240,7 @@ def _find(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
 
 
 def _poses(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
-    """Every pose by itself, with pairs both ways; so many frames at a time, from those on that are done."""
+    """Fit every pose by itself with pairs in both directions, `every` frames at a time."""
     there = task.scanned
     while state.within < len(there):
         some = there[state.within :][: every or None]
@@ -248,17 +254,17 @@ def _poses(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
 
 
 def _smooth(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
-    """All poses, smooth in time. Frames without a scan are left out, and lie between the others."""
+    """Smooth all poses in time; those of frames without a scan are interpolated."""
     settings, body, there = task.settings, state.body, task.scanned
     if not state.within:
         temporal = settings.temporal
         if temporal is None:
-            # a pose that is wild would leave all others rough
+            # a wrong pose has a large energy, so its weight would smooth too little
             rough = motion_energy(body.skeleton, state.motion, without={*state.lost, *task.missing})
             temporal = BALANCE * balanced(state.terms[-1].data, rough)
         state = state._replace(temporal=temporal)
 
-    # every frame is in some windows, and in each as often as it has steps
+    # every frame is in several windows, and read in each of their steps
     scan_at = functools.lru_cache(FRAMES)(lambda number: task.scan(there[number]))
 
     def pairs_in(number: int, pose: Pose) -> Pairs:

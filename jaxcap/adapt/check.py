@@ -1,4 +1,4 @@
-"""Whether scans are of one person, and taken by the cameras that are named: told before hours are spent."""
+"""Early checks that scans show one person and that the given cameras took them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,26 +19,29 @@ from ..observe import Cloud, make_cloud
 from .adapt_body import adapt_body
 from .task import AdaptState, Task
 
-#: a point is explained by a body within this share of its height, where both face the same way to this cosine
+#: largest distance of an explained point, as a share of the body's height, and least cosine between the
+#: normals
 NEAR, FACING = 0.05, 0.8
-#: a body explains at least the first share of the points around it where they are a person's, as curled up in a box or
-#: along a post it does not; of somebody with a load the second, if those are this share of its height in length
+#: least share of nearby points that the body explains if they are a person's; a body curled up in a box or
+#: along a post explains fewer. The second share is for a person with a load, if the explained points extend
+#: over the third share of the body's height
 EXPLAINED, LOADED, UPRIGHT = 0.62, 0.42, 0.85
-#: nobody folds to less than this share of their own height
+#: least extent of a folded person, as a share of the height
 FOLDED = 0.4
-#: points further from a body than this share of its height are of something else
+#: distance, as a share of the body's height, beyond which points belong to another object
 FAR = 0.15
-#: something else may be a person where it has at least this share of the points, and a height and a width between
-#: these shares of the body's
+#: another object may be a person if it has at least this share of the points, at least this share of the
+#: body's height, and at most this width, as a share of the same height
 SHARE, HEIGHT, WIDTH = 0.15, 0.5, 1.3
-#: the share of a scan's points that may lie below its floor
+#: share of a scan's points that may lie below its floor
 LOWEST = 0.02
-#: points are of one thing where they are linked by steps of this share of the body's height
+#: link length of connected points, as a share of the body's height
 LINK = 0.06
-#: the least share of the scans' points that cameras have in their pictures, and the furthest they stand from them, metres
+#: least share of the scans' points inside the images of the cameras, and largest distance of a camera from
+#: them, metres
 SEEN, FURTHEST = 0.5, 100.0
 
-#: what lies beyond these quantiles does not count as the end of anything
+#: quantiles of the points that bound an extent, robust to outliers
 OUTERMOST = (0.01, 0.99)
 
 _posed = eqx.filter_jit(pose_body)
@@ -47,17 +50,19 @@ _posed = eqx.filter_jit(pose_body)
 class Likeness(NamedTuple):
     """How well a body explains the points around it."""
 
-    #: those it explains, of those that are not far from it
+    #: explained points as a share of the nearby points
     share: float
-    #: the longest side of the box around those it explains, of its height
+    #: the longest side of the bounding box of the explained points, as a share of the body's height
     length: float
 
 
 def check_cameras(cameras: Sequence[Camera], clouds: Sequence[Float[np.ndarray, "_ 3"]], where: str) -> None:
-    """That cameras can have taken the points of some scans, metres; `where` names the cameras in messages.
+    """Check that cameras can have taken the points of some scans, metres.
 
-    **Raises:** `InputError` where a camera is as far off as one in another unit, looks away or past all points, or
-    most points are in no picture.
+    `where` names the cameras in messages.
+
+    **Raises:** `InputError` if a camera is so far away that its unit is wrong, looks away from or past all
+    points, or if most points are in no image.
     """
     points = np.concatenate(clouds)
     middle = np.median(points, 0)
@@ -77,15 +82,17 @@ def check_cameras(cameras: Sequence[Camera], clouds: Sequence[Float[np.ndarray, 
 
 
 def check_actor(task: Task, state: AdaptState, where: str) -> None:
-    """That the first scan is of one person, by the body as the stage `size` has left it; `where` names the scan.
+    """Check that the first scan shows one person, with the body after the stage `size`.
 
-    **Raises:** `InputError` where the body explains too few of the points around it, or as well something else in
-    the scan that is as large as a person.
+    `where` names the scan in messages.
+
+    **Raises:** `InputError` if the body explains too few of the points around it, or if the scan contains
+    another object that is like a person.
     """
     first = task.scanned[0]
     scan, height = task.scan(first), height_of(state.body)
     like, apart = likeness(state, first, scan)
-    # a floor would link all that stands on it
+    # a floor would link all objects on it
     floor = float(np.quantile(scan.points[:, 1], LOWEST)) + LINK * height
     far = np.flatnonzero((apart > FAR * height) & (scan.points[:, 1] > floor))
     for group in large_groups(scan.points[far], height, len(scan.points)):
@@ -106,22 +113,22 @@ def check_actor(task: Task, state: AdaptState, where: str) -> None:
 
 
 def asked(like: Likeness) -> float:
-    """The least share of the points around a body that are to be explained, by how long those are that are."""
+    """Return the least share of nearby points to explain, given the length of the explained ones."""
     return LOADED if like.length >= UPRIGHT else EXPLAINED
 
 
 def is_person(like: Likeness) -> bool:
-    """Whether points that a body explains so well are of a person: boxes, balls, chairs and dogs are not."""
+    """Test if points that a body explains so well are a person's; boxes, balls, chairs and dogs are not."""
     return like.share >= asked(like)
 
 
 def likeness(state: AdaptState, frame: int, scan: Scan) -> tuple[Likeness, Float[np.ndarray, "N"]]:
-    """How well a body in one of its poses explains a scan, and the distances of all its points, metres."""
+    """Measure how well a posed body explains a scan; also return the distances of all points, metres."""
     posed, faces = _posed(state.body, state.motion[frame]), np.asarray(state.body.faces)
     there = nearest_on_surface(scan.points, np.asarray(posed.vertices, float), faces)
     own = np.einsum("nk,nka->na", there.shares, np.asarray(posed.normals, float)[faces[there.triangles]])
     length, height = np.linalg.norm(own, axis=1), height_of(state.body)
-    # a normal that is not known faces any way
+    # an unknown normal matches any direction
     facing = np.sum(own * scan.normals, 1) >= FACING * length
     facing |= ~scan.normals.any(1)
     around, good = there.distances <= FAR * height, facing & (there.distances <= NEAR * height)
@@ -132,13 +139,16 @@ def likeness(state: AdaptState, frame: int, scan: Scan) -> tuple[Likeness, Float
 
 
 def height_of(body: Body) -> float:
-    """The longest side of the box around a body at rest, metres."""
+    """Compute the longest side of the bounding box of a body at rest, metres."""
     return float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
 
 
 def large_groups(points: Float[np.ndarray, "N 3"], height: float, whole: int) -> list[Int[np.ndarray, "_"]]:
-    """Rows of connected points that may be a person about `height` metres tall, y up, in a scan with `whole` points in
-    all: no floor, no wall and nothing small. Largest first."""
+    """Find connected groups of points that may be a person about `height` metres tall, y up.
+
+    Floors, walls and small groups are excluded. `whole` is the number of points of the scan. Return the rows
+    of each group, largest first.
+    """
     labels = connected(points, LINK * height)
     found = []
     for label in np.unique(labels):
@@ -152,7 +162,10 @@ def large_groups(points: Float[np.ndarray, "N 3"], height: float, whole: int) ->
 
 
 def connected(points: Float[np.ndarray, "N 3"], link: float) -> Int[np.ndarray, "N"]:
-    """Which group each point is in: the cells of half a `link`, metres, that hold points are linked to those as near."""
+    """Label connected components of points.
+
+    Cells have a side of half a `link`, metres. Occupied cells at most two sides apart are connected.
+    """
     cells, cell_of = np.unique(np.floor(points / (link / 2)).astype(int), axis=0, return_inverse=True)
     pairs = KDTree(cells).query_pairs(2.0, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
@@ -160,6 +173,6 @@ def connected(points: Float[np.ndarray, "N 3"], link: float) -> Int[np.ndarray, 
 
 
 def _likeness_alone(task: Task, cloud: Cloud) -> Likeness:
-    """That of the template when it is looked for in a cloud alone, at a size of its own."""
+    """Fit the template, with its size, to a cloud alone and measure how well it explains it."""
     alone = task._replace(cloud=lambda _: cloud, frames=1, start=None, cameras=(), missing=(), mesh=None)
     return likeness(next(adapt_body(alone)), 0, make_scan(cloud))[0]

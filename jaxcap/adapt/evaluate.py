@@ -1,5 +1,7 @@
-"""What adapting a body has brought: the same scans met by the template, by the body of one scan, and by that of many
-(Adaptation, 4.2.1, tables 4.2 and 4.3)."""
+"""Evaluation of an adaptation (Adaptation, 4.2.1, tables 4.2 and 4.3).
+
+The same scans are compared with the template, with a body adapted to one scan, and with one adapted to many.
+"""
 
 from collections.abc import Iterator, Sequence
 from itertools import islice
@@ -20,16 +22,16 @@ from ..metrics import Summary, scan_to_surface
 from .adapt_body import AdaptState, Settings, Task, adapt_body, plan
 from .shape.scale import resized
 
-#: width of a bin of distances, which percentiles are as fine as, and the distance of the last one, metres
+#: width of a bin of distances, the resolution of percentiles, and the distance of the last bin, metres
 BIN, FURTHEST = 1e-5, 1.0
-#: frames whose joint angles are told over time (fig. 4.16)
+#: number of frames with reported joint angles over time (fig. 4.16)
 CURVED = 500
 
 _posed, _log = eqx.filter_jit(pose_body), jax.jit(rotation.log)
 
 
 class Distances(NamedTuple):
-    """How many distances lie in each bin: no more memory for a thousand scans than for one."""
+    """A histogram of distances, of a size that does not depend on the number of scans."""
 
     counts: Int[np.ndarray, "B"]
     #: sum, metres, and sum of squares
@@ -38,57 +40,58 @@ class Distances(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """One way to explain the scans."""
+    """One body and its distances from the scans."""
 
     name: str
     body: Body
     #: from points of the scans to the surface, and from vertices to the nearest point
     to_body: Distances
     to_scan: Distances
-    #: mean distance of the points that are nearest to a vertex or its neighbours, metres; NaN where none is
+    #: mean distance of the points nearest to a vertex or its neighbours, metres; NaN without such points
     heat: Float[np.ndarray, "V"]
     #: median distance of the points of every measured frame, metres
     by_frame: Float[np.ndarray, "E"]
-    #: frames that no pose explained
+    #: frames that no pose explains
     lost: tuple[int, ...]
 
 
 class Angles(NamedTuple):
-    """Joints over time, before and after motion was made smooth; radians."""
+    """Joint angles over time, before and after smoothing; radians."""
 
     seconds: Float[np.ndarray, "F"]
-    #: how far each joint is turned from rest, about the axis that it turns about most
+    #: rotation of each joint from rest about its main axis
     before: Float[np.ndarray, "F J"]
-    #: None where motion was not made smooth
+    #: None if the motion was not smoothed
     after: Float[np.ndarray, "F J"] | None
-    #: root mean square of second differences, as eq. 4.10 has them
+    #: root mean square of second differences (eq. 4.10)
     shake_before: Float[np.ndarray, "J"]
     shake_after: Float[np.ndarray, "J"] | None
 
 
 class Stages(NamedTuple):
-    """Variants, from the template to the final result, in the frames that were measured."""
+    """The variants, from the template to the final result, in the measured frames."""
 
     measured: tuple[int, ...]
     variants: tuple[Variant, ...] = ()
-    #: None where scans do not follow each other in time
+    #: None for unordered scans
     angles: Angles | None = None
 
 
 def variant_names(settings: Settings) -> list[str]:
-    """Those that `compare_stages` tells of."""
+    """List the names of the variants of `compare_stages`."""
     names = ["not adapted", "first frame", "many frames"]
     return [*names, "smooth"] if settings.smooth else names
 
 
 def compare_stages(task: Task, state: AdaptState, *, step: int = 1) -> Iterator[Stages]:
-    """Measure a finished adaptation; yields after every variant, the last time with all of them.
+    """Measure a finished adaptation, and yield the results after every variant.
 
-    `not adapted` is the template at the actor's size, `first frame` that adapted to one scan, `many frames` the adapted
-    body with every pose by itself, `smooth` the final motion. All frames are tracked; poses and distances are those of
-    every `step`-th. Nothing is needed but the state, and one scan at a time is in memory beside those of the stages.
+    `not adapted` is the template at the actor's size, `first frame` the template adapted to one scan, `many
+    frames` the adapted body with every pose fitted by itself, `smooth` the final motion. All frames are
+    tracked; every `step`-th one is measured. One scan at a time is in memory, in addition to those of the
+    stages.
 
-    **Raises:** `ValueError` where stages are left to do, or `step` is below 1.
+    **Raises:** `ValueError` if the adaptation is not finished, or `step` is below 1.
     """
     if state.done < len(plan(task.settings)):
         raise ValueError(
@@ -98,9 +101,9 @@ def compare_stages(task: Task, state: AdaptState, *, step: int = 1) -> Iterator[
         raise ValueError(f"The step is {step}; it must be at least 1.")
     stages = Stages(tuple(n for n in range(0, task.frames, step) if n not in task.missing))
 
-    # tracked once, as the first frame that is not lost is the one to adapt to
+    # tracked before `first frame` too, which adapts to the first frame that is not lost
     size = jnp.asarray(state.size, task.template.vertices.dtype)
-    # begun as an adaptation is, with one pose: those of the result would help the others
+    # start with one pose, as an adaptation does: the final poses would help these variants
     begun = _taken(state.motion, task.scanned[:1] * task.frames)
     template = AdaptState(1, resized(task.template, size), state.size, begun, weight=state.weight)
     tracked = _until_poses(task, template, 0)
@@ -122,12 +125,12 @@ def compare_stages(task: Task, state: AdaptState, *, step: int = 1) -> Iterator[
 
 
 def no_distances() -> Distances:
-    """None yet."""
+    """Make an empty histogram of distances."""
     return Distances(np.zeros(round(FURTHEST / BIN), int), 0.0, 0.0)
 
 
 def with_distances(known: Distances, more: Float[np.ndarray, "N"]) -> Distances:
-    """Those known and more of them, metres; what is not finite is left out."""
+    """Add distances, metres, to a histogram; values that are not finite are ignored."""
     more = more[np.isfinite(more)]
     last = len(known.counts) - 1
     bins = np.minimum(more / BIN, last).astype(int)
@@ -136,18 +139,18 @@ def with_distances(known: Distances, more: Float[np.ndarray, "N"]) -> Distances:
 
 
 def quantile(distances: Distances, share: float) -> float:
-    """The distance that a share of all stays below, metres, to a bin; NaN where there is none."""
+    """Compute the quantile of distances at a share, metres, to the width of a bin; NaN without distances."""
     return _weighed_quantile(_middles(distances), distances.counts, share)
 
 
 def share_below(distances: Distances, limits: Float[np.ndarray, "L"]) -> Float[np.ndarray, "L"]:
-    """The share of distances below each limit, metres."""
+    """Compute the share of distances below each limit, metres."""
     passed = np.concatenate([[0], np.cumsum(distances.counts)])
     return np.interp(limits / BIN, np.arange(len(passed)), passed / max(passed[-1], 1))
 
 
 def summary_of(distances: Distances) -> Summary:
-    """Location and spread, metres; median, MAD and quartiles (eq. 4.18) to a bin."""
+    """Compute location and spread, metres; median, MAD and quartiles (eq. 4.18) to the width of a bin."""
     count = int(distances.counts.sum())
     mean, median = distances.total / max(count, 1), quantile(distances, 0.5)
     off = np.abs(_middles(distances) - median)
@@ -167,13 +170,13 @@ def _middles(distances: Distances) -> Float[np.ndarray, "B"]:
 
 
 def _weighed_quantile(values: Float[np.ndarray, "B"], counts: Int[np.ndarray, "B"], share: float) -> float:
-    """Of values that rise."""
+    """Compute a quantile of ascending values with counts."""
     passed = np.cumsum(counts)
     return float(values[np.searchsorted(passed, share * passed[-1])]) if passed[-1] else float("nan")
 
 
 def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
-    """A body adapted to one frame, or to none, and tracked in all."""
+    """Adapt a body to the first `adapted` frames (none or one), and track it in all frames."""
     own = task.settings
     settings = own._replace(
         frames=adapted, every=0, alone=own.alone * adapted, rounds=own.rounds[:adapted], temporal=0.0
@@ -185,7 +188,7 @@ def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
 
 
 def _each_by_itself(task: Task, state: AdaptState, frames: Sequence[int]) -> Motion:
-    """The poses of some frames as the stage `pose` finds them from those of a state."""
+    """Fit the poses of some frames by the stage `pose`, from those of a state."""
     settings = task.settings._replace(every=0, alone=0, rounds=(), temporal=0.0)
     some = task.some(frames)._replace(settings=settings)
     begun = state._replace(done=len(plan(settings)) - 1, motion=_taken(state.motion, frames))
@@ -198,7 +201,7 @@ def _taken(motion: Motion, frames: Sequence[int]) -> Motion:
 
 
 def _measured(stages: Stages, task: Task, state: AdaptState, motion: Motion) -> Stages:
-    """With one more variant: a body, in its poses in the measured frames, against their scans."""
+    """Measure the distances of a body in the measured frames, and append them as a variant."""
     body, faces = state.body, np.asarray(state.body.faces)
     to_body, to_scan = no_distances(), no_distances()
     sums = np.zeros((len(body.vertices), 2))
@@ -225,7 +228,7 @@ def _vertices(body: Body, pose: Pose) -> Float[np.ndarray, "V 3"]:
 
 
 def _angles(alone: Motion, smooth: Motion | None) -> Angles:
-    """Of frames that follow each other."""
+    """Compute the joint angles of consecutive frames."""
     frames = min(len(alone if smooth is None else smooth), CURVED)
     turns = [motion.poses.rotations[:frames] for motion in (alone, smooth) if motion is not None]
     vectors = [np.asarray(_log(turn), float) for turn in turns]
@@ -237,7 +240,7 @@ def _angles(alone: Motion, smooth: Motion | None) -> Angles:
 
 
 def main_axes(vectors: Float[np.ndarray, "F J 3"]) -> Float[np.ndarray, "J 3"]:
-    """The unit axis along which the rotation vectors of each joint spread most; its largest number is positive."""
+    """Compute the main axis of each joint's rotation vectors; its largest component is positive."""
     off = vectors - vectors.mean(0)
     axes = np.linalg.eigh(np.einsum("fja,fjb->jab", off, off))[1][..., -1]
     largest = np.take_along_axis(axes, np.abs(axes).argmax(1)[:, None], 1)
@@ -246,7 +249,7 @@ def main_axes(vectors: Float[np.ndarray, "F J 3"]) -> Float[np.ndarray, "J 3"]:
 
 @jax.jit
 def _shake(turns: Float[Array, "F J 4"]) -> Float[Array, "J"]:
-    """Root mean square of the difference of a rotation from the mean of those before and after (eq. 4.10), radians."""
+    """Compute the RMS difference of rotations from the mean of both neighbours (eq. 4.10), radians."""
     back = rotation.conjugate(turns[1:-1])
     before, after = (rotation.log(rotation.multiply(back, turn)) for turn in (turns[:-2], turns[2:]))
     return jnp.sqrt(jnp.sum((before + after) ** 2, (0, 2)) / max(len(back), 1)) / 2

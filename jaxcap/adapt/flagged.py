@@ -1,4 +1,4 @@
-"""Flag frames that the body explains less well than is normal for their sequence, and say why."""
+"""Flag frames that the body explains worse than is normal for their sequence, with reasons."""
 
 from collections.abc import Sequence
 
@@ -19,11 +19,12 @@ from ..geometry.closest import nearest_on_surface
 from ..observe import Cloud, thin_cloud
 from .task import AdaptState, Task
 
-#: points of a scan whose distances are measured
+#: number of points of a scan with measured distances
 POINTS = 1000
-#: a frame is off where its median distance is so many deviations over the sequence's, and at least so much, metres
+#: a frame is lost if its median distance exceeds the sequence's by this many deviations and by at least this,
+#: metres
 DEVIATIONS, OFF = 5.0, 0.003
-#: of a finished motion a frame is off from this median distance on, whatever the others are, metres
+#: median distance from which on a frame of a finished motion is lost in any case, metres
 MOST = 0.015
 NO_SCAN = "no scan that can be used"
 
@@ -31,10 +32,11 @@ _posed = eqx.filter_jit(pose_body)
 
 
 def flag_frames(task: Task, state: AdaptState, *, final: bool = False) -> AdaptState:
-    """Judge the poses of all frames by one rule, and note which are `lost` and the `reasons`.
+    """Judge the poses of all frames by one rule, and record the `lost` frames and their `reasons`.
 
-    A frame is judged by part (`fit.judgement`) and by its median distance from the body, both against what is normal for
-    all frames, whatever their order; a `final` motion by an absolute distance, too.
+    A frame is judged by part (`fit.judgement`) and by its median distance from the body. Both are compared
+    with the normal values of all frames, whatever their order. A `final` motion is also judged by an absolute
+    distance.
     """
     reasons = dict.fromkeys(task.missing, NO_SCAN)
     distances = {n: median_distance(state.body, state.motion[n], task.cloud(n)) for n in task.scanned}
@@ -52,7 +54,7 @@ def flag_frames(task: Task, state: AdaptState, *, final: bool = False) -> AdaptS
 
 
 def judge_parts(task: Task, state: AdaptState) -> list[Judgement]:
-    """Compare each scanned frame by part with what is usual for all of them."""
+    """Compare each scanned frame by part with the usual values of all frames."""
     surface = judged_surface(state.body)
 
     def gather(sensors: Sequence[Camera] | Float[Array, "D"]) -> list[Evidence]:
@@ -60,7 +62,7 @@ def judge_parts(task: Task, state: AdaptState) -> list[Judgement]:
 
     evidence = gather(task.cameras)
     if not task.cameras:
-        # the sensors are those that all frames together show
+        # estimate the sensors from all frames together
         evidence = gather(sensors_of(usual_of(_stack(evidence))))
     usual = usual_of(_stack(evidence))
     return [judge_evidence(surface, usual, one) for one in evidence]
@@ -71,14 +73,14 @@ def _stack(evidence: list[Evidence]) -> Evidence:
 
 
 def distance_limit(distances: Float[np.ndarray, "F"]) -> float:
-    """The median distance from which on a frame is off, metres, by the median of all frames and the deviation from it."""
+    """Compute the limit of a frame's median distance, metres, from the median and MAD of all frames."""
     middle = float(np.median(distances))
     spread = 1.4826 * float(np.median(np.abs(distances - middle)))
     return middle + max(DEVIATIONS * spread, OFF, 0.5 * middle)
 
 
 def median_distance(body: Body, pose: Pose, cloud: Cloud) -> float:
-    """The median distance of a cloud's points from the surface of a body, metres."""
+    """Compute the median distance of a cloud's points from the surface of a posed body, metres."""
     few = thin_cloud(cloud, POINTS)
     points = np.asarray(few.points, float)[np.asarray(few.weights) > 0]
     vertices = np.asarray(_posed(body, pose).vertices, float)

@@ -1,4 +1,4 @@
-"""The terms of the objective, each by itself and without its weight (Adaptation, section 4.1.3)."""
+"""The unweighted terms of the objective (Adaptation, section 4.1.3)."""
 
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
@@ -18,9 +18,9 @@ from .poses.sliding_window import temporal_energy
 
 
 class Terms(NamedTuple):
-    """What each term is worth."""
+    """The value of each term."""
 
-    #: mean squared weighed distance of a pair (eq. 4.4), metres squared
+    #: mean weighted squared distance of a pair (eq. 4.4), metres squared
     data: float
     #: mean of the pose prior over frames (eq. 4.7)
     pose: float
@@ -30,24 +30,26 @@ class Terms(NamedTuple):
     shape: float
     #: summed squared differences of paired bones' lengths (eq. 4.13), metres squared
     symmetry: float
-    #: mean over frames of the energies of a user's own, in units of a log-likelihood
+    #: mean over frames of the user's energies, in units of a log-likelihood
     own: float = 0.0
 
 
 def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:
-    """The mean of a prior over stacked poses."""
+    """Compute the mean energy of a prior over stacked poses."""
     return float(_pose_energy(prior, body, poses))
 
 
 def symmetry_energy(skeleton: Skeleton, mirrored: Sequence[tuple[int, int]]) -> float:
-    """The summed squared differences of paired bones' lengths (eq. 4.13)."""
+    """Sum the squared differences of paired bones' lengths (eq. 4.13)."""
     differences, _ = length_differences(skeleton, mirrored)
     return float(jnp.sum(differences**2))
 
 
 def motion_energy(skeleton: Skeleton, motion: Motion, without: Collection[int] = ()) -> float:
-    """Of frames that follow each other, where there are three at least `without` some, and else of all (eq. 4.9); none of
-    fewer than three."""
+    """Compute the temporal energy of a motion (eq. 4.9); zero for fewer than three frames.
+
+    The frames `without` are excluded if at least three others are left; else all are used.
+    """
     every = np.arange(len(motion))
     frames = np.setdiff1d(every, list(without))
     frames = frames if len(frames) > 2 else every
@@ -57,7 +59,7 @@ def motion_energy(skeleton: Skeleton, motion: Motion, without: Collection[int] =
 
 
 def balanced(data: float, term: float) -> float:
-    """The weight that makes a term worth as much as the data (eqs. 4.15 and 4.16); none for a term that is none."""
+    """Compute the weight that balances a term with the data (eqs. 4.15, 4.16); zero for a zero term."""
     return data / term if term > 1e-12 else 0.0
 
 

@@ -1,4 +1,4 @@
-"""The task of an adaptation from a template and its scans."""
+"""Preparation of an adaptation task from a template and its scans."""
 
 from collections.abc import Callable, Sequence
 
@@ -40,18 +40,20 @@ def make_task(
     terms: OwnTerms = (),
     whole: Body | None = None,
 ) -> Task:
-    """What `adapt_body` is to do. Poses are held near rest as far as anatomy says, bones of the left are as long as those
-    of the right, and where the template is a human, of any triangles, it becomes the person that people's shapes tell of.
+    """Make the task of `adapt_body`.
 
-    **Arguments:** `clouds`, a `Cloud` for each frame, metres, asked for when they are needed, or as `read_clouds` gives them; `rate`, frames a second; `start`, a pose near
-    that of the first frame, which is searched for where it is not given; `likely`, which poses are likely beside what
-    anatomy says, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further energies of every frame's posed body in
-    units of a log-likelihood, such as `make_floor(template)`, which act in all stages; `whole`, the body that the template was reduced from; the
-    others as in `Task`. Whether the scans follow each other in time is found from some of them, unless
-    `settings.unordered` says so.
+    Poses have an anatomical prior around rest, and left bones are as long as right ones. If the template is a
+    human, of any triangulation, its proportions are estimated in a shape space of people.
 
-    **Raises:** `InputError` where no frame has a cloud, a setting is out of its range, or `settings` ask for what unordered
-    scans cannot have.
+    **Arguments:** `clouds`, a `Cloud` for each frame, metres, loaded on demand, or the result of
+    `read_clouds`; `rate`, frames per second; `start`, a pose near that of the first frame, searched for if
+    None; `likely`, a further pose prior, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further
+    energies of every frame's posed body in units of a log-likelihood, such as `make_floor(template)`, which
+    act in all stages; `whole`, the body that the template was reduced from; the others as in `Task`. The
+    order of the scans in time is detected from some of them, unless `settings.unordered` is given.
+
+    **Raises:** `InputError` if no frame has a cloud, a setting is out of its range, or `settings` are
+    incompatible with unordered scans.
     """
     check_settings(settings)
     clouds = CloudFrames(clouds)

@@ -1,4 +1,4 @@
-"""Problems that an adaptation minimises (Adaptation, eq. 4.3)."""
+"""The least-squares problems of an adaptation (Adaptation, eq. 4.3)."""
 
 from collections.abc import Sequence
 
@@ -20,18 +20,19 @@ from ..fit.sequences.problem import SequenceProblem
 from ..fit.sequences.unknowns import ShapeCoefficients
 from ..geometry.stacking import stack as stack_arrays
 
-#: pairs that are neighbours say the same: so many count as one
+#: number of pairs that count as one independent measurement, as neighbouring pairs are correlated
 ALIKE = 50.0
-#: what a unit of a log-likelihood counts among summed squared distances of pairs, metres squared: pairs are 3 mm off
+#: weight of a unit of log-likelihood against summed squared distances of pairs, metres squared; pairs deviate
+#: by 3 mm
 UNIT = 0.003**2 * ALIKE
 
 
 class Belief(eqx.Module):
-    """A normal prior of the amounts of modes."""
+    """A normal prior of the coefficients of modes."""
 
-    #: from where they stand
+    #: mean, relative to the current coefficients
     expected: Float[Array, "K"]
-    #: standard deviation of each
+    #: standard deviation of each coefficient
     deviation: Float[Array, "K"]
 
 
@@ -43,7 +44,10 @@ def pose_problem(
     boxes: PoseBoxes | None = None,
     terms: AbstractEnergy | None = None,
 ) -> PoseProblem:
-    """`Q_data + weight Q_pose` of a frame, with `Q_data` the mean over its pairs, and further terms in units of a log-likelihood."""
+    """Build the problem of one frame's pose: `Q_data + weight Q_pose` and further terms.
+
+    `Q_data` is the mean over the frame's pairs; `terms` are in units of a log-likelihood.
+    """
     count = num_pairs(pairs)
     own = None if terms is None else weighted(UNIT / count, terms)
     data = weighted(1.0 / count, PairDistances(pairs))
@@ -61,8 +65,10 @@ def window_problem(
     held: int = 0,
     terms: AbstractEnergy | None = None,
 ) -> SequenceProblem:
-    """The mean over frames of `Q_data + weight Q_pose`, and `temporal Q_temp` (eqs. 4.3, 4.9 and 4.10); the first `held`
-    frames keep their poses."""
+    """Build the problem of a window: the frames' mean of `Q_data + weight Q_pose`, plus `temporal Q_temp`.
+
+    These are eqs. 4.3, 4.9 and 4.10. The poses of the first `held` frames are fixed.
+    """
     frames, dtype = len(times), body.vertices.dtype
     shares = (1.0 / (frames * jax.vmap(num_pairs)(pairs))).astype(dtype)
     own = None if terms is None else weigh_frames(UNIT * shares, terms)
@@ -87,11 +93,13 @@ def shared_problem(
     deviation: float | Float[Array, ""],
     terms: AbstractEnergy | None = None,
 ) -> SequenceProblem:
-    """Poses of several frames and the amounts of modes that they share. Paired bones are equally long (eq. 4.13 as a constraint).
+    """Build the problem of several frames' poses and the coefficients of modes that they share.
 
-    **Arguments:** `pairs` stacked over frames; `weight` of the pose prior against the mean squared distance
-    of a pair, metres squared; `mirrored` pairs of joints of the left and the right; `deviation` of a pair's
-    distance, metres, against which beliefs count; `terms` of every frame, in units of a log-likelihood.
+    Paired bones have equal length (eq. 4.13 as a constraint).
+
+    **Arguments:** `pairs` stacked over frames; `weight` of the pose prior relative to the mean squared
+    distance of a pair, metres squared; `mirrored` pairs of joints, left and right; `deviation` of a pair's
+    distance, metres, which scales the prior `belief`; `terms` of every frame, in units of a log-likelihood.
     """
     dtype = body.vertices.dtype
     counts = jax.vmap(num_pairs)(pairs).astype(dtype)
@@ -115,12 +123,12 @@ def _sum(*energies: AbstractEnergy | None) -> AbstractEnergy:
 
 
 def stack(parts: Sequence):
-    """Poses or pairs of single frames as those of all, leaf by leaf."""
+    """Stack poses or pairs of single frames leaf by leaf."""
     return jax.tree.map(lambda *leaves: stack_arrays(leaves), *parts)
 
 
 def stack_pairs(parts: Sequence[Pairs]) -> Pairs:
-    """Pairs of single frames as those of all; scans of fewer points get pairs of weight zero."""
+    """Stack pairs of single frames, padded with pairs of weight zero to equal numbers."""
     count = max(len(part.weights) for part in parts)
 
     def padded(part: Pairs) -> Pairs:
@@ -139,7 +147,7 @@ def unstack(whole, count: int) -> list:
 
 
 def mean_square(body: Body, pose: Pose, pairs: Pairs) -> float:
-    """The mean weighed squared distance of a pair, metres squared."""
+    """Compute the mean weighted squared distance of a pair, metres squared."""
     return float(_mean_square(body, pose, pairs))
 
 

@@ -1,4 +1,4 @@
-"""One round of an adaptation: proportions, or joints and vertices, with the poses of some frames (Adaptation, 4.1.4)."""
+"""One round of an adaptation: proportions, or joints and vertices, with some poses (Adaptation, 4.1.4)."""
 
 from collections.abc import Callable
 
@@ -25,16 +25,17 @@ from .shape.shape_space import People, person, traits_like
 from .shape.surface import adapt_shape, adapt_together
 from .task import AdaptState, Settings, Stage, Task
 
-#: finds the stacked pairs of a body in the poses of the frames of a round
+#: finds the stacked pairs of a body in its poses in a round's frames
 PairsOfAll = Callable[[Body, list[Pose]], Pairs]
-#: squared distances along the surface count by this share while a person is sought: the skin of another slides
+#: weight of squared distances along the surface while shape coefficients are estimated, as another person's
+#: skin slides
 SLIDING = 0.005
-#: the share of each curvature that a step on all poses and modes is damped by
+#: damping of a step on all poses and modes, as a share of each curvature
 DAMPING = 1e-3
 
 
 def adapt_round(task: Task, state: AdaptState, meetings: Meetings, stage: Stage) -> AdaptState:
-    """One round of what all frames share, with the poses of some; `meetings` keeps the scans of these."""
+    """Take one round on shared unknowns and the chosen frames' poses; `meetings` caches their scans."""
     settings = task.settings
     if stage.number == 0 and stage.round == 1 and task.people is not None:
         state = _as_person(task.people, state)
@@ -48,7 +49,7 @@ def adapt_round(task: Task, state: AdaptState, meetings: Meetings, stage: Stage)
 
     if stage.number == 0:
         body, poses, traits = _proportions(task, state, poses, pairs_of_all)
-        # vertices are adapted to frames that are chosen anew
+        # choose new frames for the adaptation of vertices
         chosen_next = () if stage.round == settings.alone else chosen
     else:
         body, poses = _surface(task, state, poses, pairs_of_all, stage)
@@ -63,18 +64,20 @@ def adapt_round(task: Task, state: AdaptState, meetings: Meetings, stage: Stage)
 
 
 def spread_frames(state: AdaptState, count: int, among: int | None = None) -> tuple[int, ...]:
-    """Frames, of the first `among`, with poses as unlike each other as can be, each the furthest from those before; none
-    that is lost."""
+    """Choose `count` frames with dissimilar poses among the first `among` ones by farthest-point sampling.
+
+    Lost frames are excluded.
+    """
     there = [n for n in range(len(state.motion))[:among] if n not in state.lost] or [0]
     some = jax.tree.map(lambda leaf: leaf[np.array(there)], state.motion.poses)
     return tuple(there[n] for n in unlike_poses(state.body.skeleton, some, count))
 
 
 def _as_person(people: People, state: AdaptState) -> AdaptState:
-    """The same with the person who is most like the body, in its poses."""
+    """Replace the body by the most similar person of the shape space, in the same poses."""
     traits = traits_like(people, state.body)
     body = person(people, traits)
-    # a root that is elsewhere at rest stays where it is in the world
+    # keep the world position of a root with another rest position
     shift = state.body.skeleton.centres[0] - body.skeleton.centres[0]
     poses = state.motion.poses
     poses = Pose(poses.translations.at[:, 0].add(shift), poses.rotations, poses.scale)
@@ -84,14 +87,13 @@ def _as_person(people: People, state: AdaptState) -> AdaptState:
 def _proportions(
     task: Task, state: AdaptState, poses: list[Pose], pairs_of_all: PairsOfAll
 ) -> tuple[Body, list[Pose], tuple[float, ...]]:
-    """Joints and surface together: by the traits of people where these are known, else by joints that take their skin
-    with them."""
+    """Estimate proportions by shape coefficients, or without a shape space by joints that move their skin."""
     if task.people is None:
         modes, belief = joint_modes(state.body), _joints_beside(task, state)
         body, together, _ = _step(task, state, poses, pairs_of_all, modes, belief, task.mirrored)
         return body, unstack(together, len(poses)), state.traits
     standing = task.people.standing + jnp.asarray(state.traits)
-    # what no person explains is the same in all frames, which therefore count as one
+    # the error of the shape space is the same in all frames, which therefore count as one
     belief = Belief(-standing, jnp.full_like(standing, len(poses) ** -0.5))
     body, together, amounts = _step(task, state, poses, pairs_of_all, task.people.modes, belief, (), SLIDING)
     traits = np.array(state.traits) + np.asarray(amounts, float)
@@ -101,7 +103,7 @@ def _proportions(
 def _surface(
     task: Task, state: AdaptState, poses: list[Pose], pairs_of_all: PairsOfAll, stage: Stage
 ) -> tuple[Body, list[Pose]]:
-    """Joints within their skin, and then the vertices; or both at once."""
+    """Adapt joints within the skin and then vertices, or both in one step."""
     modes, belief = joint_modes(state.body, follow=False), _joints_beside(task, state)
     shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
     if task.settings.together:
@@ -124,8 +126,10 @@ def _step(
     mirrored: tuple[tuple[int, int], ...],
     sliding: float = 1.0,
 ) -> tuple[Body, Pose, Float[Array, "K"]]:
-    """The body a step along its modes further, its poses stacked, and how far it went; `sliding` is the most that squared
-    distances along the surface count."""
+    """Take one step on poses and modes; return the body, stacked poses and the modes' coefficients.
+
+    `sliding` is the largest weight of squared distances along the surface.
+    """
     pairs = pairs_of_all(state.body, poses)
     pairs = eqx.tree_at(lambda p: p.along, pairs, jnp.minimum(pairs.along, sliding))
     return step_of(_problem(task, state, pairs, modes, belief, mirrored), stack(poses))
@@ -133,9 +137,10 @@ def _step(
 
 @eqx.filter_jit
 def step_of(problem: SequenceProblem, poses: Pose) -> tuple[Body, Pose, Float[Array, "K"]]:
-    """Take one Gauss-Newton step on all poses and the amounts of modes, even where it raises the energy.
+    """Take one Gauss-Newton step on all poses and the coefficients of modes, even if it raises the energy.
 
-    Returns the body, the poses and the amounts."""
+    Return the body, the poses and the coefficients.
+    """
     found = take_step(problem, problem.start(poses), NormalDescent(relative=True), DAMPING)
     return problem.body_at(found.values), found.poses, found.values["modes"]
 
@@ -146,7 +151,7 @@ def _problem(task: Task, state: AdaptState, pairs, modes: Modes, belief: Belief,
 
 
 def _joints_beside(task: Task, state: AdaptState) -> Belief:
-    """Joints are where the surface around them says."""
+    """Make the prior of joints at their positions regressed from the surface."""
     body = state.body
     beside = centres_beside(make_beside(reference(task, state)), np.asarray(body.vertices, float))
     shifts = jnp.asarray(beside - np.asarray(body.skeleton.centres, float), body.vertices.dtype).reshape(-1)
@@ -154,7 +159,11 @@ def _joints_beside(task: Task, state: AdaptState) -> Belief:
 
 
 def shape_weight(settings: Settings, stage: Stage) -> float:
-    """From the first weight down to the last over the first pass, and from their mean in later ones."""
+    """Interpolate the weight of the shape term geometrically over a pass.
+
+    The first pass begins with the first weight; later ones begin with the geometric mean of the first and the
+    last.
+    """
     first, last = settings.shape
     first = first if stage.number == 1 else np.sqrt(first * last)
     share = (stage.round - 1) / max(settings.rounds[stage.number - 1] - 1, 1)

@@ -1,4 +1,4 @@
-"""What an adaptation is asked, what it has reached, and the stages in between (Adaptation, 4.1.4)."""
+"""The task, the state and the stages of an adaptation (Adaptation, 4.1.4)."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -18,48 +18,57 @@ from .objective import Terms
 from .shape.shape_prior import ShapePrior
 from .shape.shape_space import People
 
-#: how often a body is adapted while it is tracked
+#: number of adaptations of a body during tracking
 TIMES = 10
 
 
 class Settings(NamedTuple):
-    """What adaptation may be told; weights are against the mean squared distance of a pair, metres squared, but for that
-    of shape: against their sum, as the more scans there are the more they are to be believed."""
+    """The settings of an adaptation.
 
-    #: frames that the body is adapted to, spread over the motion
+    Weights are relative to the mean squared distance of a pair, metres squared. The weight of `shape` is
+    relative to the sum of these squares, so that more scans count more.
+    """
+
+    #: number of frames that the body is adapted to, spread over the motion
     frames: int = 40
-    #: rounds of joints with their skin, or of the traits of people where these are known, before vertices are adapted
+    #: rounds of joints with their skin, or of shape coefficients if a shape space is known, before vertices
+    #: are adapted
     alone: int = 6
     #: rounds of vertices and joints in each pass
     rounds: tuple[int, ...] = (5, 6)
     #: weight of the Laplacian term in the first and the last round
     shape: tuple[float, float] = (100.0, 3.0)
-    #: weight of the pose prior; None is a tenth of its balance with the data in the first frames (eq. 4.15)
+    #: weight of the pose prior; None uses a tenth of the weight that balances it with the data in the first
+    #: frames (eq. 4.15)
     pose: float | None = None
-    #: weight of second differences; None is a tenth of their balance with the data (eq. 4.16), 0 leaves them out
+    #: weight of second differences; None uses a tenth of the weight that balances them with the data (eq.
+    #: 4.16), 0 disables them
     temporal: float | None = None
-    #: adapt while tracking, after every so many frames of the first `TIMES` as many (multi-time adaptation); with 0 all are
-    #: tracked first and those adapted to that show most (guided adaptation)
+    #: adapt during tracking, `TIMES` times, after every `every` frames (multi-time adaptation); 0 tracks all
+    #: frames first and then adapts to the most informative ones (guided adaptation)
     every: int = 0
-    #: standard deviation of a joint from where the surface around it says, metres
+    #: standard deviation of a joint from its position regressed from the surface, metres
     joint: float = 0.005
-    #: the same of a pair's distance
+    #: standard deviation of a pair's distance, metres
     deviation: float = 0.003
     matching: Matching = Matching()
-    #: vertices, joints and poses in one step of each round, and not one after the other
+    #: solve for vertices, joints and poses in one step of each round, not one after the other
     together: bool = False
-    #: scans do not follow each other in time: no term couples them, and each is searched for from those that are most like
-    #: it; None is found by `make_task` from the scans
+    #: the scans are not ordered in time: no term couples them, and the search for a pose starts from the most
+    #: similar scans; None lets `make_task` determine it from the scans
     unordered: bool | None = None
 
     @property
     def smooth(self) -> bool:
-        """Whether the motion is made smooth in time."""
+        """True if the motion is smoothed in time."""
         return self.temporal != 0.0 and not self.unordered
 
 
 def check_settings(settings: Settings) -> None:
-    """Check that settings are in their ranges. Raises `InputError` for the first that is not."""
+    """Check that settings are in their ranges.
+
+    **Raises:** `InputError` for the first setting that is not.
+    """
     where = "AdaptSettings"
     check_at_least(where, 1, frames=settings.frames)
     check_at_least(where, 0, alone=settings.alone, rounds=settings.rounds, every=settings.every)
@@ -68,77 +77,82 @@ def check_settings(settings: Settings) -> None:
 
 
 class AdaptState(NamedTuple):
-    """What has been reached: enough to go on from, to the last bit."""
+    """The state of an adaptation; an adaptation resumed from it gives bitwise the same result."""
 
-    #: stages that are done
+    #: number of finished stages
     done: int
     body: Body
-    #: the actor's size against the template's
+    #: the actor's size relative to the template's
     size: float
     #: poses of all frames
     motion: Motion
-    #: frames that the body explains less well than is normal for them all, or that have no scan
+    #: frames that the body explains worse than is normal for the sequence, or that have no scan
     lost: tuple[int, ...] = ()
-    #: frames that the body is being adapted to
+    #: frames that the body is currently adapted to
     chosen: tuple[int, ...] = ()
-    #: what each stage was, and the root mean square of a pair after it, millimetres
+    #: the name of each stage, and the root mean square distance of a pair after it, millimetres
     history: tuple[tuple[str, float], ...] = ()
-    #: what the actor has of the ways in which people differ, beyond the template; none before they are looked for
+    #: the actor's shape coefficients relative to the template; empty before they are estimated
     traits: tuple[float, ...] = ()
     #: weight of the pose prior
     weight: float = 0.0
-    #: what each term was worth after each stage, as the history has them
+    #: the value of each term after each stage, in the order of `history`
     terms: tuple[Terms, ...] = ()
     #: weight of second differences, once it is balanced
     temporal: float = 0.0
-    #: frames of the stage that comes next which are done already
+    #: finished frames of the next stage
     within: int = 0
-    #: the last of them, where it is one of tracking
+    #: the last of these frames, if the stage is one of tracking
     tracked: TrackedFrame | None = None
-    #: why each of the `lost` frames is lost
+    #: the reason for each of the `lost` frames
     reasons: tuple[str, ...] = ()
 
 
 class Task(NamedTuple):
-    """What stays the same through all stages."""
+    """The constant inputs of an adaptation."""
 
     template: Body
     #: the cloud of a frame
     cloud: Callable[[int], Cloud]
     frames: int
     rate: float
-    #: a pose near that of the first frame; None is searched for
+    #: a pose near that of the first frame; None searches for one
     start: Pose | None
     prior: AbstractEnergy
-    #: pairs of joints, left and right, whose bones stay equally long
+    #: pairs of joints, left and right, with bones of equal length
     mirrored: tuple[tuple[int, int], ...]
     settings: Settings
-    #: how people differ: those of the template's triangles tell more than it alone
+    #: the shape space of people with the template's triangles
     people: People | None = None
-    #: the calibrated sensors, which stand still: vertices that none of them sees are in no pair; none say nothing
+    #: the calibrated, static sensors: vertices that none of them sees are in no pair; empty disables this
+    #: test
     cameras: tuple[Camera, ...] = ()
-    #: frames without a scan that can be used, of which `cloud` is not asked; some others are there
+    #: frames without a usable scan, for which `cloud` is not called; at least one other frame has a scan
     missing: tuple[int, ...] = ()
-    #: the least and the largest turns of joints, which no pose goes beyond
+    #: the hard limits of joint rotations
     boxes: PoseBoxes | None = None
-    #: what training meshes of the template show of its shape; else the template's own, or that of the person it became
+    #: the shape prior of training meshes; None uses that of the template, or of the person of the shape space
     shape: ShapePrior | None = None
     #: further energies of every frame, in units of a log-likelihood
     terms: AbstractEnergy | None = None
-    #: the scan of a frame with its triangles, where scans are meshes; of clouds it is made of their points
+    #: the scan of a frame with its triangles, if scans are meshes; None builds scans from the points of
+    #: clouds
     mesh: Callable[[int], Scan] | None = None
 
     @property
     def scanned(self) -> list[int]:
-        """Frames that have a scan."""
+        """The frames that have a scan."""
         return sorted(set(range(self.frames)) - set(self.missing))
 
     def frames_of(self, stage: "Stage") -> list[int]:
-        """Frames with a scan that a stage goes through."""
+        """List the frames with a scan that a stage processes."""
         return [n for n in self.scanned if stage.frames is None or n < stage.frames] or self.scanned[:1]
 
     def scan(self, frame: int) -> Scan:
-        """What pairs are found in. Raises `InputError` where the cloud of a frame has no points."""
+        """Return the scan of a frame, in which pairs are found.
+
+        **Raises:** `InputError` if the cloud of the frame has no points.
+        """
         if self.mesh is not None:
             return self.mesh(frame)
         cloud = self.cloud(frame)
@@ -150,7 +164,7 @@ class Task(NamedTuple):
             ) from None
 
     def some(self, frames: Sequence[int]) -> "Task":
-        """The task of some of the frames, numbered from 0."""
+        """Restrict the task to some of the frames, numbered from 0."""
         mesh = self.mesh
         return self._replace(
             cloud=lambda number: self.cloud(frames[number]),
@@ -161,12 +175,15 @@ class Task(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """One stage of an adaptation; in passes from 1, of rounds from 1: those of pass 0 are before any vertex is adapted."""
+    """One stage of an adaptation.
+
+    Passes (`number`) and rounds count from 1. Pass 0 comes before any vertex is adapted.
+    """
 
     name: str
     number: int = 0
     round: int = 0
-    #: only so many frames from the first on
+    #: number of leading frames that the stage is limited to; None is all
     frames: int | None = None
 
     def __str__(self) -> str:
@@ -180,7 +197,7 @@ class Stage(NamedTuple):
 
 
 def plan(settings: Settings) -> list[Stage]:
-    """The stages, in order."""
+    """List the stages of an adaptation in order."""
     stages = [Stage("size")]
     if settings.every:
         for time in range(1, TIMES + 1):
@@ -199,5 +216,5 @@ def plan(settings: Settings) -> list[Stage]:
 
 
 def tracker_of(task: Task, body: Body) -> Tracker:
-    """The tracker of a body that is being adapted, with the task's terms."""
+    """Make a tracker of the current body with the task's terms."""
     return make_tracker(body, terms=() if task.terms is None else terms_of(task.terms))

@@ -1,1 +1,1 @@
-"""Put a skeleton into a mesh."""
+"""Rigging of meshes with skeletons and skinning weights."""

@@ -1,4 +1,4 @@
-"""Which bone a vertex belongs to, by envelopes: a capsule of some radius around every bone."""
+"""Rigid assignment of vertices to bones by envelopes: a capsule of some radius around every bone."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -6,16 +6,16 @@ from jaxtyping import Float, Int
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 
-#: how much wider than its farthest vertex a default envelope is
+#: ratio of a default envelope's radius to the distance of its farthest vertex
 MARGIN = 1.05
 #: the length of a last bone, as a share of the bone before it
 TIP = 0.5
 
 
 def default_tails(skeleton: Skeleton) -> Float[np.ndarray, "J 3"]:
-    """Where each bone ends, metres: amid the joints that hang on it and lie apart from it.
+    """Estimate the tail of each bone, metres: the mean of its child joints at other positions.
 
-    A last bone goes on in the direction of the one before it, half as long.
+    A last bone continues the direction of its parent with half the length.
     """
     centres = np.asarray(skeleton.centres, float)
     parents = np.array(skeleton.parents)
@@ -33,7 +33,7 @@ def default_tails(skeleton: Skeleton) -> Float[np.ndarray, "J 3"]:
 def bone_distances(
     vertices: Float[np.ndarray, "V 3"], heads: Float[np.ndarray, "J 3"], tails: Float[np.ndarray, "J 3"]
 ) -> tuple[Float[np.ndarray, "V J"], Float[np.ndarray, "V J 3"]]:
-    """How far each vertex is from each bone, metres, and the nearest point of the bone."""
+    """Compute the distance of each vertex from each bone, metres, and the closest point on the bone."""
     along = tails - heads
     squared = np.sum(along * along, axis=1)
     share = np.einsum("vja,ja->vj", vertices[:, None] - heads, along) / np.where(squared > 0, squared, 1.0)
@@ -46,10 +46,10 @@ def default_radii(
     skeleton: Skeleton,
     tails: Float[np.ndarray, "J 3"] | None = None,
 ) -> Float[np.ndarray, "J"]:
-    """Radii, metres, with which every vertex lies in the envelope of its nearest bone.
+    """Compute radii, metres, so that every vertex lies in the envelope of its nearest bone.
 
-    A bone that is the nearest to no vertex has radius zero, which is no envelope. Bones without
-    length, such as a root above three joints at its own place, take part as spheres.
+    A bone that is nearest to no vertex has radius zero and no envelope. Bones without length, such as a root
+    with three child joints at its own position, are spheres.
     """
     heads = np.asarray(skeleton.centres, float)
     distances, _ = bone_distances(vertices, heads, default_tails(skeleton) if tails is None else tails)
@@ -65,16 +65,16 @@ def envelope_parts(
     tails: Float[np.ndarray, "J 3"] | None,
     radii: Float[np.ndarray, "J"],
 ) -> Int[np.ndarray, "V"]:
-    """The bone of every vertex: the one in whose envelope it lies deepest (Kineben, A.7).
+    """Assign every vertex to the bone in whose envelope it lies deepest (Kineben, A.7).
 
-    An envelope is the capsule of a radius around a bone, from its joint's centre to its tail; depth
-    is the distance from the bone over the radius. A bone of radius zero has no envelope and gets no
-    vertex, as one that does not deform the mesh.
+    An envelope is the capsule of a radius around a bone, from its joint's centre to its tail. Depth is the
+    distance from the bone divided by the radius. A bone of radius zero has no envelope and no vertices; it
+    does not deform the mesh.
 
-    **Arguments:** `tails (J, 3)` metres, `default_tails` where None; `radii (J,)` metres.
+    **Arguments:** `tails (J, 3)` metres, `default_tails` if None; `radii (J,)` metres.
 
-    **Raises:** `InputError` that names the first vertex no envelope covers, where it is, and the
-    radius of the nearest bone that would.
+    **Raises:** `InputError` if no envelope covers a vertex, with its position and the radius of the nearest
+    bone that would cover it.
     """
     radii = np.asarray(radii, float)
     if (radii < 0).any() or not np.isfinite(radii).all() or not (radii > 0).any():

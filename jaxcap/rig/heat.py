@@ -1,4 +1,4 @@
-"""Smooth skinning weights: heat that flows from the bones over the surface of a mesh."""
+"""Smooth skinning weights by heat diffusion from the bones over the surface of a mesh."""
 
 import numpy as np
 import scipy.sparse as sparse
@@ -9,7 +9,7 @@ from ..body.skeleton import Skeleton
 from ..geometry.linear import factor_sparse
 from .envelopes import bone_distances, default_tails
 
-#: bones that move one vertex, at most
+#: largest number of bones per vertex
 INFLUENCES = 4
 
 
@@ -21,16 +21,15 @@ def heat_weights(
     deforming: np.ndarray | None = None,
     heat: float = 1.0,
 ) -> Float[np.ndarray, "V J"]:
-    """Bone heat weights (Baran and Popovic 2007, section 4): the equilibrium `-Lw + Hw = Hp`.
+    """Compute bone heat weights (Baran and Popovic 2007, section 4): the equilibrium `-Lw + Hw = Hp`.
 
-    `p_j` is one where bone `j` is a vertex's nearest, `H = heat / d^2` conducts heat from it over
-    the distance `d`, and `L` spreads it over the surface. A bone is seen only from vertices whose
-    normal points away from it, in place of the paper's test by rays.
+    `p_j` is one if bone `j` is a vertex's nearest, `H = heat / d^2` conducts heat from it over the distance
+    `d`, and `L` diffuses it over the surface. A bone is visible only from vertices with a normal that points
+    away from it; this replaces the paper's test by rays. Return weights of at most `INFLUENCES` bones per
+    vertex; rows sum to one.
 
-    **Arguments:** `tails (J, 3)` metres, `default_tails` where None; `deforming (J,)` of bool says
-    which bones move vertices, all where None; `heat`: the greater, the sharper the weights.
-
-    Returns weights of at most `INFLUENCES` bones a vertex; rows sum to one.
+    **Arguments:** `tails (J, 3)` metres, `default_tails` if None; `deforming (J,)` of bool marks bones that
+    move vertices, all if None; `heat`: the greater, the sharper the weights.
     """
     tails = default_tails(skeleton) if tails is None else tails
     distances, feet = bone_distances(vertices, np.asarray(skeleton.centres, float), tails)
@@ -55,22 +54,22 @@ def smooth_weights(
     trust: Float[np.ndarray, "V"],
     width: float,
 ) -> Float[np.ndarray, "V J"]:
-    """Weights spread over the surface by about `width` metres, one implicit step of diffusion.
+    """Smooth weights over the surface by about `width` metres, in one implicit diffusion step.
 
-    **Arguments:** `trust (V,)` from 0 to 1: a vertex without trust takes its weights from the
-    surface around it, however far it has to reach.
+    Return weights of at most `INFLUENCES` bones per vertex; rows sum to one.
 
-    Returns weights of at most `INFLUENCES` bones a vertex; rows sum to one.
+    **Arguments:** `trust (V,)`, confidence in a vertex's weights from 0 to 1: a vertex of confidence zero
+    takes its weights from the surface around it, at any distance.
     """
     laplacian, areas, _ = surface_operators(vertices, faces)
-    # a little trust everywhere keeps pieces of the mesh with none of it solvable
+    # a small confidence everywhere keeps the system regular for components without any
     return prune_weights(_equilibrium(width**2 * laplacian, areas * np.maximum(trust, 1e-4), weights))
 
 
 def prune_weights(
     weights: Float[np.ndarray, "V J"], count: int = INFLUENCES, least: float = 1e-3
 ) -> Float[np.ndarray, "V J"]:
-    """The `count` largest weights of every row, none under `least`; rows sum to one again."""
+    """Keep the `count` largest weights of every row, none below `least`; rows sum to one again."""
     kept = weights >= np.minimum(least, weights.max(axis=1, keepdims=True))
     return strongest_weights(np.where(kept, np.maximum(weights, 0.0), 0.0), count)
 
@@ -78,7 +77,7 @@ def prune_weights(
 def face_vectors(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "F 3"]:
-    """The normals of triangles, twice their areas long."""
+    """Compute the normals of triangles, with lengths of twice their areas."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     return np.cross(b - a, c - a)
 
@@ -86,10 +85,10 @@ def face_vectors(
 def surface_operators(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[sparse.csc_matrix, Float[np.ndarray, "V"], Float[np.ndarray, "V 3"]]:
-    """The cotangent Laplacian (positive semidefinite), the areas (m^2) and the normals of vertices.
+    """Compute the cotangent Laplacian (positive semidefinite), areas (m^2) and normals of vertices.
 
-    Obtuse and degenerate triangles would make weights negative or infinite, so cotangents are held
-    between 0.001 and 10: the maximum principle stands, and heat stays between zero and one.
+    Obtuse and degenerate triangles would make weights negative or infinite. Cotangents are therefore clipped
+    to 0.001 to 10: the maximum principle holds, and heat stays between zero and one.
     """
     count = len(vertices)
     corners = vertices[faces]
@@ -115,6 +114,6 @@ def surface_operators(
 def _equilibrium(
     laplacian: sparse.csc_matrix, conduction: Float[np.ndarray, "V"], sources: Float[np.ndarray, "V J"]
 ) -> Float[np.ndarray, "V J"]:
-    """`w` with `(L + C) w = C s`, one sparse factorisation for all bones."""
+    """Solve `(L + C) w = C s` for `w`, with one sparse factorisation for all bones."""
     system = factor_sparse(laplacian + sparse.diags(conduction))
     return system.solve(conduction[:, None] * sources)

@@ -1,4 +1,4 @@
-"""A human skeleton put into the mesh of a person."""
+"""Placement of a human skeleton in the mesh of a person."""
 
 from typing import Literal
 
@@ -15,19 +15,19 @@ from .heat import smooth_weights, surface_operators
 from .register import closest, register, sample_surface, search_tree
 from .template import Template, load_template, pose_template
 
-#: metres; heights of a person that stands
+#: limits of a person's height, metres
 SHORTEST, TALLEST = 0.3, 3.0
-#: metres; the mesh is brought to this height, for which all lengths of a registration are meant
+#: height to which the mesh is scaled, metres; all lengths of a registration are for this height
 STATURE = 1.75
-#: metres at that height; a template farther than this from the mesh, on average, was not found in it
+#: mean distance between template and mesh at that height above which the registration failed, metres
 POOR_FIT = 0.06
-#: metres; a vertex this far from the template is trusted by half with its weights
+#: distance from the template at which a vertex's weights have a confidence of a half, metres
 TRUST = 0.05
-#: metres; weights are smoothed over about this far
+#: distance over which weights are smoothed, metres
 SMOOTHING = 0.02
-#: points of the template's surface that hand their weights on, and how many a vertex asks
+#: number of points of the template's surface with transferable weights, and number of them used per vertex
 DONORS, ASKED = 12000, 4
-#: rotations that bring an axis that points up to y
+#: rotations that take the axis that points up to y
 UPRIGHT = {
     "x": [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]],
     "y": [[1.0, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -40,19 +40,18 @@ def place_human(
     faces: Int[np.ndarray, "F 3"],
     up: Literal["x", "y", "z"] = "y",
 ) -> Body:
-    """A body of a mesh that shows a person upright, arms held off: the human skeleton put into it.
+    """Place the human skeleton in the mesh of an upright person with the arms off the body.
 
-    The embedded human, of unknown build, pose and heading, is registered to the mesh; its joints
-    stay where they come to lie, and each vertex takes its weights from the closest point of the
-    registered surface whose normal is like its own, smoothed over the mesh. The rest pose of the
-    new body is the mesh as it stands, joints and their own axes carried along, in the frame that it
-    came in. The bones are those of `human(joints="tracking")`.
+    The built-in human, of unknown build, pose and heading, is registered to the mesh and provides the joints.
+    Each vertex takes its weights from the closest points of the registered surface with a similar normal;
+    they are smoothed over the mesh. The rest pose of the new body is the given mesh in its own coordinate
+    frame; joints and their axes are transformed to it. The bones are those of `human(joints="tracking")`.
 
     **Arguments:** `vertices` metres; `faces` counter-clockwise from outside; `up` is the axis that
     points up. Vertices of no triangle and triangles without area are tolerated.
 
-    **Raises:** `InputError` where the mesh is not of a person's height, or where the registration
-    ends too far from it; both name what was found.
+    **Raises:** `InputError` if the mesh does not have a person's height, or if the registration ends too far
+    from it, with the value found.
     """
     unit = check_person(vertices, faces, up) / STATURE
     turn = np.array(UPRIGHT[up])
@@ -75,7 +74,10 @@ def place_human(
 
 
 def check_person(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], up: str = "y") -> float:
-    """The height of a mesh, metres. Raises `InputError` with one sentence where no person has it."""
+    """Compute the height of a mesh, metres, and check that it is a person's.
+
+    **Raises:** `InputError` if it is not.
+    """
     if up not in UPRIGHT:
         raise InputError(f"The axis that points up is '{up}'; give 'x', 'y' or 'z'.")
     height = float(np.ptp(vertices[np.unique(faces), "xyz".index(up)]))
@@ -91,7 +93,7 @@ def check_person(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
 
 
 def _carry_skeleton(template: Template, posed: Posed, unit: float, turn: np.ndarray) -> Skeleton:
-    """The joints as they are posed, in the frame and the size of the mesh."""
+    """Transform the posed joints to the frame and the size of the mesh."""
     skeleton = template.body.skeleton
     back = turn.T @ np.asarray(posed.transforms.rotations, float)
     frames = back @ np.asarray(rotation.to_matrix(skeleton.orientations), float)
@@ -108,7 +110,7 @@ def _carry_skeleton(template: Template, posed: Posed, unit: float, turn: np.ndar
 def _carry_weights(
     template: Template, posed: Posed, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "V J"]:
-    """The weights of the closest points of the posed template, trusted as far as they are close."""
+    """Transfer weights from the closest points of the posed template, with more confidence in closer ones."""
     donors = sample_surface(np.asarray(posed.vertices, float), np.asarray(template.body.faces), DONORS)
     weights = np.asarray(template.body.skin.influence(template.body.skeleton.num_joints), float)
     donated = np.einsum("nc,ncj->nj", donors.shares, weights[donors.corners])

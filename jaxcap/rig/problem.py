@@ -1,4 +1,4 @@
-"""A person's build and pose that draw the template to a surface, as the solvers see it."""
+"""The least-squares problem of a person's build and pose that register the template to a surface."""
 
 import jax
 import jax.numpy as jnp
@@ -11,20 +11,20 @@ from .template import Person, Template, move, pose_template, prior_offset, prior
 
 
 class TemplateProblem(AbstractProblem[Person]):
-    """Find the person with the least `sum_v x_v' A_v x_v - 2 b_v' x_v + c` and prior, where `x_v` is how far vertex `v`
-    goes from `places`, where its pairs were found.
+    """A problem that minimises `sum_v x_v' A_v x_v - 2 b_v' x_v + c` plus the prior over persons.
 
-    A vertex has any number of pairs; their distances, squared and weighed, are summed into its own numbers once, so that rows are
-    as many as vertices have coordinates.
+    `x_v` is the shift of vertex `v` from `places`, its position when the pairs were found. A vertex has any
+    number of pairs; their weighted squared distances are summed once into `A_v`, `b_v` and `c`, so that the
+    number of rows is that of vertex coordinates.
     """
 
     template: Template
     places: Float[Array, "V 3"]
     matrices: Float[Array, "V 3 3"]
     pulls: Float[Array, "V 3"]
-    #: `c`, what the distances are worth where the pairs were found
+    #: `c`, the energy of the pairs at `places`
     worth: Float[Array, ""]
-    #: the middle of the prior on the logarithm of the size
+    #: the mean of the prior on the logarithm of the size
     size: Float[Array, ""]
 
     def value(self, y: Person):
@@ -45,7 +45,8 @@ class TemplateProblem(AbstractProblem[Person]):
             jnp.einsum("vab,vb->va", self.matrices, vertices(jnp.zeros_like(scales)) - self.places)
             - self.pulls
         )
-        # a step is taken to change the offset by itself, as near rest it does; the root, which no prior holds, is damped alike
+        # the offset's Jacobian is taken as the identity, as near rest; the root, without prior, is damped
+        # alike
         offset = prior_offset(self.template, y, self.size) / scales
         gradient = jnp.einsum("vax,va->x", jacobian, slopes) + offset
         matrix = jnp.einsum("vax,vay->xy", jacobian, pulled) + jnp.eye(len(scales), dtype=scales.dtype)

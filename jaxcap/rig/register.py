@@ -1,4 +1,4 @@
-"""Registration of the template to a surface: closest points both ways, found anew in every round."""
+"""Registration of the template to a surface by closest points in both directions, new in every step."""
 
 from typing import NamedTuple
 
@@ -16,32 +16,32 @@ from .heat import face_vectors
 from .problem import TemplateProblem
 from .template import Build, Person, Template, average_build, pose_template
 
-#: metres that count as much as one unit between normals, of which two are opposite
+#: distance equivalent to a unit difference of normals, metres; opposite normals differ by two
 NORMAL_SCALE = 0.1
-#: points sampled on the surface
+#: number of points sampled on the surface
 SAMPLES = 4000
-#: starts around the vertical
+#: number of starts around the vertical
 HEADINGS = 8
-#: weight of distances along the surface against those across it
+#: weight of tangential distances relative to normal ones
 SLIDE = 0.1
-#: metres; what a surface fits to at best
+#: standard deviation of the best fit, metres
 NOISE = 0.015
-#: how many independent distances a surface is worth against the prior
+#: number of independent distances for which a surface counts against the prior
 EVIDENCE = 300.0
-#: scale (metres) of the robust weight in each step: for every start, for the finalists, for the best
+#: scales of the robust weight in each step, metres: for every start, for the finalists, for the best
 COARSE = tuple(np.geomspace(0.25, 0.1, 6))
 FINE = tuple(np.geomspace(0.12, 0.06, 8))
 POLISH = tuple(np.geomspace(0.08, 0.03, 10)) + (0.03,) * 6
-#: starts that are refined
+#: number of refined starts
 FINALISTS = 2
-#: of the first step, by the prior's deviations
+#: damping of the first step, in units of the prior's deviations
 DAMPING = 0.1
-#: metres; closest points are cut off here in the residual
+#: distance at which closest points are clipped in the residual, metres
 CUT = 0.1
 
 
 class Surface(NamedTuple):
-    """Points spread evenly over a surface, its unit normals there, and where in its triangles they lie."""
+    """Points sampled uniformly on a surface, with unit normals and barycentric coordinates."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
@@ -50,19 +50,19 @@ class Surface(NamedTuple):
 
 
 class Registration(NamedTuple):
-    """A person of the template, and how well it fits."""
+    """A person of the template, and its fit."""
 
     person: Person
-    #: the logarithm of the size by the height of the surface, about which the prior holds the build's
+    #: the logarithm of the size from the surface's height, which is the prior's mean
     size: float
-    #: the mean over both surfaces of the distance, metres, to the closest point with a like normal
+    #: the mean over both surfaces of the distance to the closest point with a similar normal, metres
     residual: float
 
 
 def sample_surface(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int = SAMPLES
 ) -> Surface:
-    """Points at random over a surface, the same in every call."""
+    """Sample random points on a surface, the same in every call."""
     across = face_vectors(vertices, faces)
     areas = np.linalg.norm(across, axis=1)
     rng = np.random.default_rng(0)
@@ -74,25 +74,23 @@ def sample_surface(
 
 
 def search_tree(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> cKDTree:
-    """What `closest` searches."""
+    """Build the search tree of `closest`."""
     return cKDTree(_features(points, normals))
 
 
 def closest(
     tree: cKDTree, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], count: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (metres, unlike normals counting as distance) and indices of the closest points."""
+    """Find the distances (metres, including differences of normals) and indices of the closest points."""
     return tree.query(_features(points, normals), count)
 
 
 def register(template: Template, surface: Surface) -> Registration:
-    """Fit build and pose of the template to a person who stands upright, y up, in an A-pose or nearly
-    so, and of about the size of an adult, for which the lengths above are meant.
+    """Register the template's build and pose to an upright person, y up, about in A-pose and of adult size.
 
-    Which way the person looks is not known: `HEADINGS` starts around the vertical are fitted
-    coarsely, and of those the best `FINALISTS` finely. Distances are weighted as by Geman and
-    McClure with a scale that falls; build and pose are held by normal priors around the average
-    build at rest.
+    The heading is unknown: `HEADINGS` starts around the vertical are fitted coarsely, and the best
+    `FINALISTS` of them finely. Distances have Geman-McClure weights with a decreasing scale. Build and pose
+    have normal priors around the average build at rest. The module's lengths are for an adult's size.
     """
     search = search_tree(surface.points, surface.normals)
     starts = [_start(template, surface, 2 * np.pi * i / HEADINGS) for i in range(HEADINGS)]
@@ -103,7 +101,7 @@ def register(template: Template, surface: Surface) -> Registration:
 
 
 def _start(template: Template, surface: Surface, heading: float) -> Registration:
-    """As tall as the surface, amid it, turned about the vertical."""
+    """Place the template at the surface's size and centre, with a heading about the vertical."""
     low, high = surface.points.min(0), surface.points.max(0)
     rest = np.asarray(template.body.vertices)
     size = (high[1] - low[1]) / np.ptp(rest[:, 1])
@@ -112,7 +110,7 @@ def _start(template: Template, surface: Surface, heading: float) -> Registration
     pose = rest_pose(template.body.skeleton)
     turn = rotation.about_axis(jnp.array([0.0, 1.0, 0.0], rest.dtype), jnp.asarray(heading, rest.dtype))
     root = np.asarray(template.body.skeleton.centres[0])
-    # the root lies amid the body, its height over the soles grows with the size
+    # the root is central in the body; its height above the soles scales with the size
     place = np.median(surface.points, axis=0)
     place[1] = low[1] + size * (root[1] - rest[:, 1].min())
     shift = jnp.asarray(place - size * root, rest.dtype)
@@ -127,7 +125,7 @@ def _descend(
     start: Registration,
     scales: tuple[float, ...],
 ) -> Registration:
-    """A step with new closest points for each of the scales."""
+    """Take a step with new closest points at each of the scales."""
     areas = _vertex_areas(template)
 
     def remake(person: Person, scale: float) -> TemplateProblem:
@@ -145,8 +143,10 @@ def _descend(
 def _attraction(
     posed: Posed, areas: np.ndarray, surface: Surface, search: cKDTree, scale: float
 ) -> tuple[Float[np.ndarray, "V 3 3"], Float[np.ndarray, "V 3"], float]:
-    """The quadratic energy of every vertex about where it is, `d' A d - 2 b' d`, and what all are worth there: of its own
-    closest point on the surface, and the points of the surface to which it is the closest vertex."""
+    """Compute the quadratic energy of every vertex about its position, `d' A d - 2 b' d`, and the constant.
+
+    It sums a vertex's closest point on the surface and all points of the surface whose closest vertex it is.
+    """
     vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
     _, nearest = closest(search, vertices, normals)
     _, owner = closest(search_tree(vertices, normals), surface.points, surface.normals)
@@ -181,5 +181,5 @@ def _vertex_areas(template: Template) -> Float[np.ndarray, "V"]:
 
 
 def _features(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "N 6"]:
-    """Where points are close and their normals alike, these are close."""
+    """Combine points and scaled normals in one feature vector for the search."""
     return np.concatenate([points, NORMAL_SCALE * normals], axis=1)

@@ -1,4 +1,4 @@
-"""From a bare mesh to a body: one entry for every way of rigging."""
+"""Rigging of a mesh: one entry point for all methods."""
 
 from typing import Literal
 
@@ -29,23 +29,22 @@ def rig_mesh(
     radii: Float[np.ndarray, "J"] | None = None,
     up: Literal["x", "y", "z"] = "y",
 ) -> Body:
-    """Bind a mesh to a skeleton; the mesh as it stands becomes the rest pose of the body.
+    """Bind a mesh to a skeleton; the given mesh becomes the rest pose of the body.
 
-    **Arguments:** `vertices` metres, `faces` counter-clockwise from outside. `skeleton` stands in
-    the mesh already; where it is None, the human skeleton is placed in the mesh (`place_human`).
-    `method` says how the surface follows:
+    **Arguments:** `vertices` metres, `faces` counter-clockwise from outside. `skeleton` is aligned with
+    the mesh; if None, the human skeleton is placed in the mesh (`place_human`). `method` determines the
+    skinning:
 
-    - "automatic": with the weights of the human body that was placed; or, in a given skeleton, as
-      "heat".
+    - "automatic": the weights of the placed human body; or, for a given skeleton, as "heat".
     - "envelopes": every vertex rigidly with one bone (`envelope_parts`), by `tails` and `radii`,
       metres, or by `default_tails` and `default_radii`.
-    - "heat": with smooth weights from the bones' heat (`heat_weights`); `tails` as above, and a
-      bone whose radius is given as zero moves no vertex.
+    - "heat": smooth bone heat weights (`heat_weights`); `tails` as above, and a bone of radius zero in
+      `radii` moves no vertex.
 
     `up` is the axis of a placed human that points up.
 
-    **Raises:** `InputError` with one sentence where the mesh is no mesh, where a vertex lies in no
-    envelope, or where no human is found in it.
+    **Raises:** `InputError` if the mesh is invalid, if a vertex lies in no envelope, or if no human is found
+    in the mesh.
     """
     if method not in METHODS:
         raise InputError(f"The method of rigging '{method}' is unknown; give one of {', '.join(METHODS)}.")

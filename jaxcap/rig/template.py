@@ -1,4 +1,4 @@
-"""A human of unknown build and pose, as one function of a flat vector: what a registration fits."""
+"""The template of a registration: a human whose build and pose are functions of a flat vector."""
 
 import functools
 import re
@@ -14,7 +14,7 @@ from ..body.people.human import human
 from ..body.pose import Pose, difference, rest_pose, retract
 from ..body.skeleton import dof_layout
 
-#: people whose differences from the average one span the builds, as options of `human`
+#: pairs of people that span the builds, as options of `human`
 BUILDS = (
     ({"sex": 1.0}, {"sex": 0.0}),
     ({"weight": 1.0}, {"weight": 0.0}),
@@ -23,25 +23,25 @@ BUILDS = (
 )
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1")
 AVERAGE = {"sex": 0.5}
-#: standard deviations (radians) of joints from rest, by what is in their names, first match
+#: standard deviations (radians) of joints from rest, by the first match in their names
 STIFFNESS = (
     ("Shoulder", 0.15), ("ForeArm", 0.4), ("Arm", 0.5), ("Hand", 0.25), ("UpLeg", 0.3), ("Leg", 0.25),
     ("Foot", 0.2), ("Toe", 0.1), ("Neck", 0.12), ("Head", 0.12), ("Back", 0.1), ("Spine", 0.1),
 )  # fmt: skip
-#: standard deviations of logarithms, and of builds, of which one unit is an extreme person
+#: standard deviations of logarithms, and of builds; a build of one is an extreme person
 LENGTH_SPREAD, GIRTH_SPREAD, SIZE_SPREAD, BUILD_SPREAD = 0.06, 0.12, 0.1, 0.7
-#: metres and radians; damps the root, which the prior leaves free
+#: step scale that damps the root, which has no prior, metres and radians
 ROOT_SPREAD = 3.0
 
 
 class Template(eqx.Module):
-    """The average human, its builds, and which bones stretch together."""
+    """The average human, its builds, and the groups of its bones."""
 
     body: Body
     #: changes of vertices and joint centres with each build, metres
     build_vertices: Float[Array, "K V 3"]
     build_centres: Float[Array, "K J 3"]
-    #: which bones are stretched alike: left and right, and the whole trunk
+    #: the group of each bone; bones of a group stretch alike, such as left and right, and the whole trunk
     groups: tuple[int, ...] = eqx.field(static=True)
 
     @property
@@ -68,7 +68,7 @@ class Person(eqx.Module):
 
 @functools.lru_cache(maxsize=1)
 def load_template() -> Template:
-    """The template, of 1,500 vertices: a registration samples surfaces at some centimetres."""
+    """Build the template, of 1,500 vertices: a registration samples surfaces at some centimetres."""
     average = _person(AVERAGE)
     pairs = [(_person(AVERAGE | more), _person(AVERAGE | less)) for more, less in BUILDS]
     groups = [_group(name) for name in average.skeleton.names]
@@ -85,7 +85,7 @@ def _person(options: dict[str, float]) -> Body:
 
 
 def _group(name: str) -> str:
-    """What a bone is stretched with: its other side, the whole trunk, neck or hand."""
+    """Return the stretch group of a bone: its other side, the whole trunk, neck or hand."""
     if name in TRUNK:
         return "Trunk"
     if "Thumb" in name or "Finger" in name:
@@ -94,16 +94,16 @@ def _group(name: str) -> str:
 
 
 def average_build(template: Template) -> Build:
-    """The build of the template as it is."""
+    """Return the build of the unchanged template."""
     zeros = jnp.zeros(template.num_groups, template.body.vertices.dtype)
     return Build(zeros[0], zeros[: len(BUILDS)], zeros, zeros)
 
 
 def build_body(template: Template, build: Build) -> Body:
-    """The template's body with another build, at rest.
+    """Build the template's body with another build, at rest.
 
-    First the builds are blended, then every bone is stretched about its joint, `girth` across and
-    `length` along it, and carries the joints that hang on it; its vertices follow by their weights.
+    First the builds are blended. Then every bone is stretched about its joint, by `girth` across and by
+    `length` along it, and moves its descendants; vertices follow by their weights.
     """
     skeleton = template.body.skeleton
     size = jnp.exp(build.size)
@@ -128,7 +128,7 @@ def build_body(template: Template, build: Build) -> Body:
 
 
 def move(template: Template, person: Person, step: Float[Array, "X"]) -> Person:
-    """Another person along a flat vector: tangent of the pose, size, builds, lengths, girths."""
+    """Move a person along a flat vector: tangent of the pose, size, builds, lengths, girths."""
     dofs, groups = template.body.skeleton.num_dofs, template.num_groups
     cuts = np.cumsum([dofs, 1, len(BUILDS), groups])
     d, size, builds, lengths, girths = jnp.split(step, cuts)
@@ -139,12 +139,12 @@ def move(template: Template, person: Person, step: Float[Array, "X"]) -> Person:
 
 @eqx.filter_jit
 def pose_template(template: Template, person: Person) -> Posed:
-    """The template of a person's build in the person's pose."""
+    """Pose the template with a person's build and pose."""
     return pose_body(build_body(template, person.build), person.pose)
 
 
 def prior_offset(template: Template, person: Person, size: Float[Array, ""]) -> Float[Array, "X"]:
-    """Compute how far a person is from the prior's middle, whose size is `size`; the root, which is free, is not."""
+    """Compute the offset of a person from the prior's mean, with mean size `size`; zero for the free root."""
     skeleton, build = template.body.skeleton, person.build
     d = difference(skeleton, rest_pose(skeleton), person.pose)
     d = jnp.where(dof_layout(skeleton).joints == 0, 0.0, d)
@@ -152,7 +152,7 @@ def prior_offset(template: Template, person: Person, size: Float[Array, ""]) -> 
 
 
 def prior_spreads(template: Template) -> Float[np.ndarray, "X"]:
-    """Standard deviations of `move`'s numbers from the average build at rest."""
+    """Return the prior's standard deviations of the components of `move` from the average build at rest."""
     skeleton = template.body.skeleton
     layout = dof_layout(skeleton)
     joints = np.array([_stiffness(name) for name in skeleton.names])
@@ -168,6 +168,6 @@ def _stiffness(name: str) -> float:
 
 
 def _bone_directions(template: Template) -> Float[Array, "J 3"]:
-    """The x axes of the joints' own frames, which lie along the bones."""
+    """Compute the x axes of the joints' local frames, which lie along the bones."""
     w, x, y, z = template.body.skeleton.orientations.T
     return jnp.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], 1)

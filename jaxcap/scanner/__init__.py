@@ -1,1 +1,1 @@
-"""Simulated depth cameras around a moving surface: noisy, partial clouds and meshes as real ones give."""
+"""Simulated depth cameras around a moving surface, with noisy and partial clouds and meshes."""

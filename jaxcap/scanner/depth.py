@@ -1,4 +1,4 @@
-"""What an ideal depth camera sees of a triangle mesh, ray by ray."""
+"""Ideal depth images of a triangle mesh by ray casting."""
 
 import functools
 from typing import Any, NamedTuple
@@ -10,26 +10,26 @@ from ..geometry.camera import Camera
 
 
 class Surface(NamedTuple):
-    """A mesh made ready for rays; see `make_surface`."""
+    """A mesh prepared for ray casting; see `make_surface`."""
 
-    #: of trimesh, whose `ray` casts through Embree where that is installed
+    #: of trimesh; its `ray` uses Embree if that is installed
     mesh: Any
     #: corners of the triangles, metres
     corners: Float[np.ndarray, "F 3 3"]
-    #: unit normals; zero where a triangle has no area
+    #: unit normals; zero for triangles without area
     normals: Float[np.ndarray, "F 3"]
 
 
 class DepthImage(NamedTuple):
-    """A picture of depths. Metres along the optical axis; zero where nothing is measured."""
+    """A depth image: metres along the optical axis, zero for pixels without measurement."""
 
     depth: Float[np.ndarray, "H W"]
-    #: cosine of the angle between the surface's normal and the ray, zero where nothing is measured
+    #: cosine of the angle between the surface's normal and the ray, zero for pixels without measurement
     facing: Float[np.ndarray, "H W"]
 
 
 def make_surface(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Surface:
-    """A mesh made ready for rays of several cameras; built once for a frame."""
+    """Prepare a mesh for ray casting from several cameras, once for a frame."""
     import trimesh
 
     vertices, faces = np.asarray(vertices, float), np.asarray(faces)
@@ -41,7 +41,7 @@ def make_surface(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
 
 
 def render_depth(camera: Camera, surface: Surface) -> DepthImage:
-    """The depth of what each pixel's middle sees first, from either side."""
+    """Render the depth of the first surface, front or back, at each pixel's centre."""
     rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
     rays = camera_rays(camera)
     shape = rays.shape[:2]
@@ -56,8 +56,8 @@ def render_depth(camera: Camera, surface: Surface) -> DepthImage:
     seen = np.flatnonzero(hit >= 0)
     triangle, along = hit[seen], directions[seen]
     normal = surface.normals[triangle]
-    # Embree says which triangle in single precision; where the ray meets its plane is computed in double.
-    # A ray has length one in depth, so that is the depth itself
+    # Embree finds triangles in single precision; their intersections are computed in double precision.
+    # Rays have a depth of one, so that the ray parameter is the depth
     approach = np.sum(normal * along, 1)
     reach = np.sum(normal * (surface.corners[triangle, 0] - eye), 1)
     met = reach / np.where(np.abs(approach) > 1e-12, approach, 1.0)
@@ -71,7 +71,7 @@ def render_depth(camera: Camera, surface: Surface) -> DepthImage:
 
 
 def camera_rays(camera: Camera) -> Float[np.ndarray, "H W 3"]:
-    """What each pixel's middle looks along in the camera's own frame, one metre deep. Not to be written to."""
+    """Return the ray of each pixel's centre in the camera's frame, with depth one; read-only."""
     focal, middle = (np.asarray(a, float).tolist() for a in (camera.focal, camera.principal_point))
     return _rays(camera.width, camera.height, *focal, *middle)
 
@@ -87,8 +87,10 @@ def _rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -
 def _shares(
     points: Float[np.ndarray, "N 3"], corners: Float[np.ndarray, "N 3 3"], normals: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Shares of the corners in points of their planes, held to the triangle: a ray that goes by an edge in
-    the last digit would meet the plane of a triangle that it sees from the side somewhere else."""
+    """Compute barycentric coordinates of points in their planes, clipped to the triangle.
+
+    A ray that misses an edge by rounding could intersect the plane of a grazing triangle far away.
+    """
     across = [
         np.cross(corners[:, (i + 2) % 3] - corners[:, (i + 1) % 3], points - corners[:, (i + 1) % 3])
         for i in range(3)
@@ -99,12 +101,12 @@ def _shares(
 
 
 def _window(camera: Camera, corners: Float[np.ndarray, "F 3 3"]) -> tuple[slice, slice]:
-    """Rows and columns outside of which no ray can meet the surface."""
+    """Find the rows and columns outside of which no ray can hit the surface."""
     depth = corners[..., 2]
     if depth.size == 0 or depth.max() <= 0:
         return slice(0, 0), slice(0, 0)
     if depth.min() < 0.01:
-        # something is beside the camera or behind it, and may come in anywhere
+        # points next to or behind the camera can project anywhere
         return slice(0, camera.height), slice(0, camera.width)
     pixels = np.asarray(camera.focal, float) * corners[..., :2] / depth[..., None]
     pixels = (pixels + np.asarray(camera.principal_point, float)).reshape(-1, 2)

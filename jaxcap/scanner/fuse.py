@@ -1,4 +1,4 @@
-"""Depth pictures of several cameras as one cloud or one mesh."""
+"""Fusion of depth images of several cameras in one cloud or one mesh."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,10 +11,10 @@ from .depth import camera_rays
 
 
 class Scan(NamedTuple):
-    """What a scanner made of one frame, metres."""
+    """A scan of one frame, metres."""
 
     points: Float[np.ndarray, "N 3"]
-    #: unit, towards the camera; zero where too few pixels lie around to tell
+    #: unit, towards the camera; zero for points with too few neighbouring pixels
     normals: Float[np.ndarray, "N 3"]
     #: number of the camera that saw a point
     views: Int[np.ndarray, "N"]
@@ -29,10 +29,11 @@ def fuse_cloud(
     window: int = 2,
     voxel: float = 0.0,
 ) -> Scan:
-    """The measured pixels of all views as one cloud.
+    """Fuse the measured pixels of all views in one cloud.
 
-    **Arguments:** `depths`, a picture for each camera, metres, zero where nothing is measured; `gap` and
-    `window` as for `image_normals`; `voxel`, the side of the cubes that keep one point each, metres.
+    **Arguments:** `depths`, an image for each camera, metres, zero for pixels without measurement; `gap` and
+    `window` as for `image_normals`; `voxel`, the side of the cubes that keep one point each, metres, 0 for
+    none.
     """
     views = [
         (*_world(camera, depth, gap, window), np.full(np.count_nonzero(depth), number))
@@ -50,9 +51,10 @@ def fuse_mesh(
     gap: float = 0.03,
     window: int = 2,
 ) -> Scan:
-    """The measured pixels of all views as one mesh: the triangles of each view's grid of pixels without
-    those across a discontinuity, beside those of the other views. Grids overlap and are not sewn
-    together. Pixels of no triangle are left out."""
+    """Fuse the measured pixels of all views in one mesh: the grids of pixels, cut at discontinuities.
+
+    Grids of different views overlap and are not merged. Pixels of no triangle are left out.
+    """
     cloud, faces, first = fuse_cloud(cameras, depths, gap, window), [], 0
     for depth in depths:
         faces.append(grid_faces(depth, gap) + first)
@@ -65,8 +67,11 @@ def fuse_mesh(
 
 
 def grid_faces(depth: Float[np.ndarray, "H W"], gap: float) -> Int[np.ndarray, "F 3"]:
-    """Triangles between neighbouring measured pixels whose depths differ by at most `gap`, metres: two for a
-    square of four such pixels, one for three of them. Indices count measured pixels row by row."""
+    """Triangulate neighbouring measured pixels with depths that differ by at most `gap`, metres.
+
+    A square of four such pixels has two triangles, one of three such pixels has one. Indices count measured
+    pixels row by row.
+    """
     number = np.cumsum(depth.reshape(-1) > 0).reshape(depth.shape) - 1
     squares, depths = (
         np.stack([a[:-1, :-1], a[1:, :-1], a[1:, 1:], a[:-1, 1:]], -1).reshape(-1, 4) for a in (number, depth)
@@ -75,7 +80,7 @@ def grid_faces(depth: Float[np.ndarray, "H W"], gap: float) -> Int[np.ndarray, "
     first, second, third, fourth = [0, 1, 2], [0, 2, 3], [1, 2, 3], [0, 1, 3]
     cut = _joined(depths[:, first], gap) | _joined(depths[:, second], gap)
     faces = [squares[_joined(depths[:, corners], gap)][:, corners] for corners in (first, second)]
-    # squares that the one diagonal gives nothing of may have a triangle on the other one
+    # squares without a triangle on one diagonal may have one on the other
     faces += [squares[_joined(depths[:, corners], gap) & ~cut][:, corners] for corners in (third, fourth)]
     return np.concatenate(faces)
 
@@ -83,12 +88,12 @@ def grid_faces(depth: Float[np.ndarray, "H W"], gap: float) -> Int[np.ndarray, "
 def image_normals(
     camera: Camera, depth: Float[np.ndarray, "H W"], gap: float, window: int
 ) -> Float[np.ndarray, "P 3"]:
-    """Unit normals of the measured pixels, row by row, in the camera's frame and towards it.
+    """Estimate unit normals of the measured pixels, row by row, in the camera's frame and towards it.
 
-    In a picture of a plane the inverse depth is linear, so a plane through a point and its neighbours,
-    `window` rows and columns around, is a linear least squares fit. Pixels that are farther or nearer by
-    more than `gap`, metres, belong to something else. Zero where fewer than three are left, or where all
-    of them lie on a line.
+    The inverse depth of a plane is linear in an image. A plane through a pixel and its neighbours, `window`
+    rows and columns around, is therefore a linear least-squares fit. Pixels that are farther or nearer by
+    more than `gap`, metres, are excluded. Normals are zero if fewer than three pixels are left, or if these
+    are collinear.
     """
     rows, columns = np.nonzero(depth > 0)
     framed = np.pad(depth, window)
@@ -104,7 +109,7 @@ def image_normals(
                 weight * down**2, inverse, inverse * across, inverse * down,
             ])  # fmt: skip
     n, u, v, uu, uv, vv, w, wu, wv = sums
-    # around the means, so that two unknowns are left
+    # centre the sums, so that two unknowns are left
     count = np.maximum(n, 1.0)
     uu, uv, vv = uu - u * u / count, uv - u * v / count, vv - v * v / count
     wu, wv = wu - w * u / count, wv - w * v / count
@@ -123,7 +128,7 @@ def image_normals(
 
 
 def _world(camera: Camera, depth: np.ndarray, gap: float, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points and normals of the measured pixels, row by row, in the world."""
+    """Compute points and normals of the measured pixels, row by row, in world coordinates."""
     rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
     measured = depth > 0
     there = camera_rays(camera)[measured] * depth[measured][:, None]
@@ -131,7 +136,7 @@ def _world(camera: Camera, depth: np.ndarray, gap: float, window: int) -> tuple[
 
 
 def _joined(depths: np.ndarray, gap: float) -> np.ndarray:
-    """Where all corners `(Q, K)` are measured and none lies behind another by more than `gap`."""
+    """Test if all corners `(Q, K)` are measured and their depths differ by at most `gap`."""
     nearest, farthest = depths.min(1), depths.max(1)
     return (nearest > 0) & (farthest - nearest <= gap)
 
@@ -139,7 +144,7 @@ def _joined(depths: np.ndarray, gap: float) -> np.ndarray:
 def _thin(
     points: np.ndarray, normals: np.ndarray, views: np.ndarray, side: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The mean of the points in each cube, their mean direction, and the view of the first of them."""
+    """Average points and normals in each cube, with the view of the cube's first point."""
     cells = np.floor(points / side).astype(np.int64)
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     cell, count = cell.reshape(-1), len(first)

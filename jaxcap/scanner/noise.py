@@ -1,4 +1,4 @@
-"""What goes wrong between a surface and a picture of its depths: one small function an error."""
+"""Errors of depth images, with one function for each kind."""
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from .settings import Scanner
 
 
 def spoil(scanner: Scanner, image: DepthImage, rng: np.random.Generator) -> Float[np.ndarray, "H W"]:
-    """The depths that a bad camera measures, metres; zero where it measures nothing."""
+    """Apply all errors of a scanner to a depth image, metres; zero for pixels without measurement."""
     depth = lose_grazing(image, scanner.grazing)
     depth = lose_holes(depth, scanner.holes, scanner.hole_size, rng)
     depth = let_fly(depth, scanner.flying, scanner.gap, scanner.flying_reach, rng)
@@ -17,16 +17,16 @@ def spoil(scanner: Scanner, image: DepthImage, rng: np.random.Generator) -> Floa
 
 
 def lose_grazing(image: DepthImage, most: float) -> Float[np.ndarray, "H W"]:
-    """Depths without those where normal and ray are more than `most` degrees apart; 90 loses none."""
+    """Remove depths with an angle between normal and ray above `most` degrees; 90 removes none."""
     return np.where(image.facing >= np.cos(np.radians(most)) - 1e-12, image.depth, 0.0)
 
 
 def lose_holes(
     depth: Float[np.ndarray, "H W"], share: float, size: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "H W"]:
-    """Depths without a share of the measured ones, which are lost in blobs of about `size` pixels.
+    """Remove a share of the measured depths in holes of about `size` pixels.
 
-    A hole is where smooth noise is highest; as much of it is taken as makes the share.
+    Holes are at the highest values of smooth noise, with a threshold that gives the share.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -42,11 +42,11 @@ def lose_holes(
 def let_fly(
     depth: Float[np.ndarray, "H W"], share: float, gap: float, reach: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "H W"]:
-    """Depths where a share of those before a discontinuity are moved back.
+    """Move back a share of the pixels in front of a discontinuity (flying pixels).
 
-    A pixel stands before one where a neighbour, above, below, left or right, is farther by more than
-    `gap`, metres, or sees nothing. It goes a random part of the way to the farthest of them, at most
-    `reach`, metres.
+    A pixel is in front of one if a neighbour, above, below, left or right, is farther by more than `gap`,
+    metres, or without measurement. It moves by a random share of the distance to the farthest of them, at
+    most `reach`, metres.
     """
     flown = depth.copy()
     if share > 0:
@@ -59,8 +59,10 @@ def let_fly(
 
 
 def discontinuities(depth: Float[np.ndarray, "H W"], nothing: float) -> Float[np.ndarray, "H W"]:
-    """How much farther the farthest of a pixel's four neighbours is, metres; `nothing` for one that sees
-    nothing. The picture's rim is no discontinuity."""
+    """Compute how much farther the farthest of a pixel's four neighbours is, metres.
+
+    A neighbour without measurement counts as `nothing`, metres. The image's border is no discontinuity.
+    """
     framed = np.pad(depth, 1, mode="edge")
     around = np.stack([framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]])
     return np.where(around > 0, around - depth, nothing).max(0)
@@ -69,14 +71,16 @@ def discontinuities(depth: Float[np.ndarray, "H W"], nothing: float) -> Float[np
 def add_noise(
     depth: Float[np.ndarray, "H W"], constant: float, growth: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "H W"]:
-    """Depths with normal errors of deviation `constant + growth * depth^2`, metres."""
+    """Add Gaussian noise of standard deviation `constant + growth * depth^2`, metres."""
     noisy = depth + (constant + growth * depth**2) * rng.normal(size=depth.shape)
     return np.where((depth > 0) & (noisy > 0), noisy, 0.0)
 
 
 def quantise(depth: Float[np.ndarray, "H W"], step: float) -> Float[np.ndarray, "H W"]:
-    """Depths of which the inverse is a whole multiple of `step` (1/metres), as of cameras that measure
-    whole disparities: at 1 m they are about `step` metres apart, and `step * z^2` at `z`."""
+    """Quantise inverse depths to whole multiples of `step` (1/metres), as cameras with whole disparities do.
+
+    Successive depths differ by about `step` metres at 1 m, and by `step * z^2` at `z`.
+    """
     if step == 0:
         return depth
     disparity = np.round(1.0 / (np.where(depth > 0, depth, 1.0) * step))

@@ -1,4 +1,4 @@
-"""One frame of a moving surface as a scanner sees it, the same whenever it is asked for."""
+"""Simulated scans of single frames of a moving surface, reproducible for each frame."""
 
 from collections.abc import Sequence
 
@@ -24,13 +24,13 @@ def scan_frame(
     seed: int = 0,
     frame: int = 0,
 ) -> Scan:
-    """What all cameras together make of one frame, metres: a cloud, or a mesh where `scanner.mesh`.
+    """Simulate the scan of one frame by all cameras, metres: a cloud, or a mesh if `scanner.mesh`.
 
-    The numbers drawn depend on `seed`, `frame` and the view, and on nothing that was scanned before. A
-    view that sees nothing adds nothing, so a scan may be empty.
+    Random numbers depend on `seed`, `frame` and the view only, not on earlier scans. A scan is empty if no
+    view measures anything.
 
-    **Raises:** `InputError` for a setting out of its range, no cameras, a seed or frame below zero, vertices that
-    cannot be in metres, and triangles of vertices that are not there.
+    **Raises:** `InputError` for a setting out of its range, no cameras, a seed or frame below zero, vertices
+    that cannot be in metres, and triangles of missing vertices.
     """
     check_metres("scan_frame", "vertices", vertices)
     check_faces("scan_frame", faces, len(vertices))
@@ -53,8 +53,10 @@ def scan_depths(
     seed: int = 0,
     frame: int = 0,
 ) -> list[Float[np.ndarray, "H W"]]:
-    """The picture of depths that each camera measures of one frame, metres, zero where it measures
-    nothing. Arguments and errors are those of `scan_frame`."""
+    """Simulate each camera's depth image of one frame, metres, zero for pixels without measurement.
+
+    Arguments and errors are those of `scan_frame`.
+    """
     check_scanner(scanner)
     if not cameras:
         raise InputError("There are no cameras to scan with; give at least one.")
@@ -72,7 +74,7 @@ def scan_depths(
 
 
 def dropped_views(share: float, count: int, seed: int, frame: int) -> Bool[np.ndarray, "C"]:
-    """Which of `count` views a frame goes without: each with the chance `share`, but never all of them."""
+    """Sample the lost ones of `count` views in a frame, each with probability `share`, but never all."""
     chance = _random(seed, frame, 0).random(count)
     lost = chance < share
     lost[np.argmax(chance)] = False
@@ -80,5 +82,5 @@ def dropped_views(share: float, count: int, seed: int, frame: int) -> Bool[np.nd
 
 
 def _random(seed: int, frame: int, stream: int) -> np.random.Generator:
-    """Numbers of one frame's one purpose, whatever was drawn before."""
+    """Make the random generator of one frame and one purpose (`stream`)."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(frame, stream)))

@@ -1,4 +1,4 @@
-"""How bad the pictures of a simulated scanner are, and what is made of them."""
+"""Settings of a simulated scanner: errors of depth images, and their fusion."""
 
 from typing import NamedTuple
 
@@ -8,42 +8,41 @@ from ..errors import InputError
 
 
 class Scanner(NamedTuple):
-    """Depth cameras' errors, in the order in which they come, and how views become one scan."""
+    """The errors of depth cameras, in their order of application, and the fusion of views in one scan."""
 
-    #: share of views that are lost in a frame, each by itself; the last one left is never lost
+    #: probability of the loss of a view in a frame, independent of the others; at least one view is kept
     drop: float = 0.0
-    #: a surface turned further from the camera than this is not measured, degrees
+    #: largest measurable angle between surface normal and ray, degrees
     grazing: float = 80.0
     #: share of a view's measured pixels lost in holes, and the size of holes, pixels
     holes: float = 0.0
     hole_size: float = 4.0
-    #: share of pixels before a discontinuity that fly: they lie between front and back
+    #: share of flying pixels, between front and back, among the pixels in front of a discontinuity
     flying: float = 0.0
-    #: how far they fly at most, metres
+    #: largest shift of a flying pixel, metres
     flying_reach: float = 0.3
-    #: deviation of a depth `z`, metres: `noise + noise_growth * z^2`
+    #: standard deviation of a depth `z` is `noise + noise_growth * z^2`, metres
     noise: float = 0.002
     #: 1/metres
     noise_growth: float = 0.0
-    #: between neighbouring depths at 1 m, metres, as of whole disparities: it grows with z^2; 0 is none
+    #: step between depths at 1 m by whole disparities, metres; it grows with z^2; 0 is none
     quantise: float = 0.0
-    #: neighbouring pixels further apart in depth are of different surfaces, metres
+    #: largest difference in depth of neighbouring pixels on one surface, metres
     gap: float = 0.03
-    #: a normal is that of a plane through pixels so many rows and columns around
+    #: number of rows and columns around a pixel for its normal
     normal_window: int = 2
     #: one point for each cube of a grid with this side, metres; 0 keeps all
     voxel: float = 0.0
-    #: random points that are kept of a cloud; all where it is None
+    #: number of points kept of a cloud, at random; None keeps all
     points: int | None = None
-    #: whether a scan is a mesh: the pixels of each view as a grid of triangles, cut at discontinuities,
-    #: and the grids of all views beside each other, not sewn together
+    #: make meshes: a grid of triangles for each view, cut at discontinuities; grids of views are not merged
     mesh: bool = False
 
 
 def check_scanner(scanner: Scanner) -> None:
-    """That settings are in their ranges.
+    """Check that settings are in their ranges.
 
-    **Raises:** `InputError` for the first that is not, by its name.
+    **Raises:** `InputError` that names the first setting that is not.
     """
     share, length = "from 0 and below 1", "at least 0 metres"
     wrong = {

@@ -1,1 +1,1 @@
-"""The poses of an actor in scans, by themselves, in windows and without an order."""
+"""The poses of an actor in scans: single frames, windows and unordered scans."""

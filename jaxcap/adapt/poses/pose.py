@@ -1,4 +1,4 @@
-"""The pose of one frame: pairs, a damped step, and again (Adaptation, 4.1.4)."""
+"""The pose of one frame: pairs and damped steps in alternation (Adaptation, 4.1.4)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,19 +24,20 @@ from ...observe import Cloud
 from ...observe import Scan as FileScan
 from ..problems import mean_square, pose_problem
 
-#: lengths of a step that are tried: further than it says, as nearest neighbours hold a surface back, and shorter
+#: tried factors of a step's length: also above one, as nearest neighbours slow a surface down
 LENGTHS = (1.5, 1.0, 0.5, 0.25, 0.1)
-#: steps that may raise Q before the best pose is returned to, and the share of Q that one has to better it by
+#: number of steps that may raise Q before the search ends, and relative decrease of Q that counts as progress
 UPHILL, ENOUGH = 2, 1e-3
-#: rows and columns of the buffers that tell what cameras see: as rays do of 98 % of vertices and more
+#: rows and columns of the depth buffers for visibility, which agrees with ray casting for at least 98 % of
+#: vertices
 PIXELS = 256
 
 
 class PoseFit(NamedTuple):
-    """A pose and how well it meets its scan."""
+    """A pose and its fit to a scan."""
 
     pose: Pose
-    #: mean weighed squared distance of a pair, metres squared
+    #: mean weighted squared distance of a pair, metres squared
     data: float
     #: the last pairs
     pairs: Pairs
@@ -57,13 +58,16 @@ def fit_pose(
     boxes: PoseBoxes | None = None,
     terms: AbstractEnergy | None = None,
 ) -> PoseFit:
-    """The pose of a frame from one near it: Q_data + weight Q_prior, with Q_data the mean over pairs.
+    """Fit a body's pose to a scan from an initial pose: minimise `Q_data + weight Q_prior`.
 
-    Each step finds pairs anew and is one of Levenberg-Marquardt for these, at the best of some lengths (Adaptation, 4.1.4). `damping`
-    is that of the first step, as a share of each curvature. New pairs may raise Q; some such steps are gone on from, and the best pose is kept.
+    `Q_data` is the mean over pairs. Each iteration finds new pairs and takes a Levenberg-Marquardt step at
+    the best of some lengths (Adaptation, 4.1.4). New pairs may raise Q: some such steps are accepted, and the
+    best pose is returned.
 
-    The `scan` may be a cloud, or as `read_clouds` gives it, of which `make_scan` is made here. `boxes` are hard. What the start has beyond them is brought back first. `cameras` as in `pairs_of`. `terms` are further
-    energies in units of a log-likelihood.
+    **Arguments:** `scan` may be a cloud, or an element of the result of `read_clouds`; `start` is the initial
+    pose; `damping` is that of the first step, as a share of each curvature; `boxes` are hard limits, to which
+    the start is clamped first; `cameras` as in `pairs_of`; `terms` are further energies in units of a
+    log-likelihood.
     """
     scan = as_scan(scan)
     start = start if boxes is None else brought_in(boxes, body.skeleton, start)
@@ -84,8 +88,11 @@ def pairs_of(
     matching: Matching,
     cameras: Sequence[Camera] = (),
 ) -> Pairs:
-    """The pairs of a posed body with a scan. Vertices that none of the `cameras` sees are in no pair (4.1.2, visibility
-    constraint); no cameras say nothing."""
+    """Find the pairs of a posed body with a scan.
+
+    Vertices that none of the `cameras` sees are in no pair (4.1.2, visibility constraint). Without cameras,
+    visibility is not tested.
+    """
     posed, normals = _surface(body, pose)
     visible = np.asarray(visible_vertices(cameras, posed, body.faces, pixels=PIXELS)) if cameras else None
     faces = np.asarray(body.faces)
@@ -100,10 +107,10 @@ def _surface(body: Body, pose: Pose):
 
 @eqx.filter_jit
 def brought_in(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
-    """The pose with every number that is beyond its box at the end of it."""
+    """Clamp a pose to the limits of its joint rotations."""
     return boxes.nearest(skeleton, pose)
 
 
 def same_pose(a: Pose, b: Pose) -> bool:
-    """Tell whether two poses are the same to the last bit."""
+    """Test if two poses are bitwise equal."""
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))

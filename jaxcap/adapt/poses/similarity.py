@@ -1,4 +1,4 @@
-"""How alike scans are, and whether they follow each other in time."""
+"""The similarity of scans, and detection of unordered scans."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -9,17 +9,19 @@ from scipy.spatial import KDTree
 
 from ...observe import Cloud
 
-#: radii and heights about the middle of a cloud, in its height, and directions, at which its distance field is sampled
+#: sample points of a cloud's distance field: radii and heights about its middle, as shares of the body's
+#: height, and the number of directions
 RADII = (0.08, 0.18, 0.3, 0.45)
 HEIGHTS = (-0.5, -0.38, -0.25, -0.12, 0.0, 0.12, 0.25, 0.38, 0.5)
 DIRECTIONS = 24
-#: distances beyond this, metres, say nothing more
+#: distances are clipped at this, metres
 FAR = 0.3
-#: pairs of successive scans that are compared, spread over all; fewer than the second number show nothing
+#: number of compared pairs of successive scans, spread over all; as few scans as the second number are not
+#: tested
 PAIRS, LEAST = 40, 5
-#: scans are unordered where a successive pair is nearer to each other than a random pair in less than this share of cases
+#: scans are unordered if a successive pair is nearer than a random pair in less than this share of cases
 NEARER = 0.75
-#: root mean square metres of a step that a tracker follows in any order
+#: length of a step, RMS metres, that a tracker follows in any order
 STILL = 0.02
 
 
@@ -28,7 +30,7 @@ class Shape(NamedTuple):
 
     #: median of the points, metres
     middle: Float[np.ndarray, "3"]
-    #: distance to the nearest point at rings about the middle, metres; y is up
+    #: distance to the nearest point on rings about the middle, metres; y is up
     field: Float[np.ndarray, "R T"]
 
     @property
@@ -43,32 +45,32 @@ def shape_of(cloud: Cloud, height: float) -> Shape:
     middle = np.median(points, axis=0)
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     radii, heights = (part.reshape(-1, 1) for part in np.meshgrid(RADII, HEIGHTS))
-    # a turn about y by an angle carries the direction (0, 0, 1) to (sin, 0, cos)
+    # a rotation about y takes the direction (0, 0, 1) to (sin, 0, cos)
     rings = np.stack([radii * np.sin(angles), heights + 0 * angles, radii * np.cos(angles)], -1) * height
     field = KDTree(points).query((middle + rings).reshape(-1, 3), distance_upper_bound=FAR)[0]
     return Shape(middle, np.minimum(field, FAR).reshape(len(radii), DIRECTIONS))
 
 
 def turned_distances(one: Shape, other: Shape) -> Float[np.ndarray, "T"]:
-    """Root mean square difference of two fields, metres, when `one` is turned about its vertical to each direction:
-    by `2 pi k / T`."""
-    # the correlation over all turns at once
+    """Compute the RMS difference of two fields, metres, for rotations `2 pi k / T` of `one` about y."""
+    # circular correlation over all rotations
     both = np.fft.irfft(np.sum(np.conj(one.spectrum) * other.spectrum, 0), n=DIRECTIONS)
     squares = np.sum(one.field**2) + np.sum(other.field**2) - 2 * both
     return np.sqrt(np.maximum(squares, 0.0) / one.field.size)
 
 
 def step_between(one: Shape, other: Shape) -> float:
-    """How far it is from one scan to another, metres: the body's place and its distance field."""
+    """Compute the distance between two scans, metres, from the body's position and its distance field."""
     field = np.sqrt(np.mean((one.field - other.field) ** 2))
     return float(np.hypot(field, np.linalg.norm(one.middle - other.middle)))
 
 
 def is_unordered(cloud: Callable[[int], Cloud], frames: Sequence[int], height: float) -> bool:
-    """Whether scans do not follow each other in time: successive ones are no nearer to each other than any two are.
+    """Test if scans are unordered in time: successive scans are hardly more similar than random pairs.
 
-    **Arguments:** `cloud(frame)` gives the scan of each of the `frames`; `height` of the body, metres. At most 80 scans
-    are read. Too few of them, and those in which hardly anything moves, count as ordered.
+    At most 80 scans are read. Too few scans, and scans with little motion, count as ordered.
+
+    **Arguments:** `cloud(frame)` returns the scan of each of the `frames`; `height` of the body, metres.
     """
     if len(frames) <= LEAST:
         return False
@@ -86,6 +88,6 @@ def is_unordered(cloud: Callable[[int], Cloud], frames: Sequence[int], height: f
 
 
 def share_nearer(steps: Float[np.ndarray, "S"], apart: Float[np.ndarray, "P"]) -> float:
-    """The chance that a step is shorter than the distance of a random pair: a half where the order says nothing."""
+    """Estimate the probability that a step is shorter than a random pair's distance; 0.5 without order."""
     ranks = np.searchsorted(np.sort(apart), steps) / len(apart)
     return float(1.0 - ranks.mean())

@@ -1,4 +1,4 @@
-"""Smooth motion: the poses of some frames at once, coupled by their second differences (Adaptation, 4.1.4)."""
+"""Smooth motion: poses of a sliding window, coupled by their second differences (Adaptation, 4.1.4)."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +22,7 @@ from ...parallel import parallel_map
 from ..problems import stack, stack_pairs, unstack, window_problem
 from .pose import LENGTHS, UPHILL, brought_in, same_pose
 
-#: frames of a window, and by how many the next one is further on
+#: number of frames of a window, and number of frames by which it advances
 FRAMES, STRIDE = 11, 5
 #: damping of a window's first step, as a share of each curvature
 DAMPING = 1e-4
@@ -44,16 +44,16 @@ def smooth_poses(
     terms: AbstractEnergy | None = None,
     times: Sequence[int] | None = None,
 ) -> list[Pose]:
-    """Poses of a whole sequence by windows that overlap, each with its first frame held where the window
-    before left it; memory is that of one window.
+    """Smooth the poses of a whole sequence in overlapping windows.
 
-    A step of a window is one of damped normal equations, block-banded over the frames, of which the best of some lengths
-    is taken. New pairs may make a window worse; the best of its poses are kept.
+    The first frame of each window is fixed at the result of the window before. Memory is that of one window.
+    A step solves damped normal equations, block-banded over the frames, at the best of some lengths. New
+    pairs may raise the energy of a window; its best poses are kept.
 
-    **Arguments:** `pairs_at(frame, pose)` gives the pairs of a frame; `weight` of the prior and `temporal` of the
-    second differences, against the mean squared distance of a pair (eqs. 4.3, 4.9); `boxes` are hard, as in
-    `fit_pose`, and poses that are beyond them are brought back first; `terms` as there; `times` of the poses, frames that rise, where some
-    are missing between them.
+    **Arguments:** `pairs_at(frame, pose)` returns the pairs of a frame; `weight` of the prior and `temporal`
+    of the second differences, relative to the mean squared distance of a pair (eqs. 4.3, 4.9); `boxes` and
+    `terms` as in `fit_pose`; `times`, the ascending frame numbers of the poses, if some frames between them
+    are missing.
     """
     windows = smooth_windows(
         body, poses, pairs_at, prior, weight, temporal,
@@ -79,15 +79,18 @@ def smooth_windows(
     times: Sequence[int] | None = None,
     begin: int = 0,
 ) -> Iterator[tuple[list[Pose], int]]:
-    """`smooth_poses`, window by window: all poses after each of them, and the first frame of the next one, at which
-    `begin` goes on from these poses to the same end; after the last window it is how many poses there are."""
+    """Smooth poses as `smooth_poses`; yield all poses and the next window's first frame after each window.
+
+    `begin` at this frame resumes from these poses with the same result. After the last window it is the
+    number of poses.
+    """
     when = np.arange(len(poses)) if times is None else np.asarray(times)
     if not begin and boxes is not None:
         poses = [brought_in(boxes, body.skeleton, pose) for pose in poses]
     poses, known = list(poses), {}
 
     def pairs_of_frames(window: dict[int, Pose]) -> list[Pairs]:
-        # a held frame, and one that the window before left, is where it was
+        # reuse the pairs of unchanged poses: of the fixed frame, and of those from the window before
         moved = {n: at for n, at in window.items() if n not in known or not same_pose(known[n][0], at)}
         found = parallel_map(lambda each: pairs_at(*each), moved.items())
         known.update((n, (at, pairs)) for (n, at), pairs in zip(moved.items(), found, strict=True))
@@ -100,7 +103,7 @@ def smooth_windows(
     start = begin
     while start < len(poses):
         stop = min(start + frames, len(poses))
-        # a window of another length would be compiled anew, so the last one begins earlier
+        # the last window begins earlier, as another length would compile again
         start = max(stop - frames, 0)
         for frame in [frame for frame in known if frame < start]:
             del known[frame]
@@ -131,9 +134,11 @@ def smooth_windows(
 def temporal_energy(
     skeleton: Skeleton, poses: Pose, since: Float[Array, "G"] | None = None
 ) -> Float[Array, ""]:
-    """`Q_temp` (eqs. 4.9 and 4.10): the mean over inner frames and joints of the squared difference of a
-    rotation vector from the mean of its neighbours', radians squared. `since` are the frames from each pose to
-    the next, one where not given."""
+    """Compute `Q_temp` (eqs. 4.9 and 4.10), radians squared.
+
+    It is the mean over inner frames and joints of the squared difference of a rotation vector from the mean
+    of its neighbours in time. `since` is the number of frames from each pose to the next, one by default.
+    """
     q = poses.rotations
     since = jnp.ones(len(q) - 1) if since is None else since
     apart = second_difference(q[:-2], q[1:-1], q[2:], since[:-1], since[1:])

@@ -1,4 +1,4 @@
-"""How a body meets the scans of a task: pairs, the poses they lead to, and distances (Adaptation, 4.1.2)."""
+"""Pairs of a body with the scans of a task, and the poses and distances from them (Adaptation, 4.1.2)."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -17,12 +17,12 @@ from .pose import fit_pose, pairs_of, same_pose
 
 
 def pairs_at(task: Task, body: Body, pose: Pose, scan: Scan) -> Pairs:
-    """The pairs of a posed body with a scan, of vertices that the task's cameras see."""
+    """Find the pairs of a posed body with a scan, of vertices that the task's cameras see."""
     return pairs_of(body, pose, scan, task.settings.matching, task.cameras)
 
 
 def pose_at(task: Task, state: AdaptState, scan: Scan, start: Pose, *, steps: int) -> Pose:
-    """The pose of the body in a scan, from one near it."""
+    """Fit the pose of the body to a scan from an initial pose."""
     return fit_pose(
         state.body,
         scan,
@@ -40,13 +40,13 @@ def pose_at(task: Task, state: AdaptState, scan: Scan, start: Pose, *, steps: in
 def poses_at(
     task: Task, state: AdaptState, scans: Iterable[Scan], starts: Iterable[Pose], *, steps: int
 ) -> Iterator[Pose]:
-    """Find the poses of the body in several scans, each by itself, on all cores."""
+    """Fit the poses of the body to several scans, each by itself, on all cores."""
     both = zip(scans, starts, strict=True)
     return parallel_map(lambda each: pose_at(task, state, *each, steps=steps), both)
 
 
 class Meetings:
-    """The scans of some frames, and the pairs that were found in each last, which hold until the body or its pose changes."""
+    """A cache of the scans of some frames and of their last pairs, valid for the same body and pose."""
 
     def __init__(self, task: Task):
         self._task = task
@@ -54,7 +54,7 @@ class Meetings:
         self._pairs: dict[int, tuple[Body, Pose, Pairs]] = {}
 
     def scans(self, frames: Sequence[int]) -> list[Scan]:
-        """Get the scans of some frames, and forget all others."""
+        """Return the scans of some frames, and discard all others from the cache."""
         for gone in set(self._scans) - set(frames):
             del self._scans[gone]
             self._pairs.pop(gone, None)
@@ -80,7 +80,7 @@ class Meetings:
 def told(
     task: Task, state: AdaptState, name: str, frames: Sequence[int], meetings: Meetings | None = None
 ) -> AdaptState:
-    """With what a stage has reached in some frames, whose scans and pairs may be known."""
+    """Append a stage's terms in some frames to the state's history; `meetings` may cache their pairs."""
     body, poses = state.body, [state.motion[n] for n in frames]
     pairs = (Meetings(task) if meetings is None else meetings).pairs(body, frames, poses)
     squares = [mean_square(body, pose, some) for pose, some in zip(poses, pairs, strict=True)]
@@ -97,6 +97,6 @@ def told(
 
 
 def some_of(frames: Sequence[int], count: int = 8) -> list[int]:
-    """A few of them, spread over all."""
+    """Select at most `count` frames, spread evenly."""
     rows = np.linspace(0, len(frames) - 1, min(len(frames), count)).astype(int)
     return [frames[row] for row in np.unique(rows)]

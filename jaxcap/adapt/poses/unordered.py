@@ -1,4 +1,4 @@
-"""Find the poses of scans that do not follow each other in time, each from the most similar ones that are explained."""
+"""Find the poses of unordered scans, each from those of the most similar explained scans."""
 
 import functools
 from collections.abc import Iterator, Mapping
@@ -28,11 +28,12 @@ from ...observe import Cloud, thin_cloud
 from ..task import Task, tracker_of
 from .similarity import DIRECTIONS, Shape, shape_of, turned_distances
 
-#: similar scans whose poses a frame is looked for from, each in its best direction and in the opposite one
+#: number of similar scans that provide start poses, each in its best direction and the opposite one
 NEAR = 2
-#: the same for a frame that stays worse than the others, each in four directions
+#: the same number for a frame that stays worse than the others, each in four directions
 SEARCHED = 6
-#: a frame is worse than the others where its mean log-likelihood is so many deviations, and so much, below their median
+#: a frame is worse than the others if its mean log-likelihood is by so many deviations, and this much, below
+#: their median
 DEVIATIONS, BELOW_MEDIAN = 3.0, 0.3
 UP = (0.0, 1.0, 0.0)
 
@@ -40,27 +41,27 @@ UP = (0.0, 1.0, 0.0)
 class Found(NamedTuple):
     """The poses of unordered scans so far."""
 
-    #: by frame, those that are known
+    #: the known poses by frame
     poses: dict[int, Pose]
-    #: mean log-likelihood of each
+    #: mean log-likelihood of each pose
     likelihoods: dict[int, float]
 
     @property
     def explained(self) -> list[int]:
-        """Frames that are explained about as well as most."""
+        """The frames that are explained about as well as most."""
         frames = sorted(self.likelihoods)
         worse = are_worse(np.array([self.likelihoods[frame] for frame in frames]))
         return [frame for frame, bad in zip(frames, worse, strict=True) if not bad]
 
     def better(self, frame: int, pose: Pose, likelihood: float) -> "Found":
-        """The same with a pose of a frame, where it is likelier than the one that is known."""
+        """Replace the pose of a frame if the new one is likelier."""
         if likelihood <= self.likelihoods.get(frame, -np.inf):
             return self
         return Found(self.poses | {frame: pose}, self.likelihoods | {frame: likelihood})
 
 
 def are_worse(likelihoods: Float[np.ndarray, "F"]) -> Bool[np.ndarray, "F"]:
-    """Judge which frames are explained less well than is normal for all of them, by median and deviation from it."""
+    """Find frames that are explained worse than is normal for all of them, by median and MAD."""
     likelihoods = np.where(np.isnan(likelihoods), -np.inf, likelihoods)
     middle = np.median(likelihoods)
     spread = 1.4826 * np.median(np.abs(likelihoods - middle))
@@ -68,7 +69,7 @@ def are_worse(likelihoods: Float[np.ndarray, "F"]) -> Bool[np.ndarray, "F"]:
 
 
 def visiting_order(shapes: Mapping[int, Shape]) -> list[int]:
-    """Sort frames so that each is as similar as can be to one before it; the first frame stays the first."""
+    """Sort frames so that each is as similar as possible to one before it; the first one stays first."""
     frames = list(shapes)
     order, nearest = frames[:1], dict.fromkeys(frames[1:], np.inf)
     while nearest:
@@ -83,13 +84,14 @@ def visiting_order(shapes: Mapping[int, Shape]) -> list[int]:
 def find_poses(
     task: Task, body: Body, poses: Mapping[int, Pose], *, known: bool, done: int = 0
 ) -> Iterator[tuple[Found, int]]:
-    """Find the poses of all scans without any order in time; yields what is found after every frame, and how many are done.
+    """Find the poses of unordered scans; yield them and the number of finished frames after every frame.
 
-    A frame keeps whichever pose explains it best: its own of the `poses`, that one improved, and those that the poses of
-    the most similar explained scans lead to. Then frames that stay worse than the others are searched for widely.
+    A frame keeps the pose that explains it best among three kinds: its own in `poses`, the refined one, and
+    those fitted from the poses of the most similar explained scans. Then frames that stay worse than the
+    others are searched widely.
 
-    **Arguments:** `known`, whether all of the `poses` are those of their frames, or that of the first frame only; `done`,
-    how many frames an earlier run had done when it was stopped.
+    **Arguments:** `known` is true if all of the `poses` belong to their frames, false if only that of the
+    first frame does; `done` is the number of frames that an earlier run had finished.
     """
     search, found = _Search(task, body), Found({}, {})
     order = visiting_order(search.shapes)
@@ -106,13 +108,13 @@ def find_poses(
 
 
 class _Search:
-    """What frames are searched with."""
+    """The trackers, clouds and similarities of a search."""
 
     def __init__(self, task: Task, body: Body):
         height = float(body_height(body))
         self.tracker = tracker_of(task, body)
         self.coarse = coarse_like(task.template, self.tracker)
-        # a frame is asked for several times in a row
+        # a frame is read several times in a row
         self.cloud = functools.lru_cache(2)(task.cloud)
         self.shapes = {frame: shape_of(self.cloud(frame), height) for frame in task.scanned}
 
@@ -120,12 +122,12 @@ class _Search:
         return float(log_likelihood(self.tracker, pose, self.cloud(frame)))
 
     def improved(self, frame: int, pose: Pose) -> tuple[Pose, float]:
-        """A pose that is near, improved by the tracker."""
+        """Refine a nearby pose by the tracker."""
         state, _, likelihood = improve(self.tracker, pose, self.cloud(frame))
         return state.estimate.pose, likelihood
 
     def near(self, frame: int, found: Found) -> tuple[Pose, float]:
-        """The best pose that those of a few similar frames lead to."""
+        """Find the best pose from those of a few similar frames."""
         cloud = thin_cloud(self.cloud(frame), COARSE_POINTS)
         starts = self.starts(frame, found, cloud, NEAR, 2)
         sigmas = jnp.asarray(np.repeat(COARSE, 2), starts.rotations.dtype)
@@ -133,18 +135,18 @@ class _Search:
         return self.improved(frame, jax.tree.map(lambda leaf: leaf[0], poses))
 
     def widely(self, frame: int, found: Found) -> tuple[Pose, float]:
-        """The best pose of a search as for a first frame, begun in those of similar frames."""
+        """Search for a pose as in a first frame, from those of similar frames."""
         cloud = self.cloud(frame)
         starts = self.starts(frame, found, thin_cloud(cloud, COARSE_POINTS), SEARCHED, 4)
         pose, _ = initialise(self.tracker, cloud, coarse=self.coarse, starts=starts)
         return self.improved(frame, pose)
 
     def starts(self, frame: int, found: Found, cloud: Cloud, count: int, turns: int) -> Pose:
-        """The poses of the most similar explained frames, stacked, moved to a cloud and each turned in so many directions."""
+        """Stack start poses from the most similar explained frames, in `turns` directions each."""
         own = self.shapes[frame]
         apart = {n: turned_distances(self.shapes[n], own) for n in found.explained if n != frame}
         near = sorted(apart, key=lambda n: float(apart[n].min()))[:count]
-        # a frame alone starts in its own pose
+        # a single frame starts from its own pose
         near = near or [frame]
         picked = []
         for number in range(count):
@@ -157,8 +159,10 @@ class _Search:
 
 
 def coarse_like(template: Body, tracker: Tracker) -> Tracker:
-    """The tracker with few vertices, for searches: always the same triangles, whatever became of the template, so that
-    nothing is compiled anew."""
+    """Make a tracker of fewer vertices for searches.
+
+    Its triangles depend only on the template, so that another body does not compile again.
+    """
     body, coarse = tracker.body, reduce_body(template, COARSE_VERTICES)
     if coarse is template:
         return tracker

@@ -1,1 +1,1 @@
-"""The shape of an actor: size, proportions, vertices, and what is known of them beforehand."""
+"""The shape of an actor: size, proportions, vertices, and their priors."""

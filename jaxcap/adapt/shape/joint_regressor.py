@@ -1,4 +1,4 @@
-"""Where joints are by the surface around them."""
+"""Regression of joint positions from the surface around them."""
 
 from typing import NamedTuple
 
@@ -10,28 +10,28 @@ from ...geometry.procrustes import nearest_rotation
 
 
 class Beside(NamedTuple):
-    """Where the template's joints are in the surface around them."""
+    """The template's joints relative to the surface around them."""
 
-    #: (J, V) which vertices tell of each joint's place; rows sum to one
+    #: (J, V) weights of the vertices in each joint's position; rows sum to one
     shares: Float[np.ndarray, "J V"]
     vertices: Float[np.ndarray, "V 3"]
     centres: Float[np.ndarray, "J 3"]
 
 
 def make_beside(template: Body, width: float = 0.12) -> Beside:
-    """Vertices near a joint that it or its parent moves, `width` metres around it."""
+    """Weight, for each joint, the vertices about `width` metres around it that it or its parent moves."""
     skeleton = template.skeleton
     influence = np.asarray(template.skin.influence(skeleton.num_joints), float)
     vertices, centres = np.asarray(template.vertices, float), np.asarray(skeleton.centres, float)
     parents = np.maximum(np.array(skeleton.parents), 0)
     near = np.exp(-0.5 * np.sum((vertices[:, None] - centres[None]) ** 2, -1) / width**2)
-    # a joint within others' skin, such as a hip's socket, is told by what is near
+    # a joint within others' skin, such as a hip's socket, uses all near vertices
     shares = ((influence + influence[:, parents]) * near + 1e-9 * near + 1e-30).T
     return Beside(shares / shares.sum(1, keepdims=True), vertices, centres)
 
 
 def centres_beside(beside: Beside, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "J 3"]:
-    """Where joints are when the surface around each has moved by a similarity: what shape alone tells."""
+    """Regress joint positions from vertices: fit a similarity to the surface around each joint."""
     old, new = beside.shares @ beside.vertices, beside.shares @ vertices
     places = []
     for joint, shares in enumerate(beside.shares):

@@ -1,4 +1,4 @@
-"""The body that an actor is held to, and its shape."""
+"""The reference body of an actor, and its shape prior."""
 
 import jax.numpy as jnp
 
@@ -10,7 +10,7 @@ from .shape_space import person
 
 
 def reference(task: Task, state: AdaptState) -> Body:
-    """The person with the actor's traits where these are known, else the template at the actor's size."""
+    """Return the person with the actor's shape coefficients, or else the template at the actor's size."""
     dtype = task.template.vertices.dtype
     if task.people is not None and state.traits:
         return person(task.people, jnp.asarray(state.traits, dtype))
@@ -18,5 +18,5 @@ def reference(task: Task, state: AdaptState) -> Body:
 
 
 def shape_prior_of(task: Task, state: AdaptState) -> ShapePrior:
-    """What is known of the actor's shape: that of training meshes at the actor's size, else of the reference itself."""
+    """Return the shape prior of training meshes at the actor's size, or else that of the reference body."""
     return own_shape_prior(reference(task, state)) if task.shape is None else scaled(task.shape, state.size)

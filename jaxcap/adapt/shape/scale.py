@@ -1,4 +1,4 @@
-"""How large an actor is against the template, once the first poses fit (Adaptation, 4.1.4)."""
+"""The size of an actor relative to the template, with the first poses (Adaptation, 4.1.4)."""
 
 from collections.abc import Sequence
 
@@ -20,7 +20,7 @@ from ...geometry.camera import Camera
 from ..poses.pose import LENGTHS, UPHILL, pairs_of
 from ..problems import stack, stack_pairs, unstack, window_problem
 
-#: an actor is between these sizes of the template
+#: limits of an actor's size relative to the template
 SMALLEST, LARGEST = 0.5, 2.0
 
 
@@ -37,9 +37,14 @@ def fit_size(
     terms: AbstractEnergy | None = None,
     already: float = 1.0,
 ) -> tuple[Body, list[Pose], float]:
-    """Scale the body to the actor, with its poses in some scans: new pairs, and a step of all poses and of the size
-    that they share, in turn. Joints and vertices do the rest later. `cameras`, `boxes` and `terms` as in `fit_pose`;
-    `already` is how many times as large as the template the body is. Return body, poses and its further scale."""
+    """Scale a body to the actor, and refine its poses in some scans.
+
+    Each iteration finds new pairs and takes a step on all poses and the size that they share. Return the
+    body, the poses and the scale of this call.
+
+    **Arguments:** `cameras`, `boxes` and `terms` as in `fit_pose`; `already`, the body's size relative to the
+    template.
+    """
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=LENGTHS)
     count = len(scans)
 
@@ -61,7 +66,7 @@ def fit_size(
 
 
 def resized(body: Body, size: Float[Array, ""]) -> Body:
-    """The body at rest, so many times as large about the origin."""
+    """Scale a body at rest about the origin."""
     return eqx.tree_at(
         lambda b: (b.vertices, b.skeleton.centres), body, (body.vertices * size, body.skeleton.centres * size)
     )

@@ -1,4 +1,4 @@
-"""The shape around every vertex, as training meshes show it (Adaptation, 4.1.1 and 4.1.3): Laplacian vectors."""
+"""Shape priors: Laplacian vectors of training meshes (Adaptation, 4.1.1 and 4.1.3)."""
 
 from typing import NamedTuple
 
@@ -17,11 +17,11 @@ _deform_all = eqx.filter_jit(deform_all)
 
 
 class ShapePrior(NamedTuple):
-    """Laplacian vectors that a body is to keep (eq. 4.12), in each of some poses."""
+    """The expected Laplacian vectors of a body (eq. 4.12) in each of several poses."""
 
     #: (V, V) the uniform Laplacian of the mesh
     laplacian: scipy.sparse.csr_matrix
-    #: of the body in each mesh, stacked
+    #: the body's pose in each mesh, stacked
     poses: Pose
     #: from the mean of its neighbours to each vertex (eq. 4.2), in the world, metres
     vectors: Float[np.ndarray, "M V 3"]
@@ -29,12 +29,14 @@ class ShapePrior(NamedTuple):
 
 @checked
 def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]) -> ShapePrior:
-    """The Laplacian vectors of meshes registered to a body, `L(v) = v - mean of its neighbours` (eq. 4.2).
+    """Compute the Laplacian vectors of meshes registered to a body.
 
-    **Arguments:** `poses`, those of the body in each mesh, stacked; `meshes`, metres.
+    The Laplacian is `L(v) = v - mean of its neighbours` (eq. 4.2).
 
-    **Raises:** `ValueError` where there are no poses, they are of other joints than the body's, there are other
-    numbers of meshes than of poses or of vertices than the body has, or a mesh is not finite.
+    **Arguments:** `poses`, the body's pose in each mesh, stacked; `meshes`, metres.
+
+    **Raises:** `ValueError` if there are no poses, if the numbers of joints, meshes or vertices do not match,
+    or if a mesh is not finite.
     """
     count = len(poses.rotations) if poses.rotations.ndim == 3 else 0
     if not count:
@@ -55,36 +57,38 @@ def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]
 
 
 def own_shape_prior(body: Body, count: int = 5) -> ShapePrior:
-    """The Laplacian vectors of a body itself, at rest and in some poses that it may take."""
+    """Make the shape prior of a body itself, at rest and in sampled poses."""
     poses = sample_poses(body.skeleton, count)
     return make_shape_prior(body, poses, np.asarray(_deform_all(body, poses), float))
 
 
 def uniform_laplacian(body: Body) -> scipy.sparse.csr_matrix:
-    """(V, V) what takes from each vertex the mean of its neighbours (eq. 4.2); zero for one that has none."""
+    """Build the uniform Laplacian (V, V) (eq. 4.2); rows of isolated vertices are zero."""
     adjacency = vertex_adjacency(np.asarray(body.faces), len(body.vertices))
     return scipy.sparse.csr_matrix(laplacian_matrix(adjacency))
 
 
 def neighbours_in(prior: ShapePrior) -> Int[np.ndarray, "E 2"]:
-    """Every two vertices that a prior knows as neighbours, once, the lesser first, in rising order."""
+    """List the edges of a prior's mesh, each once, the smaller index first, in ascending order."""
     upper = scipy.sparse.triu(prior.laplacian, 1, format="coo")
     edges = np.stack([upper.row, upper.col], 1).astype(np.int64)
     return edges[np.lexsort((edges[:, 1], edges[:, 0]))]
 
 
 def shape_energy(prior: ShapePrior, body: Body) -> float:
-    """`Q = 1/(M V) sum |L(v_m) - L(T_m(v))|^2`, metres squared: how far the body's Laplacian vectors are from the
-    prior's, mean over meshes and vertices (eqs. 4.11 and 4.12)."""
+    """Compute the mean squared change of a body's Laplacian vectors from the prior's, metres squared.
+
+    `Q = 1/(M V) sum |L(v_m) - L(T_m(v))|^2`, the mean over meshes and vertices (eqs. 4.11 and 4.12).
+    """
     meshes = np.asarray(_deform_all(body, prior.poses), float)
     apart = np.stack([prior.laplacian @ mesh for mesh in meshes]) - prior.vectors
     return float(np.mean(np.sum(apart**2, -1)))
 
 
 def scaled(prior: ShapePrior, size: float) -> ShapePrior:
-    """The prior of the body and its meshes, `size` times as large about the origin.
+    """Scale a prior by `size` about the origin.
 
-    **Raises:** `ValueError` where the size is not above zero.
+    **Raises:** `ValueError` if the size is not above zero.
     """
     if not 0 < size < np.inf:
         raise ValueError(f"The size is {size:g}; it must be above 0.")

@@ -1,4 +1,4 @@
-"""How people differ, learned from bodies that share the template's triangles."""
+"""A shape space of people, learned from bodies that share the template's triangles."""
 
 from collections.abc import Sequence
 
@@ -16,32 +16,33 @@ from ...body.shape_modes import Modes, moved
 from ...geometry.closest import nearest_on_surface
 from ...geometry.linear import solve_symmetric
 
-#: ways in which people differ that are told apart, where there are bodies enough
+#: number of shape modes, if there are enough bodies
 COUNT = 30
-#: bodies of the human that tell how people differ, and of which resolution, for templates of other triangles
+#: number of sampled humans, and their resolution for templates of other triangles
 DRAWN, OTHER = 200, "medium"
-#: how often somebody like such a template is brought nearer to it, and how far joints are off in him, metres
+#: iterations of the fit of a person to such a template, and standard deviation of its joints, metres
 ROUNDS, JOINTS_TRUST = 15, 0.1
-#: a template is like somebody where this share of its vertices is as near, as a share of its height, and joints on average
+#: a template is similar to a person if this share of its vertices, and its joints on average, are nearer than
+#: the second share of its height
 MOST, NEAR = 0.95, 0.02
 
 
 class People(eqx.Module):
-    """The template and the main ways in which people differ from each other, each of deviation one."""
+    """The template and the main shape modes of people, with coefficients of standard deviation one."""
 
     template: Body
     modes: Modes
-    #: where the template stands among them
+    #: the template's shape coefficients
     standing: Float[Array, "K"]
 
 
 @checked
 def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> People:
-    """The main ways in which bodies differ at rest, joints and vertices together, by principal components.
+    """Learn the principal components of bodies at rest, over joints and vertices together.
 
     **Arguments:** `bodies`, at least two, share the template's triangles, joints and rest pose.
 
-    **Raises:** `ValueError` where one has other numbers of vertices or joints, or there are fewer than two.
+    **Raises:** `ValueError` if one has other numbers of vertices or joints, or there are fewer than two.
     """
     if len(bodies) < 2:
         raise ValueError(f"{len(bodies)} bodies do not show how people differ; give at least two.")
@@ -66,9 +67,12 @@ def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> 
 
 @checked
 def people_like(template: Body, whole: Body | None = None) -> People | None:
-    """How people differ, where the template has the human's triangles and joints, by humans of many shapes; or where the
-    `whole` body has them that the template was reduced from, whose surface its vertices then hang on; or where it has
-    other triangles, but the joints and about the surface of some human at rest."""
+    """Learn the shape space of sampled humans for a template; None if the template is not like a human.
+
+    The template, or the `whole` body that it was reduced from, has the human's triangles and joints; or the
+    template has other triangles, but the joints and about the surface of some human at rest. In the last two
+    cases the template's vertices are attached to that surface.
+    """
     of, shift = template if whole is None else whole, np.zeros(3)
     resolution = human_resolution(of)
     if resolution is not None:
@@ -89,9 +93,11 @@ def people_like(template: Body, whole: Body | None = None) -> People | None:
 
 
 def someone_like(template: Body, people: People) -> tuple[Body, Float[np.ndarray, "3"]]:
-    """The person whose surface comes nearest to a template's with the same joints and other triangles, standing where it
-    does, and how far off that is, metres: begun by the joints, then by the nearest points of the template, again and
-    again."""
+    """Fit a person to a template with the same joints and other triangles.
+
+    The fit starts from the joints; then it alternates with closest points on the template. Return the person
+    at the template's position, and its shift from the shape space's position, metres.
+    """
     centres = np.asarray(template.skeleton.centres - people.template.skeleton.centres, float)
     body = person(people, _traits(people.modes.centres, centres, people.standing, JOINTS_TRUST))
     shift = np.asarray(template.skeleton.centres - body.skeleton.centres, float).mean(0)
@@ -111,7 +117,7 @@ def someone_like(template: Body, people: People) -> tuple[Body, Float[np.ndarray
 
 
 def is_like(template: Body, person: Body) -> bool:
-    """Whether a template of other triangles stands as somebody does at rest, surface and joints."""
+    """Test if a template of other triangles matches a person at rest, in surface and joints."""
     vertices = np.asarray(template.vertices, float)
     height = float(np.ptp(vertices, axis=0).max())
     off = nearest_on_surface(vertices, np.asarray(person.vertices, float), np.asarray(person.faces)).distances
@@ -120,29 +126,31 @@ def is_like(template: Body, person: Body) -> bool:
 
 
 def _carried(template: Body, body: Body, hold: Attachment, shift: Float[np.ndarray, "3"]) -> Body:
-    """Somebody with the template's triangles, who stands where it does."""
+    """Convert a body to the template's triangles and position."""
     vertices = follow(hold, np.asarray(body.vertices, float)) + shift
     skeleton = eqx.tree_at(lambda s: s.centres, body.skeleton, body.skeleton.centres + shift)
     return Body(skeleton, template.skin, jnp.asarray(vertices, template.vertices.dtype), template.faces)
 
 
 def person(people: People, traits: Float[Array, "K"]) -> Body:
-    """The body at rest of somebody with so much of each way beyond the template."""
+    """Build the body at rest with shape coefficients relative to the template."""
     return moved(people.template, people.modes, traits)
 
 
 def traits_like(people: People, body: Body, trust: float = 0.1) -> Float[Array, "K"]:
-    """The traits of the person who is most like a body of the same triangles at rest, wherever it stands: least
-    squares of the vertices' shifts, with `trust` the deviation of one that no person explains, metres."""
+    """Fit shape coefficients to a body of the same triangles at rest, at any position.
+
+    This is least squares of the vertices' shifts; `trust` is the standard deviation of a residual, metres.
+    """
     return _traits(people.modes.vertices, body.vertices - people.template.vertices, people.standing, trust)
 
 
 def _traits(modes, shifts, standing: Float[Array, "K"], trust: float) -> Float[Array, "K"]:
-    """By the shifts of some places, `(N, 3)`, and how the modes move them, `(K, N, 3)`."""
+    """Fit coefficients to shifts of some points, `(N, 3)`, with modes `(K, N, 3)`."""
     modes, shifts = np.asarray(modes, float), np.asarray(shifts, float)
     modes = (modes - modes.mean(1, keepdims=True)).reshape(len(modes), -1)
     shifts = (shifts - shifts.mean(0)).reshape(-1)
-    # a trait is of deviation one; all places together are one look at a person
+    # all points together count as one measurement, as their errors are correlated
     weight = 1.0 / (trust**2 * shifts.size / 3)
     known = np.asarray(standing, float)
     matrix = weight * modes @ modes.T + np.eye(len(modes)) * 1e-3

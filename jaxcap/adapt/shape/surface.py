@@ -1,8 +1,9 @@
-"""Rest vertices from the pairs of many frames, held to the shape that people have (Adaptation, 4.1.3); with poses and joints
-where these are adapted in the same step (4.1.4: "a huge sparse equation system").
+"""Adaptation of rest vertices to the pairs of many frames, with a shape prior (Adaptation, 4.1.3).
 
-Unknown are the numbers of every frame's pose, the amounts of modes, which move joints, and the shifts of all rest vertices.
-Frames meet only through what is shared. Vertices meet where they share a pair or lie within two edges.
+Poses and joints can be adapted in the same step (4.1.4: "a huge sparse equation system"). The unknowns are
+every frame's pose, the coefficients of modes, which move joints, and the shifts of all rest vertices. Frames
+are coupled only through shared unknowns. Vertices are coupled if they share a pair or are at most two edges
+apart.
 """
 
 import itertools
@@ -28,26 +29,26 @@ from ...fit.solvers.problem import AbstractProblem
 from ...geometry.mesh import mesh_edges
 from .shape_prior import ShapePrior
 
-#: the share of each curvature that a step on everything at once is damped by
+#: damping of a step on all unknowns, as a share of each curvature
 DAMPING = 1e-3
 
 
 class ShapeTerm(eqx.Module):
-    """A `ShapePrior` as arrays, with what it couples and what it counts."""
+    """A `ShapePrior` as arrays, with its couplings and weights."""
 
-    #: the Laplacian by its rows, columns and values
+    #: the Laplacian's rows, columns and values
     rows: Int[Array, "N"]
     columns: Int[Array, "N"]
     values: Float[Array, "N"]
-    #: `L^T L`: its diagonal, and its numbers above it by couples of vertices
+    #: `L^T L`: its diagonal, and its entries above the diagonal by pairs of vertices
     own: Float[Array, "V"]
     couples: Int[Array, "E 2"]
     across: Float[Array, "E"]
     poses: Pose
     vectors: Float[Array, "M V 3"]
-    #: of squared changes of Laplacian vectors, mean over meshes, against the sum of the pairs' squared distances
+    #: weight of squared changes of Laplacian vectors, mean over meshes, against the sum of squared distances
     weight: Float[Array, ""]
-    #: of every vertex's squared shift, as a part that no scan shows is only known by its shape
+    #: weight of every vertex's squared shift, for parts that no scan shows
     hold: Float[Array, ""]
 
     def laplacian(self, x: Float[Array, "V *k"]) -> Float[Array, "V *k"]:
@@ -58,10 +59,10 @@ class ShapeTerm(eqx.Module):
 
 
 class Coupling(eqx.Module):
-    """List the couples of vertices that pairs of any frame join."""
+    """The couplings of vertices by the pairs of all frames."""
 
     edges: Int[Array, "E 2"]
-    #: the block that each two of a pair's vertices couple: a vertex's own, or behind all of these an edge's
+    #: the block of each two of a pair's vertices: that of a vertex, or, after all of these, of an edge
     slots: Int[Array, "F C P"]
 
 
@@ -75,12 +76,15 @@ def adapt_shape(
     hold: float = 1e-4,
     tolerance: float = 1e-6,
 ) -> Body:
-    """The rest vertices that make least of the pairs' squared distances, summed over frames, plus `weight`
-    times the squared change of the Laplacian vectors, mean over the prior's poses: one sparse system.
+    """Adapt rest vertices to pairs and a shape prior by one sparse linear system.
 
-    `hold` ties every vertex weakly to where it is; `tolerance` is the share of the right side at which conjugate gradients end.
+    Minimise the pairs' squared distances, summed over frames, plus `weight` times the squared change of the
+    Laplacian vectors, mean over the prior's poses.
 
-    **Raises:** `ValueError` where two vertices of a pair share no edge.
+    **Arguments:** `hold`, a weak weight of every vertex's squared shift; `tolerance`, the residual at which
+    conjugate gradients end, as a share of the right side.
+
+    **Raises:** `ValueError` if two vertices of a pair share no edge.
     """
     shape = shape_term(body, prior, weight, hold)
     limit = jnp.asarray(tolerance, body.vertices.dtype)
@@ -98,16 +102,19 @@ def adapt_together(
     hold: float | Float[Array, ""] = 1e-4,
     tolerance: float = 1e-5,
 ) -> tuple[Body, Pose]:
-    """One Gauss-Newton step on all poses, the amounts of the modes and all rest vertices, which takes the place of a step of
-    `problem` and of `adapt_shape`. Other than there, the shape of the posed training meshes also depends on the joints (4.1.3).
+    """Take one Gauss-Newton step on all poses, the coefficients of modes and all rest vertices.
 
-    **Arguments:** `problem`, as a rule `shared_problem` with `joint_modes(body, follow=False)`, as vertices
-    move by themselves; `poses` and `pairs` stacked over frames; the others as in `adapt_shape`.
+    It replaces a step of `problem` followed by `adapt_shape`. Here the shape of the posed training meshes
+    also depends on the joints (4.1.3).
 
-    Differentiable by every array of numbers, in either mode: the iteration by the implicit function theorem, to its
-    tolerance. Which vertices are in a pair must be known when it is called, so not under `jit`; it is jitted within.
+    **Arguments:** `problem`, usually `shared_problem` with `joint_modes(body, follow=False)`, as vertices are
+    free; `poses` and `pairs` stacked over frames; the others as in `adapt_shape`.
 
-    **Raises:** `ValueError` where two vertices of a pair share no edge.
+    It is differentiable with respect to all floating-point arrays, in forward and reverse mode: the iteration
+    by the implicit function theorem, to its tolerance. The vertices of pairs must be concrete, so do not call
+    it under `jit`; it is jitted inside.
+
+    **Raises:** `ValueError` if two vertices of a pair share no edge.
     """
     body = problem.body
     dtype = body.vertices.dtype
@@ -122,7 +129,7 @@ def adapt_together(
 def shape_term(
     body: Body, prior: ShapePrior, weight: float | Float[Array, ""], hold: float | Float[Array, ""]
 ) -> ShapeTerm:
-    """Make the arrays of a prior."""
+    """Convert a shape prior to arrays."""
     dtype = body.vertices.dtype
     laplacian = scipy.sparse.coo_matrix(prior.laplacian)
     squared = scipy.sparse.csr_matrix(prior.laplacian.T @ prior.laplacian)
@@ -142,12 +149,12 @@ def shape_term(
 
 
 def couple(body: Body, pairs: Pairs) -> Coupling:
-    """Find the couples of vertices that pairs join.
+    """Find the couplings of vertices by pairs.
 
-    **Raises:** `ValueError` where two vertices of a pair share no edge.
+    **Raises:** `ValueError` if two vertices of a pair share no edge.
     """
     count, rows = len(body.vertices), np.asarray(pairs.vertices, np.int64)
-    # vertices of one triangle are coupled by the pairs within it; those at vertices couple nothing
+    # pairs within a triangle couple its vertices; pairs at vertices couple none
     edges = mesh_edges(np.asarray(body.faces)) if rows.shape[2] > 1 else np.zeros((0, 2), int)
     keys = edges[:, 0] * np.int64(count) + edges[:, 1]
     slots = np.zeros((*rows.shape[:2], len(_couples(rows.shape[2]))), np.int64)
@@ -166,15 +173,17 @@ def couple(body: Body, pairs: Pairs) -> Coupling:
 
 
 class SurfaceEstimate(eqx.Module):
-    """Poses and amounts of modes, and how far each rest vertex is from where these have it, metres."""
+    """Poses and coefficients of modes, and a further shift of each rest vertex, metres."""
 
     sequence: SequenceEstimate
     shifts: Float[Array, "V 3"]
 
 
 class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
-    """Find what a sequence's problem finds, and all rest vertices, with the shape as a further term. Of the terms of frames only
-    the distances of `pairs` depend on the vertices."""
+    """A sequence's problem extended by all rest vertices and a shape term.
+
+    Of the terms of frames, only the distances of `pairs` depend on the vertices.
+    """
 
     sequence: SequenceProblem
     pairs: Pairs
@@ -183,7 +192,7 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
     tolerance: Float[Array, ""]
 
     def body_at(self, y: SurfaceEstimate, d: Float[Array, "S"] | None = None) -> Body:
-        """Make the body of an estimate, its modes moved along a tangent where one is given."""
+        """Build the body of an estimate, with its modes moved along a tangent if one is given."""
         body = self.sequence.body_at(y.sequence.values, d)
         return eqx.tree_at(lambda b: b.vertices, body, body.vertices + y.shifts)
 
@@ -234,7 +243,7 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
             return (matrix + flat.T @ flat, pull + flat.T @ missing.reshape(-1), border), None
 
         border = jnp.zeros((*body.vertices.shape, len(s)), s.dtype)
-        # made again in reverse mode: the rows of all pairs are too much to keep
+        # recomputed in reverse mode, to save the memory of all pairs' rows
         border, by_frame = jax.lax.scan(jax.checkpoint(of_frame), border, (y.sequence.poses, self.pairs))
         none = jnp.zeros((len(s), len(s)), s.dtype), jnp.zeros_like(s), jnp.zeros_like(border)
         told, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
@@ -248,7 +257,7 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
         return ConstrainedInfo(self.value(y), gradient, hessian, constraints=inner.constraints)  # pyright: ignore[reportCallIssue]
 
     def _there(self, y: SurfaceEstimate) -> SequenceProblem:
-        """The sequence's problem on the body with its vertices where they are."""
+        """Return the sequence's problem with the shifted vertices."""
         shifted = self.sequence.body.vertices + y.shifts
         return eqx.tree_at(lambda p: p.body.vertices, self.sequence, shifted)
 
@@ -271,7 +280,10 @@ def _vertex_step(
 def vertex_equations(
     body: Body, poses: Pose, pairs: Pairs, coupling: Coupling, shape: ShapeTerm, tolerance: Float[Array, ""]
 ) -> tuple[SparseBlocks, Float[Array, "V 3"]]:
-    """Sum the normal equations of rest vertices over frames and training meshes, with their hold; the right side is what a step is to close."""
+    """Assemble the normal equations of rest vertices from frames, training meshes and the weight of shifts.
+
+    Return the sparse matrix and the right side.
+    """
     couples, count = _couples(pairs.vertices.shape[-1]), len(body.vertices)
 
     def of_frame(total, frame):
@@ -285,7 +297,7 @@ def vertex_equations(
             block = jnp.einsum("cra,crb->cab", rows[:, k], rows[:, other])
             turned = jnp.swapaxes(block, 1, 2)
             first, second = (pairs.vertices[:, i, None, None] for i in (k, other))
-            # a vertex that is there twice has both halves of the coupling on its diagonal
+            # a repeated vertex has both halves of the coupling on its diagonal
             block = jnp.where(first < second, block, turned) + jnp.where(first == second, block, 0.0)
             matrices = matrices.at[slots[:, number]].add(block)
         return (matrices, sides), None
@@ -316,7 +328,7 @@ def vertex_equations(
 
 
 def _by_vertex(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, "C K R 3"]:
-    """How the residuals of pairs move with the rest places of their vertices."""
+    """Compute the Jacobian of the pairs' residuals with respect to the rest positions of their vertices."""
     maps, _ = vertex_maps(body, pose)
     return jnp.einsum("ckra,ckab->ckrb", corner_directions(pairs), maps[pairs.vertices])
 
