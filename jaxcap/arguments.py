@@ -1,5 +1,4 @@
-"""Validation of arguments of public classes and functions against their annotations, with messages of one
-sentence.
+"""Validation of arguments of public classes and functions against their annotations.
 
 Only shapes, dtypes and types are checked, never values. So nothing is copied from a device, and traced
 arrays are checked like any others. JAX rebuilds modules inside `vmap`, `tree_map` and `scan` without their
@@ -164,8 +163,7 @@ def describe(value: Any) -> str:
 
 
 def array(value: Any) -> Any:
-    """Convert a field to a JAX array where possible; leave any other value to the message of
-    `check_fields`."""
+    """Convert a field to a JAX array where possible; leave any other value to `check_fields`."""
     import jax.numpy as jnp
 
     try:
@@ -379,8 +377,7 @@ def _named(kind: type) -> str:
 
 
 def public_name(kind: type) -> str:
-    """Return the public import name of a class, such as `AdaptTask`; its own name where they are equal or
-    it is not public."""
+    """Return the public import name of a class, such as `AdaptTask`, or its own name if it has none."""
     package = importlib.import_module(__package__ or "jaxcap")
     for name, (_, attribute) in package._origins().items():
         if attribute == kind.__name__ != name and getattr(package, name) is kind:

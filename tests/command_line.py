@@ -1,6 +1,8 @@
 """Running the command line in this process, and small inputs for it."""
 
+import importlib
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -11,6 +13,8 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.cli import main
 from jaxcap.cli.console import heartbeat
+from jaxcap.cli.console.groups import JAXCAP
+from jaxcap.cli.console.verbs import Group, Verb
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.scanner import Scanner, scan
 from jaxcap.io.archives.npz import save_body, save_motion
@@ -19,6 +23,17 @@ FRAMES, POINTS = 5, 600
 # words in a silence depend on how busy the machine is; `test_cli_start` has them by its own clock
 heartbeat.QUIET = float("inf")
 _pose_body = eqx.filter_jit(pose_body)
+
+
+def verb_named(words: Sequence[str]) -> type:
+    """Find the class of a verb by its words, such as "edit", "cut"."""
+    found: Group | Verb = JAXCAP
+    for word in words:
+        assert isinstance(found, Group)
+        found = found.verbs[word]
+    assert isinstance(found, Verb)
+    module, _, name = found.place.rpartition(".")
+    return getattr(importlib.import_module(f"jaxcap.cli.{module}"), name)
 
 
 def fails(capsys, *arguments, code: int = 2) -> str:

@@ -40,7 +40,7 @@ from .linear.linearise import linearise as linearise
 from .matching.match import match_joints as match_joints
 from .matching.matches import JointMatches as JointMatches
 from .matching.matches import UnmatchedJoints as UnmatchedJoints
-from .mirror import mirror as mirror
+from .mirror_motion import mirror as mirror
 from .retargeting.plan import RetargetPlan as RetargetPlan
 from .retargeting.plan import plan_retarget as plan_retarget
 from .retargeting.point_pairs import Met as Met

@@ -124,8 +124,8 @@ def learn_body(
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("finding parts and joints")
-        # heat weights need the whole mesh, and terms need all vertices
-        on_coarse = skeleton is None and whole is None
+        # heat weights need the whole mesh, terms need all vertices, and an unknown number of joints is found more surely on all
+        on_coarse = joints is not None and skeleton is None and whole is None
         start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, skeleton, free_bones)
         own_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)

@@ -1,13 +1,13 @@
 """The help of every verb in groups, and the folder of the demo."""
 
 import dataclasses
-import importlib
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from command_line import verb_named
 
 from jaxcap.cli.console.help import BASICS, INPUT, KINEBEN, OUTPUT, TITLES, verb_help
 from jaxcap.cli.demo import Demo
@@ -19,12 +19,6 @@ VERBS = (
     "prior info", "edit retarget", "edit gaze", "edit glue", "edit cut", "edit join", "edit loop", "edit resample", "edit mirror",
     "edit keys",
 )  # fmt: skip
-
-
-def verb_of(words: str) -> type:
-    return getattr(
-        importlib.import_module(f"jaxcap.cli.{words.replace(' ', '.')}"), words.split()[-1].capitalize()
-    )
 
 
 def groups_of(text: str) -> dict[str, list[str]]:
@@ -41,7 +35,7 @@ def groups_of(text: str) -> dict[str, list[str]]:
 @pytest.mark.parametrize("words", VERBS)
 def test_options_stand_once_in_their_groups(words, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
-    verb = verb_of(words)
+    verb = verb_named(words.split())
     text = verb_help(verb, f"jaxcap {words}")
     groups = groups_of(text)
     order = [BASICS, INPUT, TITLES.get(words, "Settings"), OUTPUT, KINEBEN]
@@ -73,7 +67,7 @@ def test_options_stand_once_in_their_groups(words, monkeypatch):
 
 def test_track_has_its_basics_first(monkeypatch):
     """Of its options a newcomer needs the first."""
-    groups = groups_of(verb_help(verb_of("track"), "jaxcap track"))
+    groups = groups_of(verb_help(verb_named(("track",)), "jaxcap track"))
     assert [entry.split()[0] for entry in groups[BASICS]] == [
         "BODY",
         "CLOUDS...",
@@ -91,7 +85,7 @@ def test_narrow_and_wide(monkeypatch):
     texts = []
     for columns in ("60", "90", "300"):
         monkeypatch.setenv("COLUMNS", columns)
-        text = verb_help(verb_of("adapt"), "jaxcap adapt")
+        text = verb_help(verb_named(("adapt",)), "jaxcap adapt")
         texts.append(re.sub(r"\s+", " ", text.partition("Basics:")[2]))
     assert texts[0] == texts[1] == texts[2]
 

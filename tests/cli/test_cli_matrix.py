@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import tyro
+from command_line import verb_named
 from file_kinds import ANIMATED, BODIES, BROKEN, FILE, FILES, FOREIGN, MARKERS, MESHES, MOTIONS, write_files
 from file_places import PLACES
 
@@ -148,8 +149,7 @@ def test_the_next_command_can_be_typed(kind):
     for line, _ in COMMANDS[kind]:
         words = shlex.split(line.format(file="'a file'", folder="there", stem="body.npz"))
         depth = 2 if words[0] in ("markers", "limits", "prior", "edit") else 1
-        place = ".".join([*words[:depth], words[depth - 1].capitalize()])
-        tyro.cli(verb_of(place), args=words[depth:], config=(tyro.conf.FlagCreatePairsOff,))
+        tyro.cli(verb_named(words[:depth]), args=words[depth:], config=(tyro.conf.FlagCreatePairsOff,))
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -179,8 +179,6 @@ def test_one_help_for_a_body():
     from jaxcap.cli.console.options import BODY_WORDS
 
     taking = {place.verb for place in PLACES if place.fields.get("body", place.fields.get("target")) == FILE}
-    for verb in sorted(taking - {"convert.Convert"}):
-        text = " ".join(
-            verb_help(verb_of(verb), f"jaxcap {verb.rpartition('.')[0].replace('.', ' ')}").split()
-        )
+    for verb in sorted(taking - {"convert.convert.Convert"}):
+        text = " ".join(verb_help(verb_of(verb), "jaxcap").split())
         assert BODY_WORDS in text, verb

@@ -12,7 +12,7 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.clips import cut, join, make_loop
 from jaxcap.edit.interpolation import resample
-from jaxcap.edit.mirror import mirror
+from jaxcap.edit.mirror_motion import mirror
 from jaxcap.edit.planar_transform import Planar, align, move, power
 from jaxcap.edit.transitions import find_loops, find_transitions, transition_distances
 from jaxcap.geometry import rotation

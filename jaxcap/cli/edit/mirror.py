@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ...edit.mirror import mirror
+from ...edit.mirror_motion import mirror
 from ...errors import InputError, sentence_of
 from ..console.options import Flag, OptionalUnit
 from ..outputs import check_motion
