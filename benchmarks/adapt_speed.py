@@ -109,7 +109,7 @@ def main() -> None:
     finish(
         "adapt_speed",
         figures,
-        {"pose_s": ("<=", 1.0), "adaptation_s": ("<=", 600.0)},
+        {"pose_s": ("<=", 1.0), "adaptation_s": ("<=", 80.0)},
         {"points": len(clouds[0].points), "vertices": len(actor.vertices), "frames": options.frames},
     )
 

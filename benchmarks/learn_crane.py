@@ -68,7 +68,7 @@ def main() -> None:
     limits = {
         "training_surface_mm": ("<=", 6.0),
         "held_out_surface_mm": ("<=", 7.0),
-        "minutes": ("<=", 10.0),
+        "minutes": ("<=", 3.0),
     }
     sizes = {
         "meshes": len(training),
