@@ -29,7 +29,7 @@ from benchmarks._limits import (
 )
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.cli.limits.held import runs_of
+from jaxcap.cli.limits.motion_limits import runs_of
 from jaxcap.geometry import rotation
 from jaxcap.limits.boxes import learn_boxes
 from jaxcap.limits.check import allowed_frames

@@ -19,7 +19,7 @@ from ..fit.tracking.track import track_frames
 from .flagged import flag_frames
 from .objective import balanced, motion_energy
 from .poses.sliding_window import FRAMES, smooth_windows
-from .poses.task_pairs import Meetings, pairs_at, poses_at, some_of, told
+from .poses.task_pairs import TaskPairs, pairs_at, poses_at, some_of, told
 from .poses.unordered import find_poses
 from .rounds import adapt_round
 from .rounds import shape_weight as shape_weight
@@ -65,7 +65,7 @@ def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> I
     **Arguments:** `state`, one to resume from; `every`, if above zero, also yields a state after so many
     frames within the stages that process single frames (tracking, single poses and smoothing).
     """
-    meetings = Meetings(task)
+    meetings = TaskPairs(task)
     stages = plan(task.settings)
     for number, stage in enumerate(stages):
         if state is not None and number < state.done:

@@ -16,10 +16,10 @@ from ..fit.correspondence.correspond import Pairs
 from ..fit.sequences.problem import SequenceProblem
 from ..fit.solvers.descent import NormalDescent
 from ..fit.solvers.minimise import take_step
-from .poses.pose import brought_in
-from .poses.task_pairs import Meetings, poses_at, told
+from .poses.pose import move_within_boxes
+from .poses.task_pairs import TaskPairs, poses_at, told
 from .problems import Belief, shared_problem, stack, stack_pairs, unstack
-from .shape.joint_regressor import centres_beside, make_beside
+from .shape.joint_regressor import make_joint_regressor, regress_joints
 from .shape.reference import reference, shape_prior_of
 from .shape.shape_space import People, person, traits_like
 from .shape.surface import adapt_shape, adapt_together
@@ -34,7 +34,7 @@ SLIDING = 0.005
 DAMPING = 1e-3
 
 
-def adapt_round(task: Task, state: AdaptState, meetings: Meetings, stage: Stage) -> AdaptState:
+def adapt_round(task: Task, state: AdaptState, meetings: TaskPairs, stage: Stage) -> AdaptState:
     """Take one round on shared unknowns and the chosen frames' poses; `meetings` caches their scans."""
     settings = task.settings
     if stage.number == 0 and stage.round == 1 and task.people is not None:
@@ -55,7 +55,7 @@ def adapt_round(task: Task, state: AdaptState, meetings: Meetings, stage: Stage)
         body, poses = _surface(task, state, poses, pairs_of_all, stage)
         traits, chosen_next = state.traits, chosen
     if task.boxes is not None:
-        poses = [brought_in(task.boxes, body.skeleton, pose) for pose in poses]
+        poses = [move_within_boxes(task.boxes, body.skeleton, pose) for pose in poses]
     every = [state.motion[n] for n in range(len(state.motion))]
     for n, pose in zip(chosen, poses, strict=True):
         every[n] = pose
@@ -153,7 +153,7 @@ def _problem(task: Task, state: AdaptState, pairs, modes: Modes, belief: Belief,
 def _joints_beside(task: Task, state: AdaptState) -> Belief:
     """Make the prior of joints at their positions regressed from the surface."""
     body = state.body
-    beside = centres_beside(make_beside(reference(task, state)), np.asarray(body.vertices, float))
+    beside = regress_joints(make_joint_regressor(reference(task, state)), np.asarray(body.vertices, float))
     shifts = jnp.asarray(beside - np.asarray(body.skeleton.centres, float), body.vertices.dtype).reshape(-1)
     return Belief(shifts, jnp.full_like(shifts, task.settings.joint))
 

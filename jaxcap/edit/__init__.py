@@ -43,8 +43,8 @@ from .matching.matches import UnmatchedJoints as UnmatchedJoints
 from .mirror_motion import mirror as mirror
 from .retargeting.plan import RetargetPlan as RetargetPlan
 from .retargeting.plan import plan_retarget as plan_retarget
-from .retargeting.point_pairs import Met as Met
 from .retargeting.point_pairs import PointPair as PointPair
+from .retargeting.point_pairs import PointPairResult as PointPairResult
 from .retargeting.point_pairs import meet_points as meet_points
 from .retargeting.retarget import floor_of as floor_of
 from .retargeting.retarget import retarget as retarget

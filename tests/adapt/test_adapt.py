@@ -14,7 +14,7 @@ from jaxcap.adapt.poses.pose import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
 from jaxcap.adapt.problems import Belief, mean_square, shared_problem, stack, unstack
 from jaxcap.adapt.rounds import step_of
-from jaxcap.adapt.shape.joint_regressor import centres_beside, make_beside
+from jaxcap.adapt.shape.joint_regressor import make_joint_regressor, regress_joints
 from jaxcap.adapt.shape.scale import fit_size, resized
 from jaxcap.adapt.shape.shape_prior import own_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape
@@ -164,12 +164,12 @@ def test_the_surface_follows_all_its_joints_alike():
 
 
 def test_joints_go_where_the_surface_around_them_goes(rng):
-    beside = make_beside(BODY)
+    beside = make_joint_regressor(BODY)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     moved = 1.3 * np.asarray(BODY.vertices) @ turn.T + [1.0, 2.0, 3.0]
     expected = 1.3 * np.asarray(BODY.skeleton.centres) @ turn.T + [1.0, 2.0, 3.0]
-    np.testing.assert_allclose(centres_beside(beside, moved), expected, atol=1e-9)
+    np.testing.assert_allclose(regress_joints(beside, moved), expected, atol=1e-9)
 
 
 def test_second_differences_of_even_motion_are_none(rng):
@@ -238,7 +238,7 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
         fit_pose(body, s, motion[n], prior, matching, steps=8).pose
         for s, n in zip(scans, frames, strict=True)
     ]
-    shape, beside, modes = own_shape_prior(body), make_beside(body), joint_modes(body)
+    shape, beside, modes = own_shape_prior(body), make_joint_regressor(body), joint_modes(body)
     weights = [jnp.asarray(x) for x in (1e-6, 0.003)]
     mirrored = mirrored_joints(body.skeleton)
 
@@ -253,7 +253,7 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
 
     told = [distance()]
     for _ in range(3):
-        shifts = centres_beside(beside, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
+        shifts = regress_joints(beside, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
         belief = Belief(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
         problem = shared_problem(body, pairs(), prior, modes, belief, mirrored, *weights)
         body, several, _ = step_of(problem, stack(poses))

@@ -15,7 +15,7 @@ from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.input import look_through
+from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.prior import carried, prior_file, read_priors
 from jaxcap.cli.adapt.state import fingerprint_of, hash_of, keep_state
 from jaxcap.energy.priors.pair_prior import MahalanobisPrior
@@ -131,7 +131,7 @@ def test_the_actor_carries_on_what_counted(scene, known, folder, capsys, monkeyp
     template, actor, poses, _ = scene
     monkeypatch.chdir(folder)
     asked = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
-    digests = look_through(read_clouds(asked.clouds), template).digests
+    digests = check_input(read_clouds(asked.clouds), template).digests
     file = None if counts is None else folder / counts
     header = {**asked.settings(), "prior": hash_of(file), **fingerprint_of(template, digests)}
     done = len(plan(Settings(temporal=0.0)))

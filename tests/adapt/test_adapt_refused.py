@@ -27,7 +27,7 @@ from jaxcap.adapt.problems import stack_pairs
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.input import look_through
+from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, state_to_go_on_from
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
@@ -103,7 +103,7 @@ def test_scans_that_cannot_be_used_are_named(folder, scene, capsys):
     scans = read_clouds(str(folder / "*.ply"))
     write_scan(folder, 2, points[:0], normals[:0])
     write_scan(folder, 4, 1000 * points, normals)
-    found, digests = look_through(scans, template)
+    found, digests = check_input(scans, template)
     assert list(found) == [2, 4]
     assert len(set(digests)) == FRAMES
     assert "scan_0002.ply: there are no points in it" in found[2]
@@ -286,7 +286,7 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     """All stages are done; what cannot be written is written by --resume."""
     template, actor, poses, _ = scene
     task = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
-    digests = look_through(read_clouds(task.clouds), template).digests
+    digests = check_input(read_clouds(task.clouds), template).digests
     header = {**task.settings(), "prior": None, **fingerprint_of(template, digests)}
     state = AdaptState(len(plan(Settings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
     keep_state(task.kept, state, header)

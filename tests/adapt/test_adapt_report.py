@@ -31,7 +31,7 @@ from jaxcap.adapt.shape.scale import resized
 from jaxcap.body.pose import rest_pose, retract, stack_poses
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.input import look_through
+from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import checkpoint_of, fingerprint_of
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
@@ -278,7 +278,7 @@ def test_the_command_line_goes_on_to_the_report(scene, tmp_path, capsys):
     jc.save_body(tmp_path / "template.npz", task.template)
     out, report = tmp_path / "actor.npz", tmp_path / "<b>.html"
     verb = Adapt(str(tmp_path / "template.npz"), (str(tmp_path / "scans.npz"),), out, smoothness=0.0)
-    digests = look_through(read_clouds(verb.clouds), task.template).digests
+    digests = check_input(read_clouds(verb.clouds), task.template).digests
     header = {**verb.settings(), "prior": None, **fingerprint_of(task.template, digests)}
     stages = len(plan(Settings(temporal=0.0)))
     save_checkpoint(verb.kept, checkpoint_of(state._replace(done=stages)), header)

@@ -19,7 +19,7 @@ from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt import adapt as adapt_module
 from jaxcap.cli.adapt.actor import finished_run, save_actor
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.input import look_through
+from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, hash_of, keep_state, state_to_go_on_from
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.registry import write_motion
@@ -74,7 +74,7 @@ def begun(folder, scene, state: AdaptState | None) -> Adapt:
 
 
 def header_of(run: Adapt, scene) -> dict[str, object]:
-    digests = look_through(read_clouds(run.clouds), scene[0]).digests
+    digests = check_input(read_clouds(run.clouds), scene[0]).digests
     return {**run.settings(), "prior": None, **fingerprint_of(scene[0], digests)}
 
 
@@ -149,11 +149,11 @@ def test_another_scan_is_another_run(scene, folder, capsys, number):
 
 def test_scans_of_other_normals_are_others(scene, folder):
     scans = read_clouds(sorted(folder.glob("*.ply")))
-    digests = look_through(scans, scene[0]).digests
-    assert look_through(scans, scene[0]).digests == digests
+    digests = check_input(scans, scene[0]).digests
+    assert check_input(scans, scene[0]).digests == digests
     points, normals = scene[3][2]
     write_scan(folder, 2, points, -normals)
-    changed = look_through(scans, scene[0]).digests
+    changed = check_input(scans, scene[0]).digests
     assert [n for n, (one, other) in enumerate(zip(digests, changed, strict=True)) if one != other] == [2]
 
 

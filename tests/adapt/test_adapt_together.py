@@ -11,7 +11,7 @@ from adapt_scene import make_scene, task_of
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.poses.task_pairs import Meetings
+from jaxcap.adapt.poses.task_pairs import TaskPairs
 from jaxcap.adapt.problems import ALIKE, Belief, shared_problem, stack, stack_pairs, unstack
 from jaxcap.adapt.rounds import adapt_round, step_of
 from jaxcap.adapt.shape.shape_prior import own_shape_prior
@@ -209,7 +209,7 @@ def test_a_round_takes_one_step_where_it_is_told_to():
     rng, template = np.random.default_rng(2), scene[0]
     poses = [retract(template.skeleton, p, jnp.asarray(0.02 * rng.normal(size=DOFS))) for p in scene[2]]
     state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), weight=1e-6)
-    meetings, chosen = Meetings(task), state.chosen
+    meetings, chosen = TaskPairs(task), state.chosen
     starts = [state.motion[n] for n in chosen]
     pairs = stack_pairs(meetings.pairs(template, chosen, starts))
     # they hold where nothing has changed, and are found anew where a pose has

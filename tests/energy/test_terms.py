@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 import jaxcap as jc
 from jaxcap.adapt.poses.pose import fit_pose
-from jaxcap.adapt.poses.task_pairs import Meetings
+from jaxcap.adapt.poses.task_pairs import TaskPairs
 from jaxcap.adapt.problems import stack
 from jaxcap.adapt.rounds import adapt_round
 from jaxcap.adapt.task import AdaptState, Settings, Stage
@@ -95,7 +95,7 @@ def test_tracking_adapting_and_proportions_keep_above_a_floor(scene):
     for terms in (None, 100.0 * term):
         task = task_of(scene, settings=settings, terms=terms)
         state = AdaptState(0, actor, 1.0, jc.stack_poses(poses, 10.0), chosen=(0, 1, 2), weight=1e-6)
-        after = adapt_round(task, state, Meetings(task), Stage("adapt", 1, 2))
+        after = adapt_round(task, state, TaskPairs(task), Stage("adapt", 1, 2))
         reached.append(lowest(after.body, [after.motion[n] for n in state.chosen]))
     assert reached[1] > reached[0] + 0.005
 

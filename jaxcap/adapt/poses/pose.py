@@ -70,7 +70,7 @@ def fit_pose(
     log-likelihood.
     """
     scan = as_scan(scan)
-    start = start if boxes is None else brought_in(boxes, body.skeleton, start)
+    start = start if boxes is None else move_within_boxes(boxes, body.skeleton, start)
 
     def remake(pose: Pose) -> PoseProblem:
         return pose_problem(body, pairs_of(body, pose, scan, matching, cameras), prior, weight, boxes, terms)
@@ -106,7 +106,7 @@ def _surface(body: Body, pose: Pose):
 
 
 @eqx.filter_jit
-def brought_in(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
+def move_within_boxes(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
     """Clamp a pose to the limits of its joint rotations."""
     return boxes.nearest(skeleton, pose)
 

@@ -20,7 +20,7 @@ from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...parallel import parallel_map
 from ..problems import stack, stack_pairs, unstack, window_problem
-from .pose import LENGTHS, UPHILL, brought_in, same_pose
+from .pose import LENGTHS, UPHILL, move_within_boxes, same_pose
 
 #: number of frames of a window, and number of frames by which it advances
 FRAMES, STRIDE = 11, 5
@@ -86,7 +86,7 @@ def smooth_windows(
     """
     when = np.arange(len(poses)) if times is None else np.asarray(times)
     if not begin and boxes is not None:
-        poses = [brought_in(boxes, body.skeleton, pose) for pose in poses]
+        poses = [move_within_boxes(boxes, body.skeleton, pose) for pose in poses]
     poses, known = list(poses), {}
 
     def pairs_of_frames(window: dict[int, Pose]) -> list[Pairs]:

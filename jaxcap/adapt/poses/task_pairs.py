@@ -45,7 +45,7 @@ def poses_at(
     return parallel_map(lambda each: pose_at(task, state, *each, steps=steps), both)
 
 
-class Meetings:
+class TaskPairs:
     """A cache of the scans of some frames and of their last pairs, valid for the same body and pose."""
 
     def __init__(self, task: Task):
@@ -78,11 +78,11 @@ class Meetings:
 
 
 def told(
-    task: Task, state: AdaptState, name: str, frames: Sequence[int], meetings: Meetings | None = None
+    task: Task, state: AdaptState, name: str, frames: Sequence[int], meetings: TaskPairs | None = None
 ) -> AdaptState:
     """Append a stage's terms in some frames to the state's history; `meetings` may cache their pairs."""
     body, poses = state.body, [state.motion[n] for n in frames]
-    pairs = (Meetings(task) if meetings is None else meetings).pairs(body, frames, poses)
+    pairs = (TaskPairs(task) if meetings is None else meetings).pairs(body, frames, poses)
     squares = [mean_square(body, pose, some) for pose, some in zip(poses, pairs, strict=True)]
     terms = Terms(
         data=float(np.mean(squares)),

@@ -9,7 +9,7 @@ from ...body.body import Body
 from ...geometry.procrustes import nearest_rotation
 
 
-class Beside(NamedTuple):
+class JointRegressor(NamedTuple):
     """The template's joints relative to the surface around them."""
 
     #: (J, V) weights of the vertices in each joint's position; rows sum to one
@@ -18,7 +18,7 @@ class Beside(NamedTuple):
     centres: Float[np.ndarray, "J 3"]
 
 
-def make_beside(template: Body, width: float = 0.12) -> Beside:
+def make_joint_regressor(template: Body, width: float = 0.12) -> JointRegressor:
     """Weight, for each joint, the vertices about `width` metres around it that it or its parent moves."""
     skeleton = template.skeleton
     influence = np.asarray(template.skin.influence(skeleton.num_joints), float)
@@ -27,10 +27,10 @@ def make_beside(template: Body, width: float = 0.12) -> Beside:
     near = np.exp(-0.5 * np.sum((vertices[:, None] - centres[None]) ** 2, -1) / width**2)
     # a joint within others' skin, such as a hip's socket, uses all near vertices
     shares = ((influence + influence[:, parents]) * near + 1e-9 * near + 1e-30).T
-    return Beside(shares / shares.sum(1, keepdims=True), vertices, centres)
+    return JointRegressor(shares / shares.sum(1, keepdims=True), vertices, centres)
 
 
-def centres_beside(beside: Beside, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "J 3"]:
+def regress_joints(beside: JointRegressor, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "J 3"]:
     """Regress joint positions from vertices: fit a similarity to the surface around each joint."""
     old, new = beside.shares @ beside.vertices, beside.shares @ vertices
     places = []

@@ -40,7 +40,7 @@ from ..scan.rate import ScanRate, rate_of, tell_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .actor import finished_run, save_actor
-from .input import explained_words, first_pose, load_cameras, look_through, warn_of_lost, warn_of_unusable
+from .input import check_input, explained_words, first_pose, load_cameras, warn_of_lost, warn_of_unusable
 from .prior import carried, prior_file, read_priors
 from .state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
 
@@ -157,7 +157,7 @@ class Adapt:
             told = clouds_words(self.clouds)
             raise InputError(f"{told}: {len(scans)} scans are too few to adapt to; give at least 3.")
         tell_rate(rate_of(self.rate, self.clouds))
-        seen = look_through(scans, body)
+        seen = check_input(scans, body)
         header |= fingerprint_of(body, seen.digests)
         finished = self.resume and self.out.is_file() and not self.kept.is_file()
         state = (

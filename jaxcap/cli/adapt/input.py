@@ -37,7 +37,7 @@ TOLD = 5
 NAMED = 20
 
 
-class Looked(NamedTuple):
+class InputSummary(NamedTuple):
     """What is seen of scans before any of them is met by a body."""
 
     #: frames whose scan is empty, unreadable, or impossible for the body, each with a sentence
@@ -46,7 +46,7 @@ class Looked(NamedTuple):
     digests: tuple[str, ...]
 
 
-def look_through(scans: Scans, body: Body) -> Looked:
+def check_input(scans: Scans, body: Body) -> InputSummary:
     """Read every scan once.
 
     **Raises:** `InputError` if the first scan is unusable, or too many are.
@@ -68,7 +68,7 @@ def look_through(scans: Scans, body: Body) -> Looked:
             f"{len(found)} of {len(scans)} scans cannot be used, too many to go on without them; the first: "
             f"{next(iter(found.values()))}"
         )
-    return Looked(found, tuple(digests))
+    return InputSummary(found, tuple(digests))
 
 
 def _digest(scan: Scan) -> str:

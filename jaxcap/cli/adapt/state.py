@@ -118,7 +118,7 @@ def _tracked(kept: Checkpoint, path: Path) -> TrackedFrame | None:
 
 def fingerprint_of(body: Body, scans: Sequence[str]) -> dict[str, object]:
     """Compute the fingerprint of the inputs: the template, the number of scans, and for each the digest of
-    `Looked`."""
+    `InputSummary`."""
     skeleton = body.skeleton
     template = hashlib.sha256(repr((skeleton.names, skeleton.parents, skeleton.kinds)).encode())
     for leaf in jax.tree.leaves(body):

@@ -12,7 +12,7 @@ from ...limits.check import comfort_frames
 from ..console.console import say, table
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_new
-from .held import Held, LimitsFile, read_held, runs_of
+from .motion_limits import LimitsFile, MotionLimits, read_motion_limits, runs_of
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Check:
 
     def run(self) -> None:
         check_new(self.out, self.overwrite)
-        held = read_held(self.motion, self.limits, self.unit, self.body)
+        held = read_motion_limits(self.motion, self.limits, self.unit, self.body)
         comforts = comfort_of(held)
         say(summary(self.motion.name, held))
         limited = sorted(set(np.asarray(held.limits.owners(held.skeleton)).tolist()))
@@ -55,7 +55,7 @@ class Check:
             say(f"written: {self.out}")
 
 
-def summary(name: str, held: Held) -> str:
+def summary(name: str, held: MotionLimits) -> str:
     frames = np.any(held.beyond, axis=1)
     return (
         f"{name}: {len(held.beyond)} frames, {int(frames.sum())} with a joint beyond its limits "
@@ -63,7 +63,7 @@ def summary(name: str, held: Held) -> str:
     )
 
 
-def comfort_of(held: Held) -> dict[str, np.ndarray]:
+def comfort_of(held: MotionLimits) -> dict[str, np.ndarray]:
     """Compute the comfort of every frame by joint, for learned limits."""
     if not isinstance(held.limits, SurfaceLimits):
         return {}
@@ -71,7 +71,7 @@ def comfort_of(held: Held) -> dict[str, np.ndarray]:
     return {s.joint: found[:, column] for column, s in enumerate(held.limits.surfaces)}
 
 
-def report(held: Held, comforts: dict[str, np.ndarray], limited: list[int]) -> dict:
+def report(held: MotionLimits, comforts: dict[str, np.ndarray], limited: list[int]) -> dict:
     """Build the report for JSON: angles in degrees, comfort as a share of the samples."""
     joints = {}
     for joint in limited:

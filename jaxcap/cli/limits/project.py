@@ -13,7 +13,7 @@ from ..console.console import say, warn
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion, check_new
 from .check import summary
-from .held import LimitsFile, judge, read_held
+from .motion_limits import LimitsFile, judge, read_motion_limits
 
 
 @dataclass
@@ -44,7 +44,7 @@ class Project:
         if self.picture is not None and self.picture.suffix.lower() != ".png":
             raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
         check_new(self.picture, self.overwrite)
-        held = read_held(self.motion, self.limits, self.unit, self.body)
+        held = read_motion_limits(self.motion, self.limits, self.unit, self.body)
         say(summary(self.motion.name, held))
         fixed = project_motion(held.limits, held.skeleton, held.motion, self.smoothness)
         write_motion(self.out, held.skeleton, fixed)

@@ -34,7 +34,7 @@ class PointPair(NamedTuple):
     weight: float = 1.0
 
 
-class Met(NamedTuple):
+class PointPairResult(NamedTuple):
     """A motion, and the remaining distances of its points from their targets."""
 
     motion: Motion
@@ -52,7 +52,7 @@ def meet_points(
     ratio: float = 1.0,
     floor: float = 0.0,
     up: Float[np.ndarray, "3"] = UP,
-) -> Met:
+) -> PointPairResult:
     """Adjust the retargeted motion `moved` so that points of the target reach those of the source's `motion`.
 
     The motion `moved` of the target, from `retarget`, is changed as little as possible. Every frame is solved
@@ -89,7 +89,7 @@ def meet_points(
         here.body, here.held, moved.poses, jnp.asarray(targets, dtype), jnp.asarray(weights / MET**2, dtype)
     )
     reached = here.places(poses)[:, here.rows]
-    return Met(Motion(poses, moved.rate), np.linalg.norm(reached - places, axis=-1))
+    return PointPairResult(Motion(poses, moved.rate), np.linalg.norm(reached - places, axis=-1))
 
 
 class _Points:

@@ -23,7 +23,7 @@ class Field(NamedTuple):
     rough: Float[Array, "V 3 F"]
 
 
-class Swept(NamedTuple):
+class SweepResult(NamedTuple):
     """Weights after a sweep, the matching error field, and the vertices that changed."""
 
     rows: Any
@@ -62,7 +62,7 @@ def sweep(
     reach: Float[Array, ""],
     count: Int[Array, ""],
     turn: Int[Array, ""],
-) -> Swept:
+) -> SweepResult:
     """Update the weights of the vertices of every block, block after block.
 
     **Arguments:** `rows` are the weights of all vertices in the format of the `chooser`; `blocks` are
@@ -100,7 +100,7 @@ def sweep(
             rough = rough.at[near].add(shares[ring[:, i]] * shift, mode="drop")
         return (rows, Field(errors, rough), changed.at[put].set(True, mode="drop")), None
 
-    return Swept(*jax.lax.scan(visit, (rows, field, jnp.zeros(total, bool)), blocks)[0])
+    return SweepResult(*jax.lax.scan(visit, (rows, field, jnp.zeros(total, bool)), blocks)[0])
 
 
 def make_blocks(

@@ -19,7 +19,7 @@ from ..sources import load_body
 LimitsFile = Annotated[Path, arg(aliases=("-l",), metavar="FILE")]
 
 
-class Held(NamedTuple):
+class MotionLimits(NamedTuple):
     """A motion, its limits, and what of it is beyond them."""
 
     skeleton: Skeleton
@@ -30,7 +30,7 @@ class Held(NamedTuple):
     degrees: np.ndarray
 
 
-def read_held(motion: Path, limits: Path, unit: str | None, body: str | None = None) -> Held:
+def read_motion_limits(motion: Path, limits: Path, unit: str | None, body: str | None = None) -> MotionLimits:
     """Read a motion, that of `body` if one is given, and check it against limits.
 
     **Raises:** `InputError` if a file is invalid, or the limits are of another skeleton.
@@ -45,14 +45,14 @@ def read_held(motion: Path, limits: Path, unit: str | None, body: str | None = N
     return judge(skeleton, moving, read_limits(limits, skeleton))
 
 
-def judge(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> Held:
+def judge(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> MotionLimits:
     """Check a motion against limits."""
     beyond = ~np.asarray(allowed_frames(limits, skeleton, motion))
     amounts = np.abs(np.asarray(residual_frames(limits, skeleton, motion)))
     degrees = np.zeros(beyond.shape)
     for column, joint in enumerate(np.asarray(limits.owners(skeleton))):
         degrees[:, joint] = np.maximum(degrees[:, joint], np.degrees(amounts[:, column]))
-    return Held(skeleton, motion, limits, beyond, degrees)
+    return MotionLimits(skeleton, motion, limits, beyond, degrees)
 
 
 def runs_of(frames: np.ndarray, most: int = 4) -> str:
