@@ -1,30 +1,42 @@
-"""The house: folders of one idea, files of one idea, and a line of what is in each."""
+"""The build of the package: folders and files of one idea, docstrings in plain words. `scripts/house.py` prints it."""
 
-import ast
 import statistics
-from pathlib import Path
 
 import pytest
 
-CHECKOUT = Path(__file__).resolve().parents[2]
-FILES = sorted((CHECKOUT / "jaxcap").rglob("*.py"))
+from scripts.house import (
+    docstrings,
+    files_of_folders,
+    lines_of_files,
+    package_files,
+    private_words,
+    without_verb,
+)
+
 #: files of a folder, lines of a file, and lines of the median file, at most
 MOST_FILES, MOST_LINES, MEDIAN = 15, 400, 120
 
 
-@pytest.mark.parametrize("room", ["jaxcap", "tests"])
-def test_a_folder_holds_one_idea(room):
-    folders = {file.parent for file in (CHECKOUT / room).rglob("*.py")}
-    counts = {str(folder.relative_to(CHECKOUT)): len(list(folder.glob("*.py"))) for folder in folders}
-    assert {name: count for name, count in counts.items() if count > MOST_FILES} == {}
+@pytest.mark.parametrize("top", ["jaxcap", "tests"])
+def test_a_folder_holds_one_idea(top):
+    assert {name: count for name, count in files_of_folders(top).items() if count > MOST_FILES} == {}
 
 
 def test_a_file_holds_one_idea():
-    lines = {str(file.relative_to(CHECKOUT)): len(file.read_text("utf-8").splitlines()) for file in FILES}
+    lines = lines_of_files()
     assert {name: count for name, count in lines.items() if count > MOST_LINES} == {}
     assert statistics.median(lines.values()) <= MEDIAN
 
 
-def test_every_file_and_room_says_what_is_in_it():
-    silent = [str(file) for file in FILES if ast.get_docstring(ast.parse(file.read_text("utf-8"))) is None]
-    assert silent == []
+def test_every_file_has_a_docstring():
+    assert len({place.partition(":")[0] for place, _, _ in docstrings()}) == len(package_files())
+
+
+def test_docstrings_of_functions_begin_with_a_verb():
+    verbless, functions = without_verb()
+    assert functions > 2000
+    assert len(verbless) <= 0.02 * functions, verbless
+
+
+def test_docstrings_have_no_private_words():
+    assert private_words() == []

@@ -38,7 +38,7 @@ NAMED = 20
 
 
 class InputSummary(NamedTuple):
-    """What is seen of scans before any of them is met by a body."""
+    """What reading the scans has shown, before the fit."""
 
     #: frames whose scan is empty, unreadable, or impossible for the body, each with a sentence
     unusable: dict[int, str]

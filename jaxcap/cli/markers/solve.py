@@ -47,7 +47,7 @@ LISTED = 10
 class Solve:
     """The motion of a subject through trials: as BVH or .npz, with joint centres, markers without gaps and a report.
 
-    Frames with too few markers, or that no pose explains, keep the pose before and are told by number."""
+    Frames with too few markers, or that no pose explains, keep the pose before and are listed by number."""
 
     subject: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
     """The subject that `jaxcap markers fit` wrote."""

@@ -1,0 +1,103 @@
+"""Print how the package is built: files, names and sentences: `python scripts/house.py`.
+
+`tests/project/test_house.py` holds the limits. A verb that is missing from `scripts/verbs.txt` is added there.
+"""
+
+import ast
+import re
+import statistics
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+VERBS = frozenset((ROOT / "scripts" / "verbs.txt").read_text("utf-8").split())
+#: words that no other library uses so, outside of code in backticks
+PRIVATE = re.compile(r"\b(told|tells|beside|hangs|hang on|at hand|as it were|such as it is)\b", re.IGNORECASE)
+CODE = re.compile(r"`[^`]*`")
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def package_files() -> list[Path]:
+    """List the Python files of the package."""
+    return sorted((ROOT / "jaxcap").rglob("*.py"))
+
+
+def lines_of_files() -> dict[str, int]:
+    """Count the lines of every file of the package."""
+    return {name_of(file): len(file.read_text("utf-8").splitlines()) for file in package_files()}
+
+
+def files_of_folders(top: str) -> dict[str, int]:
+    """Count the Python files of every folder."""
+    folders = {file.parent for file in (ROOT / top).rglob("*.py")}
+    return {name_of(folder): len(list(folder.glob("*.py"))) for folder in sorted(folders)}
+
+
+def name_of(path: Path) -> str:
+    """Name a path from the root of the checkout."""
+    return path.relative_to(ROOT).as_posix()
+
+
+def docstrings() -> Iterator[tuple[str, ast.AST, str]]:
+    """Yield the place, the node and the text of every docstring of the package."""
+    for file in package_files():
+        tree = ast.parse(file.read_text("utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | Function):
+                text = ast.get_docstring(node)
+                if text:
+                    yield f"{name_of(file)}:{getattr(node, 'lineno', 1)}", node, text
+
+
+def is_property(node: Function) -> bool:
+    """Test if a function is an attribute to its callers."""
+    return any(
+        ast.unparse(each).rpartition(".")[2] in ("property", "cached_property")
+        for each in node.decorator_list
+    )
+
+
+def without_verb() -> tuple[list[str], int]:
+    """List the functions whose docstring does not begin with an imperative verb, and count all functions."""
+    functions = [
+        (place, text)
+        for place, node, text in docstrings()
+        if isinstance(node, Function) and not is_property(node)
+    ]
+    return [place for place, text in functions if text.split(maxsplit=1)[0].rstrip(",.") not in VERBS], len(
+        functions
+    )
+
+
+def private_words() -> list[str]:
+    """List the docstrings with private words, and the words."""
+    found = ((place, PRIVATE.findall(CODE.sub("", text))) for place, _, text in docstrings())
+    return [f"{place}: {', '.join(words)}" for place, words in found if words]
+
+
+def public_names() -> dict[str, int]:
+    """Count the public names of each namespace."""
+    import jaxcap as jc
+
+    return {"jaxcap": len(jc.__all__), "jaxcap.edit": len([name for name in dir(jc.edit) if name[0] != "_"])}
+
+
+def main() -> None:
+    """Print all of it."""
+    lines, folders = lines_of_files(), files_of_folders("jaxcap")
+    largest, longest = max(folders, key=folders.__getitem__), max(lines, key=lines.__getitem__)
+    verbless, functions = without_verb()
+    sys.stdout.write(
+        f"{len(lines)} files, {sum(lines.values())} lines; median {statistics.median(lines.values()):g}\n"
+        f"longest file: {longest}, {lines[longest]} lines\n"
+        f"largest folder: {largest}, {folders[largest]} files\n"
+        f"public names: {', '.join(f'{count} in {name}' for name, count in public_names().items())}\n"
+        f"docstrings of functions that begin with a verb: {1 - len(verbless) / functions:.1%} of {functions}\n"
+        f"docstrings with private words: {len(private_words())}\n"
+    )
+    sys.stdout.writelines(f"  {place}\n" for place in [*verbless, *private_words()])
+
+
+if __name__ == "__main__":
+    main()
