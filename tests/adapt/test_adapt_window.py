@@ -1,5 +1,6 @@
 """A step of a window against dense equations of all its frames, and that it never makes them worse."""
 
+import os
 import weakref
 
 import equinox as eqx
@@ -166,7 +167,8 @@ def test_windows_ask_for_pairs_of_frames_that_moved_and_forget_those_behind(rng)
             return super().residual(posed)
 
     def pairs_at(frame, _):
-        assert sum(each() is not None for each in given) <= 4
+        # those of a window, and one on each core
+        assert sum(each() is not None for each in given) <= 4 + (os.cpu_count() or 1)
         asked.append(frame)
         own = eqx.tree_at(lambda p: p.weights, pairs[frame], pairs[frame].weights)
         given.append(weakref.ref(own))
@@ -182,7 +184,11 @@ def test_windows_ask_for_pairs_of_frames_that_moved_and_forget_those_behind(rng)
     found = smooth(poses)
     assert len(traces) == count
     # three windows; the first frame of a later one is held
-    assert asked == [0, 1, 2, 3] * 2 + [4, 5] + [3, 4, 5] + [6, 7] + [5, 6, 7]
+    ends = np.cumsum([4, 4, 2, 3, 2, 3])
+    rounds = [
+        sorted(asked[end - count : end]) for end, count in zip(ends, np.diff(ends, prepend=0), strict=True)
+    ]
+    assert rounds == [[0, 1, 2, 3], [0, 1, 2, 3], [4, 5], [3, 4, 5], [6, 7], [5, 6, 7]]
     rough = [float(temporal_energy(SKELETON, stack(each))) for each in (poses, found)]
     assert rough[1] < 0.2 * rough[0]
 
