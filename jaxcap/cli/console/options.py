@@ -40,11 +40,14 @@ OptionalBody = Annotated[
 ]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Skl = Annotated[
-    OptionalFile, arg(help="Skeleton of a mesh, .skl. Default: the one with the name of the mesh, in its folder.")
+    OptionalFile,
+    arg(help="Skeleton of a mesh, .skl. Default: the one with the name of the mesh, in its folder."),
 ]
 Vj = Annotated[
     OptionalFile,
-    arg(help="Joint of each vertex of a mesh, .vj. Default: the one with the name of the mesh, in its folder."),
+    arg(
+        help="Joint of each vertex of a mesh, .vj. Default: the one with the name of the mesh, in its folder."
+    ),
 ]
 Cst = Annotated[OptionalFile, arg(help="Joint limits to enforce, .cst.")]
 OptionalCount = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]

@@ -38,9 +38,7 @@ class Glue:
     scan: tyro.conf.Positional[Annotated[Path, arg(metavar="SCAN")]]
     """Mesh or cloud of the person, .ply, .obj, .off or .glb."""
     body: Annotated[BodySpec, arg(help=f"Body that is fitted to the scan: {BODY_WORDS}.")]
-    motion: Annotated[
-        MotionSpec, arg(help=f"Motion of the body that animates the scan: {MOTION_WORDS}.")
-    ]
+    motion: Annotated[MotionSpec, arg(help=f"Motion of the body that animates the scan: {MOTION_WORDS}.")]
     out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
     """Output folder for glued_0000.ply, glued_0001.ply, ..."""
     fitted: OptionalFile = None
