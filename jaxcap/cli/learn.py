@@ -44,7 +44,7 @@ class Learn:
     """Learn an animatable body from registered meshes of one actor in many poses, with the same vertices in the same
     order. Writes the body and its poses in the meshes.
 
-    --resume continues an interrupted run, with the same result."""
+    An interrupted run continues with --resume, and gives the same result."""
 
     meshes: MeshesSpec
     """Mesh files, a folder, a quoted glob, or an .npz with vertices (F, V, 3) and faces."""

@@ -36,7 +36,7 @@ SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": Fal
 class Track:
     """Fit a body to a sequence of point clouds; write motion.bvh, motion.npz and statistics.
 
-    --resume continues an interrupted run, with the same result."""
+    An interrupted run continues with --resume, and gives the same result."""
 
     body: BodySpec
     clouds: CloudsSpec
