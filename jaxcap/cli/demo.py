@@ -35,20 +35,20 @@ SHOWN = 5000
 
 @dataclass
 class Demo:
-    """Pose the embedded human, scan it with virtual noisy cameras, track the scans.
+    """Pose the embedded human, scan it with virtual noisy cameras, and track the scans.
 
-    Leaves motion.bvh, motion.npz, statistics and demo.png."""
+    Writes motion.bvh, motion.npz, statistics and demo.png."""
 
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("jaxcap-demo")
-    """Folder for the results; one that is made here is ignored by git."""
+    """Output folder. A new folder gets a .gitignore, so git ignores it."""
     seconds: float = 2.0
-    """Length of the performance."""
+    """Length of the performance, seconds."""
     points: int = 5000
-    """Points in a cloud."""
+    """Number of points per cloud."""
     noise: float = 0.004
-    """Deviation of the points, metres."""
+    """Standard deviation of the points, metres."""
     vertices: OptionalCount = None
-    """Vertices of the body that is fitted; 5,000 where not given."""
+    """Number of vertices of the fitted body. Default: 5,000."""
     overwrite: Flag = False
     """Replace the results of an earlier demo."""
 

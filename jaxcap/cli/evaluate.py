@@ -38,29 +38,29 @@ _pose_body = eqx.filter_jit(pose_body)
 
 @dataclass
 class Evaluate:
-    """Distances from scan to surface, and errors at the joints where the truth is known."""
+    """Measure distances from scans to the surface of a body, and joint errors if the true motion is given."""
 
     body: BodySpec
     motion: MotionSpec
     clouds: CloudsSpec
     truth: OptionalFile = None
-    """The true motion, from any file that MOTION may be, or an .npz with `joints (F, J, 3)` and `names (J,)`."""
+    """True motion: any file that MOTION may be, or an .npz with `joints (F, J, 3)` and `names (J,)`."""
     out: Annotated[OptionalFile, arg(aliases=("-o",))] = None
-    """Save the report as JSON."""
+    """Output file for the report, JSON."""
     skl: Skl = None
     vj: Vj = None
     first: OptionalCount = None
-    """First cloud: the number in a pattern's names, else counted from 0."""
+    """First cloud: the number in the file names of a pattern, otherwise counted from 0."""
     last: OptionalCount = None
-    """Last cloud, included."""
+    """Last cloud, inclusive."""
     unit: Unit = "m"
     """Unit of mesh and clouds: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Axis that points up in mesh and clouds."""
+    """Up axis of mesh and clouds."""
     vertices: OptionalCount = None
-    """Reduce the body to about so many vertices."""
+    """Reduce the body to about N vertices."""
     points: OptionalCount = None
-    """Use so many random points of each cloud."""
+    """Use N random points of each cloud. Default: all."""
 
     def run(self) -> None:
         if self.points is not None and self.points < 1:

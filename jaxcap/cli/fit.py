@@ -33,27 +33,27 @@ OTHER_UNIT = 5.0
 
 @dataclass
 class Fit:
-    """Pose a body in registered meshes, whose vertices are its own in their order; writes the motion.
+    """Fit the poses of a body to registered meshes, which have its vertices in the same order; write the motion.
 
-    Says how far the meshes are from the body: vertex to surface, and vertex to vertex."""
+    Prints the distances from the meshes to the body: vertex to surface, and vertex to vertex."""
 
     body: BodySpec
     meshes: MeshesSpec
     """Mesh files, a folder, a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("motion.npz")
-    """The motion to write."""
+    """Output file for the motion, .npz."""
     report: OptionalFolder = None
-    """Folder for report.json and heat maps of the error."""
+    """Output folder for report.json and heat maps of the error."""
     limits: LimitsFile = None
     prior: LikelyFile = None
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
     unit: Unit = "m"
-    """Unit of the meshes, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
+    """Unit of the meshes, and of BODY if it is a mesh: m, dm, cm, mm, in or ft."""
     rate: OptionalRate = None
-    """Meshes a second; where not given, as the file says, or 30."""
+    """Meshes a second. Default: the rate stated in the file, else 30."""
     overwrite: Flag = False
-    """Replace the motion where it is there."""
+    """Replace the motion if it exists."""
 
     def run(self) -> None:
         check_npz(self.out, self.overwrite)

@@ -36,42 +36,43 @@ FAR = 50.0
 
 @dataclass
 class Ik:
-    """Inverse kinematics in the browser: click the body to hold a point, drag its ball, and the body follows.
+    """Inverse kinematics in the browser: click the body to constrain a point, drag the ball of the point, and the
+    body follows.
 
-    With --constraints and -o there is no window: the pose that meets the constraints is written."""
+    With --constraints and -o no window opens: the pose that satisfies the constraints is written."""
 
     body: BodySpec
     pose: OptionalFile = None
-    """A motion of the body with the pose to begin with, from any file with a motion; rest where not given."""
+    """Motion of the body with the initial pose, from any file with a motion. Default: the rest pose."""
     frame: OptionalCount = None
-    """Which frame of it, counted from 0; the first where not given."""
+    """Frame of --pose, counted from 0. Default: the first."""
     constraints: OptionalFile = None
-    """Constraints (.json) to begin with, as the window saves them."""
+    """Initial constraints, .json, as saved in the window."""
     out: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """Write the pose that meets the constraints, .npz or .bvh, and open no window."""
+    """Output file for the pose that satisfies the constraints, .npz or .bvh. No window opens."""
     skl: Skl = None
     vj: Vj = None
     cst: Cst = None
     limits: OptionalFile = None
-    """Joint limits to keep: those that `jaxcap limits learn` wrote, or a .cst or .asf file."""
+    """Joint limits to enforce: a result of `jaxcap limits learn`, or a .cst or .asf file."""
     prior: OptionalFile = None
-    """Which poses are likely: what `jaxcap prior learn` wrote."""
+    """Pose prior, a result of `jaxcap prior learn`."""
     solver: Solver = "levenberg-marquardt"
-    """priorities puts limits before pinned constraints, these before the others, and is slower."""
+    """Solver. priorities satisfies limits before pinned constraints, and these before the others; it is slower."""
     hold_root: Flag = False
-    """Keep the root where it is."""
+    """Fix the root."""
     unit: Unit = "m"
     """Unit of mesh and skeleton: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Axis that points up in mesh and skeleton."""
+    """Up axis of mesh and skeleton."""
     port: Port = None
-    """Port to listen at; 8080 where it is free, else another."""
+    """Port of the server. Default: 8080 if it is free, else another."""
     host: str = HOST
-    """Address to listen at; 0.0.0.0 lets other machines in."""
+    """Address of the server. 0.0.0.0 accepts connections from other machines."""
     no_browser: Flag = False
-    """Only tell the address."""
+    """Only print the address."""
     overwrite: Flag = False
-    """Replace the result where it is there."""
+    """Replace the result if it exists."""
 
     def run(self) -> None:
         self.check()

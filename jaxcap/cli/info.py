@@ -41,12 +41,12 @@ KNOWN = tuple(
 
 @dataclass
 class Info:
-    """Say what is in a file or a folder that any verb reads, and which command comes next."""
+    """Describe a file or a folder that any verb reads, and suggest the next command."""
 
     file: tyro.conf.Positional[Annotated[str, arg(metavar="FILE")]]
     """A file, a folder, a printf pattern or glob of clouds, or `human`."""
     unit: OptionalUnit = None
-    """Unit of the file's lengths, where it does not say it: m, dm, cm, mm, in or ft."""
+    """Unit of lengths, if the file states none: m, dm, cm, mm, in or ft."""
 
     def run(self) -> None:
         path = Path(self.file)

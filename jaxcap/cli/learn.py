@@ -41,55 +41,56 @@ OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior
 
 @dataclass
 class Learn:
-    """Learn an animatable body from registered meshes of one actor in many poses: the same vertices in the same
-    order in each. Writes the body and its poses in the meshes.
+    """Learn an animatable body from registered meshes of one actor in many poses, with the same vertices in the same
+    order. Writes the body and its poses in the meshes.
 
-    A run that was stopped goes on with --resume, and ends with the same result."""
+    An interrupted run continues with --resume, and gives the same result."""
 
     meshes: MeshesSpec
     """Mesh files, a folder, a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
-    """The body to write."""
+    """Output file for the body, .npz."""
     joints: OptionalCount = None
-    """Joints between its parts, the root not counted; as many as the motion shows where not given."""
+    """Number of joints between the parts, without the root. Default: as many as the motion shows."""
     alpha: float = 100.0
-    """How strongly the shape of the surface counts against the places of its vertices."""
+    """Weight of the surface's shape, relative to the positions of its vertices."""
     skin: Literal["swing_twist", "lbs", "rigid"] = "swing_twist"
-    """How vertices follow the joints."""
+    """Skinning model: separate weights for swing and twist, linear blend skinning, or rigid parts."""
     symmetry: Flag = True
-    """Left and right limbs need not be equally long."""
+    """Do not constrain left and right limbs to equal lengths."""
     pairs: OptionalText = None
-    """Left and right joints to be alike, by number, or by name with --skeleton: 3:5,4:6."""
+    """Symmetric pairs of left and right joints, by number, or by name with --skeleton: 3:5,4:6."""
     skeleton: Annotated[
         OptionalFile,
         arg(
-            help=f"A skeleton that fits into the first mesh, in place of one that is found: {SKELETON_WORDS}."
+            help=f"Skeleton aligned with the first mesh, instead of one found from the motion: {SKELETON_WORDS}."
         ),
     ] = None
     keep_joints: Flag = False
-    """The joints of --skeleton stay where it has them; without it they go where motion tells that they are."""
+    """Fix the joints of --skeleton. Without this option, their positions are estimated from the motion."""
     free_bones: Flag = False
-    """Bones that hang on nothing, one more than --joints; the skin is lbs."""
+    """Learn bones without parents, one more than --joints, with linear blend skinning."""
     limits: LimitsFile = None
     limit_weight: LimitWeight = 100.0
     floor: FloorHeight = None
     rounds: Annotated[int, arg(metavar="N")] = 30
-    """The most rounds of weights, vertices and joints, those on some of the vertices among them; learning ends
-    before where a round brings little."""
+    """Largest number of rounds of weights, vertices and joints, including those on a reduced mesh. Learning stops
+    earlier if a round gains little."""
     unit: Unit = "m"
     """Unit of meshes and skeleton: m, dm, cm, mm, in or ft."""
     rate: OptionalRate = None
-    """Meshes a second; where not given, as the file says, or 30."""
+    """Meshes a second. Default: the rate stated in the file, else 30."""
     motion: OptionalFile = None
-    """The poses of the training meshes; beside the body where not given."""
+    """Output file for the poses of the training meshes. Default: next to the body, `body-motion.npz` for
+    `body.npz`."""
     hold_out: OptionalCount = None
-    """Leave every N-th mesh out of the learning, and score the body on these."""
+    """Hold out every N-th mesh from learning, and score the body on these meshes."""
     report: OptionalFolder = None
-    """Folder for report.json and pictures."""
+    """Output folder for report.json and pictures."""
     resume: Flag = False
-    """Go on with a run that was stopped."""
+    """Continue an interrupted run."""
     overwrite: Flag = False
-    """Replace the body where it is there."""
+    """Replace the body and its motion if they exist."""
 
     def run(self) -> None:
         self.check()

@@ -20,25 +20,26 @@ from .sources import up_rotation, upright_skeleton
 
 @dataclass
 class Rig:
-    """Put a skeleton into a mesh and bind its vertices to the bones; writes a body .npz.
+    """Place a skeleton in a mesh and bind its vertices to the bones; write a body .npz.
 
-    Without a skeleton, the human one is placed in a person that stands in about an A-pose or T-pose."""
+    Without --skeleton, the human skeleton is placed in a mesh of a person in about an A-pose or T-pose."""
 
     mesh: tyro.conf.Positional[Annotated[Path, arg(metavar="MESH")]]
     """A closed surface: .off, .obj, .ply, .stl or .glb."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
-    """The body to write."""
+    """Output file for the body, .npz."""
     skeleton: Annotated[
-        OptionalFile, arg(help=f"A skeleton that fits into the mesh already: {SKELETON_WORDS}.")
+        OptionalFile, arg(help=f"Skeleton that is already aligned with the mesh: {SKELETON_WORDS}.")
     ] = None
     method: Literal["automatic", "envelopes", "heat"] = "automatic"
-    """How vertices follow bones: the human's own weights, one bone each (rigid), or spread like heat."""
+    """Skinning weights: those of the human model, or heat with --skeleton (automatic); one bone per vertex
+    (envelopes); or heat diffusion (heat)."""
     unit: Unit = "m"
     """Unit of mesh and skeleton: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Axis that points up in mesh and skeleton. The body has y up."""
+    """Up axis of mesh and skeleton. The body has y up."""
     overwrite: Flag = False
-    """Replace the body where it is there."""
+    """Replace the body if it exists."""
 
     def run(self) -> None:
         check_npz(self.out, self.overwrite, "a body")

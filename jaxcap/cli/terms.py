@@ -19,20 +19,18 @@ from .console.options import OptionalFile, arg
 
 LimitsFile = Annotated[
     OptionalFile,
-    arg(help="Joint limits to keep: those that `jaxcap limits learn` wrote, or a .cst or .asf file."),
+    arg(help="Joint limits to enforce: a result of `jaxcap limits learn`, or a .cst or .asf file."),
 ]
-LimitWeight = Annotated[float, arg(help="How strongly limits hold, per squared radian.")]
+LimitWeight = Annotated[float, arg(help="Weight of the joint limits, per squared radian.")]
 FloorHeight = Annotated[
     float | None,
     arg(
         metavar="METRES",
         help_behavior_hint="",
-        help="Height of a floor that the body, or its markers, do not sink into, along the axis that points up.",
+        help="Height of the floor along the up axis, metres; the body, or its markers, stay above it. Default: no floor.",
     ),
 ]
-LikelyFile = Annotated[
-    OptionalFile, arg(help="Which poses are likely, as `jaxcap prior learn` wrote it for this body.")
-]
+LikelyFile = Annotated[OptionalFile, arg(help="Pose prior of this body, a result of `jaxcap prior learn`.")]
 
 
 def read_terms(

@@ -22,31 +22,31 @@ Names = Annotated[tuple[str, ...], arg(metavar="...")]
 
 @dataclass
 class View:
-    """Look at files in the browser: bodies, motions, runs, scans, markers, meshes, cameras; several side by side.
+    """Show files in the browser: bodies, motions, runs, scans, markers, meshes, cameras; several side by side.
 
-    Ctrl-C closes the window's server."""
+    Ctrl-C stops the server."""
 
     files: tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES")]]
-    """Files, folders of runs or scans, patterns of clouds, `human`; motions stand beside each other."""
-    body: Annotated[Names, arg(help=f"Bodies to put on the motions: {BODY_WORDS}.")] = ()
+    """Files, folders of runs or scans, patterns of clouds, or `human`. Several motions are shown side by side."""
+    body: Annotated[Names, arg(help=f"Bodies to apply to the motions: {BODY_WORDS}.")] = ()
     clouds: Names = ()
-    """Clouds to compare with: a printf pattern, a quoted glob, a folder or an .npz."""
+    """Clouds for comparison: a printf pattern, a quoted glob, a folder or an .npz."""
     follow: Flag = False
-    """Wait for a run that has not begun, or goes on again; one that has no results yet is followed in any case."""
+    """Wait for a run that has not started, or that is resumed. A run without results is followed in any case."""
     spacing: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
-    """Metres between motions; 0 puts them over each other. As their widths ask where not given."""
+    """Distance between motions, metres; 0 overlays them. Default: by their widths."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
-    """Frames a second of a run that is not over."""
+    """Frames a second of an unfinished run. Default: 30."""
     unit: OptionalUnit = None
-    """Unit of files that do not say it: m, dm, cm, mm, in or ft."""
+    """Unit of lengths in files that state none: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Axis that points up in clouds and meshes."""
+    """Up axis of clouds and meshes."""
     port: Port = None
-    """Port to listen at; 8080 where it is free, else another."""
+    """Port of the server. Default: 8080 if it is free, else another."""
     host: str = HOST
-    """Address to listen at; 0.0.0.0 lets other machines look."""
+    """Address of the server. 0.0.0.0 accepts connections from other machines."""
     no_browser: Flag = False
-    """Only tell the address."""
+    """Only print the address."""
 
     def run(self) -> None:
         if self.rate is not None and not 0 < self.rate < float("inf"):

@@ -60,79 +60,86 @@ OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hin
 
 @dataclass
 class Adapt:
-    """Adapt a template body to the actor in a sequence of scans; writes the actor's own body and its motion.
+    """Adapt a template body to the actor in a sequence of scans; write the actor's own body and its motion.
 
-    Scans need not be registered, whole or clean. A run that was stopped goes on with --resume."""
+    Scans need not be registered, complete or free of noise. --resume continues an interrupted run."""
 
     body: Annotated[BodySpec, arg(help=f"The template: {BODY_WORDS}.")]
     clouds: CloudsSpec
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """The actor's body, .npz."""
+    """Output file for the actor's body, .npz."""
     motion: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """The motion, .bvh or .npz; beside the body where not given."""
+    """Output file for the motion, .bvh or .npz. Default: next to the body, `anna-motion.npz` for `anna.npz`."""
     start: OptionalFile = None
-    """A motion whose first pose is near that of the first scan; searched for where not given."""
+    """A motion whose first pose is near that of the first scan. Default: search for the pose."""
     prior: OptionalFile = None
-    """Which poses are likely, as `jaxcap prior learn` wrote it, beside what anatomy says; no joint turns beyond the least
-    and largest turns in it, and vertices are held to the shape of its meshes, where it has these. That in the file of BODY
-    where not given; `none` leaves it out."""
+    """Pose prior from `jaxcap prior learn`, in addition to the anatomical prior. Its joint ranges are hard limits,
+    and its shape prior, if any, constrains the vertices. Default: the prior in the file of BODY; `none` disables
+    it."""
     prior_form: PriorForm = "nearest"
-    """How far from likely counts: by the nearest Gaussian (nearest) or by the mean likelihood (mean)."""
+    """Form of the prior: distance from the nearest Gaussian of each pair of joints (nearest), or mean likelihood of
+    the pairs (mean)."""
     limits: LimitsFile = None
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
     cameras: OptionalFile = None
-    """The calibrated cameras that took the scans, .json as `jaxcap scan` writes them: what none sees is in no pair."""
+    """Calibrated cameras of the scans, .json as written by `jaxcap scan`. Vertices that no camera sees are not
+    matched."""
     aperture: Flag = False
-    """Of --cameras take only how far they see to the sides, not what hides what."""
+    """Use only the fields of view of --cameras, and ignore occlusion."""
     pairs: Paired = "vertices"
-    """What a point of a scan belongs to: the nearest of the body's vertices, the nearest point of its surface (and vertices
-    that of the scan's, where scans are meshes), or vertices by Gaussian shares (soft), for which the first pose has to be
-    within 3 cm."""
+    """Match scan points to the nearest vertex (vertices), to the nearest point of the surface (surface), or to
+    vertices with Gaussian weights (soft). With surface, vertices are also matched to the surface of scans that are
+    meshes; soft needs a first pose within 3 cm."""
     pair_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
-    """Largest angle between the normals of a pair."""
+    """Largest angle between the normals of a matched pair, degrees."""
     pair_reach: Annotated[float, arg(metavar="METRES")] = 0.3
-    """Largest distance of a pair."""
+    """Largest distance of a matched pair, metres."""
     along: Annotated[float, arg(metavar="SHARE")] = 0.05
-    """What distances along the surface count, squared, of those across it: 1 is point to point, 0 point to plane."""
+    """Weight of squared distances along the surface, relative to those across it: 1 is point to point, 0 point to
+    plane."""
     unchecked: Flag = False
-    """Do not look whether the first scan is of one person."""
+    """Do not check that the first scan shows one person."""
     report: OptionalFile = None
-    """Also write what the adaptation has brought, as a page of pictures and tables, .html. Afterwards by --resume."""
+    """Also write a report of the adaptation, .html, with pictures and tables. --resume adds it to a finished run."""
     report_every: Annotated[int, arg(metavar="N")] = 1
     """Measure every N-th frame for the report, for speed."""
     frames: Annotated[int, arg(metavar="N")] = 40
-    """Scans that the body is adapted to, spread over the motion."""
+    """Number of scans that the body is adapted to, spread over the motion."""
     unordered: Flag = False
-    """The scans do not follow each other in time: nothing is made smooth, and each is searched for from those that are
-    most like it. Found from the scans where neither this nor --ordered is given."""
+    """The scans are not ordered in time: the motion is not smoothed, and each pose search starts from the most
+    similar scans. Default: determined from the scans, unless --ordered is given."""
     ordered: Flag = False
-    """The scans follow each other in time, however unlike they are."""
+    """The scans are ordered in time, even if successive scans are not similar."""
     adapt_every: Annotated[int, arg(metavar="N")] = 0
-    """Adapt while tracking, after every N frames of the first 10 N, where the template would be lost; 0 tracks all first."""
+    """Adapt during tracking, after every N frames of the first 10 N, for motions in which the template would be lost.
+    0 tracks all frames first."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
-    """How far joints may be from where the surface around them says; less where poses do not tell joints."""
+    """Standard deviation of joints from the positions predicted by the surrounding surface, metres. Use less if the
+    poses do not determine the joints."""
     together: Flag = False
-    """Vertices, joints and poses in one step of each round, and not one after the other."""
+    """Solve for vertices, joints and poses in one step of each round, not one after the other."""
     smoothness: OptionalWeight = None
-    """Weight of smooth motion; balanced with the scans where not given, 0 leaves it out."""
+    """Weight of the smoothness of the motion; 0 disables it. Default: a tenth of the weight that balances it with the
+    scans."""
     pose_weight: OptionalWeight = None
-    """Weight of likely poses; balanced with the scans where not given."""
+    """Weight of the pose prior. Default: a tenth of the weight that balances it with the scans."""
     shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = Settings().shape
-    """Weight of the template's shape when vertices are first adapted, and at last: less follows the scans, noise and all."""
+    """Weight of the template's shape in the first and in the last round that adapts vertices. Lower weights follow
+    the scans more closely, including their noise."""
     first: OptionalCount = None
-    """First frame: the number in a pattern's names, else counted from 0."""
+    """First frame: the number in the file names of a pattern, otherwise counted from 0."""
     last: OptionalCount = None
-    """Last frame, included."""
+    """Last frame, inclusive."""
     unit: Unit = "m"
-    """Unit of the scans, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
+    """Unit of the scans, and of BODY if it is a mesh: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Axis that points up in the scans, and in a mesh as BODY. Results have y up."""
+    """Up axis of the scans, and of BODY if it is a mesh. Results have y up."""
     rate: ScanRate = None
     vertices: OptionalCount = None
-    """Reduce the template to about so many vertices, for speed."""
+    """Reduce the template to about N vertices, for speed."""
     resume: Flag = False
-    """Go on with a run that was stopped."""
+    """Continue an interrupted run."""
     overwrite: Flag = False
     """Replace the results of an earlier run."""
 

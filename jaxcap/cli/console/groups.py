@@ -3,57 +3,57 @@
 from .verbs import Group, Verb
 
 MARKERS = Group(
-    "Optical markers: a subject from takes, its motion through trials",
-    """Optical markers: what is in a file of them, a subject from takes, its motion through trials.
+    "Optical markers: calibrate a subject, solve its motion",
+    """Optical markers: inspect a file of markers, calibrate a subject from takes, solve its motion in trials.
 
 Results are in metres.""",
     {
-        "info": Verb("markers.info.Info", "Say what is in a file of markers"),
-        "fit": Verb("markers.fit.Fit", "Make a subject from takes of one performer"),
-        "solve": Verb("markers.solve.Solve", "Solve the motion of a subject through trials"),
+        "info": Verb("markers.info.Info", "Describe a file of markers"),
+        "fit": Verb("markers.fit.Fit", "Calibrate a subject from takes of one performer"),
+        "solve": Verb("markers.solve.Solve", "Solve for the motion of a subject in trials"),
     },
 )
 
 LIMITS = Group(
-    "Joint limits: learned from motions, checked, enforced",
-    """Joint limits: learned from motions, what of a motion is beyond them, a motion turned back into them.
+    "Joint limits: learn, check and enforce them",
+    """Joint limits: learn them from motions, find violations in a motion, project a motion onto them.
 
 Angles are in degrees.""",
     {
-        "learn": Verb("limits.learn.Learn", "Learn limits of joints from motions"),
-        "check": Verb("limits.check.Check", "Say which joints of a motion are beyond limits"),
-        "project": Verb("limits.project.Project", "Turn the joints of a motion back into limits"),
-        "compare": Verb("limits.compare.Compare", "Compare the rotations of two performers' joints"),
+        "learn": Verb("limits.learn.Learn", "Learn joint limits from motions"),
+        "check": Verb("limits.check.Check", "Report the joints of a motion that violate limits"),
+        "project": Verb("limits.project.Project", "Project a motion onto joint limits"),
+        "compare": Verb("limits.compare.Compare", "Compare the joint rotations of two performers"),
     },
 )
 
 PRIOR = Group(
-    "Pose priors: how likely joints turn together",
-    """Pose priors: how likely joints turn together, learned from motions.
+    "Pose priors: learn and inspect them",
+    """Pose priors: the probability of joint rotations, in pairs of successive joints, learned from motions.
 
 Angles are in degrees.""",
     {
         "learn": Verb("prior.learn.Learn", "Learn a pose prior from motions"),
-        "info": Verb("prior.info.Info", "Say what a prior holds"),
+        "info": Verb("prior.info.Info", "Describe the contents of a prior"),
     },
 )
 
 EDIT = Group(
-    "Motions edited: retargeted, cut, joined, looped, mirrored",
-    """Motions edited: given to another body, cut, joined, looped, mirrored, thinned to keys, made to look somewhere; and a
-scan that moves with its body.
+    "Edit motions: retarget, cut, join, loop, mirror and more",
+    """Edit motions: retarget, cut, join, loop, resample or mirror them, direct their gaze, reduce them to keys; and animate
+a raw scan with its fitted body.
 
 Results are in metres, y up.""",
     {
-        "retarget": Verb("edit.retarget.Retarget", "Give a motion to another body or skeleton"),
-        "gaze": Verb("edit.gaze.Gaze", "Make a person look at a point or into a direction"),
-        "glue": Verb("edit.glue.Glue", "Move a raw scan by the body that is fitted to it"),
-        "cut": Verb("edit.cut.Cut", "Cut frames out of a motion"),
-        "join": Verb("edit.join.Join", "Put one motion behind another"),
-        "loop": Verb("edit.loop.Loop", "Make a loop without a seam"),
-        "resample": Verb("edit.resample.Resample", "Give a motion another rate"),
-        "mirror": Verb("edit.mirror.Mirror", "Mirror a motion: left becomes right"),
-        "keys": Verb("edit.keys.Keys", "Find few keys that give a motion back within a tolerance"),
+        "retarget": Verb("edit.retarget.Retarget", "Retarget a motion to another body or skeleton"),
+        "gaze": Verb("edit.gaze.Gaze", "Make a person look at a point or in a direction"),
+        "glue": Verb("edit.glue.Glue", "Animate a raw scan with the body that is fitted to it"),
+        "cut": Verb("edit.cut.Cut", "Extract a range of frames of a motion"),
+        "join": Verb("edit.join.Join", "Append one motion to another, with a blend"),
+        "loop": Verb("edit.loop.Loop", "Make a seamless loop"),
+        "resample": Verb("edit.resample.Resample", "Resample a motion to another rate"),
+        "mirror": Verb("edit.mirror.Mirror", "Mirror a motion: exchange left and right"),
+        "keys": Verb("edit.keys.Keys", "Reduce a motion to few keys within a tolerance"),
     },
 )
 
@@ -61,24 +61,24 @@ JAXCAP = Group(
     "Fit articulated bodies to captures",
     """Fit articulated bodies to point clouds, meshes and markers.
 
-Results are in metres, y up. Compiled functions are kept in the user's cache folder: JAXCAP_CACHE names another one,
---no-cache keeps none.""",
+Results are in metres, y up. Compiled functions are cached in a folder of the user. The environment variable
+JAXCAP_CACHE sets another folder; --no-cache disables the cache.""",
     {
-        "demo": Verb("demo.Demo", "Pose, scan and track the embedded human, as a first try"),
-        "rig": Verb("rig.Rig", "Put a skeleton into a mesh and bind its vertices to the bones"),
+        "demo": Verb("demo.Demo", "Pose, scan and track the embedded human, as a first test"),
+        "rig": Verb("rig.Rig", "Place a skeleton in a mesh and bind its vertices to the bones"),
         "learn": Verb("learn.Learn", "Learn an animatable body from registered meshes of one actor"),
-        "fit": Verb("fit.Fit", "Pose a body in registered meshes"),
+        "fit": Verb("fit.Fit", "Fit the poses of a body to registered meshes"),
         "adapt": Verb("adapt.adapt.Adapt", "Adapt a template body to the actor in a sequence of scans"),
-        "track": Verb("track.track.Track", "Fit a body to a sequence of clouds"),
-        "evaluate": Verb("evaluate.Evaluate", "Measure distances from scans to a body, and errors at joints"),
+        "track": Verb("track.track.Track", "Fit a body to a sequence of point clouds"),
+        "evaluate": Verb("evaluate.Evaluate", "Measure distances from scans to a body, and joint errors"),
         "scan": Verb("scan.scan.Scan", "Scan a moving body with virtual depth cameras"),
         "markers": MARKERS,
         "limits": LIMITS,
         "prior": PRIOR,
         "edit": EDIT,
-        "view": Verb("view.View", "Look at files in the browser"),
-        "ik": Verb("ik.Ik", "Pose a body by dragging points of it, in the browser"),
-        "info": Verb("info.Info", "Say what is in a file"),
-        "convert": Verb("convert.convert.Convert", "Write a file in another format"),
+        "view": Verb("view.View", "Show files in the browser"),
+        "ik": Verb("ik.Ik", "Pose a body by dragging its points, in the browser"),
+        "info": Verb("info.Info", "Describe a file and suggest the next command"),
+        "convert": Verb("convert.convert.Convert", "Convert a file to another format"),
     },
 )

@@ -12,8 +12,8 @@ from ..sources import Up as Up
 arg = tyro.conf.arg
 #: descriptions of motion and skeleton files for every help text; see `motions`
 MOTION_WORDS = (
-    ".bvh, .npz, .amc (with its .asf in the folder), or a skinned .glb, .gltf or USD with an animation (`character.glb:Walk` "
-    "is one clip of several)"
+    ".bvh, .npz, .amc (with its .asf in the same folder), or a skinned .glb, .gltf or USD with an animation "
+    "(`character.glb:Walk` selects one of several clips)"
 )
 SKELETON_WORDS = (
     ".skl, .bvh, .asf, a body or motion .npz, a skinned .glb, .gltf or USD, or `human` with options"
@@ -30,23 +30,26 @@ CloudsSpec = tyro.conf.Positional[
         arg(
             metavar="CLOUDS...",
             help_behavior_hint="",
-            help="Files, a frame each (`scans/*.ply`), a printf pattern (`scan_%04d.ply`), a folder, or an .npz.",
+            help="Point clouds: a file per frame (`scans/*.ply`), a printf pattern (`scan_%04d.ply`), a folder, or an .npz.",
         ),
     ]
 ]
 OptionalBody = Annotated[
     str | None,
-    arg(metavar="BODY", help_behavior_hint="", help=f"The body that the motion is of: {BODY_WORDS}."),
+    arg(metavar="BODY", help_behavior_hint="", help=f"Body of the motion: {BODY_WORDS}."),
 ]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Skl = Annotated[
-    OptionalFile, arg(help="Skeleton of a mesh, .skl; that of the mesh's name in its folder where not given.")
+    OptionalFile,
+    arg(help="Skeleton of a mesh, .skl. Default: the one with the name of the mesh, in its folder."),
 ]
 Vj = Annotated[
     OptionalFile,
-    arg(help="Joint of each vertex of a mesh, .vj; that of the mesh's name in its folder where not given."),
+    arg(
+        help="Joint of each vertex of a mesh, .vj. Default: the one with the name of the mesh, in its folder."
+    ),
 ]
-Cst = Annotated[OptionalFile, arg(help="Joint limits to keep, .cst.")]
+Cst = Annotated[OptionalFile, arg(help="Joint limits to enforce, .cst.")]
 OptionalCount = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
 OptionalUnit = Annotated[str | None, arg(metavar="UNIT", help_behavior_hint="")]
 Unit = Annotated[str, arg(metavar="UNIT")]

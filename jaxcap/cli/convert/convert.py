@@ -38,41 +38,44 @@ TOLERANCE, INFLUENCES = 0.001, 4
 
 @dataclass
 class Convert:
-    """Write a motion, its joint centres, a body with its motion, a mesh or markers in another format; suffixes say what
-    is what.
+    """Convert a motion, its joint centres, a body with its motion, a mesh or markers to another format, by the
+    suffixes of the files.
 
-    A motion becomes .bvh or .npz, or joint centres as .trc, .c3d or .csv. A body becomes a skinned, animated .glb, .usda,
-    .usdc or .usdz, with its own motion where its file has one; `human` also a body .npz, and every other body with
-    --as body."""
+    A motion becomes .bvh or .npz; its joint centres become .trc, .c3d or .csv. A body becomes a skinned, animated
+    .glb, .usda, .usdc or .usdz, with the motion in its file, if there is one. `human` also becomes a body .npz, and
+    every other body does with --as body."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
-    """A motion, a body, a skeleton, a mesh or markers, from any file that is read; `character.glb:Walk` is one clip of
-    several."""
+    """A motion, body, skeleton, mesh or markers, in any format that is read. `character.glb:Walk` selects one of
+    several clips."""
     target: tyro.conf.Positional[Annotated[Path, arg(metavar="TARGET")]]
-    """The file to write."""
+    """Output file."""
     unit: OptionalUnit = None
-    """Unit of the source's lengths; where not given what it says, else metres, and centimetres in BVH."""
+    """Unit of the source's lengths. Default: the unit stated in the file, else metres, or centimetres for BVH."""
     target_unit: OptionalUnit = None
-    """Unit of the target's lengths; metres where not given, centimetres in BVH, millimetres in TRC and C3D."""
+    """Unit of the target's lengths. Default: metres; centimetres for BVH, millimetres for TRC and C3D."""
     motion: OptionalFile = None
-    """The motion of a body that becomes a .glb or USD, from any file with a motion."""
+    """Motion of a body that is written as .glb or USD, from any file with a motion."""
     body: OptionalFile = None
-    """The body that a motion is of, for files that do not say where joints are, as AMASS's, and for --vertices: `human`, or
-    any file with a body."""
+    """Body of the motion, for files without joint positions, such as AMASS, and for --vertices: `human`, or any file
+    with a body."""
     as_: Annotated[
         Literal["amass", "body"] | None, arg(name="as", metavar="amass|body", help_behavior_hint="")
     ] = None
-    """What an .npz is to be: a motion in the manner of AMASS (`poses`, `trans`, `betas`, `gender` and the rate, z up), or the body of SOURCE."""
+    """Content of an .npz target: a motion in AMASS format (`poses`, `trans`, `betas`, `gender` and the rate, z up),
+    or the body of SOURCE."""
     up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
-    """What is up in a motion in AMASS's manner; z where not given."""
+    """Up axis of a motion in AMASS format. Default: z."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
-    """Vertices of --body that become markers beside the joints: numbers, NAME=NUMBER, or a text file of names and numbers."""
+    """Vertices of --body to write as markers, in addition to the joints: numbers, NAME=NUMBER, or a text file of
+    names and numbers."""
     tolerance: float = TOLERANCE
-    """How far, in metres, a .glb or USD may be from a body that does not blend linearly; virtual bones bring it there."""
+    """Largest error of a .glb or USD, metres, for a body without linear blend skinning. Virtual bones reduce the
+    error."""
     influences: int = INFLUENCES
-    """Bones that move one vertex of a .glb or USD at most; many programs read no more than 4."""
+    """Largest number of bones per vertex in a .glb or USD. Many programs read at most 4."""
     overwrite: Flag = False
-    """Replace the target where it is there."""
+    """Replace the target if it exists."""
 
     def run(self) -> None:
         check_absent([self.target], self.overwrite)

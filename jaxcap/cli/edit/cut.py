@@ -14,19 +14,19 @@ from .files import Frames, MotionFile, OutMotion, frames_of, read_edited, save
 
 @dataclass
 class Cut:
-    """Some frames of a motion, the first and the last of them included."""
+    """Extract a range of frames of a motion, first and last frame included."""
 
     motion: MotionFile
     out: OutMotion
-    """The frames, .bvh or .npz."""
+    """Output file for the frames, .bvh or .npz."""
     frames: Frames = None
     """First and last frame, counted from 0."""
     seconds: Annotated[tuple[float, float] | None, arg(metavar="FIRST LAST", help_behavior_hint="")] = None
-    """The same in seconds."""
+    """First and last time, seconds, instead of --frames."""
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace the motion where it is there."""
+    """Replace the motion if it exists."""
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)

@@ -24,35 +24,36 @@ FAR = 50.0
 
 @dataclass
 class Gaze:
-    """Make a person look at a point, or into a direction: chest, neck and head turn by 10, 40 and 50 per cent.
+    """Make a person look at a point or in a direction: chest, neck and head take 10, 40 and 50 per cent of the
+    rotation.
 
-    Frames outside of --frames stay as they are."""
+    Frames outside --frames do not change."""
 
     motion: MotionFile
     out: OutMotion
-    """The motion, .bvh or .npz."""
+    """Output file for the motion, .bvh or .npz."""
     target: Place = None
-    """A point to look at, metres, y up, in the motion's world."""
+    """Point to look at, metres, in the world of the motion, y up."""
     direction: Place = None
-    """A direction to look into, in place of a point."""
+    """Direction to look in, instead of a point."""
     frames: Frames = None
-    """First and last frame of the gaze, with its fades; all where not given."""
+    """First and last frame of the gaze, with its fades. Default: all frames."""
     fade: Annotated[float, arg(metavar="SECONDS")] = 0.5
-    """Over which the gaze comes and goes."""
+    """Duration of the fade at each end of the gaze, seconds."""
     most: Annotated[float, arg(metavar="DEGREES")] = 90.0
-    """Most that it turns, all joints together."""
+    """Largest rotation of all joints together, degrees."""
     joints: Annotated[str | None, arg(metavar="CHEST,NECK,HEAD", help_behavior_hint="")] = None
-    """The joints that turn; guessed from their names where not given."""
+    """Joints that rotate. Default: guessed from their names."""
     body: OptionalBody = None
     line: Annotated[tuple[int, int] | None, arg(metavar="BACK FRONT", help_behavior_hint="")] = None
-    """Vertices of --body at the back of the head and between the eyes, where the face of --body is not known; that of
-    `human` is."""
+    """Vertices of --body at the back of the head and between the eyes, if the face of --body is not known. The face
+    of `human` is known."""
     limits: OptionalFile = None
-    """Joint limits that the gaze keeps: of `jaxcap limits learn`, .cst or .asf."""
+    """Joint limits to enforce: a result of `jaxcap limits learn`, or a .cst or .asf file."""
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace the motion where it is there."""
+    """Replace the motion if it exists."""
 
     def run(self) -> None:
         self.check()

@@ -30,32 +30,31 @@ LOOSE = 0.05
 
 @dataclass
 class Glue:
-    """Move a raw scan by the body that is fitted to it: each of its points is glued to the body's closest triangle.
+    """Animate a raw scan with the body that is fitted to it: each point of the scan is attached to the closest
+    triangle of the body.
 
-    Writes a mesh for each frame, with the scan's own triangles and colours."""
+    Writes a mesh for each frame, with the triangles and colours of the scan."""
 
     scan: tyro.conf.Positional[Annotated[Path, arg(metavar="SCAN")]]
-    """A mesh or cloud (.ply, .obj, .off, .glb) of the person."""
-    body: Annotated[BodySpec, arg(help=f"The body that is fitted to the scan: {BODY_WORDS}.")]
-    motion: Annotated[
-        MotionSpec, arg(help=f"The motion of the body that the scan is to make: {MOTION_WORDS}.")
-    ]
+    """Mesh or cloud of the person, .ply, .obj, .off or .glb."""
+    body: Annotated[BodySpec, arg(help=f"Body that is fitted to the scan: {BODY_WORDS}.")]
+    motion: Annotated[MotionSpec, arg(help=f"Motion of the body that animates the scan: {MOTION_WORDS}.")]
     out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
-    """Folder for glued_0000.ply, glued_0001.ply, ..."""
+    """Output folder for glued_0000.ply, glued_0001.ply, ..."""
     fitted: OptionalFile = None
-    """The motion in which the body is posed as in the scan; MOTION where not given."""
+    """Motion that contains the body's pose in the scan. Default: MOTION."""
     frame: int = 0
-    """The frame of it that the scan is of."""
+    """Frame of --fitted that has the pose of the scan, counted from 0."""
     frames: Frames = None
-    """First and last frame of MOTION to write; all where not given."""
+    """First and last frame of MOTION to write. Default: all frames."""
     reach: Annotated[float, arg(metavar="METRES")] = 0.3
-    """No point of the scan may be further from the body."""
+    """Largest distance of a scan point from the body, metres. A point further away is an error."""
     kind: Annotated[Literal["ply", "obj"], arg(name="as")] = "ply"
     """Format of the meshes."""
     unit: Unit = "m"
-    """Unit of the scan, and of a mesh as BODY: m, dm, cm, mm, in or ft."""
+    """Unit of the scan, and of BODY if it is a mesh: m, dm, cm, mm, in or ft."""
     overwrite: Flag = False
-    """Replace the meshes of the folder."""
+    """Replace the meshes in the folder."""
 
     def run(self) -> None:
         if not 0 < self.reach < np.inf:

@@ -21,22 +21,22 @@ UNLIKE = 0.15
 
 @dataclass
 class Join:
-    """Put one motion behind another: the second goes on where the first ends, and they are blended.
+    """Append one motion to another, with a blend: the second continues where the first ends.
 
-    The second is turned about the vertical and shifted along the floor; both stand on one floor."""
+    The second is rotated about the vertical axis and translated along the floor. Both need the same floor height."""
 
     first: Annotated[MotionSpec, arg(metavar="FIRST")]
     second: Annotated[MotionSpec, arg(metavar="SECOND", help="Another motion of the same skeleton.")]
     out: OutMotion
-    """The motion, .bvh or .npz."""
+    """Output file for the motion, .bvh or .npz."""
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.3
-    """Over which one goes over into the other; 0 puts them behind each other."""
+    """Duration of the blend, seconds. 0 appends without a blend."""
     find: Flag = False
-    """Leave the first and enter the second where they are most alike, not at the end and the beginning."""
+    """Leave the first and enter the second motion where they are most alike, not at the end and at the beginning."""
     unit: OptionalUnit = None
-    """Unit of the motions' lengths, in place of what they say."""
+    """Unit of the motions' lengths, if their files state none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace the motion where it is there."""
+    """Replace the motion if it exists."""
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)

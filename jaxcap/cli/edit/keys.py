@@ -23,23 +23,23 @@ OptionalOut = Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_be
 
 @dataclass
 class Keys:
-    """Few keys that give a motion back within a tolerance, rotations interpolated along the shortest arc."""
+    """Find few keys that reproduce a motion within a tolerance. Rotations are interpolated along the shortest arc."""
 
     motion: MotionFile
     out: OptionalOut = None
-    """The motion that the keys give, .bvh or .npz."""
+    """Output file for the motion interpolated from the keys, .bvh or .npz."""
     keys: OptionalFile = None
-    """The keys themselves, .json or .npz."""
+    """Output file for the keys, .json or .npz."""
     degrees: float = 1.0
-    """How far rotations of joints may be off."""
+    """Largest error of joint rotations, degrees."""
     millimetres: float = 5.0
-    """How far joints may be off their places."""
+    """Largest error of joint positions, millimetres."""
     per_joint: Flag = False
-    """Keys of each joint by itself, not of whole poses."""
+    """Find keys for each joint separately, instead of whole poses."""
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace results where they are there."""
+    """Replace the results if they exist."""
 
     def run(self) -> None:
         if self.out is None and self.keys is None:

@@ -18,27 +18,27 @@ Seconds = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")]
 
 @dataclass
 class Loop:
-    """Make a loop without a seam of the frames of a motion that are most alike, or of frames you name.
+    """Make a seamless loop from the most similar frames of a motion, or from given frames.
 
-    Its last frame is its first again, in pose and in velocity; leave it out where a program plays in a circle."""
+    The last frame equals the first, in pose and in velocity. Omit it in programs that repeat the loop."""
 
     motion: MotionFile
     out: OutMotion
-    """The loop, .bvh or .npz."""
+    """Output file for the loop, .bvh or .npz."""
     frames: Frames = None
-    """First and last frame of the loop; found where not given."""
+    """First and last frame of the loop. Default: the most similar frames."""
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.2
-    """Over which the end goes over into what comes before the beginning."""
+    """Duration of the blend from the end of the loop into the frames before its beginning, seconds."""
     least: Seconds = None
-    """Shortest loop that is looked for; a half where not given."""
+    """Shortest loop to search for, seconds. Default: 0.5."""
     most: Seconds = None
-    """Longest loop that is looked for; as long as the motion where not given."""
+    """Longest loop to search for, seconds. Default: the length of the motion."""
     in_place: Flag = False
-    """Take out how far it goes and turns in a round, evenly."""
+    """Remove the translation and rotation of one cycle, evenly over the loop."""
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace the loop where it is there."""
+    """Replace the loop if it exists."""
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)

@@ -11,15 +11,15 @@ from .files import MotionFile, OutMotion, read_edited, save
 
 @dataclass
 class Mirror:
-    """A motion in a mirror: what the left does the right does."""
+    """Mirror a motion: exchange left and right."""
 
     motion: MotionFile
     out: OutMotion
-    """The motion, .bvh or .npz."""
+    """Output file for the motion, .bvh or .npz."""
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace the motion where it is there."""
+    """Replace the motion if it exists."""
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)

@@ -15,17 +15,17 @@ MOST = 1_000_000
 
 @dataclass
 class Resample:
-    """A motion at another rate; new frames are between old ones."""
+    """Resample a motion to another rate; new frames are interpolated."""
 
     motion: MotionFile
     out: OutMotion
-    """The motion, .bvh or .npz."""
+    """Output file for the motion, .bvh or .npz."""
     rate: Annotated[float, arg(metavar="RATE")]
-    """Frames a second."""
+    """New rate, frames a second."""
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace the motion where it is there."""
+    """Replace the motion if it exists."""
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)

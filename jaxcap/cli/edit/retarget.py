@@ -46,40 +46,43 @@ class Found(NamedTuple):
 
 @dataclass
 class Retarget:
-    """Give a motion to another body or skeleton: limbs point the same way, feet keep to the floor.
+    """Retarget a motion to another body or skeleton: limbs keep their directions, and feet keep to the floor.
 
-    Bodies of one mesh, whose vertices correspond, are aligned by their surfaces; all others by the names of joints."""
+    Bodies with the same mesh, whose vertices correspond, are aligned by their surfaces; all others by the names of
+    joints."""
 
     motion: MotionFile
     target: Annotated[
         BodySpec,
-        arg(metavar="TARGET", help=f"{BODY_WORDS}; or a skeleton alone: .skl, .bvh, .asf, a motion .npz."),
+        arg(metavar="TARGET", help=f"{BODY_WORDS}; or only a skeleton: .skl, .bvh, .asf, a motion .npz."),
     ]
     out: OutMotion
-    """The target's motion, .bvh or .npz."""
+    """Output file for the target's motion, .bvh or .npz."""
     source: OptionalBody = None
     by: Literal["auto", "surface", "names"] = "auto"
-    """By what source and target are aligned; auto takes the surface where --source has the target's mesh."""
+    """Alignment of source and target. auto uses the surface if --source has the mesh of the target, else the
+    names."""
     names: OptionalFile = None
-    """A table of joints that match, which goes before what names and trees show: JSON as a refusal or --write-names writes it, or a text file with a
-    joint of the source and one of the target in each line."""
+    """Table of matching joints, which overrides matches by name and hierarchy. JSON, as --write-names or an error
+    message about unmatched joints writes it; or a text file with a source joint and a target joint per line."""
     write_names: OptionalFile = None
-    """Write the table of the joints that match as JSON, to be changed and given by --names."""
+    """Write the table of matched joints as JSON, to edit and to pass to --names."""
     points: OptionalFile = None
-    """A text file of points that are to meet: in each line one of the source, one of the target, and a weight if not 1. A
-    name is a joint, a number a vertex."""
+    """Text file of points to align: per line a source point, a target point, and a weight if it is not 1. A name is a
+    joint, a number is a vertex."""
     in_place: Flag = False
-    """Bring --points to the very places of the source's, not to those in the target's size."""
+    """Move --points to the exact positions of the source's points, not to positions scaled to the target's size."""
     ground: Flag = False
-    """Lift or lower every frame of a body until its soles are as high as the source's."""
+    """Raise or lower every frame of a body so that its soles are as high as the source's, scaled to the target's
+    size."""
     floor: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
-    """How high the source's floor lies, metres; as high as its lowest point where not given."""
+    """Height of the source's floor, metres. Default: the height of its lowest point."""
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     target_unit: OptionalUnit = None
-    """Unit of the target's lengths, where its file does not say it."""
+    """Unit of the target's lengths, if its file states none."""
     overwrite: Flag = False
-    """Replace the motion where it is there."""
+    """Replace the motion if it exists."""
 
     def run(self) -> None:
         self.check()

@@ -17,18 +17,19 @@ from .motion_limits import LimitsFile, MotionLimits, read_motion_limits, runs_of
 
 @dataclass
 class Check:
-    """Say which joints of a motion are beyond limits, in which frames, by how much, and how comfortable they are."""
+    """Report the joints of a motion that violate limits: in which frames, by how much, and how comfortable the joints
+    are."""
 
     motion: MotionSpec
     limits: LimitsFile
-    """Limits that `jaxcap limits learn` wrote, or a .cst or .asf file."""
+    """Joint limits: a result of `jaxcap limits learn`, or a .cst or .asf file."""
     out: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """The same, and every frame, as .json."""
+    """Output file for the report with all frames, .json."""
     body: OptionalBody = None
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace the report where it is there."""
+    """Replace the report if it exists."""
 
     def run(self) -> None:
         check_new(self.out, self.overwrite)

@@ -15,12 +15,13 @@ from ..motions import load_motion
 
 @dataclass
 class Compare:
-    """Distances between the rotations of two performers' joints, from each to the closest of the other."""
+    """Compare the joint rotations of two performers: distances from each sample to the closest one of the other
+    performer."""
 
     reference: Annotated[MotionSpec, arg(metavar="REFERENCE")]
-    other: Annotated[MotionSpec, arg(metavar="OTHER", help="The motion of another performer.")]
+    other: Annotated[MotionSpec, arg(metavar="OTHER", help="Motion of another performer.")]
     joints: Annotated[str, arg(metavar="NAMES")]
-    """Joints, after commas."""
+    """Joints, separated by commas."""
 
     def run(self) -> None:
         rows = []

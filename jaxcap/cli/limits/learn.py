@@ -25,38 +25,41 @@ HARDLY = 5.0
 
 @dataclass
 class Learn:
-    """Limits of joints, from motions in which they go where they can; a child's coupled to its parent's pose.
+    """Learn joint limits from motions that show the full range; the limits of a child may depend on its parent's
+    pose.
 
-    Left and right are learned apart. Give motions that show the whole range: what was never seen is forbidden."""
+    Left and right are learned separately. Rotations that the motions do not show are forbidden."""
 
     motions: Annotated[
         MotionsSpec,
         arg(help=f"Motions of one skeleton: {MOTION_WORDS}; or one recording of markers: .c3d, .trc, .csv."),
     ]
     joints: Annotated[str, arg(metavar="NAMES")]
-    """Joints, after commas; behind a colon one whose limits depend on the joint before: LeftArm:LeftForeArm,Head."""
+    """Joints, separated by commas. PARENT:CHILD makes the limits of the child depend on the parent:
+    LeftArm:LeftForeArm,Head."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """The limits, .npz."""
+    """Output file for the limits, .npz."""
     markers: Annotated[str | None, arg(metavar="LABELS", help_behavior_hint="")] = None
-    """Of markers: those of shoulder, upper arm, elbow and forearm, after commas."""
+    """For markers: the labels at shoulder, upper arm, elbow and forearm, separated by commas."""
     trunk: Annotated[str | None, arg(metavar="LABELS", help_behavior_hint="")] = None
-    """Of markers: three of what the shoulder hangs on."""
+    """For markers: three labels on the part to which the shoulder is attached, separated by commas."""
     subject: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """Of markers: one subject of several, by the prefix of its labels."""
+    """For markers: the subject, by the prefix of its labels, if there are several."""
     voxel: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
-    """Width of the smallest voxels. As fine as some of the motion still foretells the rest where not given."""
+    """Width of the smallest voxels, degrees. Default: as fine as a part of the motion still predicts the rest."""
     keyframe: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
-    """Width of the parents' voxels, each of which has limits of the child of its own; chosen as --voxel is."""
+    """Width of the voxels of the parent, degrees. Each has its own limits of the child. Default: chosen like
+    --voxel."""
     threshold: Annotated[int, arg(metavar="N")] = 1
-    """Samples that keep a smallest voxel."""
+    """Smallest number of samples in a smallest voxel."""
     coverage: float = COVERAGE
-    """Share of motion not learned from that --voxel and --keyframe are to allow."""
+    """Share of held-out motion that the limits must allow, if --voxel or --keyframe is not given."""
     report: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
-    """Folder for pictures of samples, voxels and surfaces."""
+    """Output folder for pictures of samples, voxels and surfaces."""
     unit: OptionalUnit = None
-    """Unit of the files' lengths, in place of what they say."""
+    """Unit of the files' lengths, instead of the unit that they state."""
     overwrite: Flag = False
-    """Replace the limits where they are there."""
+    """Replace the limits if they exist."""
 
     def run(self) -> None:
         self.check()

@@ -18,24 +18,25 @@ from .motion_limits import LimitsFile, judge, read_motion_limits
 
 @dataclass
 class Project:
-    """Turn the joints of a motion that are beyond limits back into them, by the shortest way and smoothly.
+    """Project the joints of a motion that violate limits onto the limits, by the smallest rotations, smoothly in
+    time.
 
-    Joints and frames that are allowed stay as they are."""
+    Joints and frames within the limits do not change."""
 
     motion: MotionSpec
     limits: LimitsFile
-    """Limits that `jaxcap limits learn` wrote, or a .cst or .asf file."""
+    """Joint limits: a result of `jaxcap limits learn`, or a .cst or .asf file."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """The motion, .bvh or .npz."""
+    """Output file for the motion, .bvh or .npz."""
     smoothness: Annotated[float, arg(metavar="SECONDS")] = 0.02
-    """Over which turns back are drawn together; 0 treats every frame by itself."""
+    """Time over which the corrections are smoothed, seconds. 0 projects every frame independently."""
     picture: OptionalFile = None
-    """A PNG file with frames before and after."""
+    """Output file for a picture of frames before and after, .png."""
     body: OptionalBody = None
     unit: OptionalUnit = None
-    """Unit of the motion's lengths, in place of what it says."""
+    """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False
-    """Replace results where they are there."""
+    """Replace the results if they exist."""
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)

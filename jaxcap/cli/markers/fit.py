@@ -46,52 +46,55 @@ SamePairs = Annotated[tuple[str, ...], arg(metavar="LEFT:RIGHT", help_behavior_h
 
 @dataclass
 class Fit:
-    """From takes of one performer to a subject: segments, joints, lengths of bones, and where on its bone each
-    marker sits. Give a take in which every joint turns; a static pose may come with it.
+    """Calibrate a subject from takes of one performer: segments, joints, lengths of bones, and the position of each
+    marker on its bone. Give a take in which every joint moves; a static pose can be added.
 
-    Nobody has to say which marker sits where. What the takes do not tell is said in sentences."""
+    Markers are assigned to segments automatically. Quantities that the takes do not determine are reported."""
 
     files: TakesSpec
-    """.c3d, .trc or .csv files of one performer; equal labels are the same marker."""
+    """.c3d, .trc or .csv files of one performer. Equal labels are the same marker."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("subject.npz")
-    """The subject to write."""
+    """Output file for the subject, .npz."""
     method: Method = "score"
-    """How centres of rotation are found: spheres about them, symmetrically (SCoRE, SARA), or Gamage and Lasenby's."""
+    """Method for rotation centres: spheres about them (sphere), symmetric (score, for SCoRE and SARA), or Gamage and
+    Lasenby's (gamage)."""
     threshold: OptionalThreshold = None
-    """How much the distance of two markers on one segment may vary; chosen from the data where not given."""
+    """Largest variation of the distance of two markers on one segment, metres. Default: chosen from the data."""
     segments: OptionalFile = None
-    """Corrections: lines of marker, segment and weight; the segment - makes a marker loose. The report has
-    segments.txt to begin with."""
+    """Corrections: lines of marker, segment and weight; the segment - makes a marker loose. --report writes a
+    segments.txt to start from."""
     template: Annotated[
         OptionalFile,
         arg(
-            help="A skeleton that says which segments are joined; --segments names them as its joints: "
+            help="Skeleton that defines which segments are connected; --segments names them like its joints: "
             f"{SKELETON_WORDS}."
         ),
     ] = None
     symmetry: SamePairs = ()
-    """Segments whose bones are equally long, such as lthigh:rthigh."""
+    """Pairs of segments whose bones are equally long, such as lthigh:rthigh."""
     local: Flag = False
-    """Stop after joints one by one, without the fit of all frames, lengths and placements together."""
+    """Stop after the separate estimation of joints; do not fit frames, lengths and marker positions together."""
     frames: Annotated[int, arg(metavar="N")] = 100
-    """Frames that the fit of all together chooses, as different as can be."""
+    """Number of frames for the fit of all unknowns together, chosen to be as different as possible."""
     rigid: Flag = False
-    """Markers stay where they are on their bones; without it they may slide as joints turn, where they seem to."""
+    """Fix the markers on their bones. Without this option, markers may slide as joints rotate, if the data suggest
+    it."""
     floor: FloorHeight = None
     unit: OptionalUnit = None
-    """Unit of the files' lengths, in place of what they say: m, dm, cm, mm, in or ft."""
+    """Unit of the files' lengths, instead of the unit that they state: m, dm, cm, mm, in or ft."""
     subject: OptionalSubject = None
-    """One subject of several, by the prefix of its labels."""
+    """Subject, by the prefix of its labels, if there are several."""
     up: OptionalUp = None
-    """What is up in the files; the subject then has y up. As in the files where not given."""
+    """Up axis of the files; the subject then has y up. Default: the axes of the files."""
     pieces: Pieces = "refuse"
-    """What is done with trajectories that go on under new names after gaps."""
+    """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them, or
+    keep them separate."""
     joints: Files = ()
-    """Joint centres in every frame, as .trc, .c3d or .csv."""
+    """Output files for the joint centres of every frame, .trc, .c3d or .csv."""
     report: OptionalFolder = None
-    """Folder for report.json, segments.txt, and pictures of the skeleton in its markers and of residuals."""
+    """Output folder for report.json, segments.txt, and pictures of the skeleton in its markers and of residuals."""
     overwrite: Flag = False
-    """Replace the subject and joint centres where they are there."""
+    """Replace the subject and the joint centres if they exist."""
 
     def run(self) -> None:
         pairs = self.check()

@@ -23,18 +23,18 @@ WIDTH = 40
 
 @dataclass
 class Info:
-    """Say what is in a file of markers: rate, frames, unit, extent, and the gaps of each marker."""
+    """Describe a file of markers: rate, frames, unit, extent, and the gaps of each marker."""
 
     file: tyro.conf.Positional[Annotated[str, arg(metavar="FILE")]]
     """A .c3d, .trc or .csv file."""
     unit: OptionalUnit = None
-    """Unit of the file's lengths, in place of what the file says: m, dm, cm, mm, in or ft."""
+    """Unit of the file's lengths, instead of the unit that it states: m, dm, cm, mm, in or ft."""
     subject: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """One subject of several, by the prefix of its labels."""
+    """Subject, by the prefix of its labels, if there are several."""
     rows: Annotated[int, arg(metavar="N")] = 20
-    """Markers in the table, the worst first; 0 for all of them."""
+    """Number of markers in the table, the worst first; 0 lists all."""
     picture: OptionalFile = None
-    """A PNG file to draw the gaps to."""
+    """Output file for a picture of the gaps, .png."""
 
     def run(self) -> None:
         path = Path(self.file)

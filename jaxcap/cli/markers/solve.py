@@ -45,40 +45,43 @@ LISTED = 10
 
 @dataclass
 class Solve:
-    """The motion of a subject through trials: as BVH or .npz, with joint centres, markers without gaps and a report.
+    """Solve for the motion of a subject in trials; write BVH or .npz, joint centres, markers without gaps, and a
+    report.
 
-    Frames with too few markers, or that no pose explains, keep the pose before and are listed by number."""
+    Frames with too few markers, or without a pose that fits, keep the previous pose. Their numbers are listed."""
 
     subject: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
-    """The subject that `jaxcap markers fit` wrote."""
+    """Subject, a result of `jaxcap markers fit`."""
     trials: TrialsSpec
-    """.c3d, .trc or .csv files; markers are known by their labels."""
+    """.c3d, .trc or .csv files. Markers are identified by their labels."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """The motion, .bvh or .npz; or a folder, which gets both for each trial."""
+    """Output file for the motion, .bvh or .npz; or a folder, for both formats of each trial."""
     joints: Files = ()
-    """Joint centres, as .trc, .c3d or .csv; into a folder with the trial's name before theirs where OUT is one."""
+    """Output files for joint centres, .trc, .c3d or .csv. If OUT is a folder, they are written there, with the
+    trial's name as prefix."""
     filled: Files = ()
-    """Markers without gaps, as .trc, .c3d or .csv; named as --joints are."""
+    """Output files for markers without gaps, .trc, .c3d or .csv. Named like --joints."""
     limits: LimitsFile = None
     prior: LikelyFile = None
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
     stream: Flag = False
-    """Solve frame by frame, each as if no other were to come, and say how long a frame takes."""
+    """Solve frame by frame, without later frames, and print the computing time per frame."""
     report: OptionalFolder = None
-    """Folder for report.json and pictures of the skeleton in its markers and of residuals."""
+    """Output folder for report.json, and pictures of the skeleton in its markers and of residuals."""
     unit: OptionalUnit = None
-    """Unit of the trials' lengths, in place of what they say: m, dm, cm, mm, in or ft."""
+    """Unit of the trials' lengths, instead of the unit that they state: m, dm, cm, mm, in or ft."""
     performer: OptionalSubject = None
-    """One subject of several in a trial, by the prefix of its labels."""
+    """Subject in a trial, by the prefix of its labels, if there are several."""
     up: OptionalUp = None
-    """What is up in the trials; results then have y up. As in the trials where not given."""
+    """Up axis of the trials; results then have y up. Default: the axes of the trials."""
     pieces: Pieces = "refuse"
-    """What is done with trajectories that go on under new names after gaps."""
+    """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them, or
+    keep them separate."""
     resume: Flag = False
-    """Go on with a run that was stopped: trials that are solved stay as they are."""
+    """Continue an interrupted run; solved trials are kept."""
     overwrite: Flag = False
-    """Replace results where they are there."""
+    """Replace the results if they exist."""
 
     def run(self) -> None:
         self.check()

@@ -17,11 +17,11 @@ from ..console.options import arg
 
 @dataclass
 class Info:
-    """Say what a prior holds: Gaussians and likeliest turns of pairs of joints, and how far each joint turns,
-    and how many meshes it knows the shape from."""
+    """Describe a prior: Gaussians and modes of pairs of joints, the range of each joint, and the number of meshes of
+    the shape prior."""
 
     file: tyro.conf.Positional[Annotated[Path, arg(metavar="FILE")]]
-    """A prior that `jaxcap prior learn` wrote, or a body with one in it."""
+    """A result of `jaxcap prior learn`, or a body with a prior in its file."""
 
     def run(self) -> None:
         prior, boxes = load_prior(self.file), load_boxes(self.file)

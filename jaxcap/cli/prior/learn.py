@@ -32,43 +32,43 @@ ALIKE = 0.05
 
 @dataclass
 class Learn:
-    """How likely joints turn together, from motions: a mixture of Gaussians for each pair of successive joints,
-    and the least and largest turn of each.
+    """Learn a pose prior from motions: a mixture of Gaussians for each pair of successive joints, and the range of
+    each joint.
 
-    The number of Gaussians is the one that best foretells motion that was left out. From meshes of the body also the
-    shape around every vertex."""
+    The number of Gaussians is the one that best predicts held-out motion. Meshes of the body add a prior of the shape
+    around every vertex."""
 
     motions: Annotated[
         MotionsSpec,
-        arg(help=f"Motions of one skeleton, unless --body says whose they are to be: {MOTION_WORDS}."),
+        arg(help=f"Motions, of one skeleton unless --body is given: {MOTION_WORDS}."),
     ]
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """The prior, .npz."""
+    """Output file for the prior, .npz."""
     body: Annotated[
         OptionalBody,
         arg(
-            help=f"The body that the prior is for: {BODY_WORDS}. It is written with the prior in it, and motions of other "
-            "skeletons are carried over to its own."
+            help=f"Body of the prior: {BODY_WORDS}. The output file contains it too, and motions of other "
+            "skeletons are retargeted to it."
         ),
     ] = None
     meshes: OptionalMeshes = ()
-    """Registered meshes of the body, to learn the shape around its vertices from as well: mesh files, a folder,
-    a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
+    """Registered meshes of the body, for the shape around its vertices: mesh files, a folder, a quoted glob, or an
+    .npz with vertices (F, V, 3) and faces."""
     rate: Annotated[float, arg(metavar="FPS")] = 30.0
-    """Frames a second that are learned from, at most; neighbouring frames say little new."""
+    """Largest number of frames a second to learn from. Neighbouring frames add little information."""
     most: Annotated[int, arg(metavar="N")] = 10
-    """Gaussians of a pair, at most."""
+    """Largest number of Gaussians of a pair."""
     floor: Annotated[float, arg(metavar="DEGREES")] = 2.0
-    """Least deviation of a Gaussian, in any direction."""
+    """Smallest standard deviation of a Gaussian in any direction, degrees."""
     margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
-    """Added at both ends of the least and largest turns, beyond which no joint will go: few poses do not show all that
-    a joint can do."""
+    """Margin at both ends of the range of each joint, degrees. Joints cannot leave this range, and few poses do not
+    show all of it."""
     seed: int = 0
-    """Of the random starts."""
+    """Seed of the random initial values."""
     unit: OptionalUnit = None
-    """Unit of the files' lengths, in place of what they say; meshes are in metres where not given."""
+    """Unit of the files' lengths, instead of the unit that they state. Default for meshes: metres."""
     overwrite: Flag = False
-    """Replace the prior where it is there."""
+    """Replace the prior if it exists."""
 
     def run(self) -> None:
         self.check()

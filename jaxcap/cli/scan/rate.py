@@ -18,7 +18,7 @@ ScanRate = Annotated[
     arg(
         metavar="RATE",
         help_behavior_hint="",
-        help=f"Frames a second; where not given, those that {HEADER} beside the clouds says, else {USUAL:g}.",
+        help=f"Frames a second. Default: the rate in {HEADER} next to the clouds, else {USUAL:g}.",
     ),
 ]
 

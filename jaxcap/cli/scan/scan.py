@@ -35,57 +35,57 @@ LOOKED_AT = 24
 
 @dataclass
 class Scan:
-    """Scan a moving body with virtual depth cameras; writes scan_0000.ply, ..., cameras.json and truth.npz.
+    """Scan a moving body with virtual depth cameras; write scan_0000.ply, ..., cameras.json and truth.npz.
 
-    Each frame is written as it is made, and is the same whatever was scanned before it: a run that was
-    killed goes on with --resume."""
+    Each frame is written when it is finished, and does not depend on the frames before it. --resume continues an
+    interrupted run."""
 
     body: BodySpec
     motion: MotionSpec
     out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
-    """Folder for the scans."""
+    """Output folder."""
     views: int = 8
-    """Cameras on the arc."""
+    """Number of cameras on the arc."""
     arc: float = 360.0
-    """Arc that the cameras stand on, degrees, with its middle before the body."""
+    """Angle of the arc of cameras, degrees. Its middle is in front of the body."""
     distance: float = 2.5
-    """From the cameras to the vertical through the body's middle, metres."""
+    """Distance of the cameras from the vertical axis through the middle of the body, metres."""
     height: float = 1.2
-    """Of the cameras above the lowest point of the body, metres."""
+    """Height of the cameras above the lowest point of the body, metres."""
     resolution: Annotated[tuple[int, int], arg(metavar="WIDTH HEIGHT")] = (320, 240)
-    """Pixels of a picture."""
+    """Width and height of an image, pixels."""
     field_of_view: float = 60.0
-    """Angle across a picture, degrees."""
+    """Horizontal field of view, degrees."""
     cameras: OptionalFile = None
-    """A calibration (.json) in place of the arc of cameras."""
+    """Calibrated cameras, .json, instead of the arc of cameras."""
     noise: float = 0.002
-    """Deviation of a depth, metres, near the camera."""
+    """Standard deviation of the depth near the camera, metres."""
     noise_growth: float = 0.0
-    """How it grows: so many metres more at a depth of 1 m, four times that at 2 m."""
+    """Additional standard deviation at a depth of 1 m, metres. It grows with the square of the depth."""
     quantise: float = 0.0
-    """Step between depths, metres at 1 m; it grows with the square of the depth."""
+    """Step between depths at 1 m, metres; 0 disables it. It grows with the square of the depth."""
     flying: float = 0.0
-    """Share of pixels at edges that fly between front and back."""
+    """Share of flying pixels, between foreground and background, at depth edges."""
     holes: float = 0.0
     """Share of pixels lost in holes."""
     grazing: float = 80.0
-    """Surfaces turned away further than this are not measured, degrees."""
+    """Largest angle between surface normal and ray that is measured, degrees."""
     drop: float = 0.0
-    """Share of views that are lost in a frame."""
+    """Probability that a view is lost in a frame."""
     voxel: float = 0.0
-    """Keep one point for each cube of this side, metres; 0 keeps all."""
+    """Keep one point per cube of this side, metres; 0 keeps all points."""
     points: OptionalCount = None
-    """Keep so many random points of each cloud."""
+    """Keep N random points of each cloud. Default: all."""
     kind: Annotated[Literal["cloud", "mesh"], arg(name="as")] = "cloud"
-    """Points alone, or each view's grid of triangles beside the others."""
+    """Write points only (cloud), or also a grid of triangles for each view (mesh)."""
     npz: Flag = False
-    """Also write all clouds as one file, clouds.npz."""
+    """Also write all clouds to one file, clouds.npz."""
     seed: int = 0
-    """The same seed gives the same scans."""
+    """Random seed. The same seed gives the same scans."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
-    """Scans a second, at most the motion's frames; all frames where not given."""
+    """Scans a second, at most the rate of the motion. Default: all frames."""
     resume: Flag = False
-    """Go on with a run that was stopped."""
+    """Continue an interrupted run."""
     overwrite: Flag = False
     """Replace earlier scans."""
 

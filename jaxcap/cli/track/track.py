@@ -34,14 +34,14 @@ SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": Fal
 
 @dataclass
 class Track:
-    """Fit a body to a sequence of clouds; writes motion.bvh, motion.npz and statistics.
+    """Fit a body to a sequence of point clouds; write motion.bvh, motion.npz and statistics.
 
-    A run that was killed goes on with --resume, and ends with the same result."""
+    An interrupted run continues with --resume, and gives the same result."""
 
     body: BodySpec
     clouds: CloudsSpec
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """Folder for the results."""
+    """Output folder."""
     skl: Skl = None
     vj: Vj = None
     cst: Cst = None
@@ -50,32 +50,33 @@ class Track:
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
     first: OptionalCount = None
-    """First frame: the number in a pattern's names, else counted from 0."""
+    """First frame: the number in the file names of a pattern, otherwise counted from 0."""
     last: OptionalCount = None
-    """Last frame, included."""
+    """Last frame, inclusive."""
     unit: Unit = "m"
     """Unit of mesh and clouds: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Axis that points up in mesh and clouds. Results have y up."""
+    """Up axis of mesh and clouds. Results have y up."""
     rate: ScanRate = None
     normal_angle: float = 60.0
-    """Largest angle between a point's normal and its vertex's, degrees."""
+    """Largest angle between the normals of a point and of its vertex, degrees."""
     sigma0: float = 0.1
-    """Deviation of the first frame's points from the body to start with, metres."""
+    """Initial standard deviation of the first frame's points from the body, metres."""
     outlier: float = 0.1
-    """Share of points that are not of the body."""
+    """Share of points that are not on the body."""
     damping: float = 1.0
-    """Constant on the diagonal of the normal equations."""
+    """Damping: a constant on the diagonal of the normal equations."""
     iterations: int = 3
-    """Steps of expectation maximisation on a frame."""
+    """Steps of expectation maximisation per frame."""
     vertices: OptionalCount = None
-    """Reduce the body to about so many vertices, for speed."""
+    """Reduce the body to about N vertices, for speed."""
     estimate_priors: Flag = False
-    """Estimate the share of points of each part too."""
+    """Also estimate the share of points of each body part."""
     initialise: Literal["auto", "always", "never"] = "auto"
-    """Search for the pose of the first frame: where rest does not explain its cloud, always or never."""
+    """Search for the pose of the first frame: if the rest pose does not explain the first cloud (auto), always or
+    never."""
     resume: Flag = False
-    """Go on with a run that was stopped."""
+    """Continue an interrupted run."""
     overwrite: Flag = False
     """Replace the results of an earlier run."""
 
