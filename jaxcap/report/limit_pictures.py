@@ -70,7 +70,12 @@ def draw_limits(
     )
     total = figure.get_figheight()
     figure.subplots_adjust(
-        left=0.06, right=0.97, top=1 - 0.85 / total, bottom=0.5 / total, wspace=0.08, hspace=0.6
+        left=0.1 if flat else 0.06,
+        right=0.97,
+        top=1 - 0.85 / total,
+        bottom=0.5 / total,
+        wspace=0.08,
+        hspace=0.6,
     )
     with replacing(Path(path)) as beside:
         canvas.print_png(beside)
