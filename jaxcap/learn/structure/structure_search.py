@@ -64,9 +64,10 @@ def exchange(
             trial = improve(state, made)
             made = Graft(trial.body, trial.motion.poses, trial.pairs)
         removals = spare(made.body, made.poses, targets, len(splits), free)
-        if removals:
+        more = len(splits) - len(removals)
+        if removals and (free or more == 0):
             trial = improve(trial, pruned(*made, removals))
-        after, more = trial.history[-1][1], len(splits) - len(removals)
+        after = trial.history[-1][1]
         if (free or more == 0) and after < (1 - KEEP - WORTH * max(more, 0)) * before:
             state, most, splits = trial._replace(history=(*state.history, (step, after))), None, None
         else:
