@@ -1,4 +1,4 @@
-"""Print how the package is built: files, names and sentences: `python scripts/house.py`.
+"""Print how the package is built: files, names and sentences: `python scripts/house.py`; with `--check` fail where docstrings are wrong.
 
 `tests/project/test_house.py` holds the limits. A verb that is missing from `scripts/verbs.txt` is added there.
 """
@@ -96,7 +96,10 @@ def main() -> None:
         f"docstrings of functions that begin with a verb: {1 - len(verbless) / functions:.1%} of {functions}\n"
         f"docstrings with private words: {len(private_words())}\n"
     )
-    sys.stdout.writelines(f"  {place}\n" for place in [*verbless, *private_words()])
+    wrong = [*verbless, *private_words()]
+    sys.stdout.writelines(f"  {place}\n" for place in wrong)
+    if "--check" in sys.argv[1:] and wrong:
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

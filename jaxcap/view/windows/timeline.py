@@ -30,7 +30,7 @@ class Timeline:
         return min(int(self._at(now)), self.frames - 1)
 
     def play(self, now: float) -> None:
-        """Play; restart from the first frame if at the last."""
+        """Play, and restart from the first frame if at the last."""
         at = self.frame(now)
         self._touch(0 if at == self.frames - 1 else at, now)
         self.playing = True
