@@ -81,7 +81,7 @@ def make_tracker(
     check_positive(where, sigma_growth=sigma_growth)
     check_positive(where, "metres", sigma_start=sigma_start)
     check_at_least(where, 1, iterations=iterations)
-    own = own_terms("track", terms, body)
+    own = own_terms(where, terms, body)
     bones = body.skin.parts()
     return Tracker(
         body=body,

@@ -27,7 +27,8 @@ class Part:
 
     def part(self, name: str) -> "Part":
         """Get an object; an empty one if it is missing."""
-        return Part(self.content.get(name) or {}, self._at(name))
+        value = self.content.get(name)
+        return Part({} if value is None else value, self._at(name))
 
     def parts(self, name: str) -> list["Part"]:
         """Get a list of objects."""
