@@ -6,9 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...body.kinematics import forward_kinematics, joint_positions
 from ...body.pose import Pose, difference
-from ...body.skeleton import Skeleton
 from ...observe import Cloud
 from .em import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
 from .recover import next_frame, settled
@@ -18,22 +16,8 @@ from .track_frame import Tracker, TrackState, start_state
 COMPARED = 0.02
 #: a pose with a mean log-likelihood below the best by more than this is not improved
 HOPELESS = 0.3
-#: metres: a less likely pose within this distance of another leads to the same one; distance from a joint at
-#: which rotations are measured
-NEAR, AROUND = 0.01, 0.1
 
 _change = eqx.filter_jit(difference)
-
-
-@eqx.filter_jit
-def _apart(skeleton: Skeleton, one: Pose, other: Pose) -> Float[Array, ""]:
-    """Compute the largest distance between two poses of a bone's points, at its joint and `AROUND` it,
-    metres.
-    """
-    here, there = (forward_kinematics(skeleton, pose) for pose in (one, other))
-    moved = joint_positions(skeleton, here) - joint_positions(skeleton, there)
-    turned = AROUND * jnp.linalg.norm(here.rotations - there.rotations, axis=1)
-    return jnp.maximum(jnp.max(jnp.linalg.norm(moved, axis=-1)), jnp.max(turned))
 
 
 @eqx.filter_jit
@@ -78,17 +62,13 @@ def likeliest(
 
     The state and the statistics are the same objects if no other pose is better.
     """
-    skeleton = tracker.body.skeleton
     best = float(log_likelihood(tracker, state.estimate.pose, cloud)) + worth
     for pose in poses:
-        likelihood = float(log_likelihood(tracker, pose, cloud))
-        if likelihood < best - HOPELESS:
-            continue
-        if likelihood <= best and float(_apart(skeleton, state.estimate.pose, pose)) < NEAR:
+        if float(log_likelihood(tracker, pose, cloud)) < best - HOPELESS:
             continue
         found, measured, likelihood = improve(tracker, pose, cloud)
         if likelihood > best:
-            change = _change(skeleton, before, found.estimate.pose)
+            change = _change(tracker.body.skeleton, before, found.estimate.pose)
             best, state, statistics = likelihood, TrackState(found.estimate, change), measured
     return state, statistics
 
