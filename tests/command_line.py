@@ -1,6 +1,5 @@
 """Running the command line in this process, and small inputs for it."""
 
-import importlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,8 +31,7 @@ def verb_named(words: Sequence[str]) -> type:
         assert isinstance(found, Group)
         found = found.verbs[word]
     assert isinstance(found, Verb)
-    module, _, name = found.place.rpartition(".")
-    return getattr(importlib.import_module(f"jaxcap.cli.{module}"), name)
+    return found.load()
 
 
 def fails(capsys, *arguments, code: int = 2) -> str:

@@ -1,7 +1,6 @@
 """Every verb given every kind of file: each ends well, or with one sentence that names the file and says what to do."""
 
 import contextlib
-import importlib
 import io
 import shlex
 import shutil
@@ -15,6 +14,7 @@ from file_places import PLACES
 
 from jaxcap.cli import view
 from jaxcap.cli.console.errors import told
+from jaxcap.cli.console.verbs import Verb
 from jaxcap.cli.contents.next_verb import COMMANDS
 from jaxcap.cli.info import Info
 from jaxcap.io.skinned.clip import split_clip
@@ -45,14 +45,9 @@ def inside(folder, monkeypatch):
         shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-def verb_of(place: str) -> type:
-    module, _, title = place.rpartition(".")
-    return getattr(importlib.import_module(f"jaxcap.cli.{module}"), title)
-
-
 def given(place, name: str):
     """The verb of a place, given a file."""
-    verb, fields = verb_of(place.verb), {}
+    verb, fields = Verb(place.verb, "").load(), {}
     for field, value in place.fields.items():
         put = tuple(name if one == FILE else one for one in value) if isinstance(value, tuple) else value
         put = name if put == FILE else put
@@ -180,5 +175,5 @@ def test_one_help_for_a_body():
 
     taking = {place.verb for place in PLACES if place.fields.get("body", place.fields.get("target")) == FILE}
     for verb in sorted(taking - {"convert.convert.Convert"}):
-        text = " ".join(verb_help(verb_of(verb), "jaxcap").split())
+        text = " ".join(verb_help(Verb(verb, "").load(), "jaxcap").split())
         assert BODY_WORDS in text, verb

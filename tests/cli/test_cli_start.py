@@ -1,6 +1,5 @@
 """What the command line does before and around a verb: help without JAX, its folder of compiled functions, words in silence."""
 
-import importlib
 import io
 import logging
 import os
@@ -54,8 +53,7 @@ def test_the_program_is_a_module_too():
 
 def test_every_verb_is_where_the_table_has_it():
     for name, verb in leaves(JAXCAP):
-        module, _, cls = verb.place.rpartition(".")
-        found = getattr(importlib.import_module(f"jaxcap.cli.{module}"), cls)
+        found = verb.load()
         assert callable(found.run), name
         assert found.__doc__ and len(verb.summary) < 70 and not verb.summary.endswith(".")
 

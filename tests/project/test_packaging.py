@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-LONGEST_MODULE = 400
-
 
 def committed(checkout: Path) -> list[Path]:
     """The files git knows, where this is a git checkout."""
@@ -21,15 +19,6 @@ def committed(checkout: Path) -> list[Path]:
     if listed.returncode:
         pytest.skip("needs a git checkout")
     return [checkout / name for name in listed.stdout.split("\0") if name and (checkout / name).is_file()]
-
-
-def test_modules_are_short(checkout):
-    lengths = {
-        path.relative_to(checkout).as_posix(): len(path.read_text("utf-8").splitlines())
-        for path in (checkout / "jaxcap").rglob("*.py")
-    }
-    assert lengths
-    assert {name: length for name, length in lengths.items() if length > LONGEST_MODULE} == {}
 
 
 def test_nothing_committed_names_one_machine(checkout):

@@ -18,9 +18,9 @@ from ...energy.priors.temporal import second_difference
 from ...fit.alternate import alternate
 from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ...parallel import parallel_map
 from ..problems import stack, stack_pairs, unstack, window_problem
-from .pose import LENGTHS, UPHILL, move_within_boxes, same_pose
+from .known_pairs import KnownPairs
+from .pose import LENGTHS, UPHILL, move_within_boxes
 
 #: number of frames of a window, and number of frames by which it advances
 FRAMES, STRIDE = 11, 5
@@ -87,14 +87,8 @@ def smooth_windows(
     when = np.arange(len(poses)) if times is None else np.asarray(times)
     if not begin and boxes is not None:
         poses = [move_within_boxes(boxes, body.skeleton, pose) for pose in poses]
-    poses, known = list(poses), {}
-
-    def pairs_of_frames(window: dict[int, Pose]) -> list[Pairs]:
-        # reuse the pairs of unchanged poses: of the fixed frame, and of those from the window before
-        moved = {n: at for n, at in window.items() if n not in known or not same_pose(known[n][0], at)}
-        found = parallel_map(lambda each: pairs_at(*each), moved.items())
-        known.update((n, (at, pairs)) for (n, at), pairs in zip(moved.items(), found, strict=True))
-        return [known[n][1] for n in window]
+    # reuse the pairs of unchanged poses: of the fixed frame, and of those from the window before
+    poses, known = list(poses), KnownPairs()
 
     if len(poses) < 3:
         yield poses, len(poses)
@@ -105,13 +99,12 @@ def smooth_windows(
         stop = min(start + frames, len(poses))
         # the last window begins earlier, as another length would compile again
         start = max(stop - frames, 0)
-        for frame in [frame for frame in known if frame < start]:
-            del known[frame]
+        known.keep(range(start, stop))
         first, last = start, stop
 
         def remake(y: SequenceEstimate, first: int = first, last: int = last) -> SequenceProblem:
             window = dict(enumerate(unstack(y.poses, last - first), first))
-            pairs = stack_pairs(pairs_of_frames(window))
+            pairs = stack_pairs(known.pairs(body, window, pairs_at))
             return window_problem(
                 body,
                 pairs,

@@ -13,7 +13,8 @@ from ..problems import mean_square, stack
 from ..shape.reference import shape_prior_of
 from ..shape.shape_prior import shape_energy
 from ..task import AdaptState, Task
-from .pose import fit_pose, pairs_of, same_pose
+from .known_pairs import KnownPairs
+from .pose import fit_pose, pairs_of
 
 
 def pairs_at(task: Task, body: Body, pose: Pose, scan: Scan) -> Pairs:
@@ -51,13 +52,13 @@ class TaskPairs:
     def __init__(self, task: Task):
         self._task = task
         self._scans: dict[int, Scan] = {}
-        self._pairs: dict[int, tuple[Body, Pose, Pairs]] = {}
+        self._known = KnownPairs()
 
     def scans(self, frames: Sequence[int]) -> list[Scan]:
         """Return the scans of some frames, and discard all others from the cache."""
         for gone in set(self._scans) - set(frames):
             del self._scans[gone]
-            self._pairs.pop(gone, None)
+        self._known.keep(frames)
         for frame in frames:
             if frame not in self._scans:
                 self._scans[frame] = self._task.scan(frame)
@@ -65,16 +66,9 @@ class TaskPairs:
 
     def pairs(self, body: Body, frames: Sequence[int], poses: Sequence[Pose]) -> list[Pairs]:
         """Find the pairs of a body with the scans of some frames, on all cores."""
-        scans = self.scans(frames)
-        anew = [number for number, n in enumerate(frames) if not self._holds(n, body, poses[number])]
-        found = parallel_map(lambda k: pairs_at(self._task, body, poses[k], scans[k]), anew)
-        for number, pairs in zip(anew, found, strict=True):
-            self._pairs[frames[number]] = body, poses[number], pairs
-        return [self._pairs[frame][2] for frame in frames]
-
-    def _holds(self, frame: int, body: Body, pose: Pose) -> bool:
-        known = self._pairs.get(frame)
-        return known is not None and known[0] is body and same_pose(known[1], pose)
+        scans = dict(zip(frames, self.scans(frames), strict=True))
+        posed = dict(zip(frames, poses, strict=True))
+        return self._known.pairs(body, posed, lambda n, pose: pairs_at(self._task, body, pose, scans[n]))
 
 
 def told(

@@ -28,6 +28,11 @@ class Verb(NamedTuple):
     #: one line of the help
     summary: str
 
+    def load(self) -> Any:
+        """Import the class."""
+        module, _, name = self.place.rpartition(".")
+        return getattr(importlib.import_module(f"jaxcap.cli.{module}"), name)
+
 
 class Group(NamedTuple):
     """Verbs and groups of verbs by name."""
@@ -80,14 +85,13 @@ def help_of(group: Group, prog: str) -> str:
 
 def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
     """Parse arguments to an instance of a verb. Raises `InputError` if they are wrong."""
-    module, _, name = verb.place.rpartition(".")
     with leaving_at_once():
         from .compiled import prepare_jax
 
         prepare_jax(keep)
         import tyro
 
-        made = getattr(importlib.import_module(f"jaxcap.cli.{module}"), name)
+        made = verb.load()
     if {"-h", "--help"} & set(words):
         sys.stdout.write(verb_help(made, prog))
         raise SystemExit(0)
