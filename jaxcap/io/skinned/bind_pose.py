@@ -129,9 +129,9 @@ def motion_of(path: Path, bound: Bound, frames: Float[np.ndarray, "F J 4 4"], ra
 def inverted(path: Path, matrices: Float[np.ndarray, "*any 4 4"]) -> Float[np.ndarray, "*any 4 4"]:
     """Invert affine transforms. Raises `InputError` if one is singular."""
     flat = matrices[..., :3, :3]
-    sizes = np.linalg.norm(flat, axis=-2)
-    # a measure of singularity that does not depend on scale
-    with np.errstate(divide="ignore", invalid="ignore"):
+    # a measure of singularity that does not depend on scale; numbers too large for it are rejected as singular ones
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        sizes = np.linalg.norm(flat, axis=-2)
         room = np.abs(np.linalg.det(flat)) / np.prod(sizes, axis=-1)
     affine = np.abs(matrices[..., 3, :] - [0.0, 0, 0, 1]).max(initial=0) < 1e-3
     if not (room > 1e-6).all() or not affine:

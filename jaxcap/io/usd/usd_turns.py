@@ -35,7 +35,8 @@ def _check(path: Path, prim: "Usd.Prim", attribute: Any) -> None:
     for time in attribute.GetTimeSamples() or (None,):
         turns = _numbers(attribute.Get() if time is None else attribute.Get(time))
         # numbers that are not finite are reported for the transforms that are computed from them
-        short = np.linalg.norm(turns, axis=1) <= LEAST
+        with np.errstate(over="ignore"):
+            short = np.linalg.norm(turns, axis=1) <= LEAST
         if short.any():
             row = int(short.argmax())
             when = "" if time is None else f" at time {time:g}"

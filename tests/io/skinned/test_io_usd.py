@@ -1,6 +1,7 @@
 """USD: what OpenUSD's own skinning makes of the file is what `pose_body` says, and what cannot be written."""
 
 import builtins
+from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from jaxcap.body.body import deform_all
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import Skeleton
 from jaxcap.errors import InputError
+from jaxcap.io.skinned.bind_pose import inverted
 from jaxcap.io.usd import usd_child
 from jaxcap.io.usd.usd import write_usd
 from jaxcap.io.usd.usd_reader import read_usd_body
@@ -320,3 +322,9 @@ def test_a_file_that_brings_openusd_down_is_refused(tmp_path, monkeypatch, progr
     monkeypatch.setattr(usd_child, "_WAIT", 2 if "sleep" in program else 60)
     with pytest.raises(InputError, match=f"not a whole USD file .{told}.; export it again"):
         read_usd_body(tmp_path / "body.usdc")
+
+
+def test_transforms_beyond_all_numbers_are_refused_without_a_warning():
+    """Their lengths and determinants overflow."""
+    with pytest.raises(InputError, match="cannot be inverted"):
+        inverted(Path("body.usdc"), np.diag([1e200, 1e200, 1e200, 1.0])[None])
