@@ -164,7 +164,7 @@ def large_groups(points: Float[np.ndarray, "N 3"], height: float, whole: int) ->
 def connected(points: Float[np.ndarray, "N 3"], link: float) -> Int[np.ndarray, "N"]:
     """Label connected components of points.
 
-    Cells have a side of half a `link`, metres. Occupied cells at most two sides apart are connected.
+    Cells have a side of half a `link`, metres. Occupied cells are connected if their distance is at most two sides.
     """
     cells, cell_of = np.unique(np.floor(points / (link / 2)).astype(int), axis=0, return_inverse=True)
     pairs = KDTree(cells).query_pairs(2.0, output_type="ndarray")

@@ -40,7 +40,7 @@ class Distances(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """One body and its distances from the scans."""
+    """The distances of a body from the scans."""
 
     name: str
     body: Body

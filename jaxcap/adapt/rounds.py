@@ -1,4 +1,4 @@
-"""One round of an adaptation: proportions, or joints and vertices, with some poses (Adaptation, 4.1.4)."""
+"""A round of an adaptation: proportions, or joints and vertices, with some poses (Adaptation, 4.1.4)."""
 
 from collections.abc import Callable
 

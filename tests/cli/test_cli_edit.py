@@ -1,24 +1,19 @@
 """`jaxcap edit` as a user types it, and what is refused."""
 
 import json
-import re
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 from command_line import fails, runs
-from stick_person import build
 
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.cli import main
-from jaxcap.edit.retargeting.soles import lowest
-from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
 from jaxcap.io.meshes.colours import read_colours
 from jaxcap.io.registry import read_motion
-from jaxcap.io.skeletons.joint_names import read_joint_names
 
 SKELETON = jc.make_skeleton(
     ["Hips", "Chest", "Neck", "Head", "LeftArm", "RightArm"],
@@ -110,119 +105,6 @@ def test_gaze_goes_to_a_target_for_some_frames(capsys, folder):
     found = jc.load_motion(out).poses.rotations
     np.testing.assert_array_equal(found[:10], gait().poses.rotations[:10])
     assert np.abs(found[30] - gait().poses.rotations[30]).max() > 0.01
-
-
-def test_retarget_brings_feet_to_the_floor_and_hands_together(capsys, folder):
-    from jaxcap.demo.performance import walk_and_wave
-
-    tall = jc.human(resolution="low", height=1.9)
-    jc.save_motion(folder / "tall.npz", walk_and_wave(tall.skeleton, 0.4, 10.0), tall.skeleton)
-    (folder / "points.txt").write_text("LeftHand LeftHand\nRightHand RightHand 2  # twice\n")
-    told = runs(capsys, "edit", "retarget", folder / "tall.npz", "human:height=1.5,low", "-o", folder / "short.npz",
-                "--by", "names", "--source", "human:height=1.9,low", "--ground", "--points", folder / "points.txt")  # fmt: skip
-    assert "by the names of joints" in told and "LeftHand and LeftHand: " in told
-    moved = jc.load_motion(folder / "short.npz")
-    short = jc.human(resolution="low", height=1.5)
-    assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.02
-    told = runs(capsys, "edit", "retarget", folder / "tall.npz", "human:height=1.5,low", "-o", folder / "skin.npz",
-                "--source", "human:height=1.9,low")  # fmt: skip
-    assert "retargeted by the surface" in told
-    moved = jc.load_motion(folder / "skin.npz")
-    assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.01
-
-
-def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, folder):
-    """Joints of another program; and arms that nothing shows, until a table says which they are."""
-    target = build()
-    still = lambda skeleton: jc.stack_poses([jc.rest_pose(skeleton)] * 2)  # noqa: E731
-    jc.save_motion(folder / "sticks.npz", still(target), target)
-    scheme = "Hips {s}UpperLeg {s}LowerLeg {s}Foot {s}Toes Spine Chest Neck Tail_1 Collar_{s} UpperArm_{s} LowerArm_{s} Hand_{s}"
-    source = build(scheme=scheme)
-    jc.save_motion(folder / "other_rig.npz", still(source), source)
-    words = ("edit", "retarget", folder / "other_rig.npz", folder / "sticks.npz", "-o")
-    told = runs(capsys, *words, folder / "matched.npz", "--write-names", folder / "table.json")
-    assert "20 joints of the source match one of the target" in told and "LeftUpperLeg = LeftUpLeg" in told
-    assert "no match in the source: Tail_1: left out" in told
-    assert "no match in the target: Head: stays at rest, moved by Neck" in told
-    table = read_joint_names(folder / "table.json")
-    assert table["LowerArm_Left"] == "LeftForeArm" and table["Tail_1"] is None
-    # arms by names that say something else, of which no lengths show what they are
-    wrong = {name: f"tail_{row}" for row, name in enumerate(source.names) if "Arm" in name or "Hand" in name}
-    called = [wrong.get(name, name) for name in source.names]
-    source = jc.make_skeleton(called, source.parents, source.kinds, source.centres)
-    jc.save_motion(folder / "other_rig.npz", still(source), source)
-    said = fails(capsys, *words, folder / "armed.npz")
-    assert (
-        "No arm of the target has a match in the source" in said
-        and "armed_names.json has what was found" in said
-    )
-    assert not (folder / "armed.npz").exists()
-    table = json.loads((folder / "armed_names.json").read_text())
-    assert "LeftForeArm" in table["unmatched"] and table["names"]["LeftUpperLeg"] == "LeftUpLeg"
-    said = fails(capsys, *words, folder / "armed.npz")
-    assert "armed_names.json is there already" in said
-    for name, other in wrong.items():
-        side = "Left" if "Left" in name else "Right"
-        part = {"UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand"}[name.split("_")[0]]
-        table["names"][other] = side + part
-    (folder / "armed_names.json").write_text(json.dumps(table))
-    told = runs(capsys, *words, folder / "armed.npz", "--names", folder / "armed_names.json")
-    # clavicles and chest are still "" in the table, and show as soon as there are arms
-    assert "20 joints of the source match" in told and "LowerArm_Left" not in told
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{", "names.json:1: this is not JSON"),
-        ('{"a": 1}', "'a' leads to 1"),
-        ('{"a": "b", "a": "c"}', "'a' stands twice"),
-        ('{"format": "other", "names": {}}', "this is 'other' of version None"),
-        ("[]", "there is no table of joints"),
-        ("[" * 100000, "nested too deeply"),
-    ],
-)
-def test_damaged_tables_of_joints_end_in_one_sentence(tmp_path, text, said):
-    path = tmp_path / "names.json"
-    path.write_text(text)
-    with pytest.raises(InputError, match=re.escape(said)):
-        read_joint_names(path)
-
-
-@pytest.fixture(scope="module")
-def upright():
-    """A stick figure on legs, and the same lying as programs with z up have it."""
-    names = ["Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot", "Head"]
-    left = [[0.1, 0.9, 0], [0.1, 0.5, 0.01], [0.1, 0.1, 0]]
-    centres = np.array([[0, 1.0, 0], *left, *(np.array(left) * [-1, 1, 1]), [0, 1.6, 0]])
-    build = lambda x: jc.make_skeleton(names, [-1, 0, 1, 2, 0, 4, 5, 0], ["free"] + ["ball"] * 7, x)  # noqa: E731
-    return build(centres), build(centres @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
-
-
-def test_the_floor_of_a_motion_with_z_up_is_below_its_feet(capsys, folder, upright):
-    """Somebody walks away along -y, half a metre over the origin, and is given to a body of three quarters."""
-    tall, lying = upright
-    steps = np.zeros((6, 8, 3))
-    steps[:, 0] = [0, -2.0, 0.4] + np.arange(6)[:, None] * [0, -0.3, 0.01]
-    still = jnp.tile(jnp.array([1.0, 0, 0, 0]), (6, 8, 1))
-    motion = jc.Motion(jc.Pose(jnp.asarray(steps), still, jnp.ones(6)), 30.0)
-    jc.write_bvh(folder / "lying.bvh", lying, motion)
-    small = jc.make_skeleton(tall.names, tall.parents, tall.kinds, 0.75 * np.asarray(tall.centres))
-    box = trimesh.creation.box((0.6, 1.2, 0.3)).subdivide()
-    vertices = jnp.asarray(box.vertices + [0, 0.6, 0])
-    body = jc.Body(small, jc.RigidSkin(jnp.zeros(len(vertices), int)), vertices, jnp.asarray(box.faces))
-    jc.save_body(folder / "small.npz", body)
-    (folder / "feet.txt").write_text("LeftFoot LeftFoot\n")
-    told = runs(capsys, "edit", "retarget", folder / "lying.bvh", folder / "small.npz", "-o", folder / "up.npz", "--ground",
-                "--points", folder / "feet.txt")  # fmt: skip
-    # the lowest joint is 0.1 m over the soles and goes from 0.5 m on
-    assert "1 m becomes 0.750 m, the floor is at 0.50" in told
-    assert "LeftFoot and LeftFoot: 0.0 mm apart, 0.0 mm at most" in told
-    moved = jc.load_motion(folder / "up.npz")
-    low = lowest(body, moved.poses, np.array([0, 0, 1.0]))
-    np.testing.assert_allclose(low, 0.501 + 0.75 * 0.01 * np.arange(6), atol=2e-3)
-    feet = np.asarray(joint_paths(small, moved.poses))[:, 3]
-    np.testing.assert_allclose(feet[:, 1], 0.75 * (-2.0 - 0.3 * np.arange(6)), atol=1e-3)
 
 
 def test_motions_that_do_not_say_whose_they_are_take_the_body(capsys, folder):
@@ -384,42 +266,6 @@ def test_a_floor_in_another_unit_is_told(capsys, folder):
     main(["edit", "retarget", *(str(folder / name) for name in ("a.npz", "b.bvh")), "-o", str(folder / "far.npz"),
           "--floor", "80"])  # fmt: skip
     assert "--floor is 80 m, and the lowest joint of the motion is at" in capsys.readouterr().err
-
-
-def test_two_files_that_do_not_say_their_units(capsys, folder):
-    """`info` proposes the unit of each, and both can be given."""
-    person = build()
-    still = jc.stack_poses([jc.rest_pose(person)] * 2)
-    for name in ("one.bvh", "two.bvh", "cm.bvh"):
-        jc.write_bvh(folder / name, person, still, unit="cm" if name == "cm.bvh" else "dm")
-    jc.save_motion(folder / "metres.npz", still, person)
-    next_line = runs(capsys, "info", folder / "one.bvh").splitlines()[-1]
-    assert (
-        "view" in next_line
-        and f"edit retarget {folder / 'one.bvh'} human -o human.npz --unit dm`" in next_line
-    )
-    assert "--unit 0.1`" in runs(capsys, "info", folder / "one.bvh", "--unit", 0.1)
-    assert "--unit" not in runs(capsys, "info", folder / "cm.bvh")
-    words = (
-        "edit",
-        "retarget",
-        folder / "one.bvh",
-        folder / "two.bvh",
-        "-o",
-        folder / "both.npz",
-        "--unit",
-        "dm",
-    )
-    said = fails(capsys, *words)
-    assert (
-        "say by --unit what the motion's lengths are in or by --target-unit what the target's lengths are in"
-        in said
-    )
-    assert "1 m becomes 1.000 m" in runs(capsys, *words, "--target-unit", "dm")
-    said = fails(capsys, *words[:3], folder / "metres.npz", *words[4:], "--overwrite", "--target-unit", "dm")
-    assert "metres.npz: this says its unit itself; leave --target-unit dm out" in said
-    jc.write_bvh(folder / "vast.bvh", person, still, unit=1e-9)
-    assert "no usual unit makes it a person's" in runs(capsys, "info", folder / "vast.bvh")
 
 
 def test_a_skeleton_is_retargeted_to_itself(capsys, folder):
