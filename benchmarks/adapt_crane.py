@@ -19,7 +19,7 @@ from benchmarks._crane import frame_cloud, load_crane
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan
-from jaxcap.adapt.prepare import make_task
+from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.demo.picture import View, draw
 from jaxcap.metrics import scan_to_surface
 
@@ -48,7 +48,7 @@ def main() -> None:
     count = min(options.frames or len(crane.frames), len(crane.frames))
     clouds = [frame_cloud(crane, frame, POINTS) for frame in range(count)]
     template = jc.human(joints="tracking", resolution="medium")
-    task = make_task(template, clouds, RATE)
+    task = make_adapt_task(template, clouds, RATE)
     begin, stages, states = time.perf_counter(), plan(task.settings), []
     for state in adapt_body(task):
         states.append(state)

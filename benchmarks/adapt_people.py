@@ -28,7 +28,7 @@ from benchmarks._learning import learn, meshes_of, varied_poses
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan
-from jaxcap.adapt.prepare import make_task
+from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.decimate import reduce_body
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker
@@ -181,7 +181,7 @@ def adapt(
     template: Template, clouds: list[jc.Cloud], start: jc.Pose | None, label: str
 ) -> tuple[list[AdaptState], float]:
     """The states after every stage, and seconds."""
-    task = make_task(template.body, clouds, start=start, likely=template.likely)
+    task = make_adapt_task(template.body, clouds, start=start, likely=template.likely)
     begin, states = time.perf_counter(), []
     stages = plan(task.settings)
     for state in adapt_body(task):

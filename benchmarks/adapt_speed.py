@@ -23,7 +23,7 @@ from benchmarks.adapt_people import ACTORS, TAKES, first_pose, make_actor, scans
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import adapt_body, plan
 from jaxcap.adapt.poses.pose import fit_pose
-from jaxcap.adapt.prepare import make_task
+from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.body.pose import retract
 from jaxcap.energy.priors.prior import RestPrior
@@ -99,7 +99,7 @@ def main() -> None:
         progress(f"Open3D {rigid['version']}, one rigid body: {rigid['seconds']:.3f} s")
         figures |= {"open3d_rigid_s": rigid["seconds"], "ratio_to_open3d": seconds / rigid["seconds"]}
     template = jc.human(joints="tracking", resolution="medium")
-    task = make_task(template, clouds, start=first_pose(motion, actor, template, "given"))
+    task = make_adapt_task(template, clouds, start=first_pose(motion, actor, template, "given"))
     begin, stages, last = time.perf_counter(), plan(task.settings), None
     for last in adapt_body(task):
         progress(

@@ -21,8 +21,8 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
 from benchmarks._scenes import about_vertical, human_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import AdaptState, Settings, adapt_body, plan
-from jaxcap.adapt.prepare import make_task
+from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, adapt_body, plan
+from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.demo.picture import View, draw
 from jaxcap.demo.scanner import sample_surface
 from jaxcap.metrics import scan_to_surface
@@ -88,10 +88,10 @@ def distances(state: AdaptState, clouds: list[jc.Cloud]) -> list[np.ndarray]:
     return found
 
 
-def adapt(scene: Scene, settings: Settings, resolution: str, label: str) -> tuple[AdaptState, bool]:
+def adapt(scene: Scene, settings: AdaptSettings, resolution: str, label: str) -> tuple[AdaptState, bool]:
     """The last state, and whether the scans were taken without an order."""
     template = jc.human(joints="tracking", resolution=resolution)
-    task = make_task(template, scene.clouds, RATE, settings=settings)
+    task = make_adapt_task(template, scene.clouds, RATE, settings=settings)
     begin, stages, state = time.perf_counter(), plan(task.settings), None
     for state in adapt_body(task):
         medians = ""
@@ -148,7 +148,7 @@ def main() -> None:
     parser.add_argument("--ordered-too", action="store_true", help="also as if scans followed each other")
     parser.add_argument("--pictures", type=Path, help="a folder for the frames that are furthest off")
     options = parser.parse_args()
-    settings = Settings(frames=8, alone=3, rounds=(2, 2)) if options.short else Settings()
+    settings = AdaptSettings(frames=8, alone=3, rounds=(2, 2)) if options.short else AdaptSettings()
     shared, begin = shared_folder(), time.perf_counter()
     figures, limits = {}, {}
     for name in options.scenes:

@@ -6,7 +6,7 @@ import numpy as np
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import Settings, Task
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask
 from jaxcap.adapt.shape.scale import resized
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.demo.scanner import sample_surface
@@ -53,9 +53,9 @@ def words(folder, *more) -> tuple:
     return "adapt", folder / "body.npz", folder / "*.ply", "-o", folder / "a.npz", *more
 
 
-def task_of(scene, **changes) -> Task:
+def task_of(scene, **changes) -> AdaptTask:
     template, _, poses, clouds = scene
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
-    settings = Settings(frames=3, alone=1, rounds=(1,))
+    settings = AdaptSettings(frames=3, alone=1, rounds=(1,))
     whole = [jc.make_cloud(*cloud) for cloud in clouds]
-    return Task(template, whole.__getitem__, FRAMES, 10.0, poses[0], prior, (), settings)._replace(**changes)
+    return AdaptTask(template, whole.__getitem__, FRAMES, 10.0, poses[0], prior, (), settings)._replace(**changes)

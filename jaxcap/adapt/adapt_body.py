@@ -26,9 +26,9 @@ from .rounds import shape_weight as shape_weight
 from .rounds import spread_frames as spread_frames
 from .shape.scale import fit_size
 from .task import AdaptState as AdaptState
-from .task import Settings as Settings
+from .task import AdaptSettings as AdaptSettings
 from .task import Stage as Stage
-from .task import Task as Task
+from .task import AdaptTask as AdaptTask
 from .task import plan as plan
 from .task import tracker_of
 
@@ -51,7 +51,7 @@ Steps = Generator[AdaptState, None, AdaptState]
 
 
 @checked
-def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> Iterator[AdaptState]:
+def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0) -> Iterator[AdaptState]:
     """Adapt a template to an actor, and yield the state after every stage.
 
     The stages (`plan`) are: estimate the actor's size in the first frames; track all frames; estimate
@@ -84,7 +84,7 @@ def adapt_body(task: Task, state: AdaptState | None = None, every: int = 0) -> I
         yield (state := state._replace(done=number + 1))
 
 
-def _size(task: Task) -> AdaptState:
+def _size(task: AdaptTask) -> AdaptState:
     """Estimate the first poses and the actor's size."""
     # the first of unordered scans does not lead to the next one
     frames = task.scanned[: 1 if task.settings.unordered else SIZED]
@@ -98,7 +98,7 @@ def _size(task: Task) -> AdaptState:
     return best._replace(motion=_every_frame(task, poses))
 
 
-def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body, size: float) -> AdaptState:
+def _sized(task: AdaptTask, scans: Sequence[Scan], frames: Sequence[int], body: Body, size: float) -> AdaptState:
     """Estimate poses and size from a body that is the template scaled by `size`."""
     settings, search = task.settings, task.start is None
     weight = FIRST_WEIGHT if settings.pose is None else settings.pose
@@ -128,7 +128,7 @@ def _sized(task: Task, scans: Sequence[Scan], frames: Sequence[int], body: Body,
     return state._replace(weight=weight)
 
 
-def _every_frame(task: Task, poses: Mapping[int, Pose]) -> Motion:
+def _every_frame(task: AdaptTask, poses: Mapping[int, Pose]) -> Motion:
     """Fill in the poses of all frames by linear interpolation between the known ones."""
     known, every = sorted(poses), []
     for frame in range(task.frames):
@@ -148,7 +148,7 @@ def _between(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Array, 
     return retract(skeleton, before, share * difference(skeleton, before, after))
 
 
-def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _turn(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Correct flipped hands, which show with the actor's proportions, and track all frames again."""
     if task.settings.unordered:
         return (yield from _turn_each(task, state, stage, every))
@@ -167,7 +167,7 @@ def _turn(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     return (yield from _track(task, state, stage, every, turned[0]))
 
 
-def _turn_each(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _turn_each(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Correct flipped hands in each of unordered scans by itself."""
     tracker, there = tracker_of(task, state.body), task.scanned
     while state.within < len(there):
@@ -183,7 +183,7 @@ def _turn_each(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps
     return told(task, state._replace(within=0), str(stage), some_of(there))
 
 
-def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose | None = None) -> Steps:
+def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: Pose | None = None) -> Steps:
     """Track all frames, or the first ones, and search for lost poses.
 
     A frame keeps its pose if the tracker finds none that explains it better.
@@ -227,7 +227,7 @@ def _track(task: Task, state: AdaptState, stage: Stage, every: int, start: Pose 
     return told(task, state, str(stage), some_of(task.scanned) if stage.frames is None else there[-1:])
 
 
-def _find(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _find(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Find the poses of unordered scans, each from the most similar ones."""
     there = task.scanned
     poses = {n: state.motion[n] for n in there}
@@ -239,7 +239,7 @@ def _find(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     return told(task, flag_frames(task, state), str(stage), some_of(there))
 
 
-def _poses(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Fit every pose by itself with pairs in both directions, `every` frames at a time."""
     there = task.scanned
     while state.within < len(there):
@@ -253,7 +253,7 @@ def _poses(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     return told(task, state._replace(within=0), str(stage), some_of(task.scanned))
 
 
-def _smooth(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Smooth all poses in time; those of frames without a scan are interpolated."""
     settings, body, there = task.settings, state.body, task.scanned
     if not state.within:
@@ -292,7 +292,7 @@ def _smooth(task: Task, state: AdaptState, stage: Stage, every: int) -> Steps:
     return told(task, state, str(stage), some_of(task.scanned))
 
 
-_STAGES: dict[str, Callable[[Task, AdaptState, Stage, int], Steps]] = {
+_STAGES: dict[str, Callable[[AdaptTask, AdaptState, Stage, int], Steps]] = {
     "track": _track,
     "turn": _turn,
     "pose": _poses,

@@ -17,7 +17,7 @@ from ..geometry.camera import Camera, check_sees
 from ..geometry.closest import nearest_on_surface
 from ..observe import Cloud, make_cloud
 from .adapt_body import adapt_body
-from .task import AdaptState, Task
+from .task import AdaptState, AdaptTask
 
 #: largest distance of an explained point, as a share of the body's height, and least cosine between the
 #: normals
@@ -81,7 +81,7 @@ def check_cameras(cameras: Sequence[Camera], clouds: Sequence[Float[np.ndarray, 
         )
 
 
-def check_actor(task: Task, state: AdaptState, where: str) -> None:
+def check_actor(task: AdaptTask, state: AdaptState, where: str) -> None:
     """Check that the first scan shows one person, with the body after the stage `size`.
 
     `where` names the scan in messages.
@@ -172,7 +172,7 @@ def connected(points: Float[np.ndarray, "N 3"], link: float) -> Int[np.ndarray, 
     return connected_components(graph, directed=False)[1][cell_of.reshape(-1)]
 
 
-def _likeness_alone(task: Task, cloud: Cloud) -> Likeness:
+def _likeness_alone(task: AdaptTask, cloud: Cloud) -> Likeness:
     """Fit the template, with its size, to a cloud alone and measure how well it explains it."""
     alone = task._replace(cloud=lambda _: cloud, frames=1, start=None, cameras=(), missing=(), mesh=None)
     return likeness(next(adapt_body(alone)), 0, make_scan(cloud))[0]

@@ -19,7 +19,7 @@ from ..body.pose import Motion, Pose, stack_poses
 from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
-from .adapt_body import AdaptState, Settings, Task, adapt_body, plan
+from .adapt_body import AdaptState, AdaptSettings, AdaptTask, adapt_body, plan
 from .shape.scale import resized
 
 #: width of a bin of distances, the resolution of percentiles, and the distance of the last bin, metres
@@ -77,13 +77,13 @@ class Stages(NamedTuple):
     angles: Angles | None = None
 
 
-def variant_names(settings: Settings) -> list[str]:
+def variant_names(settings: AdaptSettings) -> list[str]:
     """List the names of the variants of `compare_stages`."""
     names = ["not adapted", "first frame", "many frames"]
     return [*names, "smooth"] if settings.smooth else names
 
 
-def compare_stages(task: Task, state: AdaptState, *, step: int = 1) -> Iterator[Stages]:
+def compare_stages(task: AdaptTask, state: AdaptState, *, step: int = 1) -> Iterator[Stages]:
     """Measure a finished adaptation, and yield the results after every variant.
 
     `not adapted` is the template at the actor's size, `first frame` the template adapted to one scan, `many
@@ -175,7 +175,7 @@ def _weighed_quantile(values: Float[np.ndarray, "B"], counts: Int[np.ndarray, "B
     return float(values[np.searchsorted(passed, share * passed[-1])]) if passed[-1] else float("nan")
 
 
-def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
+def _until_poses(task: AdaptTask, state: AdaptState, adapted: int) -> AdaptState:
     """Adapt a body to the first `adapted` frames (none or one), and track it in all frames."""
     own = task.settings
     settings = own._replace(
@@ -187,7 +187,7 @@ def _until_poses(task: Task, state: AdaptState, adapted: int) -> AdaptState:
     return state
 
 
-def _each_by_itself(task: Task, state: AdaptState, frames: Sequence[int]) -> Motion:
+def _each_by_itself(task: AdaptTask, state: AdaptState, frames: Sequence[int]) -> Motion:
     """Fit the poses of some frames by the stage `pose`, from those of a state."""
     settings = task.settings._replace(every=0, alone=0, rounds=(), temporal=0.0)
     some = task.some(frames)._replace(settings=settings)
@@ -200,7 +200,7 @@ def _taken(motion: Motion, frames: Sequence[int]) -> Motion:
     return stack_poses([motion[frame] for frame in frames], motion.rate)
 
 
-def _measured(stages: Stages, task: Task, state: AdaptState, motion: Motion) -> Stages:
+def _measured(stages: Stages, task: AdaptTask, state: AdaptState, motion: Motion) -> Stages:
     """Measure the distances of a body in the measured frames, and append them as a variant."""
     body, faces = state.body, np.asarray(state.body.faces)
     to_body, to_scan = no_distances(), no_distances()

@@ -17,7 +17,7 @@ from ..fit.judgement.verdict import Judgement, judge_evidence
 from ..geometry.camera import Camera
 from ..geometry.closest import nearest_on_surface
 from ..observe import Cloud, thin_cloud
-from .task import AdaptState, Task
+from .task import AdaptState, AdaptTask
 
 #: number of points of a scan with measured distances
 POINTS = 1000
@@ -31,7 +31,7 @@ NO_SCAN = "no scan that can be used"
 _posed = eqx.filter_jit(pose_body)
 
 
-def flag_frames(task: Task, state: AdaptState, *, final: bool = False) -> AdaptState:
+def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> AdaptState:
     """Judge the poses of all frames by one rule, and record the `lost` frames and their `reasons`.
 
     A frame is judged by part (`fit.judgement`) and by its median distance from the body. Both are compared
@@ -53,7 +53,7 @@ def flag_frames(task: Task, state: AdaptState, *, final: bool = False) -> AdaptS
     return state._replace(lost=frames, reasons=tuple(reasons[frame] for frame in frames))
 
 
-def judge_parts(task: Task, state: AdaptState) -> list[Judgement]:
+def judge_parts(task: AdaptTask, state: AdaptState) -> list[Judgement]:
     """Compare each scanned frame by part with the usual values of all frames."""
     surface = judged_surface(state.body)
 

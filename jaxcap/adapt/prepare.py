@@ -20,18 +20,18 @@ from ..observe import Cloud, CloudFrames
 from .poses.similarity import is_unordered
 from .shape.shape_prior import ShapePrior
 from .shape.shape_space import people_like
-from .task import Settings, Task, check_settings
+from .task import AdaptSettings, AdaptTask, check_settings
 
 
 @checked
-def make_task(
+def make_adapt_task(
     template: Body,
     clouds: Cloud | Sequence,
     rate: float = 30.0,
     *,
     start: Pose | None = None,
     likely: AbstractEnergy | None = None,
-    settings: Settings = Settings(),
+    settings: AdaptSettings = AdaptSettings(),
     cameras: Sequence[Camera] = (),
     missing: Sequence[int] = (),
     boxes: PoseBoxes | None = None,
@@ -39,7 +39,7 @@ def make_task(
     mesh: Callable[[int], Scan] | None = None,
     terms: OwnTerms = (),
     whole: Body | None = None,
-) -> Task:
+) -> AdaptTask:
     """Make the task of `adapt_body`.
 
     Poses have an anatomical prior around rest, and left bones are as long as right ones. If the template is a
@@ -49,7 +49,7 @@ def make_task(
     `read_clouds`; `rate`, frames per second; `start`, a pose near that of the first frame, searched for if
     None; `likely`, a further pose prior, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further
     energies of every frame's posed body in units of a log-likelihood, such as `make_floor(template)`, which
-    act in all stages; `whole`, the body that the template was reduced from; the others as in `Task`. The
+    act in all stages; `whole`, the body that the template was reduced from; the others as in `AdaptTask`. The
     order of the scans in time is detected from some of them, unless `settings.unordered` is given.
 
     **Raises:** `InputError` if no frame has a cloud, a setting is out of its range, or `settings` are
@@ -75,7 +75,7 @@ def make_task(
             "motion need; leave these out (every, temporal; --adapt-every, --smoothness), or give unordered=False or "
             "--ordered if they do."
         )
-    return Task(
+    return AdaptTask(
         template=template,
         cloud=clouds.__getitem__,
         frames=len(clouds),

@@ -23,7 +23,7 @@ from .shape.joint_regressor import make_joint_regressor, regress_joints
 from .shape.reference import reference, shape_prior_of
 from .shape.shape_space import People, person, traits_like
 from .shape.surface import adapt_shape, adapt_together
-from .task import AdaptState, Settings, Stage, Task
+from .task import AdaptState, AdaptSettings, Stage, AdaptTask
 
 #: finds the stacked pairs of a body in its poses in a round's frames
 PairsOfAll = Callable[[Body, list[Pose]], Pairs]
@@ -34,7 +34,7 @@ SLIDING = 0.005
 DAMPING = 1e-3
 
 
-def adapt_round(task: Task, state: AdaptState, meetings: TaskPairs, stage: Stage) -> AdaptState:
+def adapt_round(task: AdaptTask, state: AdaptState, meetings: TaskPairs, stage: Stage) -> AdaptState:
     """Take one round on shared unknowns and the chosen frames' poses; `meetings` caches their scans."""
     settings = task.settings
     if stage.number == 0 and stage.round == 1 and task.people is not None:
@@ -85,7 +85,7 @@ def _as_person(people: People, state: AdaptState) -> AdaptState:
 
 
 def _proportions(
-    task: Task, state: AdaptState, poses: list[Pose], pairs_of_all: PairsOfAll
+    task: AdaptTask, state: AdaptState, poses: list[Pose], pairs_of_all: PairsOfAll
 ) -> tuple[Body, list[Pose], tuple[float, ...]]:
     """Estimate proportions by shape coefficients, or without a shape space by joints that move their skin."""
     if task.people is None:
@@ -101,7 +101,7 @@ def _proportions(
 
 
 def _surface(
-    task: Task, state: AdaptState, poses: list[Pose], pairs_of_all: PairsOfAll, stage: Stage
+    task: AdaptTask, state: AdaptState, poses: list[Pose], pairs_of_all: PairsOfAll, stage: Stage
 ) -> tuple[Body, list[Pose]]:
     """Adapt joints within the skin and then vertices, or both in one step."""
     modes, belief = joint_modes(state.body, follow=False), _joints_beside(task, state)
@@ -117,7 +117,7 @@ def _surface(
 
 
 def _step(
-    task: Task,
+    task: AdaptTask,
     state: AdaptState,
     poses: list[Pose],
     pairs_of_all: PairsOfAll,
@@ -145,12 +145,12 @@ def step_of(problem: SequenceProblem, poses: Pose) -> tuple[Body, Pose, Float[Ar
     return problem.body_at(found.values), found.poses, found.values["modes"]
 
 
-def _problem(task: Task, state: AdaptState, pairs, modes: Modes, belief: Belief, mirrored) -> SequenceProblem:
+def _problem(task: AdaptTask, state: AdaptState, pairs, modes: Modes, belief: Belief, mirrored) -> SequenceProblem:
     weights = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
     return shared_problem(state.body, pairs, task.prior, modes, belief, mirrored, *weights, terms=task.terms)
 
 
-def _joints_beside(task: Task, state: AdaptState) -> Belief:
+def _joints_beside(task: AdaptTask, state: AdaptState) -> Belief:
     """Make the prior of joints at their positions regressed from the surface."""
     body = state.body
     beside = regress_joints(make_joint_regressor(reference(task, state)), np.asarray(body.vertices, float))
@@ -158,7 +158,7 @@ def _joints_beside(task: Task, state: AdaptState) -> Belief:
     return Belief(shifts, jnp.full_like(shifts, task.settings.joint))
 
 
-def shape_weight(settings: Settings, stage: Stage) -> float:
+def shape_weight(settings: AdaptSettings, stage: Stage) -> float:
     """Interpolate the weight of the shape term geometrically over a pass.
 
     The first pass begins with the first weight; later ones begin with the geometric mean of the first and the

@@ -22,7 +22,7 @@ from .shape.shape_space import People
 TIMES = 10
 
 
-class Settings(NamedTuple):
+class AdaptSettings(NamedTuple):
     """The settings of an adaptation.
 
     Weights are relative to the mean squared distance of a pair, metres squared. The weight of `shape` is
@@ -55,7 +55,7 @@ class Settings(NamedTuple):
     #: solve for vertices, joints and poses in one step of each round, not one after the other
     together: bool = False
     #: the scans are not ordered in time: no term couples them, and the search for a pose starts from the most
-    #: similar scans; None lets `make_task` determine it from the scans
+    #: similar scans; None lets `make_adapt_task` determine it from the scans
     unordered: bool | None = None
 
     @property
@@ -64,7 +64,7 @@ class Settings(NamedTuple):
         return self.temporal != 0.0 and not self.unordered
 
 
-def check_settings(settings: Settings) -> None:
+def check_settings(settings: AdaptSettings) -> None:
     """Check that settings are in their ranges.
 
     **Raises:** `InputError` for the first setting that is not.
@@ -108,7 +108,7 @@ class AdaptState(NamedTuple):
     reasons: tuple[str, ...] = ()
 
 
-class Task(NamedTuple):
+class AdaptTask(NamedTuple):
     """The constant inputs of an adaptation."""
 
     template: Body
@@ -121,7 +121,7 @@ class Task(NamedTuple):
     prior: AbstractEnergy
     #: pairs of joints, left and right, with bones of equal length
     mirrored: tuple[tuple[int, int], ...]
-    settings: Settings
+    settings: AdaptSettings
     #: the shape space of people with the template's triangles
     people: People | None = None
     #: the calibrated, static sensors: vertices that none of them sees are in no pair; empty disables this
@@ -196,7 +196,7 @@ class Stage(NamedTuple):
         )
 
 
-def plan(settings: Settings) -> list[Stage]:
+def plan(settings: AdaptSettings) -> list[Stage]:
     """List the stages of an adaptation in order."""
     stages = [Stage("size")]
     if settings.every:
@@ -215,6 +215,6 @@ def plan(settings: Settings) -> list[Stage]:
     return [*stages, Stage("smooth")] if settings.smooth else stages
 
 
-def tracker_of(task: Task, body: Body) -> Tracker:
+def tracker_of(task: AdaptTask, body: Body) -> Tracker:
     """Make a tracker of the current body with the task's terms."""
     return make_tracker(body, terms=() if task.terms is None else terms_of(task.terms))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..adapt.adapt_body import AdaptState, Task
+from ..adapt.adapt_body import AdaptState, AdaptTask
 from ..adapt.evaluate import Stages, Variant, quantile, summary_of
 from ..adapt.objective import Terms
 from ..body.body import Body
@@ -72,7 +72,7 @@ PACKAGES = ("jaxcap", "jax", "numpy", "scipy")
 
 
 def report_adaptation(
-    path: str | Path, task: Task, state: AdaptState, stages: Stages, how: Mapping[str, object]
+    path: str | Path, task: AdaptTask, state: AdaptState, stages: Stages, how: Mapping[str, object]
 ) -> None:
     """Write the report as one HTML file that includes all pictures.
 
@@ -84,7 +84,7 @@ def report_adaptation(
     write_text(path, adaptation_page(task, state, stages, how))
 
 
-def adaptation_page(task: Task, state: AdaptState, stages: Stages, how: Mapping[str, object]) -> str:
+def adaptation_page(task: AdaptTask, state: AdaptState, stages: Stages, how: Mapping[str, object]) -> str:
     """Build the page of `report_adaptation`."""
     skeleton, angles = state.body.skeleton, stages.angles
     parts = [
@@ -112,7 +112,7 @@ def adaptation_page(task: Task, state: AdaptState, stages: Stages, how: Mapping[
     return page(TITLE, *parts)
 
 
-def headline(task: Task, state: AdaptState, stages: Stages) -> Markup:
+def headline(task: AdaptTask, state: AdaptState, stages: Stages) -> Markup:
     """Summarise size, distances and lost frames in plain words."""
     first, last = stages.variants[0], stages.variants[-1]
     before, after = (1000 * quantile(variant.to_body, 0.5) for variant in (first, last))
@@ -155,7 +155,7 @@ def variant_table(variants: tuple[Variant, ...]) -> Markup:
     )
 
 
-def measure_notes(task: Task, stages: Stages) -> list[Markup]:
+def measure_notes(task: AdaptTask, stages: Stages) -> list[Markup]:
     """Describe the figures of the table."""
     kinds = "; ".join(f"{v.name}: {VARIANTS[v.name]}" for v in stages.variants if v.name in VARIANTS)
     points = int(stages.variants[0].to_body.counts.sum())
@@ -176,7 +176,7 @@ def history_table(history: Sequence[tuple[str, float]], terms: Sequence[Terms]) 
     return table("The terms of the objective after every stage", TERMS, rows)
 
 
-def how_table(task: Task, how: Mapping[str, object]) -> Markup:
+def how_table(task: AdaptTask, how: Mapping[str, object]) -> Markup:
     """Tabulate options and versions."""
     rows = [
         [name.replace("_", " "), "not given" if value is None else str(value)] for name, value in how.items()

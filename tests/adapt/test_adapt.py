@@ -9,7 +9,7 @@ from command_line import fails, runs
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import Settings, Task, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body, plan
 from jaxcap.adapt.poses.pose import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
 from jaxcap.adapt.problems import Belief, mean_square, shared_problem, stack, unstack
@@ -300,8 +300,8 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
 @pytest.mark.slow
 def test_the_whole_way_and_again_from_the_middle(scene):
     template, actor, motion, clouds = scene
-    task = Task(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
-                mirrored_joints(template.skeleton), Settings(frames=6, alone=3, rounds=(2, 2)))  # fmt: skip
+    task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
+                mirrored_joints(template.skeleton), AdaptSettings(frames=6, alone=3, rounds=(2, 2)))  # fmt: skip
     states = list(adapt_body(task))
     last = states[-1]
     assert last.done == len(plan(task.settings))
@@ -321,8 +321,8 @@ def test_the_whole_way_and_again_from_the_middle(scene):
 def test_a_body_is_adapted_while_it_is_tracked(scene):
     """After every frame of the first ten: the body is nearer to the actor before the last frames are tracked."""
     template, actor, motion, clouds = scene
-    settings = Settings(frames=4, every=1, alone=2, rounds=(1,), temporal=0.0)
-    task = Task(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
+    settings = AdaptSettings(frames=4, every=1, alone=2, rounds=(1,), temporal=0.0)
+    task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
                 mirrored_joints(template.skeleton), settings)  # fmt: skip
     states = list(adapt_body(task))
     before, after = (next(s for s, stage in zip(states, plan(settings), strict=True) if str(stage) == name)

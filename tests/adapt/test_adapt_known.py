@@ -10,7 +10,7 @@ from adapt_scene import make_scene, words, write_folder
 from command_line import runs
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptState, Settings, plan
+from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, plan
 from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
@@ -134,7 +134,7 @@ def test_the_actor_carries_on_what_counted(scene, known, folder, capsys, monkeyp
     digests = check_input(read_clouds(asked.clouds), template).digests
     file = None if counts is None else folder / counts
     header = {**asked.settings(), "prior": hash_of(file), **fingerprint_of(template, digests)}
-    done = len(plan(Settings(temporal=0.0)))
+    done = len(plan(AdaptSettings(temporal=0.0)))
     motion = stack_poses(poses, 30.0)
     keep_state(asked.kept, AdaptState(done, actor, 1.1, motion, history=(("pose", 1.0),)), header)
     told = runs(capsys, *words(folder, "--smoothness", 0, "--resume", *more))

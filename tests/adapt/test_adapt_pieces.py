@@ -10,7 +10,7 @@ from adapt_scene import make_scene, task_of
 
 import jaxcap as jc
 from jaxcap.adapt import adapt_body as loop
-from jaxcap.adapt.adapt_body import AdaptState, Settings, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, adapt_body, plan
 from jaxcap.adapt.objective import Terms
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.state import keep_state, state_to_go_on_from
@@ -26,7 +26,7 @@ def scene():
 def before_stage(scene, name: str, **changes):
     """The task, and a state whose next stage is the last of a name, with poses that are off."""
     _, actor, poses, _ = scene
-    task = task_of(scene)._replace(settings=Settings(frames=3, alone=1, rounds=(1,)), **changes)
+    task = task_of(scene)._replace(settings=AdaptSettings(frames=3, alone=1, rounds=(1,)), **changes)
     way = jnp.asarray(0.02 * np.random.default_rng(2).normal(size=actor.skeleton.num_dofs))
     off = stack_poses([retract(actor.skeleton, pose, way) for pose in poses], 10.0)
     names = [stage.name for stage in plan(task.settings)]

@@ -11,7 +11,7 @@ from command_line import fails, runs
 
 import jaxcap as jc
 from jaxcap.adapt import check
-from jaxcap.adapt.adapt_body import AdaptState, Settings, Task, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, AdaptTask, adapt_body, plan
 from jaxcap.adapt.check import (
     Likeness,
     check_actor,
@@ -52,7 +52,7 @@ def there(body: jc.Body, pose: jc.Pose) -> AdaptState:
     return AdaptState(1, body, 1.0, stack_poses([pose], 10.0))
 
 
-def alone(task: Task, points, normals=None) -> Task:
+def alone(task: AdaptTask, points, normals=None) -> AdaptTask:
     cloud = jc.make_cloud(points, normals)
     return task._replace(cloud=lambda _: cloud, frames=1)
 
@@ -128,7 +128,7 @@ def test_metres_that_are_taken_for_millimetres(folder, capsys):
     assert "check the units of both" in fails(capsys, *words(folder, "--unit", "mm"))
 
 
-def without_second(task: Task) -> Task:
+def without_second(task: AdaptTask) -> AdaptTask:
     """The same task where the scan of frame 2 is not there, nor asked for."""
 
     def cloud(frame: int) -> jc.Cloud:
@@ -140,7 +140,7 @@ def without_second(task: Task) -> Task:
 
 def test_a_frame_without_a_scan_is_lost_and_lies_between_others(scene):
     task = without_second(task_of(scene, template=scene[1]))
-    *_, last = adapt_body(task._replace(settings=Settings(alone=0, rounds=())))
+    *_, last = adapt_body(task._replace(settings=AdaptSettings(alone=0, rounds=())))
     assert last.lost == (2,)
     skeleton, motion = last.body.skeleton, last.motion
     ways = [difference(skeleton, motion[a], motion[b]) for a, b in ((1, 2), (2, 3))]
@@ -251,7 +251,7 @@ def test_two_people_in_a_scan(two):
     else:
         angle, up = rng.uniform(0, 2 * np.pi, 2500), rng.uniform(-0.8, 0.8, 2500)
         more = np.stack([0.35 * np.cos(angle), up, 0.35 * np.sin(angle)], 1)
-    task = Task(body, lambda _: jc.make_cloud(points), 1, 30.0, pose, RestPrior(jnp.full((body.skeleton.num_joints, 3), 0.7)), (), Settings())  # fmt: skip
+    task = AdaptTask(body, lambda _: jc.make_cloud(points), 1, 30.0, pose, RestPrior(jnp.full((body.skeleton.num_joints, 3), 0.7)), (), AdaptSettings())  # fmt: skip
     task = alone(task, np.concatenate([points, more + [1.6, 0.0, 0.0]]))
     if two:
         with pytest.raises(jc.InputError, match="more than one person"):
@@ -288,7 +288,7 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     task = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
     digests = check_input(read_clouds(task.clouds), template).digests
     header = {**task.settings(), "prior": None, **fingerprint_of(template, digests)}
-    state = AdaptState(len(plan(Settings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
+    state = AdaptState(len(plan(AdaptSettings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
     keep_state(task.kept, state, header)
 
     def full(file, **arrays):

@@ -13,7 +13,7 @@ from command_line import fails, runs
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptState, Settings, Task, plan
+from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, AdaptTask, plan
 from jaxcap.adapt.evaluate import (
     BIN,
     Stages,
@@ -98,8 +98,8 @@ def scene():
         points, normals = sample_surface(vertices, np.asarray(actor.faces), 700, rng)
         clouds.append(jc.make_cloud(points + 0.0005 * rng.normal(size=points.shape), normals))
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
-    settings = Settings(frames=2, alone=1, rounds=(1, 1))
-    task = Task(
+    settings = AdaptSettings(frames=2, alone=1, rounds=(1, 1))
+    task = AdaptTask(
         template, clouds.__getitem__, FRAMES, RATE, None, prior, mirrored_joints(template.skeleton), settings
     )
     shaken = [retract(actor.skeleton, p, jnp.asarray(0.002 * rng.normal(size=len(way)))) for p in poses]
@@ -280,7 +280,7 @@ def test_the_command_line_goes_on_to_the_report(scene, tmp_path, capsys):
     verb = Adapt(str(tmp_path / "template.npz"), (str(tmp_path / "scans.npz"),), out, smoothness=0.0)
     digests = check_input(read_clouds(verb.clouds), task.template).digests
     header = {**verb.settings(), "prior": None, **fingerprint_of(task.template, digests)}
-    stages = len(plan(Settings(temporal=0.0)))
+    stages = len(plan(AdaptSettings(temporal=0.0)))
     save_checkpoint(verb.kept, checkpoint_of(state._replace(done=stages)), header)
     words = ("adapt", verb.body, *verb.clouds, "-o", out, "--smoothness", 0, "--report", report)
     assert f"{report}: the report" in runs(capsys, *words, "--report-every", 4, "--resume")

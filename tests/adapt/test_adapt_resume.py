@@ -11,7 +11,7 @@ from adapt_scene import make_scene, write_folder, write_scan
 from command_line import fails, runs, tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptState, Settings, plan
+from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, plan
 from jaxcap.adapt.objective import Terms
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.sample import sample_poses
@@ -50,7 +50,7 @@ def words(folder, out, *more) -> tuple:
 def finished_state(scene, **changes) -> AdaptState:
     _, actor, poses, _ = scene
     state = AdaptState(
-        done=len(plan(Settings(temporal=0.0))),
+        done=len(plan(AdaptSettings(temporal=0.0))),
         body=actor,
         size=1.1,
         motion=stack_poses(poses, 30.0),
@@ -192,7 +192,7 @@ def stopped_after(at):
 @pytest.mark.slow
 def test_a_run_that_is_stopped_goes_on_to_the_same_bits(folder, capsys, monkeypatch):
     """And its report, made with it, is the one that is made afterwards."""
-    monkeypatch.setattr(adapt_module, "Settings", partial(Settings, alone=1, rounds=(1, 1)))
+    monkeypatch.setattr(adapt_module, "Settings", partial(AdaptSettings, alone=1, rounds=(1, 1)))
     whole, parts = folder / "whole.npz", folder / "parts.npz"
     report = ("--report-every", 3, "--frames", 3, "--report")
     runs(capsys, *words(folder, whole, *report, folder / "with.html"))

@@ -16,7 +16,7 @@ from jaxcap.adapt.problems import ALIKE, Belief, shared_problem, stack, stack_pa
 from jaxcap.adapt.rounds import adapt_round, step_of
 from jaxcap.adapt.shape.shape_prior import own_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape, adapt_together
-from jaxcap.adapt.task import AdaptState, Settings, Stage
+from jaxcap.adapt.task import AdaptState, AdaptSettings, Stage
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import length_differences
@@ -205,7 +205,7 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
 
 def test_a_round_takes_one_step_where_it_is_told_to():
     scene = make_scene()
-    task = task_of(scene, settings=Settings(frames=3, shape=(1.0, 1.0), together=True))
+    task = task_of(scene, settings=AdaptSettings(frames=3, shape=(1.0, 1.0), together=True))
     rng, template = np.random.default_rng(2), scene[0]
     poses = [retract(template.skeleton, p, jnp.asarray(0.02 * rng.normal(size=DOFS))) for p in scene[2]]
     state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), weight=1e-6)

@@ -9,13 +9,13 @@ from command_line import fails
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptState, Settings, plan
+from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, plan
 from jaxcap.adapt.flagged import NO_SCAN, distance_limit, flag_frames
 from jaxcap.adapt.poses import unordered
 from jaxcap.adapt.poses.similarity import DIRECTIONS, is_unordered, shape_of, step_between, turned_distances
 from jaxcap.adapt.poses.task_pairs import told
 from jaxcap.adapt.poses.unordered import are_worse, find_poses, visiting_order
-from jaxcap.adapt.prepare import make_task
+from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.input import explained_words, warn_of_lost
 from jaxcap.cli.adapt.state import checkpoint_of, state_of
@@ -28,7 +28,7 @@ from jaxcap.geometry import rotation
 from jaxcap.io.meshes.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)
-UNORDERED = Settings(frames=3, alone=1, rounds=(1,), unordered=True)
+UNORDERED = AdaptSettings(frames=3, alone=1, rounds=(1,), unordered=True)
 #: of the chain body, metres
 HEIGHT = 0.7
 
@@ -168,15 +168,15 @@ def test_poses_without_an_order_are_found_and_kept(mixed, monkeypatch):
 def test_nothing_in_a_plan_without_order_couples_frames(mixed):
     assert [stage.name for stage in plan(UNORDERED)][-1] == "pose"
     assert not UNORDERED.smooth
-    assert Settings().smooth
+    assert AdaptSettings().smooth
     task, actor, poses = mixed
     state = AdaptState(1, actor, 1.0, stack_poses(poses, 10.0), weight=1e-8)
     assert told(task, state, "pose", [0]).terms[-1].temporal == 0.0
-    ordered = task._replace(settings=Settings())
+    ordered = task._replace(settings=AdaptSettings())
     assert told(ordered, state, "pose", [0]).terms[-1].temporal > 1e-3
     clouds = [task.cloud(n) for n in task.scanned]
     with pytest.raises(jc.InputError, match="leave these out .*--ordered"):
-        make_task(task.template, clouds, settings=UNORDERED._replace(temporal=1.0))
+        make_adapt_task(task.template, clouds, settings=UNORDERED._replace(temporal=1.0))
 
 
 def test_frames_that_are_off_are_flagged_with_reasons(scene):

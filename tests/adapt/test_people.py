@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import Settings, Task, adapt_body
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body
 from jaxcap.adapt.shape.shape_space import learn_people, people_like, person, traits_like
 from jaxcap.body.decimate import attach, follow, reduce_body
 from jaxcap.body.people.random_humans import human_resolution, people_of_many_shapes
@@ -125,8 +125,8 @@ def test_traits_are_told_by_scans(people):
         return jc.make_cloud(points + 0.002 * rng.normal(size=points.shape), normals)
 
     prior = RestPrior(jnp.full((actor.skeleton.num_joints, 3), 0.7))
-    settings = Settings(frames=3, alone=4, rounds=(), temporal=0.0)
-    task = Task(people.template, cloud, 4, 30.0, motion[0], prior, (), settings, people)
+    settings = AdaptSettings(frames=3, alone=4, rounds=(), temporal=0.0)
+    task = AdaptTask(people.template, cloud, 4, 30.0, motion[0], prior, (), settings, people)
     *_, last = adapt_body(task)
     assert joints_off(last.body, actor) < 0.012
     assert joints_off(jc.human(resolution="low", joints="tracking", height=1.6), actor) > 0.015

@@ -62,10 +62,10 @@ def test_public_names_come_when_they_are_used():
     """As they are listed for type checkers, three of them under another name than their own."""
     assert len(jaxcap.__all__) > 200 and set(jaxcap.__all__) <= set(dir(jaxcap))
     assert all(getattr(jaxcap, name) is not None for name in jaxcap.__all__)
-    from jaxcap.adapt.task import Settings
+    from jaxcap.adapt.task import AdaptSettings
     from jaxcap.fit.tracking.track import track
 
-    assert jaxcap.AdaptSettings is Settings and jaxcap.track is track
+    assert jaxcap.AdaptSettings is AdaptSettings and jaxcap.track is track
     assert jaxcap.io.registry.read_skinned is jaxcap.read_skinned
     with pytest.raises(AttributeError, match="no attribute 'trak'"):
         _ = jaxcap.trak

@@ -14,7 +14,7 @@ from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.poses.task_pairs import TaskPairs
 from jaxcap.adapt.problems import stack
 from jaxcap.adapt.rounds import adapt_round
-from jaxcap.adapt.task import AdaptState, Settings, Stage
+from jaxcap.adapt.task import AdaptState, AdaptSettings, Stage
 from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError
 from jaxcap.fit.correspondence.correspond import make_scan
@@ -90,7 +90,7 @@ def test_tracking_adapting_and_proportions_keep_above_a_floor(scene):
     held = fit_pose(actor, scan, poses[1], prior, steps=4, terms=100.0 * own).pose
     assert lowest(actor, [held]) > lowest(actor, [plain]) + 0.01
 
-    settings = Settings(frames=3, shape=(1.0, 1.0))
+    settings = AdaptSettings(frames=3, shape=(1.0, 1.0))
     reached = []
     for terms in (None, 100.0 * term):
         task = task_of(scene, settings=settings, terms=terms)

@@ -12,17 +12,17 @@ from ..objective import Terms, motion_energy, pose_energy, symmetry_energy
 from ..problems import mean_square, stack
 from ..shape.reference import shape_prior_of
 from ..shape.shape_prior import shape_energy
-from ..task import AdaptState, Task
+from ..task import AdaptState, AdaptTask
 from .known_pairs import KnownPairs
 from .pose import fit_pose, pairs_of
 
 
-def pairs_at(task: Task, body: Body, pose: Pose, scan: Scan) -> Pairs:
+def pairs_at(task: AdaptTask, body: Body, pose: Pose, scan: Scan) -> Pairs:
     """Find the pairs of a posed body with a scan, of vertices that the task's cameras see."""
     return pairs_of(body, pose, scan, task.settings.matching, task.cameras)
 
 
-def pose_at(task: Task, state: AdaptState, scan: Scan, start: Pose, *, steps: int) -> Pose:
+def pose_at(task: AdaptTask, state: AdaptState, scan: Scan, start: Pose, *, steps: int) -> Pose:
     """Fit the pose of the body to a scan from an initial pose."""
     return fit_pose(
         state.body,
@@ -39,7 +39,7 @@ def pose_at(task: Task, state: AdaptState, scan: Scan, start: Pose, *, steps: in
 
 
 def poses_at(
-    task: Task, state: AdaptState, scans: Iterable[Scan], starts: Iterable[Pose], *, steps: int
+    task: AdaptTask, state: AdaptState, scans: Iterable[Scan], starts: Iterable[Pose], *, steps: int
 ) -> Iterator[Pose]:
     """Fit the poses of the body to several scans, each by itself, on all cores."""
     both = zip(scans, starts, strict=True)
@@ -49,7 +49,7 @@ def poses_at(
 class TaskPairs:
     """A cache of the scans of some frames and of their last pairs, valid for the same body and pose."""
 
-    def __init__(self, task: Task):
+    def __init__(self, task: AdaptTask):
         self._task = task
         self._scans: dict[int, Scan] = {}
         self._known = KnownPairs()
@@ -72,7 +72,7 @@ class TaskPairs:
 
 
 def told(
-    task: Task, state: AdaptState, name: str, frames: Sequence[int], meetings: TaskPairs | None = None
+    task: AdaptTask, state: AdaptState, name: str, frames: Sequence[int], meetings: TaskPairs | None = None
 ) -> AdaptState:
     """Append a stage's terms in some frames to the state's history; `meetings` may cache their pairs."""
     body, poses = state.body, [state.motion[n] for n in frames]

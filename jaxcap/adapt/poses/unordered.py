@@ -25,7 +25,7 @@ from ...fit.tracking.initialise import (
 from ...fit.tracking.likeliest import improve, log_likelihood
 from ...fit.tracking.track_frame import Tracker
 from ...observe import Cloud, thin_cloud
-from ..task import Task, tracker_of
+from ..task import AdaptTask, tracker_of
 from .similarity import DIRECTIONS, Shape, shape_of, turned_distances
 
 #: number of similar scans that provide start poses, each in its best direction and the opposite one
@@ -82,7 +82,7 @@ def visiting_order(shapes: Mapping[int, Shape]) -> list[int]:
 
 
 def find_poses(
-    task: Task, body: Body, poses: Mapping[int, Pose], *, known: bool, done: int = 0
+    task: AdaptTask, body: Body, poses: Mapping[int, Pose], *, known: bool, done: int = 0
 ) -> Iterator[tuple[Found, int]]:
     """Find the poses of unordered scans; yield them and the number of finished frames after every frame.
 
@@ -110,7 +110,7 @@ def find_poses(
 class _Search:
     """The trackers, clouds and similarities of a search."""
 
-    def __init__(self, task: Task, body: Body):
+    def __init__(self, task: AdaptTask, body: Body):
         height = float(body_height(body))
         self.tracker = tracker_of(task, body)
         self.coarse = coarse_like(task.template, self.tracker)

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from ...adapt.adapt_body import AdaptState, Settings, Task, adapt_body, plan
+from ...adapt.adapt_body import AdaptState, AdaptSettings, AdaptTask, adapt_body, plan
 from ...adapt.check import check_actor
 from ...adapt.evaluate import Stages, compare_stages, quantile, variant_names
-from ...adapt.prepare import make_task
+from ...adapt.prepare import make_adapt_task
 from ...adapt.task import Stage
 from ...body.body import Body
 from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
@@ -124,7 +124,7 @@ class Adapt:
     scans."""
     pose_weight: OptionalWeight = None
     """Weight of the pose prior. Default: a tenth of the weight that balances it with the scans."""
-    shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = Settings().shape
+    shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = AdaptSettings().shape
     """Weight of the template's shape in the first and in the last round that adapts vertices. Lower weights follow
     the scans more closely, including their noise."""
     first: OptionalCount = None
@@ -201,7 +201,7 @@ class Adapt:
         warn_of_lost(state, scans)
 
     def adapt(
-        self, task: Task, state: AdaptState | None, header: dict[str, object], first: str
+        self, task: AdaptTask, state: AdaptState | None, header: dict[str, object], first: str
     ) -> AdaptState:
         """Run all remaining stages, with a checkpoint after each and within long ones; `first` names the
         first scan."""
@@ -220,7 +220,7 @@ class Adapt:
         assert state is not None
         return state
 
-    def write_report(self, path: Path, task: Task, state: AdaptState, known: Path | None) -> None:
+    def write_report(self, path: Path, task: AdaptTask, state: AdaptState, known: Path | None) -> None:
         """Measure the result and its baselines, and write the report; `known` is the file of the prior. After
         a stop, or later, --resume does only this."""
         names, stages = variant_names(task.settings), Stages(())
@@ -285,7 +285,7 @@ class Adapt:
             raise InputError("--aperture is of cameras; name them by --cameras.")
         check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
-    def task(self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()) -> Task:
+    def task(self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()) -> AdaptTask:
         """Make the task, with priors, cameras and the first pose read from their files. Raises
         `InputError`."""
         skeleton = body.skeleton
@@ -302,13 +302,13 @@ class Adapt:
             aperture=cameras if self.aperture else (),
         )
         clouds = Clouds(scans, body, self.up)
-        return make_task(
+        return make_adapt_task(
             body,
             clouds,
             rate_of(self.rate, self.clouds).frames,
             start=None if self.start is None else first_pose(self.start, skeleton),
             likely=None if priors is None else form(priors.prior),
-            settings=Settings(
+            settings=AdaptSettings(
                 frames=self.frames,
                 joint=self.joint_deviation,
                 shape=self.shape_weight,
@@ -359,7 +359,7 @@ class Adapt:
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
 
 
-def _check_first(task: Task, state: AdaptState, where: str) -> None:
+def _check_first(task: AdaptTask, state: AdaptState, where: str) -> None:
     """Check that the first scan is of one person; the message names the option to continue anyway."""
     try:
         check_actor(task, state, where)
@@ -369,7 +369,7 @@ def _check_first(task: Task, state: AdaptState, where: str) -> None:
         ) from None
 
 
-def _reached(task: Task, state: AdaptState, stages: Sequence[Stage]) -> str:
+def _reached(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str:
     """Format the progress of a state for the user."""
     if state.within:
         stage = stages[state.done]
