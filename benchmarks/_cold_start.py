@@ -27,7 +27,7 @@ def main(path: str) -> None:
             jax.numpy.asarray(scene["translations"]), jax.numpy.asarray(scene["rotations"]), rest.scale
         )
     stages["cloud"] = time.perf_counter() - began
-    frame = jax.block_until_ready(next(jc.track_frames(tracker, [cloud], start=start)))
+    frame = jax.block_until_ready(next(jc.fit.track_frames(tracker, [cloud], start=start)))
     stages["first_frame"] = time.perf_counter() - began
     print(json.dumps(stages | {"lost": bool(frame.lost)}), flush=True)
 

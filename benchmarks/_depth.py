@@ -92,14 +92,14 @@ def upper_body(body: jc.Body) -> jc.Body:
     return jc.Body(dataclasses.replace(skeleton, kinds=kinds), skin, body.vertices[some], jnp.asarray(faces))
 
 
-def upright(skeleton: jc.Skeleton) -> jc.PosePrior:
+def upright(skeleton: jc.Skeleton) -> jc.energy.PosePrior:
     """Holds the root's turns, and nothing else."""
     layout = dof_layout(skeleton)
     translates = np.zeros(skeleton.num_dofs + 1, bool)
     translates[np.asarray(layout.translations).reshape(-1)] = True
     turns = (np.asarray(layout.joints) == 0) & ~translates[:-1]
     deviations = jnp.where(turns, UPRIGHT, jnp.inf).astype(skeleton.centres.dtype)
-    return jc.PosePrior(jc.rest_pose(skeleton), deviations)
+    return jc.energy.PosePrior(jc.rest_pose(skeleton), deviations)
 
 
 def fit_frames(images: np.ndarray, limits: SurfaceLimits) -> list[Fitted]:
@@ -125,7 +125,7 @@ def fit_frames(images: np.ndarray, limits: SurfaceLimits) -> list[Fitted]:
 
 
 @eqx.filter_jit
-def _strictly(tracker: jc.Tracker, limits: SurfaceLimits, cloud: jc.Cloud, start: jc.Pose) -> jc.Pose:
+def _strictly(tracker: jc.fit.Tracker, limits: SurfaceLimits, cloud: jc.Cloud, start: jc.Pose) -> jc.Pose:
     body, volume = tracker.body, box_volume(cloud)
     others = jc.RestPrior(tracker.rest_deviations), upright(body.skeleton)
     sigma = jnp.asarray(SIGMA, start.rotations.dtype)

@@ -46,7 +46,7 @@ class Written(NamedTuple):
     usd: Path
     #: None where the format cannot hold the case
     bvh: Path | None
-    linear: jc.Linearised
+    linear: jc.edit.Linearised
     motion: jc.Motion
 
 
@@ -124,8 +124,8 @@ def chain(frames: int, grows: bool = False, rate: float = 60.0) -> tuple[jc.Body
 
 def write_case(folder: Path, case: Case, tolerance: float) -> Written:
     """The case as `.glb`, `.usdc`, and `.bvh` of its own skeleton in centimetres."""
-    linear = jc.linearise(case.body, case.motion.poses, tolerance, influences=case.influences)
-    motion = jc.linear_motion(linear, case.motion)
+    linear = jc.edit.linearise(case.body, case.motion.poses, tolerance, influences=case.influences)
+    motion = jc.edit.linear_motion(linear, case.motion)
     glb, usd = folder / f"{case.name}.glb", folder / f"{case.name}.usdc"
     for path in (glb, usd):
         write_body(path, linear.body, motion)

@@ -65,7 +65,7 @@ def see_arm(
             rng = np.random.default_rng([int(part) for part in take.split("_")] + [frame])
             pose = at_rest_pelvis(motion[frame])
             some, there = see_frame(performer, pose, stereo, rng)
-            poses.append(jc.project(tracked.skeleton, pose))
+            poses.append(jc.body.project(tracked.skeleton, pose))
             points.append(some)
             weights.append(there)
             first.append(frame == 0)

@@ -165,7 +165,7 @@ def likely_of(template: jc.Body, name: str) -> jc.AbstractEnergy | None:
     if name == "none":
         return None
     poses = varied_poses(shared_folder(), template, POSES, TAKES)
-    return jc.MahalanobisPrior(jc.learn_pair_prior(template.skeleton, poses))
+    return jc.prior.MahalanobisPrior(jc.prior.learn_pair_prior(template.skeleton, poses))
 
 
 def template_of(name: str) -> jc.Body:

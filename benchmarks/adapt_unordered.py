@@ -21,7 +21,7 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
 from benchmarks._scenes import about_vertical, human_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.demo.picture import View, draw
 from jaxcap.demo.scanner import sample_surface

@@ -162,7 +162,7 @@ def of_usd(work: Work) -> Iterator[Part]:
 
 def came_back(file: Path, work: Work) -> float:
     """From the vertices of what another program wrote again to those that it read, and back, millimetres at most."""
-    body, motion = jc.read_skinned(file)
+    body, motion = jc.io.read_skinned(file)
     if motion is None:
         raise RuntimeError(f"{file.name} has no animation.")
     poses = take_poses(motion.poses, np.array(work.frames))

@@ -21,7 +21,7 @@ from jaxcap.fit.problem import linearise
 STEP = 1e-6
 
 
-def surface_error(limits: jc.SurfaceLimits, rng: np.random.Generator) -> float:
+def surface_error(limits: jc.limits.SurfaceLimits, rng: np.random.Generator) -> float:
     """The largest difference of slopes, which are about one."""
     worst = 0.0
     for surface in limits.surfaces:
@@ -61,22 +61,22 @@ def main() -> None:
     rng, body = np.random.default_rng(0), jc.human(resolution="low", joints="tracking")
     body = jax.tree.map(lambda x: x.astype(float) if eqx.is_inexact_array(x) else x, body)
     takes = walk_and_wave(body.skeleton, seconds=6.0)
-    samples = jc.gather_samples([(body.skeleton, takes)], "RightForeArm", "RightArm")
+    samples = jc.limits.gather_samples([(body.skeleton, takes)], "RightForeArm", "RightArm")
     assert samples.parent is not None
-    limits = jc.learn_limits(
+    limits = jc.limits.learn_limits(
         {"RightArm": samples.parent, "RightForeArm": samples}, voxel=np.radians(12), keyframe=np.radians(30)
     )
     figures = {"surface": surface_error(limits, rng), "limits": 0.0, "soft_object": 0.0}
     progress(f"surface: {figures['surface']:.2g}")
-    soft = jc.make_soft_object(body)
-    poses = jc.sample_poses(body.skeleton, count=6, seed=9)
+    soft = jc.energy.make_soft_object(body)
+    poses = jc.body.sample_poses(body.skeleton, count=6, seed=9)
     for number in range(1, 6):
         pose = jax.tree.map(lambda leaf, n=number: leaf[n], poses)
         figures["limits"] = max(figures["limits"], energy_error(jc.JointLimits(limits), body, pose))
         points = jc.pose_body(body, pose).vertices[::20] + 0.05 * rng.normal(
             size=(len(body.vertices[::20]), 3)
         )
-        term = jc.SoftPoints(soft, points, jnp.ones(len(points)), jnp.asarray(0.1))
+        term = jc.energy.SoftPoints(soft, points, jnp.ones(len(points)), jnp.asarray(0.1))
         figures["soft_object"] = max(figures["soft_object"], energy_error(term, body, pose))
     finish(
         "limits_gradients",

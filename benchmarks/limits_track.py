@@ -126,7 +126,7 @@ def follow(contender: Contender, body: jc.Body, soft: SoftObject, seen: Seen) ->
         before = jnp.where(first, truth.rotations[arm], rotations)
         pose = jc.Pose(truth.translations, truth.rotations.at[arm].set(before), truth.scale)
         fit = SoftPoints(soft, points, weights, jnp.asarray(ROBUST, points.dtype))
-        data = (1 / DEVIATION**2) * fit + jc.PosePrior(pose, free)
+        data = (1 / DEVIATION**2) * fit + jc.energy.PosePrior(pose, free)
         found = contender.fit(body, data, pose).rotations[arm]
         return found, found
 

@@ -162,7 +162,7 @@ class Scene:
         return judge(self.surface, cloud, state, statistics, usual, Patience())
 
     def run(self, start: jc.Pose | None, search: bool | Literal["auto"] = False) -> list[Judged]:
-        judged, frames = [], jc.track_frames(self.tracker, self.clouds, start, search=search, sigma=0.05)
+        judged, frames = [], jc.fit.track_frames(self.tracker, self.clouds, start, search=search, sigma=0.05)
         usual, parts = None, parts_of(self.body)
         for number, (frame, cloud) in enumerate(zip(frames, self.clouds, strict=True)):
             errors = self.errors(number, frame.pose)

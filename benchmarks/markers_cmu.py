@@ -84,12 +84,12 @@ def main() -> None:
     motion = motion.slice(slice(options.frames))
     frames, called = hidden(frames, options.seed)
     timer = Timer()
-    found = timer(jc.fit_local, frames)
+    found = timer(jc.markers.fit_local, frames)
     for name, members in zip(found.segments.names, found.segments.members, strict=True):
         progress(f"{name}: {', '.join(called[m] for m in members)}")
-    calibrated = None if options.local else timer(jc.calibrate, found.markers, found.subject)
+    calibrated = None if options.local else timer(jc.markers.calibrate, found.markers, found.subject)
     subject = found.subject if calibrated is None else calibrated.subject
-    solution = timer(jc.solve_markers, subject, frames)
+    solution = timer(jc.markers.solve_markers, subject, frames)
     for sentence in (*found.told, *(() if calibrated is None else calibrated.told), *solution.told):
         progress(f"told: {sentence}")
 

@@ -5,7 +5,7 @@
 
 Four figures are held to limits: the E-step against one plain `argmin` a part in JAX, which gives
 the same posterior, run in turns; the tracker's frames a second in its steady state, as a user
-gets them from `jaxcap.track_frames`, and their error; and the seconds from the start of a
+gets them from `jaxcap.fit.track_frames`, and their error; and the seconds from the start of a
 process without any compiled function to its first tracked frame. Beside them stand the cost
 against points and vertices, and one rigid registration of the same points by pycpd
 (`pip install -e ".[bench]"`). Medians everywhere. Run it from the root of the checkout.
@@ -42,7 +42,7 @@ WISHED = 60.0
 POINTS, RESOLUTIONS = (1250, 2500, 5000, 10000, 20000), ("low", "medium", "full")
 
 _posed = eqx.filter_jit(jc.pose_body)
-_track_frame = eqx.filter_jit(jc.track_frame)
+_track_frame = eqx.filter_jit(jc.fit.track_frame)
 
 
 class Scene(NamedTuple):
@@ -52,7 +52,7 @@ class Scene(NamedTuple):
     #: of the performer, and the same of the tracked body
     motion: jc.Motion
     starts: jc.Motion
-    tracker: jc.Tracker
+    tracker: jc.fit.Tracker
     scans: list[Scanned]
 
 
@@ -74,9 +74,9 @@ def in_turns(functions: dict[str, Callable], repeats: int) -> dict[str, float]:
 
 
 @eqx.filter_jit
-def e_step(tracker: jc.Tracker, vertices, normals, cloud: jc.Cloud, sigma):
+def e_step(tracker: jc.fit.Tracker, vertices, normals, cloud: jc.Cloud, sigma):
     mixture = tracker.mixture
-    return jc.posterior(
+    return jc.fit.posterior(
         tracker.parts,
         vertices,
         normals,
@@ -129,7 +129,7 @@ def compare_e_steps(scene: Scene, repeats: int):
 
 def track_steadily(scene: Scene):
     """Figures of `track_frames` after its first two frames, and the seconds of the first."""
-    stream = jc.track_frames(scene.tracker, [scan.cloud for scan in scene.scans], start=scene.starts[0])
+    stream = jc.fit.track_frames(scene.tracker, [scan.cloud for scan in scene.scans], start=scene.starts[0])
     taken, joints, lost = [], [], 0
     for _ in scene.scans:
         start = time.perf_counter()
@@ -199,7 +199,7 @@ def cost(scene: Scene, points: tuple[int, ...], resolutions: tuple[str, ...], re
         rng = np.random.default_rng([1, count])
         cloud = scan_frame(scene.performer, scene.motion[0], rng, Noise(points=count)).cloud
         posed = _posed(tracker.body, scene.starts[0])
-        state = jc.start_state(tracker, scene.starts[0], SIGMA)
+        state = jc.fit.start_state(tracker, scene.starts[0], SIGMA)
         begun = time.perf_counter()
         state, _ = jax.block_until_ready(_track_frame(tracker, state, cloud))
         compiled = time.perf_counter() - begun

@@ -45,9 +45,9 @@ class Tracked(NamedTuple):
     seconds: tuple[float, list[float]]
 
 
-def track_take(tracker: jc.Tracker, scans: list[Scanned]) -> Tracked:
+def track_take(tracker: jc.fit.Tracker, scans: list[Scanned]) -> Tracked:
     frames, taken = [], []
-    stream = jc.track_frames(tracker, [scan.cloud for scan in scans], search=True)
+    stream = jc.fit.track_frames(tracker, [scan.cloud for scan in scans], search=True)
     for _ in scans:
         start = time.perf_counter()
         frames.append(jax.block_until_ready(next(stream)))

@@ -59,7 +59,7 @@ def main() -> None:
     clouds = [frame_cloud(crane, frame) for frame in range(count)]
 
     errors, lost, swapped, seconds, meshes = [], [], [], [], []
-    stream = jc.track_frames(tracker, clouds, search=True)
+    stream = jc.fit.track_frames(tracker, clouds, search=True)
     for frame in range(count):
         start = time.perf_counter()
         tracked = jax.block_until_ready(next(stream))

@@ -8,7 +8,6 @@ constructors; the contents of such modules are not checked.
 import collections.abc
 import dataclasses
 import functools
-import importlib
 import inspect
 import numbers
 import os
@@ -157,7 +156,7 @@ def describe(value: Any) -> str:
         return f"is {str(value)[:40]!r}"
     if _is_array(value):
         return f"has {_kind(value)} numbers of shape {_shape(value)}"
-    name = public_name(value if isinstance(value, type) else type(value))
+    name = (value if isinstance(value, type) else type(value)).__name__
     article = "an" if name[:1].lower() in "aeiou" else "a"
     return f"is the class {name} itself" if isinstance(value, type) else f"is {article} {name}"
 
@@ -371,18 +370,9 @@ def _owned_joints(value: Any, deep: int = 2) -> int | None:
 
 def _named(kind: type) -> str:
     plain = {int: "a whole number", float: "a number", bool: "True or False", str: "a text", Path: "a path"}
-    name = public_name(kind)
+    name = kind.__name__
     article = "an" if name[:1].lower() in "aeiou" else "a"
     return plain.get(kind, f"{article} {name}")
-
-
-def public_name(kind: type) -> str:
-    """Return the public import name of a class, such as `AdaptTask`, or its own name if it has none."""
-    package = importlib.import_module(__package__ or "jaxcap")
-    for name, (_, attribute) in package._origins().items():
-        if attribute == kind.__name__ != name and getattr(package, name) is kind:
-            return name
-    return kind.__name__
 
 
 def _is_array(value: Any) -> bool:

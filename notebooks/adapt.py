@@ -32,10 +32,14 @@ actor = jc.human(sex="female", age=45, weight=0.8, height=1.6, resolution="low",
 motion = walk_and_wave(actor.skeleton, seconds=2.0)
 chosen = (0, 12, 24, 36, 48, 59)
 posed = [jc.pose_body(actor, motion[number]) for number in chosen]
-cameras = jc.ring_of_cameras(4, 360, distance=2.5, height=0.6, target=[0.0, 0.0, 0.0], resolution=(160, 160))
-scanner = jc.Scanner(noise=0.003, points=3000)
+cameras = jc.geometry.ring_of_cameras(
+    4, 360, distance=2.5, height=0.6, target=[0.0, 0.0, 0.0], resolution=(160, 160)
+)
+scanner = jc.scanner.Scanner(noise=0.003, points=3000)
 scans = [
-    jc.scan_frame(scanner, cameras, np.asarray(one.vertices, float), np.asarray(actor.faces), frame=number)
+    jc.scanner.scan_frame(
+        scanner, cameras, np.asarray(one.vertices, float), np.asarray(actor.faces), frame=number
+    )
     for number, one in enumerate(posed)
 ]
 clouds = [jc.make_cloud(scan.points, scan.normals) for scan in scans]
@@ -50,7 +54,7 @@ task = jc.make_adapt_task(
     template,
     clouds,
     start=jc.rest_pose(template.skeleton),
-    settings=jc.AdaptSettings(frames=4, alone=3, rounds=(2,), temporal=0.0),
+    settings=jc.adapt.AdaptSettings(frames=4, alone=3, rounds=(2,), temporal=0.0),
 )
 states = []
 for state in jc.adapt_body(task):

@@ -53,7 +53,7 @@ jax.devices()
 BATCH = 16
 body = jc.human(resolution=500, joints="tracking")
 skeleton = body.skeleton
-truth = jc.sample_poses(skeleton, count=BATCH)
+truth = jc.body.sample_poses(skeleton, count=BATCH)
 rng = np.random.default_rng(0)
 
 
@@ -67,7 +67,7 @@ def cloud_of(number):
     return jc.make_cloud(points + 0.003 * rng.normal(size=points.shape), normals)
 
 
-clouds = jc.stack_clouds([cloud_of(number) for number in range(BATCH)])
+clouds = jc.observe.stack_clouds([cloud_of(number) for number in range(BATCH)])
 off = jnp.asarray(0.1 * rng.normal(size=(BATCH, skeleton.num_dofs)), jnp.float32)
 starts = jax.vmap(lambda pose, d: jc.retract(skeleton, pose, d))(truth, off)
 clouds.points.shape, starts.rotations.shape
@@ -80,7 +80,7 @@ clouds.points.shape, starts.rotations.shape
 
 # %%
 tracker = jc.make_tracker(body, iterations=20)
-alone, statistics = jax.block_until_ready(jc.fit_batch(tracker, starts, clouds))
+alone, statistics = jax.block_until_ready(jc.fit.fit_batch(tracker, starts, clouds))
 
 
 @jax.jit
@@ -113,7 +113,7 @@ for shard in shared_clouds.points.addressable_shards:
 # %%
 spread = jax.jit(
     jax.shard_map(
-        lambda starts, clouds: jc.fit_batch(tracker, starts, clouds),
+        lambda starts, clouds: jc.fit.fit_batch(tracker, starts, clouds),
         mesh=devices,
         in_specs=PartitionSpec("batch"),
         out_specs=PartitionSpec("batch"),
@@ -189,7 +189,7 @@ goals = joints_of(truth)
 
 
 def reach(weight, goal, start):
-    pull = jc.joint_landmarks(goal, jnp.eye(skeleton.num_joints)[hand])
+    pull = jc.energy.joint_landmarks(goal, jnp.eye(skeleton.num_joints)[hand])
     near = jc.RestPrior(jnp.ones((skeleton.num_joints, 3)))
     solution = jc.solve(weight * pull + near, body, start, max_steps=12)
     return jnp.sum((jc.pose_body(body, solution.pose).joints[hand] - goal[hand]) ** 2)

@@ -46,7 +46,7 @@ class Balance(jc.AbstractEnergy):
 
     above: Float[Array, "3"]
 
-    def residual(self, posed: jc.Posed) -> Float[Array, "2"]:
+    def residual(self, posed: jc.body.Posed) -> Float[Array, "2"]:
         return (posed.vertices.mean(0) - self.above)[jnp.array([0, 2])]
 
 
@@ -56,7 +56,7 @@ class LookAt(jc.AbstractEnergy):
     head: int = eqx.field(static=True)
     target: Float[Array, "3"]
 
-    def residual(self, posed: jc.Posed) -> Float[Array, "3"]:
+    def residual(self, posed: jc.body.Posed) -> Float[Array, "3"]:
         away = self.target - posed.joints[self.head]
         forward = posed.transforms.rotations[self.head] @ jnp.array([0.0, 0.0, 1.0])
         return forward - away / jnp.linalg.norm(away)
@@ -75,7 +75,7 @@ hand, head = skeleton.index("RightHand"), skeleton.index("Head")
 
 
 def wish(ball):
-    reach = jc.joint_landmarks(
+    reach = jc.energy.joint_landmarks(
         jnp.zeros((skeleton.num_joints, 3)).at[hand].set(ball), jnp.eye(skeleton.num_joints)[hand]
     )
     stand = jc.VertexLandmarks(soles, feet, jnp.ones(len(soles)))
@@ -155,7 +155,7 @@ print("differences", np.round(around, 3))
 # lost in the rounding of single precision, and counts as not held. The solution says along which of its numbers.
 
 # %%
-bare = jc.joint_landmarks(
+bare = jc.energy.joint_landmarks(
     jnp.zeros((skeleton.num_joints, 3)).at[hand].set(ball), jnp.eye(skeleton.num_joints)[hand]
 )
 found = jc.uncertainty(bare, body, solution.pose, variance=0.01**2)
@@ -164,4 +164,4 @@ free, total = int(found.unobservable.sum()), len(found.unobservable)
 print(
     f"of {total} directions a hand alone leaves {free} free, the whole energy {int(whole.unobservable.sum())}"
 )
-print(*jc.describe_unobservable(skeleton, whole), sep="\n")
+print(*jc.fit.describe_unobservable(skeleton, whole), sep="\n")

@@ -53,7 +53,7 @@ rng = np.random.default_rng(0)
 bones = jnp.asarray(np.repeat(np.arange(5), 60))
 vertices = jnp.asarray(CENTRES[bones] + [0.1, 0, 0] + 0.06 * rng.normal(size=(300, 3)))
 faces = jnp.asarray(np.arange(300).reshape(-1, 3))
-body = jc.Body(skeleton, jc.RigidSkin(bones), vertices, faces)
+body = jc.Body(skeleton, jc.body.RigidSkin(bones), vertices, faces)
 pose = jc.retract(skeleton, jc.rest_pose(skeleton), jnp.asarray(0.7 * rng.normal(size=skeleton.num_dofs)))
 layout.names
 

@@ -44,7 +44,7 @@ from jaxcap.report.scores import score_meshes
 
 # %%
 human = jc.human(resolution=400)
-poses = jc.sample_poses(human.skeleton, count=10)
+poses = jc.body.sample_poses(human.skeleton, count=10)
 vertices = jax.lax.map(lambda pose: jc.pose_body(human, pose).vertices, poses)
 meshes = jc.MeshSequence(vertices, human.faces)
 
@@ -137,7 +137,7 @@ plt.show()
 # %% [markdown]
 # ## To files
 #
-# `jaxcap track` and `jaxcap fit` take the body; `jc.linearise` and `jc.write_gltf` bring it to other programs ([files](../docs/files.md)).
+# `jaxcap track` and `jaxcap fit` take the body; `jc.edit.linearise` and `jc.write_gltf` bring it to other programs ([files](../docs/files.md)).
 
 # %%
 folder = Path(tempfile.mkdtemp())

@@ -37,8 +37,8 @@ skeleton = body.skeleton
 
 # %%
 takes = walk_and_wave(skeleton, seconds=20.0)
-samples = jc.gather_samples([(skeleton, takes)], "RightForeArm", "RightArm")
-limits = jc.learn_limits(
+samples = jc.limits.gather_samples([(skeleton, takes)], "RightForeArm", "RightArm")
+limits = jc.limits.learn_limits(
     {"RightArm": samples.parent, "RightForeArm": samples}, voxel=np.radians(6), keyframe=np.radians(15)
 )
 [(s.joint, s.parent, s.chart.kind, s.centres.shape[:2]) for s in limits.surfaces]
@@ -60,16 +60,16 @@ for surface, one in zip(limits.surfaces, (samples.parent, samples), strict=True)
 # the nearest motion that is allowed.
 
 # %%
-wild = jc.Motion(jc.sample_poses(skeleton, count=60, seed=1), 30.0)
-good = np.asarray(jc.allowed_frames(limits, skeleton, wild))
-beyond = np.degrees(np.asarray(jc.residual_frames(limits, skeleton, wild)))
-comfort = np.asarray(jc.comfort_frames(limits, skeleton, wild))
+wild = jc.Motion(jc.body.sample_poses(skeleton, count=60, seed=1), 30.0)
+good = np.asarray(jc.limits.allowed_frames(limits, skeleton, wild))
+beyond = np.degrees(np.asarray(jc.limits.residual_frames(limits, skeleton, wild)))
+comfort = np.asarray(jc.limits.comfort_frames(limits, skeleton, wild))
 print(f"{np.mean(~good.all(1)):.0%} of the frames are beyond, by {beyond.max(0).round()} degrees at most")
 print(f"comfort {np.median(comfort, 0).round(2)}")
 
 # %%
-fixed = jc.project_motion(limits, skeleton, wild)
-assert jc.allowed_frames(limits, skeleton, fixed).all()
+fixed = jc.limits.project_motion(limits, skeleton, wild)
+assert jc.limits.allowed_frames(limits, skeleton, fixed).all()
 pictures.append(folder / "strip.png")
 draw_strip(
     pictures[-1], skeleton, wild, fixed, ~good, "above as it was, in red what is beyond; below within limits"

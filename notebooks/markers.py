@@ -42,7 +42,7 @@ skeleton = jc.make_skeleton(NAMES, (-1, 0, 1, 0, 3), ["free"] + ["ball"] * 4, ce
 bones = np.repeat(np.arange(5), 4)
 offsets = CENTRES[bones] + np.sign(CENTRES[bones, :1]) * [[0.15, 0, 0]] + 0.08 * rng.normal(size=(20, 3))
 labels = [f"{NAMES[bone]}{number}" for number, bone in enumerate(bones)]
-performer = jc.make_subject(skeleton, bones, offsets, labels)
+performer = jc.markers.make_subject(skeleton, bones, offsets, labels)
 
 time = np.arange(FRAMES) / RATE
 phases, speeds = rng.uniform(0, 6.28, (5, 3)), rng.uniform(1.0, 3.0, (5, 3))
@@ -50,7 +50,7 @@ turns = 0.6 * np.sin(phases + speeds * time[:, None, None])
 shifts = np.zeros((FRAMES, 5, 3))
 shifts[:, 0, 0] = 0.3 * time
 poses = jc.Pose(jnp.asarray(shifts), rotation.exp(jnp.asarray(turns)), jnp.ones(FRAMES))
-places = np.array(eqx.filter_jit(jax.vmap(jc.marker_places, (None, 0)))(performer, poses))
+places = np.array(eqx.filter_jit(jax.vmap(jc.markers.marker_places, (None, 0)))(performer, poses))
 truth = places.copy()
 places += 0.001 * rng.normal(size=places.shape)
 for marker in rng.choice(20, 6, replace=False):
@@ -82,7 +82,7 @@ plt.show()
 # the tree. It is told what was mended.
 
 # %%
-found = jc.fit_local(frames)
+found = jc.markers.fit_local(frames)
 print(*found.told, sep="\n")
 print(f"{len(found.segments.members)} segments, {found.skeleton.num_joints} bones: {found.skeleton.kinds}")
 
@@ -92,7 +92,7 @@ print(f"{len(found.segments.members)} segments, {found.skeleton.num_joints} bone
 # Poses of chosen frames, centres of joints and places of markers, fitted at once.
 
 # %%
-calibrated = jc.calibrate(found.markers, found.subject)
+calibrated = jc.markers.calibrate(found.markers, found.subject)
 print(*(calibrated.told or ("the frames tell all of it",)), sep="\n")
 centres = np.asarray(calibrated.subject.skeleton.centres)
 lengths = sorted(
@@ -106,8 +106,8 @@ print("bones between joints:", [f"{1000 * length:.1f} mm" for length in lengths]
 # ## Every frame, and gaps filled
 
 # %%
-solution = jc.solve_markers(calibrated.subject, frames)
-whole = jc.fill_gaps(calibrated.subject, solution.motion, frames, lost=solution.lost)
+solution = jc.markers.solve_markers(calibrated.subject, frames)
+whole = jc.markers.fill_gaps(calibrated.subject, solution.motion, frames, lost=solution.lost)
 hidden = ~np.asarray(frames.seen)
 off = 1000 * np.linalg.norm(np.asarray(whole.places) - truth[:, order], axis=2)
 print(f"{len(solution.lost)} frames solved, {int(solution.lost.sum())} lost")
@@ -116,7 +116,7 @@ print(f"markers in gaps come back within {np.median(off[hidden]):.1f} mm at the 
 # %%
 figure, plots = plt.subplots(1, 3, figsize=(9.0, 3.0))
 figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.9, wspace=0.0)
-joints = np.asarray(jc.joint_frames(calibrated.subject.skeleton, solution.motion).places)
+joints = np.asarray(jc.markers.joint_frames(calibrated.subject.skeleton, solution.motion).places)
 parents = calibrated.subject.skeleton.parents
 bones = np.asarray(calibrated.subject.bones)
 colours = distinct_colours(len(parents))
@@ -146,11 +146,11 @@ plt.show()
 # ## Frame by frame, as they come
 
 # %%
-streamer, state = jc.make_streamer(calibrated.subject)
+streamer, state = jc.markers.make_streamer(calibrated.subject)
 for number in range(20):
-    state, pose = jc.stream_frame(streamer, state, places[number, order])
+    state, pose = jc.markers.stream_frame(streamer, state, places[number, order])
 folder = Path(tempfile.mkdtemp())
-jc.save_subject(folder / "subject.npz", calibrated.subject)
+jc.io.save_subject(folder / "subject.npz", calibrated.subject)
 jc.write_bvh(folder / "trial.bvh", calibrated.subject.skeleton, solution.motion)
 jc.write_markers(folder / "filled.trc", whole)
 sorted(path.name for path in folder.iterdir())

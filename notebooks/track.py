@@ -48,10 +48,14 @@ from jaxcap.report.render import draw_shadow
 truth = jc.human(resolution="medium")
 performance = walk_and_wave(truth.skeleton, seconds=1.0)
 posed = [jc.pose_body(truth, performance[number]) for number in range(performance.num_frames)]
-cameras = jc.ring_of_cameras(4, 360, distance=2.5, height=0.6, target=[0.0, 0.1, 0.0], resolution=(160, 160))
-scanner = jc.Scanner(noise=0.004, flying=0.05, points=3000)
+cameras = jc.geometry.ring_of_cameras(
+    4, 360, distance=2.5, height=0.6, target=[0.0, 0.1, 0.0], resolution=(160, 160)
+)
+scanner = jc.scanner.Scanner(noise=0.004, flying=0.05, points=3000)
 scans = [
-    jc.scan_frame(scanner, cameras, np.asarray(body.vertices, float), np.asarray(truth.faces), frame=number)
+    jc.scanner.scan_frame(
+        scanner, cameras, np.asarray(body.vertices, float), np.asarray(truth.faces), frame=number
+    )
     for number, body in enumerate(posed)
 ]
 clouds = [jc.make_cloud(scan.points, scan.normals) for scan in scans]
@@ -108,7 +112,7 @@ rng = np.random.default_rng(0)
 broken = list(clouds[:14])
 broken[9] = jc.make_cloud(rng.uniform(-1, 1, size=(3000, 3)), rng.normal(size=(3000, 3)))
 tracker = jc.make_tracker(body)
-stream = list(jc.track_frames(tracker, broken))
+stream = list(jc.fit.track_frames(tracker, broken))
 [number for number, tracked in enumerate(stream) if tracked.lost]
 
 # %%

@@ -6,7 +6,6 @@ reference. Pages of the reference say which parts of the package they are of, `<
 public names from there.
 """
 
-import ast
 import posixpath
 import re
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jaxcap
+from jaxcap.namespace import read_stub
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -86,34 +86,23 @@ def dotted(path: str) -> str:
 
 
 def public_names() -> dict[str, str]:
-    """The module that each public name comes from, without `jaxcap`, in the order of `jaxcap/__init__.pyi`; then those
-    of its namespaces, as `edit.cut`, that do not stand there by themselves."""
+    """The part of the package that each public name is listed with, `limits` for `limits.Cone`: its namespace, and for
+    names of `jaxcap` itself that of its module."""
     found, namespaces = {}, []
-    for module, name in _imports(ROOT / "jaxcap" / "__init__.pyi"):
-        if module:
-            found[name] = module
-        else:
+    for name, (module, attribute) in read_stub(ROOT / "jaxcap" / "__init__.pyi").items():
+        if attribute:
+            found[name] = module.split(".")[1]
+        elif (ROOT / "jaxcap" / name).is_dir():
             namespaces.append(name)
-    flat = set(found)
     for space in namespaces:
-        for module, name in _imports(ROOT / "jaxcap" / space / "__init__.py"):
-            if name not in flat:
-                found[f"{space}.{name}"] = f"{space}.{module}"
+        found |= {f"{space}.{name}": space for name in read_stub(ROOT / "jaxcap" / space / "__init__.pyi")}
     return found
-
-
-def _imports(path: Path) -> Iterator[tuple[str, str]]:
-    """What a package brings, with the module that it is from; none for a module itself."""
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.ImportFrom):
-            for alias in node.names:
-                yield node.module or "", alias.asname or alias.name
 
 
 def names_of(wings: str) -> list[str]:
     """Public names of some parts of the package: `body, geometry`."""
     wanted = [wing.strip() for wing in wings.split(",")]
-    return [name for name, module in public_names().items() if module.split(".")[0] in wanted]
+    return [name for name, wing in public_names().items() if wing in wanted]
 
 
 def paper_functions() -> list[str]:

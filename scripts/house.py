@@ -80,7 +80,12 @@ def public_names() -> dict[str, int]:
     """Count the public names of each namespace."""
     import jaxcap as jc
 
-    return {"jaxcap": len(jc.__all__), "jaxcap.edit": len([name for name in dir(jc.edit) if name[0] != "_"])}
+    spaces = {name: getattr(jc, name) for name in jc.__all__ if (ROOT / "jaxcap" / name).is_dir()}
+    functions = [name for name in jc.__all__ if name not in spaces]
+    return {
+        "jaxcap": len(functions),
+        **{f"jaxcap.{name}": len(space.__all__) for name, space in spaces.items()},
+    }
 
 
 def main() -> None:

@@ -39,7 +39,7 @@ def main() -> None:
     options = parser.parse_args()
 
     human = jc.human(resolution=options.resolution)
-    poses = jc.sample_poses(human.skeleton, count=options.meshes)
+    poses = jc.body.sample_poses(human.skeleton, count=options.meshes)
     vertices = jax.lax.map(lambda pose: jc.pose_body(human, pose).vertices, poses)
     meshes = jc.MeshSequence(vertices, human.faces)
     held = np.arange(options.meshes) % 4 == 3
@@ -61,7 +61,7 @@ def main() -> None:
             shrink(Path(folder) / f"{name}.png", options.folder / f"{target}.png", width)
 
 
-def tell(state: jc.LearnState) -> None:
+def tell(state: jc.learn.LearnState) -> None:
     step, value = state.history[-1]
     sys.stderr.write(f"round {state.round}: {step}, Q {value:.5g} m²\n")
 

@@ -31,7 +31,7 @@ from jaxcap.report.render import INK, draw_surface, turned
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
 FIRST, RATE = 88, 30
-SCANNER = jc.Scanner(points=5000, noise=0.008, flying=0.3)
+SCANNER = jc.scanner.Scanner(points=5000, noise=0.008, flying=0.3)
 #: metres around the performer that are shown, to the side and up
 REACH, LOW, HIGH = 0.88, -0.1, 1.98
 #: inches of one half, and pixels of the whole
@@ -101,13 +101,15 @@ def follow(actor: jc.Body, performance: jc.Motion, body: jc.Body) -> Iterator[Sh
         np.asarray(_posed(actor, performance[n]).vertices, float) for n in range(performance.num_frames)
     ]
     middle = np.mean(surfaces, (0, 1))
-    cameras = jc.ring_of_cameras(6, 360, 3.2, middle[1] + 0.4, middle, (240, 240), 50)
+    cameras = jc.geometry.ring_of_cameras(6, 360, 3.2, middle[1] + 0.4, middle, (240, 240), 50)
     scans = [
-        jc.scan_frame(SCANNER, cameras, vertices, np.asarray(actor.faces), frame=number)
+        jc.scanner.scan_frame(SCANNER, cameras, vertices, np.asarray(actor.faces), frame=number)
         for number, vertices in enumerate(surfaces)
     ]
     clouds = (jc.make_cloud(scan.points, scan.normals) for scan in scans)
-    for scan, tracked in zip(scans, jc.track_frames(jc.make_tracker(body), clouds, search=True), strict=True):
+    for scan, tracked in zip(
+        scans, jc.fit.track_frames(jc.make_tracker(body), clouds, search=True), strict=True
+    ):
         posed = _posed(body, tracked.pose)
         yield Shown(scan.points, np.asarray(posed.vertices, float), np.asarray(posed.joints, float))
 

@@ -58,4 +58,6 @@ def task_of(scene, **changes) -> AdaptTask:
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
     settings = AdaptSettings(frames=3, alone=1, rounds=(1,))
     whole = [jc.make_cloud(*cloud) for cloud in clouds]
-    return AdaptTask(template, whole.__getitem__, FRAMES, 10.0, poses[0], prior, (), settings)._replace(**changes)
+    return AdaptTask(template, whole.__getitem__, FRAMES, 10.0, poses[0], prior, (), settings)._replace(
+        **changes
+    )

@@ -77,7 +77,7 @@ def markers_page(folder: Path) -> dict[str, object]:
         folder / "standing.c3d", jc.make_markers(np.repeat(spots[None], 5, 0), held.labels, 100.0)
     )
     nearest = np.argmin(np.linalg.norm(spots[:, None] - np.asarray(body.vertices), axis=2), axis=1)
-    turned = jc.sample_poses(body.skeleton, count=2)
+    turned = jc.body.sample_poses(body.skeleton, count=2)
     return {
         "trajectories": np.asarray(frames.places),
         "labels": frames.labels,
@@ -103,7 +103,7 @@ def files_page(folder: Path) -> dict[str, object]:
     """A body with a motion."""
     del folder
     body = jc.human(resolution="low")
-    return {"jc": jc, "body": body, "motion": jc.Motion(jc.sample_poses(body.skeleton, count=3), 30.0)}
+    return {"jc": jc, "body": body, "motion": jc.Motion(jc.body.sample_poses(body.skeleton, count=3), 30.0)}
 
 
 def adaptation_page(folder: Path) -> dict[str, object]:

@@ -25,10 +25,10 @@ from .rounds import adapt_round
 from .rounds import shape_weight as shape_weight
 from .rounds import spread_frames as spread_frames
 from .shape.scale import fit_size
-from .task import AdaptState as AdaptState
 from .task import AdaptSettings as AdaptSettings
-from .task import Stage as Stage
+from .task import AdaptState as AdaptState
 from .task import AdaptTask as AdaptTask
+from .task import Stage as Stage
 from .task import plan as plan
 from .task import tracker_of
 
@@ -98,7 +98,9 @@ def _size(task: AdaptTask) -> AdaptState:
     return best._replace(motion=_every_frame(task, poses))
 
 
-def _sized(task: AdaptTask, scans: Sequence[Scan], frames: Sequence[int], body: Body, size: float) -> AdaptState:
+def _sized(
+    task: AdaptTask, scans: Sequence[Scan], frames: Sequence[int], body: Body, size: float
+) -> AdaptState:
     """Estimate poses and size from a body that is the template scaled by `size`."""
     settings, search = task.settings, task.start is None
     weight = FIRST_WEIGHT if settings.pose is None else settings.pose

@@ -19,7 +19,7 @@ from ..body.pose import Motion, Pose, stack_poses
 from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
-from .adapt_body import AdaptState, AdaptSettings, AdaptTask, adapt_body, plan
+from .adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan
 from .shape.scale import resized
 
 #: width of a bin of distances, the resolution of percentiles, and the distance of the last bin, metres

@@ -23,7 +23,7 @@ from .shape.joint_regressor import make_joint_regressor, regress_joints
 from .shape.reference import reference, shape_prior_of
 from .shape.shape_space import People, person, traits_like
 from .shape.surface import adapt_shape, adapt_together
-from .task import AdaptState, AdaptSettings, Stage, AdaptTask
+from .task import AdaptSettings, AdaptState, AdaptTask, Stage
 
 #: finds the stacked pairs of a body in its poses in a round's frames
 PairsOfAll = Callable[[Body, list[Pose]], Pairs]
@@ -145,7 +145,9 @@ def step_of(problem: SequenceProblem, poses: Pose) -> tuple[Body, Pose, Float[Ar
     return problem.body_at(found.values), found.poses, found.values["modes"]
 
 
-def _problem(task: AdaptTask, state: AdaptState, pairs, modes: Modes, belief: Belief, mirrored) -> SequenceProblem:
+def _problem(
+    task: AdaptTask, state: AdaptState, pairs, modes: Modes, belief: Belief, mirrored
+) -> SequenceProblem:
     weights = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
     return shared_problem(state.body, pairs, task.prior, modes, belief, mirrored, *weights, terms=task.terms)
 

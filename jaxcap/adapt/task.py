@@ -163,7 +163,7 @@ class AdaptTask(NamedTuple):
                 f"frame {frame}: {sentence_of(error)} Name it among the `missing` frames."
             ) from None
 
-    def some(self, frames: Sequence[int]) -> "Task":
+    def some(self, frames: Sequence[int]) -> "AdaptTask":
         """Restrict the task to some of the frames, numbered from 0."""
         mesh = self.mesh
         return self._replace(

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from ..arguments import checked
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose, concatenate_poses, take_poses
 from ..body.skeleton import Skeleton
@@ -20,6 +21,7 @@ class Loop(NamedTuple):
     travel: Planar
 
 
+@checked
 def cut(motion: Motion, first: int = 0, last: int | None = None) -> Motion:
     """Cut frames `first` to `last` from a motion, both included; negative numbers count from the end.
 
@@ -38,6 +40,7 @@ def cut(motion: Motion, first: int = 0, last: int | None = None) -> Motion:
     return motion.slice(slice(first, last + 1))
 
 
+@checked
 def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
     """Join two motions into one.
 
@@ -72,6 +75,7 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
     return Motion(concatenate_poses(parts), a.rate)
 
 
+@checked
 def make_loop(
     skeleton: Skeleton, motion: Motion, first: int, last: int, frames: int, in_place: bool = False
 ) -> Loop:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..arguments import checked
 from ..body.kinematics import forward_kinematics
 from ..body.limits.limits import AbstractLimits
 from ..body.pose import Motion, Pose
@@ -41,6 +42,7 @@ class Gaze(NamedTuple):
     held: Bool[np.ndarray, "F"]
 
 
+@checked
 def look_at_target(
     skeleton: Skeleton,
     motion: Motion,

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.people.human import human
 from ..body.skeleton import Skeleton
@@ -34,6 +35,7 @@ class GazeLine(eqx.Module):
     direction: Float[Array, "3"]
 
 
+@checked
 def line_of_vertices(
     body: Body, back: Sequence[int] | int, front: Sequence[int] | int, head: str
 ) -> GazeLine:
@@ -64,6 +66,7 @@ def line_of_vertices(
     return GazeLine(joint, jnp.asarray(ends[1], dtype), jnp.asarray(along / length, dtype))
 
 
+@checked
 def line_of_joint(skeleton: Skeleton, head: str) -> GazeLine:
     """Make a gaze line for a skeleton without a known surface, from the middle of the head's bone to the
     front.
@@ -79,6 +82,7 @@ def line_of_joint(skeleton: Skeleton, head: str) -> GazeLine:
     return GazeLine(joint, jnp.asarray(eyes, dtype), jnp.asarray(_forward(skeleton, joint), dtype))
 
 
+@checked
 def human_line(body: Body) -> GazeLine | None:
     """Make the gaze line of the embedded human, which is recognised by its triangles; None for any other
     body."""
@@ -89,6 +93,7 @@ def human_line(body: Body) -> GazeLine | None:
     return None
 
 
+@checked
 def gaze_shares(skeleton: Skeleton, names: Sequence[str] | None = None) -> dict[str, float]:
     """Find chest, neck and head with their shares of the rotation, 10, 40 and 50 per cent.
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
 from ..geometry.closest import nearest_on_surface
@@ -29,6 +30,7 @@ class Glue(eqx.Module):
     heights: Float[Array, "N"]
 
 
+@checked
 def glue_scan(
     points: Float[Array | np.ndarray, "N 3"],
     vertices: Float[Array | np.ndarray, "V 3"],
@@ -72,6 +74,7 @@ def glue_scan(
     return Glue(jnp.asarray(corners), jnp.asarray(shares), jnp.asarray(heights))
 
 
+@checked
 @jax.jit
 def glued_points(glue: Glue, vertices: Float[Array, "V 3"]) -> Float[Array, "N 3"]:
     """Compute the positions of attached points from the body's current vertices, metres; one frame,
@@ -85,6 +88,7 @@ def glued_points(glue: Glue, vertices: Float[Array, "V 3"]) -> Float[Array, "N 3
     return foot + glue.heights[:, None] * normal / jnp.sqrt(jnp.where(flat, 1.0, squared))
 
 
+@checked
 @eqx.filter_jit
 def animate_scan(glue: Glue, body: Body, pose: Pose) -> Float[Array, "N 3"]:
     """Pose the points of an attached scan with the body, metres; one frame."""

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.pose import Motion, Pose, take_poses
 from ..geometry import rotation
 
@@ -34,6 +35,7 @@ def ease(share: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
     return share * share * (3.0 - 2.0 * share)
 
 
+@checked
 def resample(motion: Motion, rate: float | int) -> Motion:
     """Resample a motion to another rate, frames a second.
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..arguments import checked
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
@@ -35,6 +36,7 @@ class Keys(NamedTuple):
         return int(self.keyed.sum())
 
 
+@checked
 def find_keys(
     skeleton: Skeleton,
     motion: Motion,
@@ -79,6 +81,7 @@ def find_keys(
     )
 
 
+@checked
 def interpolate_keys(poses: Pose, keyed: Bool[np.ndarray, "F J"]) -> Pose:
     """Interpolate poses between keys, each joint between its own `keyed` frames.
 

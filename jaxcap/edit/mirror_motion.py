@@ -4,12 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..body.symmetry import twin_joints
 from ..geometry.axes import nearest_axis
 
 
+@checked
 def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
     """Mirror a motion: exchange left and right, and reflect positions along the lateral axis.
 

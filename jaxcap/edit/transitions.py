@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
@@ -23,6 +24,7 @@ class Transition(NamedTuple):
     distance: float
 
 
+@checked
 def transition_distances(skeleton: Skeleton, a: Motion, b: Motion, window: int) -> Float[np.ndarray, "N M"]:
     """Compute the distances between all windows of `window` frames of `a` and of `b`.
 
@@ -48,6 +50,7 @@ def transition_distances(skeleton: Skeleton, a: Motion, b: Motion, window: int) 
     return np.sqrt(np.maximum(level + upright, 0.0) / xa.shape[1])
 
 
+@checked
 def find_transitions(
     skeleton: Skeleton, a: Motion, b: Motion, window: int, count: int = 1
 ) -> list[Transition]:
@@ -59,6 +62,7 @@ def find_transitions(
     return _best(transition_distances(skeleton, a, b, window), window, count)
 
 
+@checked
 def find_loops(
     skeleton: Skeleton, motion: Motion, window: int, least: int, most: int | None = None, count: int = 1
 ) -> list[Transition]:

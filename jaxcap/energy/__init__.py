@@ -1,1 +1,5 @@
 """Energies: additive residuals of posed bodies."""
+
+from ..namespace import attach
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -22,7 +22,7 @@ from .gltf.gltf_document import SUFFIXES as GLTF_READ
 from .gltf.gltf_document import clips_of, has_skin, no_skin, read_document
 from .gltf.gltf_reader import read_gltf, read_gltf_body
 from .kinds import wrong_kind
-from .markers.c3d import read_c3d, write_c3d
+from .markers.c3d import read_c3d_file, write_c3d
 from .markers.marker_file import SIZE, MarkerFile, check_extent, pick_subject
 from .markers.marker_table import read_marker_table, write_marker_table
 from .markers.trc import read_trc, write_trc
@@ -76,7 +76,7 @@ SKINNED_READERS: dict[str, Callable[[Path], tuple[Body, Motion | None]]] = {
 BODY_SUFFIXES = (".npz", *dict.fromkeys((*SKINNED_READERS, *SUFFIXES)))
 #: these files give their unit themselves if `unit` is None
 MARKER_READERS: dict[str, Callable[[Path, Any], MarkerFile]] = {
-    ".c3d": read_c3d,
+    ".c3d": read_c3d_file,
     ".trc": read_trc,
     ".csv": read_marker_table,
 }
@@ -89,6 +89,7 @@ MARKER_WRITERS: dict[str, Callable[[Path, MarkerFrames, Any], None]] = {
 DEFAULT_UNITS = {".bvh": "cm"}
 
 
+@checked
 def read_skeleton(path: str | Path, unit: str | float | None = None) -> Skeleton:
     """Read a skeleton.
 
@@ -108,6 +109,7 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, unit: str | float | Non
     _of(SKELETON_WRITERS, path, "skeletons", "written")(Path(path), skeleton, _unit(path, unit))
 
 
+@checked
 def read_motion(path: str | Path, unit: str | float | None = None) -> tuple[Skeleton, Motion]:
     """Read a motion with its skeleton; `unit` and errors as in `read_skeleton`.
 
@@ -117,6 +119,7 @@ def read_motion(path: str | Path, unit: str | float | None = None) -> tuple[Skel
     return _of(MOTION_READERS, path, "a motion")(Path(path), _unit(path, unit))
 
 
+@checked
 def write_motion(
     path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | float | None = None
 ) -> None:
@@ -127,7 +130,7 @@ def write_motion(
 def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> None:
     """Write a body with linear blend skinning as `.glb`, `.usda`, `.usdc` or `.usdz`.
 
-    An optional motion becomes its animation. Convert other bodies by `jaxcap.linearise` first.
+    An optional motion becomes its animation. Convert other bodies by `jaxcap.edit.linearise` first.
 
     **Raises:** `InputError` as `write_gltf` and `write_usd` do.
     """
@@ -237,7 +240,24 @@ def read_markers(
     unit.
     """
     path = Path(path)
-    file = read_marker_file(path, unit)
+    return _frames_of(read_marker_file(path, unit), path, subject, size)
+
+
+@checked
+def read_c3d(
+    path: str | Path,
+    unit: str | float | None = None,
+    *,
+    subject: str | None = None,
+    size: tuple[float, float] = SIZE,
+) -> MarkerFrames:
+    """Read marker trajectories from a C3D file, whatever its suffix; arguments and errors are those of
+    `read_markers`."""
+    path = Path(path)
+    return _frames_of(read_c3d_file(path, unit), path, subject, size)
+
+
+def _frames_of(file: MarkerFile, path: Path, subject: str | None, size: tuple[float, float]) -> MarkerFrames:
     frames = pick_subject(file.frames, path, subject)
     check_extent(frames, path, file.scale, size)
     return frames

@@ -1,1 +1,5 @@
 """Reports and figures of results."""
+
+from ..namespace import attach
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -10,6 +10,7 @@ import numpy as np
 from ..adapt.adapt_body import AdaptState, AdaptTask
 from ..adapt.evaluate import Stages, Variant, quantile, summary_of
 from ..adapt.objective import Terms
+from ..arguments import checked
 from ..body.body import Body
 from ..io.system.atomic import write_text
 from .adaptation_charts import (
@@ -71,6 +72,7 @@ NAMED = 20
 PACKAGES = ("jaxcap", "jax", "numpy", "scipy")
 
 
+@checked
 def report_adaptation(
     path: str | Path, task: AdaptTask, state: AdaptState, stages: Stages, how: Mapping[str, object]
 ) -> None:
@@ -84,6 +86,7 @@ def report_adaptation(
     write_text(path, adaptation_page(task, state, stages, how))
 
 
+@checked
 def adaptation_page(task: AdaptTask, state: AdaptState, stages: Stages, how: Mapping[str, object]) -> str:
     """Build the page of `report_adaptation`."""
     skeleton, angles = state.body.skeleton, stages.angles

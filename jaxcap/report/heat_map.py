@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..body.body import Body
 from .chart import TICKS, number, ticks
 from .page import Markup, element
@@ -28,6 +29,7 @@ def heat_limit(heats: Sequence[Float[np.ndarray, "_"]]) -> float:
     return nice(high / TICKS) * float(np.ceil(high / nice(high / TICKS)))
 
 
+@checked
 def heat_pictures(bodies: Sequence[Body], heats: Sequence[Float[np.ndarray, "_"]], limit: float) -> list[str]:
     """Render every body at rest, front and back, on common size and colour scales; each picture is a data
     URI.

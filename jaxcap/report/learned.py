@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion
 from ..io.system.atomic import replacing
@@ -22,6 +23,7 @@ from .weights import weight_pictures
 STEPS = ("#2a5fd0", "#e8743b", "#2e9e4f", "#8f4fb0", "#b3202c", "#17a398", "#c9a227", "#555555")
 
 
+@checked
 def report_learning(
     folder: str | Path,
     body: Body,

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..body.limits.limit_surface import LimitSurface
 from ..body.limits.primitives import Primitives, radii, signed_distance
 from ..io.system.atomic import replacing
@@ -22,6 +23,7 @@ DOT, FILL, EDGE = "#1c7293", np.array([0.95, 0.76, 0.31]), "#f2803c"
 CUBE = np.array([0.56, 0.72, 0.84])
 
 
+@checked
 def draw_limits(
     path: str | Path,
     surface: LimitSurface,

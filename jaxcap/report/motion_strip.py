@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arguments import checked
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
@@ -15,6 +16,7 @@ from .render import INK, frame, view_axes
 SHOWN, BONE, MARKED = 8, "#5b6770", "#c81d25"
 
 
+@checked
 def draw_strip(
     path: str | Path,
     skeleton: Skeleton,

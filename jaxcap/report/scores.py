@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose
 from ..metrics import scan_to_surface
@@ -54,6 +55,7 @@ class Scores(NamedTuple):
         return {"unit": "m", "vertex_to_surface": total, "per_mesh": rows}
 
 
+@checked
 def score_meshes(
     body: Body,
     motion: Motion,
@@ -85,6 +87,7 @@ def score_meshes(
     return total_scores(tuple(each(score(frame) for frame in range(len(sequence)))))
 
 
+@checked
 def total_scores(meshes: tuple[MeshScore, ...]) -> Scores:
     """Average over all vertices of all meshes, which have equal numbers of vertices."""
     counted = [score for score in meshes if score.fitted]

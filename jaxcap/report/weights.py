@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.skin import SwingTwistSkin
 from ..geometry import rotation
@@ -18,6 +19,7 @@ AXES, VIEWS = ("#d7263d", "#2e9e4f", "#2a5fd0"), (25.0, 115.0)
 NEUTRAL = np.array([0.86, 0.86, 0.86])
 
 
+@checked
 def weight_pictures(folder: str | Path, body: Body) -> list[Path]:
     """Write `weights.png`: parts, weights and joints of a body at rest, from two sides. Returns the files.
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
@@ -85,6 +86,7 @@ class Player:
         return f'<iframe srcdoc="{page}" width="100%" height="{self.height}" style="border: none"></iframe>'
 
 
+@checked
 def show(
     body: Body | Skeleton,
     motion: Motion | Pose | None = None,

@@ -10,7 +10,7 @@ from adapt_scene import make_scene, words, write_folder
 from command_line import runs
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan
 from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
@@ -38,10 +38,10 @@ def known(scene):
     pairs = successive_pairs(skeleton)[:2]
     frames = [[skeleton.orientations[skeleton.index(name)] for name in pair] for pair in pairs]
     eyes = np.tile(3 * np.eye(6), (2, 1, 1, 1))
-    prior = jc.make_pair_prior(pairs, np.array(frames), np.ones((2, 1)), np.full((2, 1, 6), 0.01), eyes)
+    prior = jc.prior.make_pair_prior(pairs, np.array(frames), np.ones((2, 1)), np.full((2, 1, 6), 0.01), eyes)
     boxes = make_pose_boxes([pairs[0][0]], -np.ones((1, 3)), np.ones((1, 3)))
     meshes = np.asarray(template.vertices, float)[None] + 0.01
-    shape = jc.make_shape_prior(template, stack_poses(poses[:1], 1.0).poses, meshes)
+    shape = jc.adapt.make_shape_prior(template, stack_poses(poses[:1], 1.0).poses, meshes)
     return prior, boxes, shape
 
 
@@ -50,8 +50,8 @@ def folder(scene, known, tmp_path):
     """A template that carries all three, with limits of its own."""
     prior, boxes, shape = known
     folder = write_folder(tmp_path, scene)
-    jc.save_prior(folder / "body.npz", prior, boxes, scene[0], {"angles": np.arange(3.0)}, shape)
-    jc.save_prior(folder / "other.npz", prior)
+    jc.io.save_prior(folder / "body.npz", prior, boxes, scene[0], {"angles": np.arange(3.0)}, shape)
+    jc.io.save_prior(folder / "other.npz", prior)
     jc.save_body(folder / "plain.npz", scene[0])
     return folder
 
@@ -109,7 +109,9 @@ def test_a_prior_in_the_template_counts_as_one_that_is_named(scene, folder):
 
 
 def test_of_a_reduced_template_its_own_shape_is_left_out(scene, folder, capsys):
-    few = jc.Body(scene[0].skeleton, jc.RigidSkin(jnp.zeros(3, int)), jnp.eye(3), jnp.asarray([[0, 1, 2]]))
+    few = jc.Body(
+        scene[0].skeleton, jc.body.RigidSkin(jnp.zeros(3, int)), jnp.eye(3), jnp.asarray([[0, 1, 2]])
+    )
     priors = read_priors(folder / "body.npz", few, own=True, reduced=True)
     assert priors is not None and priors.boxes is not None and priors.shape is None
     assert "not the shape, with --vertices" in capsys.readouterr().out
@@ -146,5 +148,5 @@ def test_the_actor_carries_on_what_counted(scene, known, folder, capsys, monkeyp
     assert not [name for name in load_limits(out) if name.startswith("shape.")]
     np.testing.assert_array_equal(jc.load_body(out).vertices, actor.vertices)
     if keeps:
-        np.testing.assert_array_equal(jc.load_prior(out, skeleton).means, known[0].means)
+        np.testing.assert_array_equal(jc.io.load_prior(out, skeleton).means, known[0].means)
     assert (load_boxes(out, skeleton) is not None) == (not more)

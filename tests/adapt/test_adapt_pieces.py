@@ -10,7 +10,7 @@ from adapt_scene import make_scene, task_of
 
 import jaxcap as jc
 from jaxcap.adapt import adapt_body as loop
-from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan
 from jaxcap.adapt.objective import Terms
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.state import keep_state, state_to_go_on_from

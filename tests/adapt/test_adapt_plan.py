@@ -21,7 +21,12 @@ def test_the_plan_has_all_stages_and_weights_fall():
     ]
     weights = [shape_weight(settings, Stage("adapt", 1, step)) for step in (1, 5)]
     assert weights == pytest.approx(list(settings.shape))
-    assert [stage.name for stage in plan(AdaptSettings(alone=0, rounds=()))] == ["size", "track", "pose", "smooth"]
+    assert [stage.name for stage in plan(AdaptSettings(alone=0, rounds=()))] == [
+        "size",
+        "track",
+        "pose",
+        "smooth",
+    ]
     while_tracking = [str(stage) for stage in plan(AdaptSettings(every=10))]
     assert while_tracking[:4] == ["size", "track to frame 10", "adapt to frame 10", "track to frame 20"]
     assert while_tracking.index("adapt to frame 100") < while_tracking.index("track")

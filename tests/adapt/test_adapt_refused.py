@@ -11,7 +11,7 @@ from command_line import fails, runs
 
 import jaxcap as jc
 from jaxcap.adapt import check
-from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, AdaptTask, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan
 from jaxcap.adapt.check import (
     Likeness,
     check_actor,
@@ -315,10 +315,10 @@ def test_a_prior_of_another_skeleton(scene, folder, capsys):
     )
     pairs = successive_pairs(skeleton)[:1]
     frames = [[skeleton.orientations[skeleton.index(name)] for name in pair] for pair in pairs]
-    prior = jc.make_pair_prior(
+    prior = jc.prior.make_pair_prior(
         pairs, np.array(frames), np.ones((1, 1)), np.zeros((1, 1, 6)), np.eye(6)[None, None]
     )
-    jc.save_prior(folder / "prior.npz", prior)
+    jc.io.save_prior(folder / "prior.npz", prior)
     told = fails(capsys, *words(folder, "--prior", folder / "prior.npz"))
     assert "prior.npz: this prior is of another skeleton: there is no joint 'other" in told
     assert "learn one for this skeleton" in told

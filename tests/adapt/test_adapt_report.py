@@ -13,7 +13,7 @@ from command_line import fails, runs
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, AdaptTask, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, plan
 from jaxcap.adapt.evaluate import (
     BIN,
     Stages,

@@ -11,7 +11,7 @@ from adapt_scene import make_scene, write_folder, write_scan
 from command_line import fails, runs, tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan
 from jaxcap.adapt.objective import Terms
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.sample import sample_poses
@@ -165,7 +165,7 @@ def test_another_start_or_template_is_another_run(scene, folder, capsys):
     header = header_of(run, scene)
     body = jc.load_body(folder / "body.npz")
     assert fingerprint_of(body, ())["template"] == header["template"]
-    skin = jc.RigidSkin(jnp.zeros(len(body.vertices), int))
+    skin = jc.body.RigidSkin(jnp.zeros(len(body.vertices), int))
     other = jc.Body(body.skeleton, skin, body.vertices, body.faces)
     assert fingerprint_of(other, ())["template"] != header["template"]
 

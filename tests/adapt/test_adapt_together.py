@@ -16,7 +16,7 @@ from jaxcap.adapt.problems import ALIKE, Belief, shared_problem, stack, stack_pa
 from jaxcap.adapt.rounds import adapt_round, step_of
 from jaxcap.adapt.shape.shape_prior import own_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape, adapt_together
-from jaxcap.adapt.task import AdaptState, AdaptSettings, Stage
+from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import joint_modes, moved
 from jaxcap.body.symmetry import length_differences

@@ -9,7 +9,7 @@ from command_line import fails
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptState, AdaptSettings, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan
 from jaxcap.adapt.flagged import NO_SCAN, distance_limit, flag_frames
 from jaxcap.adapt.poses import unordered
 from jaxcap.adapt.poses.similarity import DIRECTIONS, is_unordered, shape_of, step_between, turned_distances

@@ -41,7 +41,7 @@ def meshes(rng, poses):
 @pytest.fixture
 def pairs(rng):
     """A prior of poses to be written with that of shape."""
-    return jc.learn_pair_prior(
+    return jc.prior.learn_pair_prior(
         SKELETON, jc.stack_poses([random_pose(SKELETON, rng, 0.3) for _ in range(20)]), most=1
     )
 
@@ -56,7 +56,7 @@ def slow_vectors(meshes) -> np.ndarray:
 
 
 def test_vectors_and_energy_are_those_of_a_slow_loop(poses, meshes):
-    prior = jc.make_shape_prior(BODY, poses, meshes)
+    prior = jc.adapt.make_shape_prior(BODY, poses, meshes)
     np.testing.assert_allclose(prior.vectors, slow_vectors(meshes), atol=1e-14)
     own = slow_vectors(np.asarray(deform_all(BODY, poses)))
     expected = (
@@ -68,7 +68,7 @@ def test_vectors_and_energy_are_those_of_a_slow_loop(poses, meshes):
 
 def test_a_vertex_without_neighbours_has_no_vector(poses, meshes):
     alone = eqx.tree_at(lambda b: b.faces, BODY, BODY.faces[(BODY.faces != 3).all(1)])
-    vectors = jc.make_shape_prior(alone, poses, meshes).vectors
+    vectors = jc.adapt.make_shape_prior(alone, poses, meshes).vectors
     np.testing.assert_array_equal(vectors[:, 3], 0.0)
     assert np.abs(vectors).sum(-1).min(0)[4] > 0
 
@@ -76,11 +76,14 @@ def test_a_vertex_without_neighbours_has_no_vector(poses, meshes):
 def test_scaled_is_the_prior_of_the_scaled_body_and_meshes(poses, meshes):
     """Roots are moved by as much more, so that posed bodies are as large about the origin."""
     size = 1.3
-    body, prior = resized(BODY, jnp.asarray(size)), scaled(jc.make_shape_prior(BODY, poses, meshes), size)
+    body, prior = (
+        resized(BODY, jnp.asarray(size)),
+        scaled(jc.adapt.make_shape_prior(BODY, poses, meshes), size),
+    )
     np.testing.assert_allclose(deform_all(body, prior.poses), size * deform_all(BODY, poses), atol=1e-12)
-    expected = jc.make_shape_prior(body, prior.poses, size * meshes)
+    expected = jc.adapt.make_shape_prior(body, prior.poses, size * meshes)
     np.testing.assert_allclose(prior.vectors, expected.vectors, atol=1e-14)
-    before = shape_energy(jc.make_shape_prior(BODY, poses, meshes), BODY)
+    before = shape_energy(jc.adapt.make_shape_prior(BODY, poses, meshes), BODY)
     assert shape_energy(prior, body) == pytest.approx(size**2 * before, rel=1e-9)
     for wrong in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="must be above 0"):
@@ -109,14 +112,14 @@ def test_what_no_prior_is_made_of(poses, meshes):
         ),
     ):
         with pytest.raises(ValueError, match=told):
-            jc.make_shape_prior(BODY, pose, mesh)
+            jc.adapt.make_shape_prior(BODY, pose, mesh)
 
 
 def test_round_trip_through_files(tmp_path, pairs, poses, meshes):
-    prior = jc.make_shape_prior(BODY, poses, meshes)
+    prior = jc.adapt.make_shape_prior(BODY, poses, meshes)
     alone, beside = tmp_path / "prior.npz", tmp_path / "body.npz"
-    jc.save_prior(alone, pairs, shape=prior)
-    jc.save_prior(beside, pairs, None, BODY, {"angles": np.arange(3.0)}, prior)
+    jc.io.save_prior(alone, pairs, shape=prior)
+    jc.io.save_prior(beside, pairs, None, BODY, {"angles": np.arange(3.0)}, prior)
     for path in (alone, beside):
         again = load_shape_prior(path, BODY)
         assert again is not None
@@ -130,17 +133,17 @@ def test_round_trip_through_files(tmp_path, pairs, poses, meshes):
             np.testing.assert_allclose(one, other, atol=1e-6)
         assert shape_energy(again, BODY) == pytest.approx(shape_energy(prior, BODY), rel=1e-4)
         assert shape_counts(path) == (MESHES, len(BODY.vertices))
-        assert jc.load_prior(path, SKELETON).pairs == pairs.pairs
+        assert jc.io.load_prior(path, SKELETON).pairs == pairs.pairs
     np.testing.assert_array_equal(load_limits(beside)["angles"], np.arange(3.0))
-    jc.save_prior(alone, pairs)
+    jc.io.save_prior(alone, pairs)
     assert load_shape_prior(alone, BODY) is None
     assert shape_counts(alone) is None
 
 
 def test_a_file_says_the_edges_and_not_the_laplacian(tmp_path, pairs, poses, meshes):
     path = tmp_path / "prior.npz"
-    prior = jc.make_shape_prior(BODY, poses, meshes)
-    jc.save_prior(path, pairs, shape=prior)
+    prior = jc.adapt.make_shape_prior(BODY, poses, meshes)
+    jc.io.save_prior(path, pairs, shape=prior)
     arrays = {name: values for name, values in np.load(path).items() if name.startswith("shape.")}
     assert arrays.keys() == {f"shape.{n}" for n in ("edges", "vectors", "translations", "rotations", "scale")}
     assert {values.dtype.name for values in arrays.values()} == {"int32", "float32"}
@@ -150,17 +153,17 @@ def test_a_file_says_the_edges_and_not_the_laplacian(tmp_path, pairs, poses, mes
 
 
 def test_a_prior_of_another_body_is_refused(tmp_path, pairs, poses, meshes):
-    path, prior = tmp_path / "prior.npz", jc.make_shape_prior(BODY, poses, meshes)
-    jc.save_prior(path, pairs, shape=prior)
+    path, prior = tmp_path / "prior.npz", jc.adapt.make_shape_prior(BODY, poses, meshes)
+    jc.io.save_prior(path, pairs, shape=prior)
     less = eqx.tree_at(lambda b: b.faces, BODY, BODY.faces[1:-5])
     turned = eqx.tree_at(lambda b: b.faces, BODY, BODY.faces[::-1, [1, 2, 0]])
-    few = jc.Body(SKELETON, jc.RigidSkin(jnp.zeros(3, int)), jnp.eye(3), jnp.asarray([[0, 1, 2]]))
+    few = jc.Body(SKELETON, jc.body.RigidSkin(jnp.zeros(3, int)), jnp.eye(3), jnp.asarray([[0, 1, 2]]))
     with pytest.raises(jc.InputError, match="of 48 vertices and the body has 3; learn one"):
         load_shape_prior(path, few)
     with pytest.raises(jc.InputError, match="other triangles than the body's"):
         load_shape_prior(path, less)
     with pytest.raises(jc.InputError, match="other triangles than the body's"):
-        jc.save_prior(tmp_path / "body.npz", pairs, body=less, shape=prior)
+        jc.io.save_prior(tmp_path / "body.npz", pairs, body=less, shape=prior)
     assert not (tmp_path / "body.npz").exists()
     assert load_shape_prior(path, turned) is not None
     whole = dict(np.load(path))

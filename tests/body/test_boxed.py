@@ -111,9 +111,9 @@ def test_the_slope_without_bounds_is_that_of_a_linear_solve(rng):
 def chain_boxes(rng, margin: float = 0.0):
     """Boxes of what some random poses did, and of the root."""
     poses = [random_pose(SKELETON, rng, 0.3) for _ in range(20)]
-    boxes = jc.learn_ranges(SKELETON, jc.stack_poses(poses).poses, margin)
+    boxes = jc.prior.learn_ranges(SKELETON, jc.stack_poses(poses).poses, margin)
     lower, upper = (np.concatenate([x, [side * np.ones(3)]]) for x, side in ((boxes.lower, -1), (boxes.upper, 1)))  # fmt: skip
-    return jc.make_pose_boxes((*boxes.joints, "root"), lower, upper), poses
+    return jc.limits.make_pose_boxes((*boxes.joints, "root"), lower, upper), poses
 
 
 @pytest.mark.parametrize("size", [1e-4, 0.5, 1.2])
@@ -161,7 +161,7 @@ def test_a_number_at_its_bound_arrives_there_in_one_step(rng):
 
 
 def test_boxes_that_reach_past_half_a_turn_end_there(rng):
-    boxes = jc.make_pose_boxes(("hand",), np.array([[-4.0, 1.5, 0.0]]), np.array([[4.0, 2.0, 0.0]]))
+    boxes = jc.limits.make_pose_boxes(("hand",), np.array([[-4.0, 1.5, 0.0]]), np.array([[4.0, 2.0, 0.0]]))
     hand = SKELETON.index("hand")
     pose = jc.rest_pose(SKELETON)
     own = jnp.array([3.0, 0.0, 0.0])
@@ -180,7 +180,7 @@ def test_boxes_that_are_infinite_leave_tangents_alone(rng):
     pose = random_pose(SKELETON, rng, 1.0)
     x = jnp.asarray(rng.normal(size=SKELETON.num_dofs))
     expected = eqx.filter_jit(retract)(SKELETON, pose, x)
-    for boxes in (jc.make_pose_boxes(joints, -wide, wide), no_boxes()):
+    for boxes in (jc.limits.make_pose_boxes(joints, -wide, wide), no_boxes()):
         chart = chart_of(boxes, SKELETON, pose)
         np.testing.assert_array_equal(chart.turn, np.eye(SKELETON.num_dofs))
         assert not np.isfinite(chart.low).any() and not np.isfinite(chart.high).any()
@@ -211,13 +211,13 @@ def scene():
 
 
 def elbow_box(most: float):
-    return jc.make_pose_boxes((ELBOW,), np.array([[-0.3, -0.2, -0.3]]), np.array([[0.3, most, 0.3]]))
+    return jc.limits.make_pose_boxes((ELBOW,), np.array([[-0.3, -0.2, -0.3]]), np.array([[0.3, most, 0.3]]))
 
 
 def infinite_boxes(skeleton):
     names = tuple(skeleton.names[joint] for joint in turning_joints(skeleton))
     wide = np.full((len(names), 3), np.inf)
-    return jc.make_pose_boxes(names, -wide, wide)
+    return jc.limits.make_pose_boxes(names, -wide, wide)
 
 
 def shaken(rng, skeleton, pose, size: float):

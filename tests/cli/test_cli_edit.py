@@ -113,7 +113,7 @@ def test_motions_that_do_not_say_whose_they_are_take_the_body(capsys, folder):
     poses = jc.stack_poses([jc.rest_pose(body.skeleton)] * 3)
     jc.save_body(folder / "human.npz", body)
     jc.save_motion(folder / "bare.npz", poses)
-    jc.write_amass(folder / "own.npz", body.skeleton, poses)
+    jc.io.write_amass(folder / "own.npz", body.skeleton, poses)
     with np.load(folder / "own.npz", allow_pickle=False) as arrays:
         kept = {name: arrays[name] for name in ("poses", "trans", "mocap_framerate")}
     np.savez(folder / "amass.npz", **kept)

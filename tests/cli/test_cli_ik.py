@@ -23,7 +23,7 @@ def folder(tmp_path_factory):
         ("hip", "knee"), (-1, 0), ("universal", "revolute"), [[0.0, 1, 0], [0.0, 0.5, 0]], axes=axes
     )
     sole = jnp.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0]])
-    body = jc.Body(skeleton, jc.RigidSkin(jnp.array([1, 1, 1])), sole, jnp.array([[0, 1, 2]]))
+    body = jc.Body(skeleton, jc.body.RigidSkin(jnp.array([1, 1, 1])), sole, jnp.array([[0, 1, 2]]))
     jc.save_body(folder / "leg.npz", body)
     (folder / "near.json").write_text(HEAD + '[{"vertex": 0, "target": [0, 0.3, 0.3]}]}')
     (folder / "far.json").write_text(

@@ -54,12 +54,12 @@ def learned(folder):
 
 
 def test_learned_limits_come_in_again_and_have_pictures(folder, learned):
-    limits = jc.load_limits(learned)
+    limits = jc.io.load_limits(learned)
     assert [(s.joint, s.parent) for s in limits.surfaces] == [("shoulder", None), ("elbow", "shoulder")]
     # an elbow that could turn freely is found to be a hinge
     assert limits.surfaces[1].chart.kind == "hinge"
-    jc.save_limits(folder / "again.npz", limits)
-    again = jc.load_limits(folder / "again.npz")
+    jc.io.save_limits(folder / "again.npz", limits)
+    again = jc.io.load_limits(folder / "again.npz")
     for one, two in zip(limits.surfaces, again.surfaces, strict=True):
         np.testing.assert_array_equal(one.centres, two.centres)
         np.testing.assert_array_equal(one.densities, two.densities)
@@ -90,9 +90,9 @@ def test_project_writes_a_motion_that_is_allowed(capsys, folder, learned):
     assert "joints are turned back by" in told
     assert imread(picture).std() > 0.05
     skeleton, motion = jc.read_bvh(out)
-    limits = jc.read_limits(learned, skeleton)
+    limits = jc.io.read_limits(learned, skeleton)
     # a file has a few digits only
-    beyond = np.asarray(jc.residual_frames(limits, skeleton, motion))
+    beyond = np.asarray(jc.limits.residual_frames(limits, skeleton, motion))
     assert np.abs(beyond).max() < 1e-3
 
 

@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
         write_motion(folder / f"m{seed}.npz", seed)
     vertices = jnp.asarray([[0.0, 1, 0], [0.2, 1.4, 0], [0.5, 1.4, 0], [0.6, 1.4, 0.1]])
     faces = jnp.asarray([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
-    skin = jc.RigidSkin(jnp.asarray([0, 1, 2, 2]))
+    skin = jc.body.RigidSkin(jnp.asarray([0, 1, 2, 2]))
     jc.save_body(folder / "body.npz", jc.Body(SKELETON, skin, vertices, faces), {"angles": np.ones(2)})
     return folder
 
@@ -56,7 +56,7 @@ def test_learn_and_info(capsys, folder):
     assert 1 <= gaussians <= 4
     assert chosen >= single
     assert 0 <= zeroed <= couplings == 15 * gaussians
-    prior = jc.load_prior(out, SKELETON)
+    prior = jc.io.load_prior(out, SKELETON)
     assert prior.pairs == (("shoulder", "elbow"),)
     assert prior.weights.shape == (1, gaussians)
     told = runs(capsys, "prior", "info", out)
@@ -74,7 +74,7 @@ def test_a_body_carries_its_prior(capsys, folder):
     out = folder / "with.npz"
     runs(capsys, "prior", "learn", folder / "m0.npz", "--body", folder / "body.npz", "-o", out, "--most", 1)
     assert len(jc.load_body(out).vertices) == 4
-    assert jc.load_prior(out, SKELETON).pairs == (("shoulder", "elbow"),)
+    assert jc.io.load_prior(out, SKELETON).pairs == (("shoulder", "elbow"),)
     np.testing.assert_array_equal(load_limits(out)["angles"], np.ones(2))
     assert "pose prior" in runs(capsys, "prior", "info", out)
     assert "body: 4 vertices" in runs(capsys, "info", out)
@@ -125,7 +125,7 @@ def test_motions_of_another_skeleton_are_carried_over(capsys, tmp_path):
     jc.save_motion(tmp_path / "other.npz", jc.Motion(poses, 30.0), other)
     told = runs(capsys, "prior", "learn", tmp_path / "own.npz", tmp_path / "other.npz", "--body", "human:low", "-o", tmp_path / "p.npz", "--most", 1)  # fmt: skip
     assert "1 of 2 motions carried over to the skeleton of human:low" in told
-    assert jc.load_prior(tmp_path / "p.npz", human.skeleton).pairs
+    assert jc.io.load_prior(tmp_path / "p.npz", human.skeleton).pairs
 
 
 @pytest.fixture(scope="module")

@@ -115,7 +115,7 @@ def test_the_floor_of_a_motion_with_z_up_is_below_its_feet(capsys, tmp_path, upr
     small = jc.make_skeleton(tall.names, tall.parents, tall.kinds, 0.75 * np.asarray(tall.centres))
     box = trimesh.creation.box((0.6, 1.2, 0.3)).subdivide()
     vertices = jnp.asarray(box.vertices + [0, 0.6, 0])
-    body = jc.Body(small, jc.RigidSkin(jnp.zeros(len(vertices), int)), vertices, jnp.asarray(box.faces))
+    body = jc.Body(small, jc.body.RigidSkin(jnp.zeros(len(vertices), int)), vertices, jnp.asarray(box.faces))
     jc.save_body(tmp_path / "small.npz", body)
     (tmp_path / "feet.txt").write_text("LeftFoot LeftFoot\n")
     told = runs(capsys, "edit", "retarget", tmp_path / "lying.bvh", tmp_path / "small.npz", "-o", tmp_path / "up.npz", "--ground",

@@ -12,7 +12,6 @@ from importlib.metadata import version
 import pytest
 from command_line import PYTHON, fails
 
-import jaxcap
 from jaxcap.cli.console import compiled, heartbeat
 from jaxcap.cli.console.groups import JAXCAP
 from jaxcap.cli.console.verbs import Group
@@ -56,19 +55,6 @@ def test_every_verb_is_where_the_table_has_it():
         found = verb.load()
         assert callable(found.run), name
         assert found.__doc__ and len(verb.summary) < 70 and not verb.summary.endswith(".")
-
-
-def test_public_names_come_when_they_are_used():
-    """As they are listed for type checkers, three of them under another name than their own."""
-    assert len(jaxcap.__all__) > 200 and set(jaxcap.__all__) <= set(dir(jaxcap))
-    assert all(getattr(jaxcap, name) is not None for name in jaxcap.__all__)
-    from jaxcap.adapt.task import AdaptSettings
-    from jaxcap.fit.tracking.track import track
-
-    assert jaxcap.AdaptSettings is AdaptSettings and jaxcap.track is track
-    assert jaxcap.io.registry.read_skinned is jaxcap.read_skinned
-    with pytest.raises(AttributeError, match="no attribute 'trak'"):
-        _ = jaxcap.trak
 
 
 def prepared(**environment: str) -> str:

@@ -35,7 +35,7 @@ def arm() -> jc.Body:
     triangle = np.array([[0, 0, 0], [-0.02, 0.01, 0], [-0.02, -0.01, 0]])
     vertices = np.concatenate([triangle + [x, 0, 0] for x in (1 / 3, 2 / 3, 1.0)])
     bones = jnp.repeat(jnp.arange(3), 3)
-    return jc.Body(skeleton, jc.RigidSkin(bones), jnp.asarray(vertices), jnp.arange(9).reshape(3, 3))
+    return jc.Body(skeleton, jc.body.RigidSkin(bones), jnp.asarray(vertices), jnp.arange(9).reshape(3, 3))
 
 
 class Counting(jc.AbstractEnergy):
@@ -174,15 +174,15 @@ def test_limits_hold_to_the_last(solver):
         ("hip", "knee"), (-1, 0), ("universal", "revolute"), [[0.0, 1, 0], [0.0, 0.5, 0]], axes=axes
     )
     sole = jnp.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0]])
-    body = jc.Body(skeleton, jc.RigidSkin(jnp.array([1, 1, 1])), sole, jnp.array([[0, 1, 2]]))
-    limits = jc.make_joint_ranges(skeleton, {"knee": (0.0, 2.0), "hip": ((-0.5, 0.5), (-0.2, 0.2))})
+    body = jc.Body(skeleton, jc.body.RigidSkin(jnp.array([1, 1, 1])), sole, jnp.array([[0, 1, 2]]))
+    limits = jc.limits.make_joint_ranges(skeleton, {"knee": (0.0, 2.0), "hip": ((-0.5, 0.5), (-0.2, 0.2))})
     rest, wanted = jc.rest_pose(skeleton), make_constraints(body, [Constraint(0, (0.1, 0.6, 0.7))])
     options = IkOptions(solver=solver, limits=limits)
     kept = solve_ik(body, rest, wanted, options)
-    assert jc.allowed(limits, skeleton, kept.pose).all()
+    assert jc.limits.allowed(limits, skeleton, kept.pose).all()
     off = eqx.tree_at(lambda o: o.keep_limits, options, jnp.array(False))
     broken = solve_ik(body, rest, wanted, off)
-    assert not jc.allowed(limits, skeleton, broken.pose).all()
+    assert not jc.limits.allowed(limits, skeleton, broken.pose).all()
     assert broken.distances[0] < kept.distances[0]
     # the nearest that the limits leave: all angles of a grid within them are further off, or as far
     angles = np.stack(
@@ -382,12 +382,12 @@ def test_a_human_reaches_with_what_is_natural(rng):
     assert np.degrees(apart).max() < 3.0
 
 
-def pair_prior(skeleton) -> jc.MahalanobisPrior:
+def pair_prior(skeleton) -> jc.prior.MahalanobisPrior:
     """Of all successive joints: near rest, with half a radian about every axis."""
     pairs = successive_pairs(skeleton)
     frames = np.array([[skeleton.orientations[skeleton.index(name)] for name in pair] for pair in pairs])
     count = len(pairs)
     factors = np.tile(2.0 * np.eye(6), (count, 1, 1, 1))
-    return jc.MahalanobisPrior(
-        jc.make_pair_prior(pairs, frames, np.ones((count, 1)), np.zeros((count, 1, 6)), factors)
+    return jc.prior.MahalanobisPrior(
+        jc.prior.make_pair_prior(pairs, frames, np.ones((count, 1)), np.zeros((count, 1, 6)), factors)
     )

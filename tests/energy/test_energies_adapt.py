@@ -29,13 +29,13 @@ def turned(pose: jc.Pose, joint: int, angle: float) -> jc.Pose:
 def test_slopes_against_central_differences(rng):
     poses = [random_pose(SKELETON, rng, 0.4) for _ in range(3)]
     mesh = np.asarray(BODY.vertices) + 0.02 * rng.normal(size=BODY.vertices.shape)
-    check_energy(jc.SecondDifference(poses[0], poses[1]), BODY, poses)
+    check_energy(jc.energy.SecondDifference(poses[0], poses[1]), BODY, poses)
     check_energy(make_laplacian_shape(BODY, mesh), BODY, poses)
 
 
 def test_a_steady_turn_has_no_second_difference_and_a_jerk_has_its_angle():
     rest = rest_pose(SKELETON)
-    steady = jc.SecondDifference(turned(rest, 2, 0.2), turned(rest, 2, 1.0))
+    steady = jc.energy.SecondDifference(turned(rest, 2, 0.2), turned(rest, 2, 1.0))
     assert jc.energies(steady, _posed(BODY, turned(rest, 2, 0.6)))["SecondDifference"] < 1e-20
     off = jc.energies(steady, _posed(BODY, turned(rest, 2, 0.6 + 0.3)))["SecondDifference"]
     assert off == pytest.approx(0.3**2 / SKELETON.num_joints)
@@ -54,7 +54,7 @@ def test_frames_that_are_missing_are_time_that_passes():
 def test_its_mean_over_frames_is_the_temporal_term(rng):
     poses = [random_pose(SKELETON, rng, 0.3) for _ in range(5)]
     each = [
-        float(jc.energies(jc.SecondDifference(before, after), _posed(BODY, here))["SecondDifference"])
+        float(jc.energies(jc.energy.SecondDifference(before, after), _posed(BODY, here))["SecondDifference"])
         for before, here, after in zip(poses, poses[1:], poses[2:], strict=False)
     ]
     whole = float(temporal_energy(SKELETON, stack_poses(poses, 30.0).poses))
@@ -83,7 +83,7 @@ def test_bones_that_differ():
     body = jc.human(resolution="low", joints="tracking")
     pairs = mirrored_joints(body.skeleton)
     pose = rest_pose(body.skeleton)
-    symmetry = jc.BoneSymmetry(pairs)
+    symmetry = jc.energy.BoneSymmetry(pairs)
     even = float(jc.energies(symmetry, _posed(body, pose))["BoneSymmetry"])
     foot, leg = (body.skeleton.index(name) for name in ("LeftFoot", "LeftLeg"))
 

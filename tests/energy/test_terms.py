@@ -14,7 +14,7 @@ from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.poses.task_pairs import TaskPairs
 from jaxcap.adapt.problems import stack
 from jaxcap.adapt.rounds import adapt_round
-from jaxcap.adapt.task import AdaptState, AdaptSettings, Stage
+from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError
 from jaxcap.fit.correspondence.correspond import make_scan
@@ -36,7 +36,7 @@ class FeetOnFloor(jc.AbstractEnergy):
     vertices: Int[Array, "C"]
     height: Float[Array, ""]
 
-    def residual(self, posed: jc.Posed) -> Float[Array, "C"]:
+    def residual(self, posed: jc.body.Posed) -> Float[Array, "C"]:
         return jnp.minimum(posed.vertices[self.vertices, 1] - self.height, 0.0) / 0.01
 
 

@@ -16,7 +16,7 @@ SKELETON = jc.make_skeleton(
     NAMES, (-1, 0, 1), ("free", "ball", "ball"), [[0.0, 1, 0], [0.0, 0.5, 0], [0.0, 0.1, 0]]
 )
 BODY = jc.Body(
-    SKELETON, jc.RigidSkin(jnp.array([0, 1, 2, 2])), jnp.eye(4, 3), jnp.array([[0, 1, 2], [0, 2, 3]])
+    SKELETON, jc.body.RigidSkin(jnp.array([0, 1, 2, 2])), jnp.eye(4, 3), jnp.array([[0, 1, 2], [0, 2, 3]])
 )
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)

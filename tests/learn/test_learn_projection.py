@@ -155,7 +155,7 @@ def test_spreads_vertices_over_small_parts():
 def test_says_what_it_cannot_do(rng):
     body, poses = arm(rng, 2)
     targets = deform_all(body, poses)
-    rigid = eqx.tree_at(lambda b: b.skin, body, jc.RigidSkin(body.skin.parts()))
+    rigid = eqx.tree_at(lambda b: b.skin, body, jc.body.RigidSkin(body.skin.parts()))
     with pytest.raises(ValueError, match="LinearSkin"):
         improve_all(rigid, poses, targets, NONE)
     kinds = ["free", "revolute", "ball"]

@@ -31,7 +31,7 @@ NONE = np.zeros((0, 2), int)
 def scene(rng, swing_twist: bool, frames: int = 4):
     """A chain under a smooth skin, poses, and meshes of it with errors."""
     body = chain_body()
-    skin = body.skin if not swing_twist else jc.swing_twist_from(body.skin, body.skeleton)
+    skin = body.skin if not swing_twist else jc.body.swing_twist_from(body.skin, body.skeleton)
     body = eqx.tree_at(lambda b: b.skin, body, skin)
     turns = rng.normal(size=(body.skeleton.num_joints, 4)) * 0.2 + [1.0, 0, 0, 0]
     orientations = jnp.asarray(turns / np.linalg.norm(turns, axis=1, keepdims=True))

@@ -27,7 +27,7 @@ class Hand(jc.AbstractEnergy):
 
     place: Float[Array, "3"]
 
-    def residual(self, posed: jc.Posed) -> Float[Array, "3"]:
+    def residual(self, posed: jc.body.Posed) -> Float[Array, "3"]:
         return (posed.joints[2] - self.place) / 1e-3
 
 

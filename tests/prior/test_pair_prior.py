@@ -36,7 +36,7 @@ def some_prior(rng, components: int = 3, pad: int = 1):
     means = 0.5 * rng.normal(size=(count, width, 6))
     factors = np.tril(rng.normal(size=(count, width, 6, 6))) + 4.0 * np.eye(6)
     frames = [[SKELETON.orientations[SKELETON.index(name)] for name in pair] for pair in pairs]
-    return jc.make_pair_prior(pairs, np.array(frames), weights, means, factors)
+    return jc.prior.make_pair_prior(pairs, np.array(frames), weights, means, factors)
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def single(rng):
     turns = 0.4 * rng.normal(size=(SKELETON.num_joints, 3))
     means = [np.concatenate([turns[SKELETON.index(name)] for name in pair]) for pair in prior.pairs]
     frames, weights, factors = (np.asarray(a) for a in (prior.frames, prior.weights, prior.factors))
-    prior = jc.make_pair_prior(prior.pairs, frames, weights, np.array(means)[:, None], factors)
+    prior = jc.prior.make_pair_prior(prior.pairs, frames, weights, np.array(means)[:, None], factors)
     return prior, posed_at(jnp.asarray(turns))
 
 
@@ -106,7 +106,7 @@ def test_the_peak_of_two_that_overlap_is_between_them():
         assert (abs(mode[0] - apart / 2) < 1e-4) == middle
 
 
-@pytest.mark.parametrize("kind", [jc.LikelihoodPrior, jc.MahalanobisPrior])
+@pytest.mark.parametrize("kind", [jc.prior.LikelihoodPrior, jc.prior.MahalanobisPrior])
 def test_energies_against_central_differences(rng, prior, kind):
     check_energy(kind(prior), BODY, [random_pose(SKELETON, rng, 0.4) for _ in range(6)], tolerance=1e-5)
     # at and about the peak, where a plain root would have a kink
@@ -121,18 +121,20 @@ def test_energies_against_central_differences(rng, prior, kind):
 def test_the_likelihood_energy_is_the_equation(rng, prior):
     for size in (0.0, 0.2, 0.5, 2.0):
         pose = random_pose(SKELETON, rng, size)
-        expected = 1 - jnp.mean(jc.likelihood(prior, SKELETON, pose))
-        found = value(jc.LikelihoodPrior(prior), BODY, pose)
+        expected = 1 - jnp.mean(jc.prior.likelihood(prior, SKELETON, pose))
+        found = value(jc.prior.LikelihoodPrior(prior), BODY, pose)
         np.testing.assert_allclose(found, expected, atol=1e-12)
         assert 0 <= found <= 1
-    told = energies(2.0 * jc.LikelihoodPrior(prior) + jc.MahalanobisPrior(prior), pose_body(BODY, pose))
+    told = energies(
+        2.0 * jc.prior.LikelihoodPrior(prior) + jc.prior.MahalanobisPrior(prior), pose_body(BODY, pose)
+    )
     assert set(told) == {"LikelihoodPrior", "MahalanobisPrior"}
     np.testing.assert_allclose(told["LikelihoodPrior"], 2 * expected, atol=1e-12)
 
 
 def test_at_the_peak_there_is_no_energy_and_further_off_there_is_more(rng):
     prior, peak = single(rng)
-    for kind in (jc.LikelihoodPrior, jc.MahalanobisPrior):
+    for kind in (jc.prior.LikelihoodPrior, jc.prior.MahalanobisPrior):
         assert float(value(kind(prior), BODY, peak)) < 1e-15
         away = jnp.asarray(rng.normal(size=SKELETON.num_dofs))
         costs = [
@@ -141,25 +143,25 @@ def test_at_the_peak_there_is_no_energy_and_further_off_there_is_more(rng):
         ]
         assert costs == sorted(costs)
         assert costs[1] > 1e-6
-    np.testing.assert_allclose(jc.likelihood(prior, SKELETON, peak), 1.0, atol=1e-10)
+    np.testing.assert_allclose(jc.prior.likelihood(prior, SKELETON, peak), 1.0, atol=1e-10)
     # one Gaussian: the mean of squared distances, from the definition
     pose = random_pose(SKELETON, rng, 0.3)
     off = pair_vectors(prior, SKELETON, pose) - prior.means[:, 0]
     expected = np.mean(
         [d @ p[0] @ d for d, p in zip(np.asarray(off), np.asarray(prior.precisions), strict=True)]
     )
-    np.testing.assert_allclose(value(jc.MahalanobisPrior(prior), BODY, pose), expected, rtol=1e-10)
+    np.testing.assert_allclose(value(jc.prior.MahalanobisPrior(prior), BODY, pose), expected, rtol=1e-10)
 
 
 def test_a_prior_pulls_a_pose_back(rng):
     """What nothing else tells, the turns of the joints, ends at the likeliest."""
     prior, peak = single(rng)
-    peak = jc.project(SKELETON, peak)
+    peak = jc.body.project(SKELETON, peak)
     start = jc.retract(SKELETON, peak, jnp.asarray(0.3 * rng.normal(size=SKELETON.num_dofs)))
-    energy = jc.MahalanobisPrior(prior) + 1e-6 * jc.PosePrior(peak, jnp.ones(SKELETON.num_dofs))
+    energy = jc.prior.MahalanobisPrior(prior) + 1e-6 * jc.energy.PosePrior(peak, jnp.ones(SKELETON.num_dofs))
     found = jc.solve(energy, BODY, start)
-    assert float(value(jc.MahalanobisPrior(prior), BODY, found.pose)) <= 1.001 * float(
-        value(jc.MahalanobisPrior(prior), BODY, peak)
+    assert float(value(jc.prior.MahalanobisPrior(prior), BODY, found.pose)) <= 1.001 * float(
+        value(jc.prior.MahalanobisPrior(prior), BODY, peak)
     )
 
 
@@ -182,14 +184,18 @@ def swinging(frames: int = 240, seed: int = 0) -> jc.Motion:
 @pytest.fixture(scope="module")
 def learned():
     motion = swinging()
-    return jc.learn_pair_prior(SKELETON, motion, most=3), jc.learn_ranges(SKELETON, motion), motion
+    return (
+        jc.prior.learn_pair_prior(SKELETON, motion, most=3),
+        jc.prior.learn_ranges(SKELETON, motion),
+        motion,
+    )
 
 
 def test_a_learned_prior_knows_the_coupling_and_what_never_moved(learned):
     prior, _, motion = learned
     assert prior.pairs == successive_pairs(SKELETON)
     assert (np.linalg.eigvalsh(prior.precisions) > 0).all()
-    likely = np.asarray(jax.vmap(lambda pose: jc.likelihood(prior, SKELETON, pose))(motion.poses))
+    likely = np.asarray(jax.vmap(lambda pose: jc.prior.likelihood(prior, SKELETON, pose))(motion.poses))
     assert (likely >= 0).all()
     assert (likely <= 1).all()
     assert np.median(likely) > 0.03
@@ -198,7 +204,7 @@ def test_a_learned_prior_knows_the_coupling_and_what_never_moved(learned):
     hand = SKELETON.index("hand")
     other = jc.Pose(frame.translations, frame.rotations.at[hand].set(motion[31].rotations[hand]), frame.scale)
     pair = prior.pairs.index(("elbow", "hand"))
-    assert likely[10, pair] > 5 * jc.likelihood(prior, SKELETON, other)[pair]
+    assert likely[10, pair] > 5 * jc.prior.likelihood(prior, SKELETON, other)[pair]
     # the jaw stayed at rest, to the floor of two degrees
     mode = prior.modes[prior.pairs.index(("neck", "jaw")), 3:]
     np.testing.assert_allclose(mode, 0.0, atol=1e-9)
@@ -208,7 +214,7 @@ def test_poses_in_a_stack_and_motions_are_learned_alike(learned):
     prior, _, motion = learned
     halves = [motion.slice(slice(0, 100)), motion.slice(slice(100, None))]
     for poses in (halves, motion.poses):
-        again = jc.learn_pair_prior(SKELETON, poses, most=3)
+        again = jc.prior.learn_pair_prior(SKELETON, poses, most=3)
         np.testing.assert_array_equal(again.means, prior.means)
 
 
@@ -230,44 +236,44 @@ def test_ranges_hold_what_was_seen_and_turn_back_what_was_not(rng, learned):
     inside = beyond - residual
     np.testing.assert_allclose(inside, jnp.clip(beyond, boxes.lower.ravel(), boxes.upper.ravel()), atol=1e-12)
     # away from the ends of ranges, where slopes have a kink, and at which what never moves stands
-    boxes = jc.learn_ranges(SKELETON, motion, margin=0.03)
+    boxes = jc.prior.learn_ranges(SKELETON, motion, margin=0.03)
     check_energy(jc.JointLimits(boxes), BODY, [wild], tolerance=1e-5)
 
 
 def test_a_prior_of_another_skeleton_is_refused(tmp_path, learned):
     prior, boxes, _ = learned
     path = tmp_path / "prior.npz"
-    jc.save_prior(path, prior, boxes)
+    jc.io.save_prior(path, prior, boxes)
     assert misfit(prior, SKELETON) is None
     other = jc.make_skeleton(("a", "b"), (-1, 0), ("free", "ball"), np.eye(3)[:2])
     with pytest.raises(jc.InputError, match="another skeleton: there is no joint 'spine' among a, b"):
-        jc.load_prior(path, other)
+        jc.io.load_prior(path, other)
     with pytest.raises(jc.InputError, match="boxes are of another skeleton"):
         load_boxes(path, other)
     turned = eqx.tree_at(lambda s: s.orientations, SKELETON, jnp.tile(rotation.identity(), (9, 1)))
     with pytest.raises(jc.InputError, match="at rest is turned by"):
-        jc.load_prior(path, turned)
+        jc.io.load_prior(path, turned)
     parents = list(SKELETON.parents)
     parents[SKELETON.index("neck")] = 0
     rehung = jc.make_skeleton(
         SKELETON.names, parents, SKELETON.kinds, SKELETON.centres, SKELETON.orientations
     )
     with pytest.raises(jc.InputError, match="'neck' does not follow on 'chest'"):
-        jc.load_prior(path, rehung)
+        jc.io.load_prior(path, rehung)
     body = eqx.tree_at(lambda b: b.skeleton, BODY, rehung)
     with pytest.raises(jc.InputError, match="another skeleton"):
-        jc.save_prior(tmp_path / "body.npz", prior, body=body)
+        jc.io.save_prior(tmp_path / "body.npz", prior, body=body)
     with pytest.raises(KeyError, match="no joint 'spine'"):
-        jc.likelihood(prior, other, jc.rest_pose(other))
+        jc.prior.likelihood(prior, other, jc.rest_pose(other))
 
 
 def test_files_alone_and_with_the_body(tmp_path, learned):
     prior, boxes, _ = learned
     alone, beside = tmp_path / "prior.npz", tmp_path / "body.npz"
-    jc.save_prior(alone, prior, boxes)
-    jc.save_prior(beside, prior, boxes, BODY, {"angles": np.arange(3.0)})
+    jc.io.save_prior(alone, prior, boxes)
+    jc.io.save_prior(beside, prior, boxes, BODY, {"angles": np.arange(3.0)})
     for path in (alone, beside):
-        again = jc.load_prior(path, SKELETON)
+        again = jc.io.load_prior(path, SKELETON)
         assert again.pairs == prior.pairs
         for one, two in zip(jax.tree.leaves(again), jax.tree.leaves(prior), strict=True):
             np.testing.assert_array_equal(one, two)
@@ -276,17 +282,17 @@ def test_files_alone_and_with_the_body(tmp_path, learned):
         np.testing.assert_array_equal(found.upper, boxes.upper)
     np.testing.assert_array_equal(jc.load_body(beside).vertices, BODY.vertices)
     np.testing.assert_array_equal(load_limits(beside)["angles"], np.arange(3.0))
-    jc.save_prior(alone, prior)
+    jc.io.save_prior(alone, prior)
     assert load_boxes(alone) is None
     jc.save_body(beside, BODY)
     with pytest.raises(jc.InputError, match="no pose prior in this file"):
-        jc.load_prior(beside)
+        jc.io.load_prior(beside)
 
 
 def test_damaged_files_are_told(tmp_path, learned):
     prior, boxes, _ = learned
     path = tmp_path / "prior.npz"
-    jc.save_prior(path, prior, boxes)
+    jc.io.save_prior(path, prior, boxes)
     whole = dict(np.load(path))
     for name, change, told in (
         ("prior.factors", lambda a: -a, "no positive definite precision"),
@@ -297,7 +303,7 @@ def test_damaged_files_are_told(tmp_path, learned):
     ):
         np.savez(path, **{**whole, name: change(whole[name])})
         with pytest.raises(jc.InputError, match=told):
-            jc.load_prior(path)
+            jc.io.load_prior(path)
     np.savez(path, **{**whole, "boxes.lower": whole["boxes.upper"] + 1})
     with pytest.raises(jc.InputError, match="swap them"):
         load_boxes(path)
@@ -315,13 +321,13 @@ def test_what_is_not_learned_from(learned):
         ),
     ):
         with pytest.raises(ValueError, match=told):
-            jc.learn_pair_prior(SKELETON, wrong)
+            jc.prior.learn_pair_prior(SKELETON, wrong)
     broken = eqx.tree_at(lambda m: m.poses.rotations, motion, motion.poses.rotations.at[7].set(jnp.nan))
     with pytest.raises(ValueError, match="Pose 7 is not finite"):
-        jc.learn_pair_prior(SKELETON, broken)
+        jc.prior.learn_pair_prior(SKELETON, broken)
     short = jc.make_skeleton(("a", "b"), (-1, 0), ("free", "ball"), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="No two joints"):
-        jc.learn_pair_prior(short, jc.stack_poses([jc.rest_pose(short)] * 9))
+        jc.prior.learn_pair_prior(short, jc.stack_poses([jc.rest_pose(short)] * 9))
 
 
 @pytest.mark.shared
@@ -333,8 +339,11 @@ def test_an_elbow_that_bends_the_other_way_is_less_likely(shared):
     read = [read_motion(shared / "data" / "motion" / f"02_{n:02}.amc") for n in (1, 5, 7)]
     skeleton = read[0][0]
     motions = [motion.slice(slice(None, None, 20)) for _, motion in read]
-    prior, boxes = jc.learn_pair_prior(skeleton, motions, most=3), jc.learn_ranges(skeleton, motions)
-    likely = eqx.filter_jit(jc.likelihood)
+    prior, boxes = (
+        jc.prior.learn_pair_prior(skeleton, motions, most=3),
+        jc.prior.learn_ranges(skeleton, motions),
+    )
+    likely = eqx.filter_jit(jc.prior.likelihood)
     for pair in (
         ("lhumerus", "lradius"),
         ("rhumerus", "rradius"),

@@ -42,26 +42,26 @@ def examples() -> list:
         jc.stack_poses([POSE, POSE], 25.0),
         jc.LinearSkin(jnp.ones((V, J))),
         jc.DualQuaternionSkin(jnp.ones((V, J))),
-        jc.RigidSkin(jnp.zeros(V, int)),
+        jc.body.RigidSkin(jnp.zeros(V, int)),
         jc.SwingTwistSkin(jnp.zeros(V, int), jnp.ones((V, J)), jnp.ones((V, J))),
         jc.Cloud(three, three, one),
         jc.MeshSequence(jnp.ones((2, 4, 3)), jnp.array([[0, 1, 2]])),
         jc.MarkerFrames(jnp.ones((2, 4, 3)), jnp.ones((2, 4), bool), tuple("abcd")),
         jc.VertexLandmarks(numbers, three, one),
-        jc.BoneLandmarks(numbers, three, three, one),
+        jc.energy.BoneLandmarks(numbers, three, three, one),
         jc.JointLandmarks(jnp.ones((J, 3)), jnp.ones(J)),
         jc.PointToPoint(numbers, three, one),
         jc.PointToPlane(numbers, three, three, one),
         jc.RestPrior(jnp.ones((J, 3))),
-        jc.PosePrior(POSE, jnp.ones(BODY.skeleton.num_dofs)),
-        jc.SecondDifference(POSE, POSE),
-        jc.JointLimits(jc.make_joint_ranges(BODY.skeleton)),
-        jc.make_joint_ranges(BODY.skeleton),
-        jc.make_pose_boxes(BODY.skeleton.names, -np.ones((J, 3)), np.ones((J, 3))),
-        jc.EulerBoxes(numbers, jnp.ones((4, 4)), three, three),
-        jc.look_at(np.ones(3), np.zeros(3), 32, 24, 60.0),
-        jc.make_mixture(),
-        jc.GaussNewton(),
+        jc.energy.PosePrior(POSE, jnp.ones(BODY.skeleton.num_dofs)),
+        jc.energy.SecondDifference(POSE, POSE),
+        jc.JointLimits(jc.limits.make_joint_ranges(BODY.skeleton)),
+        jc.limits.make_joint_ranges(BODY.skeleton),
+        jc.limits.make_pose_boxes(BODY.skeleton.names, -np.ones((J, 3)), np.ones((J, 3))),
+        jc.limits.EulerBoxes(numbers, jnp.ones((4, 4)), three, three),
+        jc.geometry.look_at(np.ones(3), np.zeros(3), 32, 24, 60.0),
+        jc.fit.make_mixture(),
+        jc.fit.GaussNewton(),
     ]
 
 
@@ -192,16 +192,18 @@ _OWN = {"make_segments", "people_like"}
 
 
 def functions():
-    for name in jc.__all__:
-        function = getattr(jc, name)
-        if callable(function) and not inspect.isclass(function):
-            yield name
+    for space in (jc, *(found for name in jc.__all__ if hasattr(found := getattr(jc, name), "__path__"))):
+        for name in space.__all__:
+            function = getattr(space, name)
+            if callable(function) and not inspect.isclass(function):
+                yield name, function
 
 
-@pytest.mark.parametrize("name", sorted(set(functions()) - _OWN))
-def test_functions_name_themselves_and_the_argument(name):
+@pytest.mark.parametrize(
+    "function", [pytest.param(function, id=name) for name, function in functions() if name not in _OWN]
+)
+def test_functions_name_themselves_and_the_argument(function):
     """Every required argument of every public function replaced by an object that nothing can take."""
-    function = getattr(jc, name)
     required = [
         parameter.name
         for parameter in inspect.signature(function).parameters.values()
@@ -233,7 +235,9 @@ class Marked(jc.AbstractEnergy):
         return posed.vertices[self.vertices].reshape(-1)
 
 
-@pytest.mark.parametrize("function", [jc.solve, jc.uncertainty, lambda e, b, p: jc.solve_in_order([e], b, p)])
+@pytest.mark.parametrize(
+    "function", [jc.solve, jc.uncertainty, lambda e, b, p: jc.fit.solve_in_order([e], b, p)]
+)
 def test_energies_that_do_not_fit_the_body(function):
     right = jc.RestPrior(jnp.ones((J, 3)))
     with pytest.raises(
@@ -244,7 +248,7 @@ def test_energies_that_do_not_fit_the_body(function):
     with pytest.raises(
         InputError, match=f"JointLandmarks: its residual .* body of {J} joints .* shape \\({J + 1}, 3\\)"
     ):
-        function(jc.joint_landmarks(jnp.ones((J + 1, 3))), BODY, POSE)
+        function(jc.energy.joint_landmarks(jnp.ones((J + 1, 3))), BODY, POSE)
     with pytest.raises(
         InputError, match=f"Marked: `vertices` has {V}, and the body has {V} vertices; expected are 0 to"
     ):
@@ -276,7 +280,7 @@ def test_scans_of_files_are_clouds(monkeypatch):
     points = np.asarray(BODY.vertices, float)
     scans = Scans(["a", "b"], lambda frame: (points, points - points.mean(0), np.zeros((0, 3), int)))
     clouds = [jc.make_cloud(scan.points, scan.normals) for scan in scans]
-    stacked = jc.stack_clouds(clouds)
+    stacked = jc.observe.stack_clouds(clouds)
     tracker = jc.make_tracker(BODY)
     motions = [
         jc.track(BODY, source, tracker=tracker, search=False).poses
@@ -284,11 +288,11 @@ def test_scans_of_files_are_clouds(monkeypatch):
     ]
     for poses in motions[1:]:
         jax.tree.map(np.testing.assert_array_equal, poses, motions[0])
-    streamed = [frame.pose for frame in jc.track_frames(tracker, scans, search=False)]
+    streamed = [frame.pose for frame in jc.fit.track_frames(tracker, scans, search=False)]
     jax.tree.map(np.testing.assert_array_equal, jc.stack_poses(streamed).poses, motions[0])
     starts = jc.stack_poses([POSE, POSE])
     batches = [
-        jc.fit_batch(tracker, start, source)[0]
+        jc.fit.fit_batch(tracker, start, source)[0]
         for start in (starts, starts.poses)
         for source in (scans, stacked)
     ]

@@ -32,15 +32,15 @@ POSE = jc.rest_pose(SKELETON)
 POINTS = np.asarray(BODY.vertices, float)
 CLOUD = jc.make_cloud(POINTS, POINTS)
 NAN = float("nan")
-CAMERA = jc.look_at((0.0, 1.0, 2.0), (0.0, 0.5, 0.0), 16, 16, 60.0)
+CAMERA = jc.geometry.look_at((0.0, 1.0, 2.0), (0.0, 0.5, 0.0), 16, 16, 60.0)
 
 
-def camera(**changes) -> jc.Camera:
+def camera(**changes) -> jc.geometry.Camera:
     parts = {
         name: np.asarray(getattr(CAMERA, name))
         for name in ("rotation", "translation", "focal", "principal_point")
     }
-    return jc.Camera(**{**parts, "width": 16, "height": 16, **changes})
+    return jc.geometry.Camera(**{**parts, "width": 16, "height": 16, **changes})
 
 
 def landmarks(**changes) -> jc.VertexLandmarks:
@@ -48,15 +48,15 @@ def landmarks(**changes) -> jc.VertexLandmarks:
     return jc.VertexLandmarks(**{**parts, **changes})
 
 
-def solved(energy) -> jc.Solution:
+def solved(energy) -> jc.fit.Solution:
     return jc.solve(energy + jc.RestPrior(jnp.ones((J, 3))), BODY, POSE)
 
 
 REFUSED = [
-    (lambda: jc.make_mixture(outlier=1.5), "make_mixture: `outlier` is 1.5; expected is a share between 0 and 1"),
-    (lambda: jc.make_mixture(candidates=0), "make_mixture: `candidates` is 0; .* at least 1"),
-    (lambda: jc.make_mixture(smallest_sigma=-1), "make_mixture: `smallest_sigma` is -1; .* above 0 metres"),
-    (lambda: jc.make_mixture(normal_threshold=60), "make_mixture: `normal_threshold` is 60; .* from -1 to 1"),
+    (lambda: jc.fit.make_mixture(outlier=1.5), "make_mixture: `outlier` is 1.5; expected is a share between 0 and 1"),
+    (lambda: jc.fit.make_mixture(candidates=0), "make_mixture: `candidates` is 0; .* at least 1"),
+    (lambda: jc.fit.make_mixture(smallest_sigma=-1), "make_mixture: `smallest_sigma` is -1; .* above 0 metres"),
+    (lambda: jc.fit.make_mixture(normal_threshold=60), "make_mixture: `normal_threshold` is 60; .* from -1 to 1"),
     (lambda: jc.make_tracker(BODY, iterations=0), "make_tracker: `iterations` is 0; .* at least 1"),
     (lambda: jc.make_tracker(BODY, motion_deviation=(-0.05, 0.3)), "make_tracker: `motion_deviation` has -0.05;"),
     (lambda: jc.make_tracker(BODY, rest_deviation=NAN), "make_tracker: `rest_deviation` is nan;"),
@@ -64,21 +64,21 @@ REFUSED = [
     (lambda: jc.make_tracker(BODY, sigma_growth=np.inf), "make_tracker: `sigma_growth` is inf;"),
     (lambda: jc.make_tracker(BODY, sigma_start=0.0), "make_tracker: `sigma_start` is 0;"),
     # when they are called, and not when the first frame is asked for
-    (lambda: jc.track_frames(jc.make_tracker(BODY), [CLOUD], sigma=-1.0), "track_frames: `sigma` is -1;"),
-    (lambda: jc.track_frames(jc.make_tracker(BODY), [CLOUD], sigma=100.0), "`sigma` is 100; .* at most 5 metres"),
-    (lambda: jc.track_frames(jc.make_tracker(BODY), [CLOUD], up=(0.0, 0.0, 0.0)), "track_frames: `up` is .0.0,"),
+    (lambda: jc.fit.track_frames(jc.make_tracker(BODY), [CLOUD], sigma=-1.0), "track_frames: `sigma` is -1;"),
+    (lambda: jc.fit.track_frames(jc.make_tracker(BODY), [CLOUD], sigma=100.0), "`sigma` is 100; .* at most 5 metres"),
+    (lambda: jc.fit.track_frames(jc.make_tracker(BODY), [CLOUD], up=(0.0, 0.0, 0.0)), "track_frames: `up` is .0.0,"),
     (lambda: jc.track(BODY, [CLOUD], rate=-3.0), "track: `rate` is -3.0;"),
     (lambda: jc.initialise(jc.make_tracker(BODY), CLOUD, up=(0.0, NAN, 0.0)), "initialise: `up` is .0.0, nan"),
     (lambda: jc.initialise(jc.make_tracker(BODY), CLOUD, turns=0), "initialise: `turns` is 0;"),
-    (lambda: jc.make_floor(BODY, up=(0.0, 0.0, 0.0)), "make_floor: `up` is .0.0, 0.0, 0.0.; expected is a direction"),
-    (lambda: jc.make_floor(BODY, deviation=0.0), "make_floor: `deviation` is 0;"),
-    (lambda: jc.make_floor(BODY, height=NAN), "make_floor: `height` is nan;"),
+    (lambda: jc.energy.make_floor(BODY, up=(0.0, 0.0, 0.0)), "make_floor: `up` is .0.0, 0.0, 0.0.; expected is a direction"),
+    (lambda: jc.energy.make_floor(BODY, deviation=0.0), "make_floor: `deviation` is 0;"),
+    (lambda: jc.energy.make_floor(BODY, height=NAN), "make_floor: `height` is nan;"),
     (lambda: jc.RestPrior(jnp.zeros((J, 3))), "RestPrior: `deviations` has 0; .* above 0"),
-    (lambda: jc.PosePrior(POSE, -jnp.ones(SKELETON.num_dofs)), "PosePrior: `deviations` has -1;"),
+    (lambda: jc.energy.PosePrior(POSE, -jnp.ones(SKELETON.num_dofs)), "PosePrior: `deviations` has -1;"),
     (lambda: solved(landmarks(weights=-jnp.ones(3))), "VertexLandmarks: `weights` has -1; .* at least 0"),
     (lambda: solved(landmarks(weights=jnp.full(3, jnp.nan))), "VertexLandmarks: `weights` has nan;"),
     (lambda: solved(landmarks(targets=jnp.full((3, 3), jnp.nan))), "VertexLandmarks: `targets` has NaN;"),
-    (lambda: solved(jc.joint_landmarks(jnp.full((J, 3), jnp.nan))), "JointLandmarks: `targets` has NaN;"),
+    (lambda: solved(jc.energy.joint_landmarks(jnp.full((J, 3), jnp.nan))), "JointLandmarks: `targets` has NaN;"),
     (lambda: jc.Body(SKELETON, BODY.skin, BODY.vertices, BODY.faces + V), f"Body: `faces` has vertex .* 0 to {V - 1}"),
     (lambda: jc.Body(SKELETON, jc.LinearSkin(jnp.zeros((V, J))), BODY.vertices, BODY.faces), "LinearSkin: `weights` of vertex 0 sum to 0;"),
     (lambda: jc.Motion(POSE), r"Motion: `poses` is one pose; .* stack_poses\(\[pose\]\)"),
@@ -87,11 +87,11 @@ REFUSED = [
     (lambda: camera(focal=np.array([-500.0, 500.0])), "Camera: `focal` has -500; .* above 0 pixels"),
     (lambda: camera(width=0), "Camera: `width` is 0; .* at least 1"),
     (lambda: jc.MeshSequence(np.zeros((2, 5, 3)), np.full((3, 3), 9)), "MeshSequence: `faces` has vertex 9, .* 0 to 4"),
-    (lambda: jc.scan_frame(jc.Scanner(), [CAMERA], 1700 * POINTS, np.asarray(BODY.faces)), "scan_frame: `vertices` is .* millimetres"),
-    (lambda: jc.scan_frame(jc.Scanner(), [CAMERA], POINTS, np.asarray(BODY.faces) + V), "scan_frame: `faces` has"),
-    (lambda: jc.learn_limits({}), "learn_limits: `samples` is empty;"),
-    (lambda: jc.make_adapt_task(BODY, [CLOUD], settings=jc.AdaptSettings(frames=0)), "AdaptSettings: `frames` is 0;"),
-    (lambda: jc.IkOptions(max_steps=-1), "IkOptions: `max_steps` is -1;"),
+    (lambda: jc.scanner.scan_frame(jc.scanner.Scanner(), [CAMERA], 1700 * POINTS, np.asarray(BODY.faces)), "scan_frame: `vertices` is .* millimetres"),
+    (lambda: jc.scanner.scan_frame(jc.scanner.Scanner(), [CAMERA], POINTS, np.asarray(BODY.faces) + V), "scan_frame: `faces` has"),
+    (lambda: jc.limits.learn_limits({}), "learn_limits: `samples` is empty;"),
+    (lambda: jc.make_adapt_task(BODY, [CLOUD], settings=jc.adapt.AdaptSettings(frames=0)), "AdaptSettings: `frames` is 0;"),
+    (lambda: jc.edit.IkOptions(max_steps=-1), "IkOptions: `max_steps` is -1;"),
     (lambda: jc.make_cloud(np.full((5, 3), 1e308)), "1e.308 m from the origin"),
     (lambda: jc.make_cloud(np.concatenate([POINTS, [[1e200, 0, 0]]])), "1e.200 m from the origin"),
     (lambda: jc.make_cloud(POINTS + [1e6, 0, 0]), "1e.06 m from the origin; expected are at most 10000 m"),
@@ -100,13 +100,13 @@ REFUSED = [
     # sentences of `ValueError` take the function that was called
     (lambda: jc.human(height=175), "human: The height of a human is 175.0 m;"),
     (lambda: jc.human(resolution=2), "human: A body cannot be reduced to 2 vertices"),
-    (lambda: jc.reduce_body(BODY, -5), "reduce_body: A body cannot be reduced to -5 vertices"),
+    (lambda: jc.body.reduce_body(BODY, -5), "reduce_body: A body cannot be reduced to -5 vertices"),
     (lambda: jc.make_skeleton([], [], [], np.zeros((0, 3))), "make_skeleton: A skeleton needs at least one joint"),
     (lambda: jc.stack_poses([]), "stack_poses: `poses` is empty;"),
-    (lambda: jc.make_constraints(BODY, [jc.Constraint(V, (0.0, 0.0, 0.0))]), "make_constraints: There is a constraint on vertex"),
-    (lambda: jc.make_joint_ranges(SKELETON, {"knee": [(0, 1)]}), "make_joint_ranges: There is a range for joint 'knee'"),
+    (lambda: jc.edit.make_constraints(BODY, [jc.edit.Constraint(V, (0.0, 0.0, 0.0))]), "make_constraints: There is a constraint on vertex"),
+    (lambda: jc.limits.make_joint_ranges(SKELETON, {"knee": [(0, 1)]}), "make_joint_ranges: There is a range for joint 'knee'"),
     (lambda: jc.adapt_body(BODY), "adapt_body: `task` is a Body; expected is an AdaptTask"),
-    (lambda: jc.solve_joints(BODY, POSE), "solve_joints: missing a required argument: 'targets'; it takes body, poses,"),
+    (lambda: jc.learn.solve_joints(BODY, POSE), "solve_joints: missing a required argument: 'targets'; it takes body, poses,"),
 ]  # fmt: skip
 
 
@@ -128,7 +128,7 @@ def test_traced_values_and_free_ones_pass():
     jax.vmap(lambda faces: jc.Body(SKELETON, BODY.skin, BODY.vertices, faces))(BODY.faces[None] + V)
     jc.RestPrior(jnp.full((J, 3), jnp.inf))
     jc.make_tracker(BODY, motion_deviation=(np.inf, np.inf))
-    whole = jc.make_mixture(smallest_sigma=1, damping=0)
+    whole = jc.fit.make_mixture(smallest_sigma=1, damping=0)
     assert whole.smallest_sigma.dtype == whole.damping.dtype == whole.outlier.dtype
 
 
@@ -145,12 +145,12 @@ def test_a_target_that_is_not_known_weighs_nothing():
     assert np.isfinite(jax.grad(reached)(known.weights)).all()
     joints = jnp.full((J, 3), jnp.nan).at[0].set(0.1)
     assert np.isfinite(
-        solved(jc.joint_landmarks(joints, jnp.zeros(J).at[0].set(1.0))).pose.translations
+        solved(jc.energy.joint_landmarks(joints, jnp.zeros(J).at[0].set(1.0))).pose.translations
     ).all()
 
 
 def test_a_floor_takes_a_vertical_of_any_length():
-    one, other = jc.make_floor(BODY, 0.1), jc.make_floor(BODY, 0.1, up=(0.0, 3.0, 0.0))
+    one, other = jc.energy.make_floor(BODY, 0.1), jc.energy.make_floor(BODY, 0.1, up=(0.0, 3.0, 0.0))
     np.testing.assert_array_equal(one.up, other.up)
     np.testing.assert_array_equal(one.vertices, other.vertices)
 
@@ -162,7 +162,7 @@ def test_units_too_near_to_tell_are_both_named():
 
 
 @pytest.mark.parametrize(
-    "run", [lambda t, c: jc.track(BODY, c, tracker=t), lambda t, c: list(jc.track_frames(t, c))]
+    "run", [lambda t, c: jc.track(BODY, c, tracker=t), lambda t, c: list(jc.fit.track_frames(t, c))]
 )
 def test_clouds_are_checked_alike_in_streams(run):
     few = jc.make_cloud(POINTS[: SKELETON.num_dofs - 1], POINTS[: SKELETON.num_dofs - 1])

@@ -15,11 +15,11 @@ from jaxcap.cli.track.frame_records import pack, row_template, row_width, whose_
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.io.archives.journal import begin_journal
 from jaxcap.io.meshes.clouds import NO_FACES, Scans
-from jaxcap.view import show
 from jaxcap.view.app import serve_contents
 from jaxcap.view.contents import Contents, make_take
 from jaxcap.view.figures.clouds import SeenClouds
 from jaxcap.view.live import follow_run
+from jaxcap.view.notebook import show
 from jaxcap.view.windows import controls
 from jaxcap.view.windows.serve import address, close_server, open_server
 

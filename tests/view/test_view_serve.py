@@ -19,11 +19,11 @@ from jaxcap.body.pose import stack_poses
 from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.meshes.clouds import NO_FACES, Scans
-from jaxcap.view import show
 from jaxcap.view.contents import make_take
 from jaxcap.view.figures.clouds import SeenClouds
 from jaxcap.view.figures.figure import BodyFigure
 from jaxcap.view.figures.skeleton_figure import SkeletonFigure
+from jaxcap.view.notebook import show
 from jaxcap.view.windows.column import DISTANCE, Choice, Column
 from jaxcap.view.windows.serve import address, close_server, open_server
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from ...adapt.adapt_body import AdaptState, AdaptSettings, AdaptTask, adapt_body, plan
+from ...adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan
 from ...adapt.check import check_actor
 from ...adapt.evaluate import Stages, compare_stages, quantile, variant_names
 from ...adapt.prepare import make_adapt_task
@@ -285,7 +285,9 @@ class Adapt:
             raise InputError("--aperture is of cameras; name them by --cameras.")
         check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
-    def task(self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()) -> AdaptTask:
+    def task(
+        self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()
+    ) -> AdaptTask:
         """Make the task, with priors, cameras and the first pose read from their files. Raises
         `InputError`."""
         skeleton = body.skeleton

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from itertools import pairwise
 
+from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import sentence_of
@@ -28,6 +29,7 @@ LEAST = 3
 SAID = 12
 
 
+@checked
 def match_joints(
     source: Skeleton,
     target: Skeleton,

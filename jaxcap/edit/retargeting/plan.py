@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...arguments import checked
 from ...body.pose import Motion, take_poses
 from ...body.skeleton import Skeleton
 from ...body.symmetry import twin_joints
@@ -55,6 +56,7 @@ class RetargetPlan(NamedTuple):
     up: np.ndarray
 
 
+@checked
 def plan_retarget(
     source: Skeleton,
     target: Skeleton,

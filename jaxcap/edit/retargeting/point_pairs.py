@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...arguments import checked
 from ...body.body import Body, pose_body
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
@@ -42,6 +43,7 @@ class PointPairResult(NamedTuple):
     distances: Float[np.ndarray, "F K"]
 
 
+@checked
 def meet_points(
     motion: Motion,
     source: Body | Skeleton,

@@ -86,6 +86,7 @@ def retarget(
     return Motion(poses, motion.rate)
 
 
+@checked
 def size_ratio(
     source: Skeleton,
     target: Skeleton,
@@ -99,6 +100,7 @@ def size_ratio(
     return plan_retarget(source, target, names, motion).ratio
 
 
+@checked
 def vertical(
     source: Skeleton,
     target: Skeleton,
@@ -113,6 +115,7 @@ def vertical(
     return plan_retarget(source, target, names, motion).up
 
 
+@checked
 def floor_of(points: Float[Array | np.ndarray, "F N 3"], up: np.ndarray = UP) -> float:
     """Estimate the height of a motion's floor along `up` from its lowest points, metres.
 

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...arguments import checked
 from ...body.body import Body, deform_all
 from ...body.kinematics import joint_paths
 from ...body.pose import Motion, Pose, shift_roots, take_poses
@@ -16,6 +17,7 @@ BEARS = 0.15
 BLOCK = 64
 
 
+@checked
 def ground(
     body: Body,
     motion: Motion,
@@ -35,6 +37,7 @@ def ground(
     return Motion(shift_roots(body.skeleton, motion.poses, lifts[:, None] * up), motion.rate)
 
 
+@checked
 def lowest(body: Body, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> Float[np.ndarray, "F"]:
     """Compute the height of the lowest vertex of a body in each pose of a stack, metres along `up`."""
     count = len(poses.scale)
@@ -47,6 +50,7 @@ def lowest(body: Body, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> Float[np
     return np.concatenate([np.zeros(0), *found])[:count]
 
 
+@checked
 def floor_under(owner: Body | Skeleton, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> float:
     """Estimate the height of a motion's floor along `up` (`floor_of`), metres, from the vertices of a body or
     the joints of a skeleton."""
@@ -55,6 +59,7 @@ def floor_under(owner: Body | Skeleton, poses: Pose, up: Float[np.ndarray, "3"] 
     return floor_of(lowest(owner, poses, up)[:, None, None] * up, up)
 
 
+@checked
 def sole_heights(
     paths: Float[np.ndarray | Array, "F J 3"], up: Float[np.ndarray, "3"] = UP
 ) -> Float[np.ndarray, "F"]:

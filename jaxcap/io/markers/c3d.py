@@ -46,7 +46,7 @@ _OUTPUTS = {
 LONGEST = 65535
 
 
-def read_c3d(path: str | Path, unit: str | float | None = None) -> MarkerFile:
+def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """Read the markers of a C3D file; a negative residual, NaN, or a position of zeros marks a gap.
 
     **Arguments:** `unit` of lengths, which overrides `POINT:UNITS`; the default without both is millimetres.

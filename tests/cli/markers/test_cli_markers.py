@@ -64,7 +64,7 @@ def joint_errors(found, scene, frames):
 
 
 def test_a_subject_from_two_takes(folder, scene):
-    subject = jc.load_subject(folder / "subject.npz")
+    subject = jc.io.load_subject(folder / "subject.npz")
     assert set(subject.labels) == set(LABELS)
     assert subject.skeleton.num_joints == 6
     for name in NAMES:
@@ -113,7 +113,7 @@ def test_a_trial_is_solved(capsys, folder, scene, tmp_path):
     np.testing.assert_allclose(same.places, joints.places, atol=1e-5)
     # the file of motion has the joints where the tables have them
     skeleton, motion = jc.read_bvh(tmp_path / "trial.bvh")
-    centres = jc.joint_frames(skeleton, motion)
+    centres = jc.markers.joint_frames(skeleton, motion)
     chosen = [centres.labels.index(name) for name in joints.labels]
     np.testing.assert_allclose(np.asarray(centres.places)[:, chosen], joints.places, atol=2e-4)
     filled = jc.read_markers(tmp_path / "filled.c3d")
@@ -149,7 +149,7 @@ def test_several_trials_go_into_a_folder(capsys, folder, tmp_path):
     assert "give --overwrite" in fails(capsys, *command)
     told = runs(capsys, *command, "--overwrite", "--stream")
     assert told.count("latency: median ") == 2
-    jc.load_motion(tmp_path / "out" / "trial.npz", jc.load_subject(folder / "subject.npz").skeleton)
+    jc.load_motion(tmp_path / "out" / "trial.npz", jc.io.load_subject(folder / "subject.npz").skeleton)
 
 
 def test_streaming_comes_to_the_same_motion(capsys, folder, tmp_path):
@@ -191,7 +191,7 @@ def test_corrections_and_a_template(capsys, folder, tmp_path):
     command = ["markers", "fit", folder / "rom.c3d", "-o", tmp_path / "s.npz", "--local", "--template", tmp_path / "template.npz"]  # fmt: skip
     told = runs(capsys, *command, "--segments", tmp_path / "segments.txt", "--symmetry", "rhand:lhand")
     assert "loose markers: head3" in told
-    subject = jc.load_subject(tmp_path / "s.npz")
+    subject = jc.io.load_subject(tmp_path / "s.npz")
     above = {
         name: subject.skeleton.names[parent] if parent >= 0 else None
         for name, parent in zip(subject.skeleton.names, subject.skeleton.parents, strict=True)
@@ -247,7 +247,7 @@ def test_pieces_are_told_and_joined_when_asked(capsys, scene, tmp_path):
     command = ["markers", "fit", tmp_path / "pieces.c3d", "-o", tmp_path / "s.npz", "--local"]
     assert "trunk3, *41, *58 look like one trajectory in 3 pieces" in fails(capsys, *command)
     runs(capsys, *command, "--pieces", "join")
-    subject = jc.load_subject(tmp_path / "s.npz")
+    subject = jc.io.load_subject(tmp_path / "s.npz")
     assert set(subject.labels) == set(LABELS)
     gaps = runs_of(np.sum(seen[:, [3, 24, 25]], axis=1) == 0)
     assert gaps == [(50, 58), (100, 109)]
@@ -287,7 +287,8 @@ def test_options_are_checked(capsys, folder, tmp_path):
     assert "not written as '.fbx'" in fails(capsys, *solve, "-o", tmp_path / "one.fbx")
     assert "no such file" in fails(capsys, "markers", "solve", tmp_path / "s.npz", folder / "trial.c3d", "-o", tmp_path / "o.bvh")  # fmt: skip
     jc.save_motion(
-        tmp_path / "m.npz", jc.stack_poses([jc.rest_pose(jc.load_subject(folder / "subject.npz").skeleton)])
+        tmp_path / "m.npz",
+        jc.stack_poses([jc.rest_pose(jc.io.load_subject(folder / "subject.npz").skeleton)]),
     )
     assert "not a 'jaxcap subject'" in fails(capsys, "markers", "solve", tmp_path / "m.npz", folder / "trial.c3d", "-o", tmp_path / "o.bvh")  # fmt: skip
     others = write(tmp_path / "others.c3d", np.random.default_rng(0).random((5, 4, 3)) + 1, list("abcd"))

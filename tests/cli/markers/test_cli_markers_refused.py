@@ -23,7 +23,7 @@ def write(path, places=PLACES, labels=LABELS, unit=None):
 def subject(tmp_path_factory):
     """A subject of the puppet, as its joints one by one tell it."""
     path = tmp_path_factory.mktemp("subject") / "subject.npz"
-    jc.save_subject(path, jc.fit_local(jc.make_markers(PLACES, LABELS, 100.0)).subject)
+    jc.io.save_subject(path, jc.markers.fit_local(jc.make_markers(PLACES, LABELS, 100.0)).subject)
     return path
 
 

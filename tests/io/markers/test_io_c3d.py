@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import jaxcap as jc
 from jaxcap.errors import InputError
 from jaxcap.io.markers import c3d_child, c3d_process
-from jaxcap.io.markers.c3d import read_c3d, write_c3d
+from jaxcap.io.markers.c3d import read_c3d_file, write_c3d
 from jaxcap.io.registry import read_marker_file
 from jaxcap.io.system import process_limits
 
@@ -47,7 +47,7 @@ def test_number_formats(tmp_path, processor, integers):
     residuals[2:4, 1] = -1
     options = dict(processor=processor, integers=integers, rate=120.0, first=37)
     path = written(tmp_path, places, NAMES, residuals=residuals, **options)
-    file = read_c3d(path)
+    file = read_c3d_file(path)
     assert (file.frames.labels, file.frames.rate, file.first_frame) == (tuple(NAMES), 120.0, 37)
     np.testing.assert_array_equal(file.frames.seen, residuals == 0)
     expected = np.where(residuals[..., None] < 0, 0, places / 1000)
@@ -70,7 +70,7 @@ def test_nan_and_zeros_are_gaps_as_well(tmp_path):
 )
 def test_units_of_the_file(tmp_path, unit, metres):
     places = walked() * 1e-3 / metres
-    file = read_c3d(written(tmp_path, places, NAMES, unit=unit))
+    file = read_c3d_file(written(tmp_path, places, NAMES, unit=unit))
     np.testing.assert_allclose(file.frames.places, walked() * 1e-3, rtol=1e-5)
     assert any("unit" in sentence for sentence in file.told) == (not unit)
 
@@ -104,7 +104,7 @@ def test_angles_forces_and_the_rest_are_no_markers(tmp_path):
         ("POINT", "STRAINS2", "char", (8, 1), ["LongName"]),
     ]
     places = walked(markers=len(names))
-    file = read_c3d(written(tmp_path, places, names, more=lists))
+    file = read_c3d_file(written(tmp_path, places, names, more=lists))
     assert file.frames.labels == ("A:LKNE", "A:RKNE", "A:RHEO")
     assert file.others == {
         "angles": ("A:KneeThing", "A:LKneeAngles"),
@@ -130,13 +130,13 @@ def test_more_labels_than_a_byte_counts(tmp_path):
 
 def test_labels_missing_empty_twice_starred_and_too_many(tmp_path):
     places = walked(markers=6)
-    file = read_c3d(written(tmp_path, places, ["A  ", "", "A", "*32", "A_2"]))
+    file = read_c3d_file(written(tmp_path, places, ["A  ", "", "A", "*32", "A_2"]))
     assert file.frames.labels == ("A", "*2", "A_3", "*32", "A_2", "*6")
     assert any("'A'" in sentence for sentence in file.told)
-    few = read_c3d(written(tmp_path, places[:, :2], ["A", "B", "C"]))
+    few = read_c3d_file(written(tmp_path, places[:, :2], ["A", "B", "C"]))
     assert few.frames.labels == ("A", "B")
     assert any("3 labels for 2 points" in sentence for sentence in few.told)
-    assert read_c3d(written(tmp_path, places, NAMES, without=("LABELS",))).frames.labels[-1] == "*6"
+    assert read_c3d_file(written(tmp_path, places, NAMES, without=("LABELS",))).frames.labels[-1] == "*6"
 
 
 def test_subjects_are_parted_by_their_prefix(tmp_path):
@@ -290,13 +290,13 @@ def test_process_that_fails(tmp_path, monkeypatch, program):
     monkeypatch.setattr(c3d_child, "_PROGRAM", tmp_path / "program.py")
     monkeypatch.setattr(c3d_child, "_WAIT", 3 if "sleep" in program else 60)
     with pytest.raises(InputError, match=_PROGRAMS[program]):
-        read_c3d(path)
+        read_c3d_file(path)
 
 
 def test_threads_read_at_once(tmp_path):
     path = written(tmp_path, walked(), NAMES)
     with ThreadPoolExecutor(4) as threads:
-        files = list(threads.map(read_c3d, [path] * 4))
+        files = list(threads.map(read_c3d_file, [path] * 4))
     for file in files:
         np.testing.assert_allclose(file.frames.places, walked() / 1000, atol=1e-6)
 
@@ -316,7 +316,7 @@ def test_no_python_to_start(tmp_path, monkeypatch):
     path = written(tmp_path, walked(), NAMES)
     monkeypatch.setattr(sys, "frozen", True, raising=False)
     with pytest.raises(InputError, match="there is no Python to start; convert it to .trc"):
-        read_c3d(path)
+        read_c3d_file(path)
 
 
 @pytest.mark.shared

@@ -1,0 +1,63 @@
+"""Joint angles: Euler angles of the joints of a motion."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..arguments import checked
+from ..errors import InputError
+from ..geometry import rotation
+from .pose import Motion, Pose
+from .skeleton import Skeleton
+
+#: sine of the distance from gimbal lock below which the third angle is zero
+GIMBAL_LOCK = 1e-6
+
+
+@checked
+def joint_angles(
+    skeleton: Skeleton,
+    motion: Motion | Pose,
+    order: str = "zxy",
+    frames: Float[Array, "J 4"] | None = None,
+) -> Float[Array, "*frames J 3"]:
+    """Compute the Euler angles of every joint against its parent, zero at rest, radians.
+
+    The rotation of a joint is `R = Rot(order[0], a) Rot(order[1], b) Rot(order[2], c)`: intrinsic rotations
+    about the axes of the joint's frame, the first angle about the parent's axis. The angles of a motion are
+    unwrapped over its frames. The middle angle lies within a quarter of a turn; where it reaches it (gimbal
+    lock), the third angle is zero.
+
+    **Arguments:** `order`, three different letters of x, y and z; `frames`, unit quaternions of the axes in
+    the rest frame of the world, one for each joint. The default is the world's axes at rest.
+    `skeleton.orientations` are the joints' own axes, x along the bone.
+
+    **Raises:** `InputError` if `order` is none of the six orders.
+    """
+    if sorted(order) != ["x", "y", "z"]:
+        raise InputError(
+            f"joint_angles: `order` is '{order}'; expected are three different axes, such as 'zxy'."
+        )
+    pose = motion.poses if isinstance(motion, Motion) else motion
+    rotations = pose.rotations
+    if frames is not None:
+        rotations = rotation.multiply(rotation.conjugate(frames), rotation.multiply(rotations, frames))
+    angles = euler_angles(rotations, order)
+    return jnp.unwrap(angles, axis=0) if pose.rotations.ndim > 2 else angles
+
+
+def euler_angles(rotations: Float[Array, "*shape 4"], order: str) -> Float[Array, "*shape 3"]:
+    """Decompose rotations into three intrinsic rotations about different axes, radians."""
+    i, j, k = ("xyz".index(axis) for axis in order)
+    # the sign of the permutation: even orders have a positive sine of the middle angle in entry (i, k)
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    m = rotation.to_matrix(rotations)
+    across = jnp.hypot(m[..., i, i], m[..., i, j])
+    free = across > GIMBAL_LOCK
+    middle = jnp.arctan2(sign * m[..., i, k], across)
+    first = jnp.where(
+        free,
+        jnp.arctan2(-sign * m[..., j, k], m[..., k, k]),
+        jnp.arctan2(sign * m[..., k, j], m[..., j, j]),
+    )
+    third = jnp.where(free, jnp.arctan2(-sign * m[..., i, j], m[..., i, i]), 0.0)
+    return jnp.stack([first, middle, third], -1)

@@ -1,0 +1,24 @@
+"""Energies: additive residuals of posed bodies."""
+
+from .data.floor import Floor as Floor
+from .data.floor import make_floor as make_floor
+from .data.landmarks import BoneLandmarks as BoneLandmarks
+from .data.landmarks import joint_landmarks as joint_landmarks
+from .data.laplacian import LaplacianShape as LaplacianShape
+from .data.laplacian import make_laplacian_shape as make_laplacian_shape
+from .data.pairs import PairDistances as PairDistances
+from .data.soft_object import SoftObject as SoftObject
+from .data.soft_object import SoftPoints as SoftPoints
+from .data.soft_object import make_soft_object as make_soft_object
+from .data.soft_object import soft_distance as soft_distance
+from .data.sufficient_statistics import RigidMoments as RigidMoments
+from .data.sufficient_statistics import rigid_moments as rigid_moments
+from .data.vertices import AbstractVertexEnergy as AbstractVertexEnergy
+from .priors.prior import PosePrior as PosePrior
+from .priors.prior import tangent_deviations as tangent_deviations
+from .priors.symmetry import BoneSymmetry as BoneSymmetry
+from .priors.temporal import SecondDifference as SecondDifference
+from .stacked import AbstractNeighbourEnergy as AbstractNeighbourEnergy
+from .stacked import SmoothTurns as SmoothTurns
+from .stacked import Stacked as Stacked
+from .stacked import stack_energies as stack_energies

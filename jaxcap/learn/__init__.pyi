@@ -1,0 +1,6 @@
+"""Learn animatable bodies from registered meshes."""
+
+from .learn_body import Learned as Learned
+from .learn_body import LearnState as LearnState
+from .skeleton.solve_joints import JointSolution as JointSolution
+from .skeleton.solve_joints import solve_joints as solve_joints

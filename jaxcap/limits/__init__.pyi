@@ -1,0 +1,26 @@
+"""Joint limits learned from motion: samples, voxels, keyframes, and projection of motions."""
+
+from ..body.limits.euler_boxes import EulerBox as EulerBox
+from ..body.limits.euler_boxes import EulerBoxes as EulerBoxes
+from ..body.limits.euler_boxes import make_euler_boxes as make_euler_boxes
+from ..body.limits.limit_surface import LimitSurface as LimitSurface
+from ..body.limits.limit_surface import SurfaceLimits as SurfaceLimits
+from ..body.limits.limit_surface import comfort as comfort
+from ..body.limits.limits import AbstractLimits as AbstractLimits
+from ..body.limits.limits import AllLimits as AllLimits
+from ..body.limits.limits import Cone as Cone
+from ..body.limits.limits import JointRanges as JointRanges
+from ..body.limits.limits import allowed as allowed
+from ..body.limits.limits import make_joint_ranges as make_joint_ranges
+from ..body.limits.rotation_vector_boxes import PoseBoxes as PoseBoxes
+from ..body.limits.rotation_vector_boxes import make_pose_boxes as make_pose_boxes
+from .boxes import learn_boxes as learn_boxes
+from .check import allowed_frames as allowed_frames
+from .check import comfort_frames as comfort_frames
+from .check import nearest_frames as nearest_frames
+from .check import residual_frames as residual_frames
+from .compare import compare_samples as compare_samples
+from .learn import learn_limits as learn_limits
+from .marker_frames import arm_samples as arm_samples
+from .project import project_motion as project_motion
+from .samples import gather_samples as gather_samples

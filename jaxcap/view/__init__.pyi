@@ -1,0 +1,3 @@
+"""Browser windows: view the library's files (`app`), pose a body by hand (`ik`), and view from notebooks"""
+
+from .notebook import Player as Player
