@@ -1,4 +1,4 @@
-"""Import public names on first use (PEP 562): the names of a package are those of the `.pyi` beside it.
+"""Import public names on first use (PEP 562): the names of a package are those of its `.pyi`.
 
 `import jaxcap` alone loads nothing, so that the command line's help does not need JAX. Type checkers read
 the same `.pyi`.

@@ -40,6 +40,7 @@ def joint_angles(
     pose = motion.poses if isinstance(motion, Motion) else motion
     rotations = pose.rotations
     if frames is not None:
+        frames = jnp.broadcast_to(frames, rotations.shape)
         rotations = rotation.multiply(rotation.conjugate(frames), rotation.multiply(rotations, frames))
     angles = euler_angles(rotations, order)
     return jnp.unwrap(angles, axis=0) if pose.rotations.ndim > 2 else angles
