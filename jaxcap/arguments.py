@@ -59,14 +59,14 @@ def check_length(module: Any, name: str, there: int, lengths: Lengths, dim: str)
     size, owner = lengths.get(dim, (there, name))
     if there != size:
         raise InputError(
-            f"{type(module).__name__}: `{name}` is of {there}; expected is {size}, {dim} of `{owner}`."
+            f"{type(module).__name__}: `{name}` has length {there}; expected {size}, dimension {dim} of `{owner}`."
         )
 
 
 def check_rate(where: str, rate: Any) -> None:
     """Check that a rate is a positive number of frames per second. Raises `InputError`."""
     if isinstance(rate, (int, float)) and not 0 < rate < float("inf"):
-        raise InputError(f"{where}: `rate` is {rate}; expected is a number of frames a second above 0.")
+        raise InputError(f"{where}: `rate` is {rate}; expected a number of frames a second above 0.")
 
 
 def check_metres(where: str, name: str, points: np.ndarray) -> None:
@@ -86,7 +86,7 @@ def check_metres(where: str, name: str, points: np.ndarray) -> None:
             else "check the unit"
         )
         raise InputError(
-            f"{where}: `{name}` is {extent:.4g} wide; expected are metres, at most {LARGEST:g}; {unit}."
+            f"{where}: `{name}` is {extent:.4g} wide; expected metres, at most {LARGEST:g}; {unit}."
         )
 
 
@@ -135,6 +135,8 @@ def checked(function: Function) -> Function:
             # the name becomes that of the outermost function, which the user has called
             if not is_sentence(error) or (isinstance(error, InputError) and not error.function):
                 raise
+            if type(error) not in (ValueError, InputError):
+                raise  # an error with fields of its own
             raise InputError(sentence_of(error), name) from None
 
     return typing.cast(Function, wrapper)
@@ -180,13 +182,13 @@ def numbers_of(where: str, name: str, value: Any) -> np.ndarray:
         value = given
     except (TypeError, ValueError):
         pass
-    raise InputError(f"{where}: `{name}` {describe(value)}; expected is an array of real numbers.")
+    raise InputError(f"{where}: `{name}` {describe(value)}; expected an array of real numbers.")
 
 
 def _check(where: str, name: str, annotation: Any, value: Any, lengths: Lengths) -> None:
     expected = _mismatch(annotation, value, lengths, name)
-    if expected is not None:
-        raise InputError(f"{where}: `{name}` {describe(value)}; expected is {expected}.")
+    if expected not None:
+        raise InputError(f"{where}: `{name}` {describe(value)}; expected {expected}.")
 
 
 def _mismatch(annotation: Any, value: Any, lengths: Lengths, name: str) -> str | None:
@@ -352,7 +354,7 @@ def _check_joints(where: str, given: dict[str, Any]) -> None:
             there = rotations.shape[-2] if len(rotations.shape) > 1 else None
             if there != count:
                 raise InputError(
-                    f"{where}: `{key}` has {there} joints; expected is {count} as in `{owner}`, such as "
+                    f"{where}: `{key}` has {there} joints; expected {count} as in `{owner}`, such as "
                     "rest_pose(skeleton) has, or retarget it."
                 )
 

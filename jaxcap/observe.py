@@ -210,13 +210,13 @@ def check_place(points: Float[np.ndarray, "N 3"], name: str) -> None:
     if away > FARTHEST or beyond > WILD:
         far = away if away > FARTHEST else beyond
         raise InputError(
-            f"{name} has points {far:.3g} m from the origin; expected are at most {FARTHEST:g} m, beyond which numbers have "
+            f"{name} has points {far:.3g} m from the origin; expected at most {FARTHEST:g} m, beyond which numbers have "
             "no room for millimetres: take the place of the scene away from all points, and check the unit."
         )
     extent = float(np.ptp(points, axis=0).max())
     if 0 < extent < SPECK:
         raise InputError(
-            f"{name} is {extent:.3g} m wide; expected are metres, at least {SPECK:g}; check the unit, which may be kilometres."
+            f"{name} is {extent:.3g} m wide; expected metres, at least {SPECK:g}; check the unit, which may be kilometres."
         )
 
 
@@ -300,7 +300,7 @@ def as_cloud(frame: "Cloud | Scan", number: int = 0) -> Cloud:
         return make_cloud(frame.points, frame.normals, name=frame.name)
     if not isinstance(frame, Cloud):
         raise InputError(
-            f"Cloud {number} {describe(frame)}; expected is a Cloud, such as make_cloud makes of arrays, or a Scan of read_clouds."
+            f"Cloud {number} {describe(frame)}; expected a Cloud, such as make_cloud makes of arrays, or a Scan of read_clouds."
         )
     return frame
 
@@ -310,7 +310,7 @@ def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
     """Stack clouds of one or several sizes into one with a leading axis of frames."""
     frames: list[Cloud] = CloudFrames(clouds)[:]
     if not frames:
-        raise InputError("stack_clouds: `clouds` is empty; expected is one cloud at least.")
+        raise InputError("stack_clouds: `clouds` is empty; expected one cloud at least.")
     size = max(cloud.points.shape[0] for cloud in frames)
 
     def padded(leaf):

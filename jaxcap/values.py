@@ -37,7 +37,7 @@ def check_values(where: str, fits: Callable[[np.ndarray], Any], expected: str, *
         wrong = ~np.broadcast_to(fits(numbers), numbers.shape)
         if wrong.any():
             verb = "has" if numbers.ndim else "is"
-            raise InputError(f"{where}: `{name}` {verb} {numbers[wrong][0]:g}; expected is {expected}.")
+            raise InputError(f"{where}: `{name}` {verb} {numbers[wrong][0]:g}; expected {expected}.")
 
 
 def check_positive(where: str, unit: str = "", **given: Any) -> None:
@@ -74,7 +74,7 @@ def check_direction(where: str, **given: Any) -> None:
         length = np.linalg.norm(numbers) if numbers.shape == (3,) else 0.0
         if not 0 < length < np.inf:
             raise InputError(
-                f"{where}: `{name}` is {numbers.tolist()}; expected is a direction, three finite numbers of which one is not 0."
+                f"{where}: `{name}` is {numbers.tolist()}; expected a direction, three finite numbers of which one is not 0."
             )
 
 
@@ -85,7 +85,7 @@ def check_faces(where: str, faces: Any, count: int) -> None:
         wrong = (corners < 0) | (corners >= count)
         if wrong.any():
             raise InputError(
-                f"{where}: `faces` has vertex {corners[wrong][0]}, and there are {count} vertices; expected are 0 to "
+                f"{where}: `faces` has vertex {corners[wrong][0]}, and there are {count} vertices; expected 0 to "
                 f"{count - 1}."
             )
 

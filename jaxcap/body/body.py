@@ -51,7 +51,7 @@ def check_skin(skin: AbstractSkin) -> None:
     if loose.any():
         raise InputError(
             f"{type(skin).__name__}: `weights` of vertex {int(loose.argmax())} sum to {np.asarray(weights)[loose.argmax()].sum():g}; "
-            "expected is 1, so that the vertex moves with some bone."
+            "expected 1, so that the vertex moves with some bone."
         )
 
 

@@ -35,7 +35,7 @@ def joint_angles(
     """
     if sorted(order) != ["x", "y", "z"]:
         raise InputError(
-            f"joint_angles: `order` is '{order}'; expected are three different axes, such as 'zxy'."
+            f"joint_angles: `order` is '{order}'; expected three different axes, such as 'zxy'."
         )
     pose = motion.poses if isinstance(motion, Motion) else motion
     rotations = pose.rotations

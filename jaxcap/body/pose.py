@@ -44,7 +44,7 @@ class Motion(eqx.Module):
         check_rate("Motion", self.rate)
         if self.poses.scale.ndim == 0:
             raise InputError(
-                "Motion: `poses` is one pose; expected are poses stacked over frames, such as stack_poses([pose]) makes."
+                "Motion: `poses` is one pose; expected poses stacked over frames, such as stack_poses([pose]) makes."
             )
 
     @property
@@ -79,7 +79,7 @@ def rest_pose(skeleton: Skeleton) -> Pose:
 def stack_poses(poses: Sequence[Pose], rate: float = 30.0) -> Motion:
     """Stack single poses into a `Motion`, differentiably. Raises `InputError` where there are none."""
     if not poses:
-        raise InputError("stack_poses: `poses` is empty; expected is one pose at least.")
+        raise InputError("stack_poses: `poses` is empty; expected one pose at least.")
     return Motion(jax.tree.map(lambda *leaves: stack(leaves), *poses), rate)
 
 

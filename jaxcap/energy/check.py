@@ -64,7 +64,7 @@ def check_indices(owner: str, field: str, numbers: Any, what: str, count: int) -
     wrong = (values < 0) | (values >= count)
     if wrong.any():
         raise InputError(
-            f"{owner}: `{field}` has {int(values[wrong][0])}, and the body has {count} {what}; expected are 0 to {count - 1}."
+            f"{owner}: `{field}` has {int(values[wrong][0])}, and the body has {count} {what}; expected 0 to {count - 1}."
         )
 
 
@@ -75,7 +75,7 @@ def _check_weight(term: AbstractEnergy) -> None:
             # written so that NaN counts as wrong
             if not (weight >= 0).all():
                 raise InputError(
-                    f"{name_of(term)}: its weight is {float(weight.min()):g}; expected is a number of at least 0."
+                    f"{name_of(term)}: its weight is {float(weight.min()):g}; expected a number of at least 0."
                 )
         term = term.energy
 
@@ -101,7 +101,7 @@ def own_terms(where: str, terms: OwnTerms, body: Body) -> AbstractEnergy | None:
     for term in given:
         if not isinstance(term, AbstractEnergy):
             raise InputError(
-                f"{where}: `terms` has a {type(term).__name__}; expected are energies, such as make_floor(body)."
+                f"{where}: `terms` has a {type(term).__name__}; expected energies, such as make_floor(body)."
             )
         check_numbers(term, body)
         for part in flat_terms(term):

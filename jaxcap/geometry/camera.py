@@ -47,7 +47,7 @@ class Camera(eqx.Module):
             np.abs(axes @ axes.T - np.eye(3)).max() < TURNED and np.linalg.det(axes) > 0
         ):
             raise InputError(
-                f"Camera: `rotation` is {axes.round(4).tolist()}; expected is a rotation matrix: rows of length 1 at right "
+                f"Camera: `rotation` is {axes.round(4).tolist()}; expected a rotation matrix: rows of length 1 at right "
                 "angles to each other, whose determinant is 1 and not -1."
             )
 

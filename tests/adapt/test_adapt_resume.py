@@ -192,7 +192,7 @@ def stopped_after(at):
 @pytest.mark.slow
 def test_a_run_that_is_stopped_goes_on_to_the_same_bits(folder, capsys, monkeypatch):
     """And its report, made with it, is the one that is made afterwards."""
-    monkeypatch.setattr(adapt_module, "Settings", partial(AdaptSettings, alone=1, rounds=(1, 1)))
+    monkeypatch.setattr(adapt_module, "AdaptSettings", partial(AdaptSettings, alone=1, rounds=(1, 1)))
     whole, parts = folder / "whole.npz", folder / "parts.npz"
     report = ("--report-every", 3, "--frames", 3, "--report")
     runs(capsys, *words(folder, whole, *report, folder / "with.html"))

@@ -108,7 +108,7 @@ def test_what_no_prior_is_made_of(poses, meshes):
         (
             jc.Pose(poses.translations[:, :3], poses.rotations[:, :3], poses.scale),
             meshes,
-            "has 3 joints; expected is 9",
+            "has 3 joints; expected 9",
         ),
     ):
         with pytest.raises(ValueError, match=told):

@@ -239,7 +239,7 @@ def test_what_cannot_be_solved_is_a_sentence(frames, change, words):
 def test_fields_of_a_problem_are_looked_at(frames):
     problem = problem_of(frames, CENTRES, held=jnp.zeros(FRAMES, bool))
     for field, value, words in (
-        ("unknowns", [Size()], "expected are unknowns by their names"),
+        ("unknowns", [Size()], "expected unknowns by their names"),
         ("held", jnp.zeros(3, bool), "`held` are of 3"),
     ):
         wrong = eqx.tree_at(lambda p, field=field: getattr(p, field), problem, value)
@@ -248,7 +248,7 @@ def test_fields_of_a_problem_are_looked_at(frames):
 
 
 def test_numbers_that_are_no_sizes_or_weights_are_told(frames):
-    with pytest.raises(InputError, match="`smallest` is -1; expected is a factor above 0"):
+    with pytest.raises(InputError, match="`smallest` is -1; expected a factor above 0"):
         Size(-1.0, 2.0)
     for weight in (-1.0, jnp.nan):
         terms = eqx.tree_at(lambda e: e.terms[1].weight, frames[0], jnp.asarray(weight))

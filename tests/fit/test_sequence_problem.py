@@ -192,7 +192,7 @@ def test_what_does_not_go_together_is_a_sentence(scene):
             ),
             few,
         )
-    with pytest.raises(InputError, match="`solver` is a Newton; expected is"):
+    with pytest.raises(InputError, match="`solver` is a Newton; expected"):
         solve_sequence(problem, poses, optx.Newton(1e-3, 1e-3))
     for unknown, sentence in (
         (JointCentres(joints=(2,)), "no energy depends on the unknown 'part'"),

@@ -152,38 +152,38 @@ def test_sentences_in_full():
     with pytest.raises(InputError) as error:
         jc.VertexLandmarks(jnp.arange(4), jnp.ones((3, 3)), jnp.ones(4))
     assert str(error.value) == (
-        "VertexLandmarks: `targets` has floating-point numbers of shape (3, 3); expected is an array of floating-point "
+        "VertexLandmarks: `targets` has floating-point numbers of shape (3, 3); expected an array of floating-point "
         "numbers of shape (C, 3), where C is 4 as in `vertices`."
     )
-    with pytest.raises(InputError, match=f"Body: `skin` is of {V + 1}; expected is {V}, V of `vertices`"):
+    with pytest.raises(InputError, match=f"Body: `skin` has length {V + 1}; expected {V}, dimension V of `vertices`"):
         jc.Body(BODY.skeleton, jc.LinearSkin(jnp.ones((V + 1, J))), BODY.vertices, BODY.faces)
-    with pytest.raises(InputError, match=f"Body: `skin` is of {J + 1}; expected is {J}, J of `skeleton`"):
+    with pytest.raises(InputError, match=f"Body: `skin` has length {J + 1}; expected {J}, dimension J of `skeleton`"):
         jc.Body(BODY.skeleton, jc.LinearSkin(jnp.ones((V, J + 1))), BODY.vertices, BODY.faces)
-    with pytest.raises(InputError, match="MarkerFrames: `labels` is of 3; expected is 4, M of `places`"):
+    with pytest.raises(InputError, match="MarkerFrames: `labels` has length 3; expected 4, dimension M of `places`"):
         jc.MarkerFrames(jnp.ones((2, 4, 3)), jnp.ones((2, 4), bool), tuple("abc"))
     with pytest.raises(
-        InputError, match="Motion: `rate` is -30.0; expected is a number of frames a second above 0"
+        InputError, match="Motion: `rate` is -30.0; expected a number of frames a second above 0"
     ):
         jc.Motion(jc.stack_poses([POSE]).poses, -30.0)
-    with pytest.raises(InputError, match="pose_body: `body` is a Pose; expected is a Body"):
+    with pytest.raises(InputError, match="pose_body: `body` is a Pose; expected a Body"):
         jc.pose_body(POSE, BODY)
     with pytest.raises(
         InputError, match="pose_body: missing a required argument: 'pose'; it takes body, pose"
     ):
         jc.pose_body(BODY)
     with pytest.raises(
-        InputError, match=f"retract: `pose` has {J + 1} joints; expected is {J} as in `skeleton`"
+        InputError, match=f"retract: `pose` has {J + 1} joints; expected {J} as in `skeleton`"
     ):
         jc.retract(
             BODY.skeleton, jc.Pose(jnp.ones((J + 1, 3)), jnp.ones((J + 1, 4)), jnp.ones(())), jnp.zeros(3)
         )
     with pytest.raises(
-        InputError, match="make_tracker: `terms` is 3; expected is an AbstractEnergy or a sequence of"
+        InputError, match="make_tracker: `terms` is 3; expected an AbstractEnergy or a sequence of"
     ):
         jc.make_tracker(BODY, None, 3)
     with pytest.raises(InputError, match="RestPrior: its residual cannot be evaluated for a body of"):
         jc.make_tracker(BODY, None, jc.RestPrior(jnp.ones((J + 1, 3))))
-    with pytest.raises(InputError, match="stack_poses: `poses` is a Pose; expected is a sequence of Pose"):
+    with pytest.raises(InputError, match="stack_poses: `poses` is a Pose; expected a sequence of Pose"):
         jc.stack_poses(POSE)
 
 
@@ -250,7 +250,7 @@ def test_energies_that_do_not_fit_the_body(function):
     ):
         function(jc.energy.joint_landmarks(jnp.ones((J + 1, 3))), BODY, POSE)
     with pytest.raises(
-        InputError, match=f"Marked: `vertices` has {V}, and the body has {V} vertices; expected are 0 to"
+        InputError, match=f"Marked: `vertices` has {V}, and the body has {V} vertices; expected 0 to"
     ):
         function(right + Marked(jnp.array([0, V])), BODY, POSE)
 
@@ -258,7 +258,7 @@ def test_energies_that_do_not_fit_the_body(function):
 def test_units():
     points = np.random.default_rng(0).random((100, 3))
     with pytest.raises(
-        InputError, match="`points` is .* wide; expected are metres, .* it looks like millimetres"
+        InputError, match="`points` is .* wide; expected metres, .* it looks like millimetres"
     ):
         jc.make_cloud(1700 * points)
     with pytest.raises(InputError, match="it looks like centimetres: multiply by 0.01"):
@@ -306,6 +306,6 @@ def test_scans_of_files_are_clouds(monkeypatch):
         with pytest.raises(InputError):
             jc.track(BODY, one)
     with pytest.raises(
-        InputError, match="Cloud 0 has floating-point numbers of shape .*; expected is a Cloud"
+        InputError, match="Cloud 0 has floating-point numbers of shape .*; expected a Cloud"
     ):
         jc.track(BODY, points[None])

@@ -53,7 +53,7 @@ def solved(energy) -> jc.fit.Solution:
 
 
 REFUSED = [
-    (lambda: jc.fit.make_mixture(outlier=1.5), "make_mixture: `outlier` is 1.5; expected is a share between 0 and 1"),
+    (lambda: jc.fit.make_mixture(outlier=1.5), "make_mixture: `outlier` is 1.5; expected a share between 0 and 1"),
     (lambda: jc.fit.make_mixture(candidates=0), "make_mixture: `candidates` is 0; .* at least 1"),
     (lambda: jc.fit.make_mixture(smallest_sigma=-1), "make_mixture: `smallest_sigma` is -1; .* above 0 metres"),
     (lambda: jc.fit.make_mixture(normal_threshold=60), "make_mixture: `normal_threshold` is 60; .* from -1 to 1"),
@@ -70,7 +70,7 @@ REFUSED = [
     (lambda: jc.track(BODY, [CLOUD], rate=-3.0), "track: `rate` is -3.0;"),
     (lambda: jc.initialise(jc.make_tracker(BODY), CLOUD, up=(0.0, NAN, 0.0)), "initialise: `up` is .0.0, nan"),
     (lambda: jc.initialise(jc.make_tracker(BODY), CLOUD, turns=0), "initialise: `turns` is 0;"),
-    (lambda: jc.energy.make_floor(BODY, up=(0.0, 0.0, 0.0)), "make_floor: `up` is .0.0, 0.0, 0.0.; expected is a direction"),
+    (lambda: jc.energy.make_floor(BODY, up=(0.0, 0.0, 0.0)), "make_floor: `up` is .0.0, 0.0, 0.0.; expected a direction"),
     (lambda: jc.energy.make_floor(BODY, deviation=0.0), "make_floor: `deviation` is 0;"),
     (lambda: jc.energy.make_floor(BODY, height=NAN), "make_floor: `height` is nan;"),
     (lambda: jc.RestPrior(jnp.zeros((J, 3))), "RestPrior: `deviations` has 0; .* above 0"),
@@ -82,8 +82,8 @@ REFUSED = [
     (lambda: jc.Body(SKELETON, BODY.skin, BODY.vertices, BODY.faces + V), f"Body: `faces` has vertex .* 0 to {V - 1}"),
     (lambda: jc.Body(SKELETON, jc.LinearSkin(jnp.zeros((V, J))), BODY.vertices, BODY.faces), "LinearSkin: `weights` of vertex 0 sum to 0;"),
     (lambda: jc.Motion(POSE), r"Motion: `poses` is one pose; .* stack_poses\(\[pose\]\)"),
-    (lambda: camera(rotation=-np.eye(3)), "Camera: `rotation` is .* expected is a rotation matrix"),
-    (lambda: camera(rotation=2 * np.eye(3)), "Camera: `rotation` is .* expected is a rotation matrix"),
+    (lambda: camera(rotation=-np.eye(3)), "Camera: `rotation` is .* expected a rotation matrix"),
+    (lambda: camera(rotation=2 * np.eye(3)), "Camera: `rotation` is .* expected a rotation matrix"),
     (lambda: camera(focal=np.array([-500.0, 500.0])), "Camera: `focal` has -500; .* above 0 pixels"),
     (lambda: camera(width=0), "Camera: `width` is 0; .* at least 1"),
     (lambda: jc.MeshSequence(np.zeros((2, 5, 3)), np.full((3, 3), 9)), "MeshSequence: `faces` has vertex 9, .* 0 to 4"),
@@ -94,8 +94,8 @@ REFUSED = [
     (lambda: jc.edit.IkOptions(max_steps=-1), "IkOptions: `max_steps` is -1;"),
     (lambda: jc.make_cloud(np.full((5, 3), 1e308)), "1e.308 m from the origin"),
     (lambda: jc.make_cloud(np.concatenate([POINTS, [[1e200, 0, 0]]])), "1e.200 m from the origin"),
-    (lambda: jc.make_cloud(POINTS + [1e6, 0, 0]), "1e.06 m from the origin; expected are at most 10000 m"),
-    (lambda: jc.make_cloud(0.001 * POINTS), "wide; expected are metres, at least 0.005"),
+    (lambda: jc.make_cloud(POINTS + [1e6, 0, 0]), "1e.06 m from the origin; expected at most 10000 m"),
+    (lambda: jc.make_cloud(0.001 * POINTS), "wide; expected metres, at least 0.005"),
     (lambda: jc.make_cloud(np.zeros((5, 3), complex)), "make_cloud: `points` has complex numbers .* real numbers"),
     # sentences of `ValueError` take the function that was called
     (lambda: jc.human(height=175), "human: The height of a human is 175.0 m;"),
@@ -105,7 +105,7 @@ REFUSED = [
     (lambda: jc.stack_poses([]), "stack_poses: `poses` is empty;"),
     (lambda: jc.edit.make_constraints(BODY, [jc.edit.Constraint(V, (0.0, 0.0, 0.0))]), "make_constraints: There is a constraint on vertex"),
     (lambda: jc.limits.make_joint_ranges(SKELETON, {"knee": [(0, 1)]}), "make_joint_ranges: There is a range for joint 'knee'"),
-    (lambda: jc.adapt_body(BODY), "adapt_body: `task` is a Body; expected is an AdaptTask"),
+    (lambda: jc.adapt_body(BODY), "adapt_body: `task` is a Body; expected an AdaptTask"),
     (lambda: jc.learn.solve_joints(BODY, POSE), "solve_joints: missing a required argument: 'targets'; it takes body, poses,"),
 ]  # fmt: skip
 
@@ -179,7 +179,7 @@ def test_scans_of_files_and_clouds_are_taken_alike():
     fits = [jc.fit_pose(BODY, given, POSE, prior, steps=1) for given in (file, CLOUD, wanted)]
     for fit in fits[:2]:
         jax.tree.map(np.testing.assert_array_equal, fit.pose, fits[2].pose)
-    with pytest.raises(InputError, match="initialise: `cloud` is an? .*; expected is a Cloud or a Scan"):
+    with pytest.raises(InputError, match="initialise: `cloud` is an? .*; expected a Cloud or a Scan"):
         jc.initialise(jc.make_tracker(BODY), POSE)
 
 

@@ -4,10 +4,11 @@ from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from ...body.skeleton import Skeleton
+from ...errors import InputError
 from .reference import Reference
 
 
-class UnmatchedJoints(ValueError):
+class UnmatchedJoints(InputError):
     """An error: limbs have no match.
 
     `names` is an initial table; None if the given table states that a joint of the source has no match.

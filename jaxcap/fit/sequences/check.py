@@ -41,7 +41,7 @@ def _check_unknowns(problem: SequenceProblem) -> None:
     if not isinstance(given, dict) or not all(isinstance(each, AbstractUnknown) for each in given.values()):
         raise InputError(
             f"SequenceProblem: `unknowns` is {type(given).__name__} of {', '.join(type(each).__name__ for each in given) or 'nothing'}; "
-            "expected are unknowns by their names, such as {'size': Size()}."
+            "expected unknowns by their names, such as {'size': Size()}."
         )
     counts: dict[str, int] = {"joints": body.skeleton.num_joints, "vertices": len(body.vertices)}
     for name, unknown in given.items():
@@ -51,11 +51,11 @@ def _check_unknowns(problem: SequenceProblem) -> None:
             check_indices(owner, field, numbers, what, counts[what])
             twice = sorted({number for number in numbers if numbers.count(number) > 1})
             if twice:
-                raise InputError(f"{owner}: `{field}` has {twice[0]} twice; expected is each once.")
+                raise InputError(f"{owner}: `{field}` has {twice[0]} twice; expected each once.")
     for prior in problem.shared:
         if isinstance(prior, NormalPrior) and prior.name not in given:
             raise InputError(
-                f"NormalPrior: there is no unknown '{prior.name}'; expected is one of {', '.join(sorted(given)) or 'none'}."
+                f"NormalPrior: there is no unknown '{prior.name}'; expected one of {', '.join(sorted(given)) or 'none'}."
             )
 
 
@@ -68,7 +68,7 @@ def _check_frames(problem: SequenceProblem, poses: Pose) -> None:
         words = ", ".join(f"`{name}` are of {count}" for name, count in given.items())
         stacked = " and ".join(map(str, sorted(counts))) or "no"
         raise InputError(
-            f"SequenceProblem: {words} frames, and stacked energies of {stacked}; expected is one number."
+            f"SequenceProblem: {words} frames, and stacked energies of {stacked}; expected one number."
         )
     widest = max([1, *(term.frames for term in problem.between)])
     if widest > problem.num_frames:
@@ -82,7 +82,7 @@ def _check_frames(problem: SequenceProblem, poses: Pose) -> None:
             frame = int(wrong[0])
             raise InputError(
                 f"SequenceProblem: `times` go from {float(problem.times[frame]):g} to {float(problem.times[frame + 1]):g} at frame "
-                f"{frame + 1}; expected are times that rise from frame to frame."
+                f"{frame + 1}; expected times that rise from frame to frame."
             )
 
 

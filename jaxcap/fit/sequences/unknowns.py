@@ -70,7 +70,7 @@ class Size(AbstractUnknown[Float[Array, ""]]):
         super().__check_init__()
         for name, end in (("smallest", self.smallest), ("largest", self.largest)):
             if isinstance(end, jax.Array) and not isinstance(end, Tracer) and not end > 0:
-                raise InputError(f"Size: `{name}` is {float(end):g}; expected is a factor above 0.")
+                raise InputError(f"Size: `{name}` is {float(end):g}; expected a factor above 0.")
 
     def size(self, body):
         return 1

@@ -207,7 +207,7 @@ class GltfFile:
         numbers, of_each = self.array(place, len(_REST[name]), where), 3 if how == "CUBICSPLINE" else 1
         if len(numbers) != of_each * len(times):
             raise InputError(
-                f"{sampler.where} has {len(times)} times and {len(numbers)} values; expected are {of_each} for each."
+                f"{sampler.where} has {len(times)} times and {len(numbers)} values; expected {of_each} for each."
             )
         keys = numbers.reshape(len(times), of_each, -1)
         numbers = keys[:, of_each // 2]

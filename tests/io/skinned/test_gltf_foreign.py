@@ -190,7 +190,7 @@ def test_spline_keys_are_sampled_as_scipy_does(chain, tmp_path, rng):
     file = pygltflib.GLTF2().load(str(tmp_path / "spline.glb"))
     file.animations[0].samplers[0].interpolation = "LINEAR"
     file.save_binary(str(tmp_path / "short.glb"))
-    with pytest.raises(InputError, match="3 times and 9 values; expected are 1 for each"):
+    with pytest.raises(InputError, match="3 times and 9 values; expected 1 for each"):
         read_gltf_body(tmp_path / "short.glb")
 
 
