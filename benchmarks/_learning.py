@@ -297,7 +297,7 @@ def without_cache() -> None:
 def _all_takes(
     shared: Path, skeleton: jc.Skeleton, subject: str = SUBJECT, without: Sequence[str] = ()
 ) -> jc.Motion:
-    """All takes of a subject, but some, at 30 frames a second one after the other, on the body; one call, which
+    """All takes of a subject, but some, at 30 frames per second one after the other, on the body; one call, which
     compiles once."""
     motions = []
     for take in takes_of(shared, subject):

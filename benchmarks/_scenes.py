@@ -15,7 +15,7 @@ from jaxcap.demo.scanner import sample_surface
 from jaxcap.io.skeletons.amc import read_amc
 from jaxcap.io.skeletons.asf import read_asf
 
-#: frames a second of the database, and those that are tracked
+#: frames per second of the database, and those that are tracked
 CAPTURED, RATE = 120.0, 30.0
 #: metres around the box of a body in which outliers lie
 MARGIN = 0.1
@@ -72,7 +72,7 @@ def cmu_motion(shared: Path, take: str) -> tuple[jc.Motion, jc.Skeleton]:
 
 
 def human_motion(shared: Path, take: str, body: jc.Body, frames: int | None = None) -> jc.Motion:
-    """A take at 30 frames a second on a body of other proportions, its first `frames` or all."""
+    """A take at 30 frames per second on a body of other proportions, its first `frames` or all."""
     motion, skeleton = cmu_motion(shared, take)
     motion = motion.slice(slice(None, None, round(CAPTURED / RATE)))
     return jc.retarget(motion.slice(slice(frames)), skeleton, body.skeleton)

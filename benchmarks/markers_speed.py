@@ -1,6 +1,6 @@
 """How fast markers are calibrated, solved and followed: `python -m benchmarks.markers_speed`.
 
-60 markers on the embedded human, 23 joints that move, a take of CMU's at 120 frames a second with noise of a
+60 markers on the embedded human, 23 joints that move, a take of CMU's at 120 frames per second with noise of a
 millimetre, gaps and swapped labels; float32. Solving is timed after a run that compiles; streaming frame by frame
 from NumPy arrays to a pose that is there; calibrating with 100 frames from a wrong template, without and with
 compiling. Run it with nothing else beside.

@@ -4,7 +4,7 @@
     python -m benchmarks.speed_track --frames 5 --small --picture cost.png
 
 Four figures are held to limits: the E-step against one plain `argmin` a part in JAX, which gives
-the same posterior, run in turns; the tracker's frames a second in its steady state, as a user
+the same posterior, run in turns; the tracker's frames per second in its steady state, as a user
 gets them from `jaxcap.fit.track_frames`, and their error; and the seconds from the start of a
 process without any compiled function to its first tracked frame. Beside them stand the cost
 against points and vertices, and one rigid registration of the same points by pycpd
@@ -149,7 +149,7 @@ def track_steadily(scene: Scene):
         "tracked_lost": lost,
     }
     progress(
-        f"tracker: {figures['frame_ms']:.1f} ms a frame, {figures['frames_per_second']:.1f} frames a second "
+        f"tracker: {figures['frame_ms']:.1f} ms a frame, {figures['frames_per_second']:.1f} frames per second "
         f"({'60 is reached' if figures['reaches_60'] else '60 is not reached'}), mean error "
         f"{figures['tracked_mean_mm']:.2f} mm, first frame {taken[0]:.1f} s"
     )
@@ -262,7 +262,7 @@ def picture(path: Path, rows: list[dict[str, float]], points: int, vertices: int
     figure.axes[0].set_yticks(
         [1, 2, 5, 10, 20, 50, 100, 200], ["1", "2", "5", "10", "20", "50", "100", "200"]
     )
-    figure.axes[0].set_ylabel("milliseconds (dashed: 60 frames a second)")
+    figure.axes[0].set_ylabel("milliseconds (dashed: 60 frames per second)")
     figure.tight_layout()
     canvas.print_png(path)
     progress(f"picture: {path}")

@@ -3,7 +3,7 @@
     python -m benchmarks.track_cmu
     python -m benchmarks.track_cmu --takes 02_05 --frames 30 --picture tracked.png
 
-The embedded human (13,380 vertices, all joints) performs each take at 30 frames a second and is
+The embedded human (13,380 vertices, all joints) performs each take at 30 frames per second and is
 scanned; the tracked body is its 5,000 vertex version, which is given neither
 the first pose nor any correspondence. Errors are distances of joint centres, over all 31 joints
 and all frames; each take is held to the limits, and the figures are those of the worst one.
@@ -76,7 +76,7 @@ def say(take: str, visible: str, names, tracked: Tracked) -> None:
     progress(
         f"{take}, {visible}: mean {figures['mean_mm']:.2f} mm, 99th percentile {figures['p99_mm']:.2f} mm, "
         f"worst frame {figures['worst_frame_mm']:.2f} mm, {figures['lost']} of {len(tracked.errors)} lost, "
-        f"{figures['frames_per_second']:.1f} frames a second after a first of {tracked.seconds[0]:.1f} s"
+        f"{figures['frames_per_second']:.1f} frames per second after a first of {tracked.seconds[0]:.1f} s"
     )
     if tracked.lost.any():
         progress(f"  lost: {', '.join(map(str, np.flatnonzero(tracked.lost)[:30]))}")

@@ -1,6 +1,6 @@
 """How fast the viewer is in a browser, and how long it takes from nothing: `python -m benchmarks.view_speed`.
 
-`jaxcap view` plays a motion of the embedded human with 5,000 vertices, 60 frames a second, in Chromium without a screen. By
+`jaxcap view` plays a motion of the embedded human with 5,000 vertices, 60 frames per second, in Chromium without a screen. By
 the page's own clock, a frame is an array of vertices that was not there at the browser's last drawing, so what came and was
 never drawn is not counted. With a graphics card drawing costs nothing; here the processor draws, and the JSON line says by
 what. Then the library is installed into a fresh virtual environment, and `jaxcap view human` started there: the clock runs
@@ -82,7 +82,7 @@ def main() -> None:
             page.wait_for_timeout(3000)
             counted = page.evaluate(COUNT, [[SURFACE], options.seconds])
             figures["frames_per_second"], figures["drawings_per_second"], figures["longest_gap_ms"] = counted
-            progress(f"surface: {counted[0]:.1f} frames a second of {counted[1]:.1f} drawings")
+            progress(f"surface: {counted[0]:.1f} frames per second of {counted[1]:.1f} drawings")
             page.get_by_label("Colours").click()
             page.get_by_role("option", name="distance to the scan").click()
             # all distances once, so that what is counted is sending and drawing
@@ -90,7 +90,7 @@ def main() -> None:
             bands = [f"/0/body/colour{band}" for band in range(13)]
             counted = page.evaluate(COUNT, [bands, options.seconds])
             figures["heat_map_frames_per_second"] = counted[0]
-            progress(f"heat map: {counted[0]:.1f} frames a second of {counted[1]:.1f} drawings")
+            progress(f"heat map: {counted[0]:.1f} frames per second of {counted[1]:.1f} drawings")
         if not options.no_install:
             seconds = from_nothing(folder, options.angle)
             figures["install_to_picture_seconds"] = seconds["picture"]

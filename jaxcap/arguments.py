@@ -66,7 +66,7 @@ def check_length(module: Any, name: str, there: int, lengths: Lengths, dim: str)
 def check_rate(where: str, rate: Any) -> None:
     """Check that a rate is a positive number of frames per second. Raises `InputError`."""
     if isinstance(rate, (int, float)) and not 0 < rate < float("inf"):
-        raise InputError(f"{where}: `rate` is {rate}; expected a number of frames a second above 0.")
+        raise InputError(f"{where}: `rate` is {rate}; expected a number of frames per second above 0.")
 
 
 def check_metres(where: str, name: str, points: np.ndarray) -> None:

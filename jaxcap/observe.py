@@ -149,7 +149,7 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
         what = f"two markers have the label '{twice[0]}'" if twice else "a marker has an empty label"
         raise InputError(f"{name}: {what}; give each marker a label of its own.")
     if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"{name}: {rate} frames a second cannot be a rate; give a number above zero.")
+        raise InputError(f"{name}: {rate} frames per second cannot be a rate; give a number above zero.")
     infinite = np.argwhere(np.isinf(places))
     if len(infinite):
         raise InputError(

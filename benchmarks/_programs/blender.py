@@ -26,7 +26,7 @@ def load(path: Path, rate: float) -> tuple[float, float]:
         bpy.ops.import_anim.bvh(filepath=str(path), frame_start=1, global_scale=0.01)
         return 1.0, 1.0
     if suffix == ".glb":
-        # keys stand at seconds, and this importer counts in whole frames a second
+        # keys stand at seconds, and this importer counts in whole frames per second
         bpy.ops.import_scene.gltf(filepath=str(path), merge_vertices=False)
         return 0.0, scene.render.fps / rate
     bpy.ops.wm.usd_import(filepath=str(path), set_frame_range=True)

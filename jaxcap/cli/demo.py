@@ -103,7 +103,7 @@ class Demo:
         )
         steady = seconds[len(seconds) // 2 :]
         say(
-            f"{len(motion)} frames: {seconds[0]:.1f} s for the first, then {1 / np.median(steady):.0f} frames a second"
+            f"{len(motion)} frames: {seconds[0]:.1f} s for the first, then {1 / np.median(steady):.0f} frames per second"
         )
         for sentence in verdict_sentences(results.verdicts):
             warn(sentence)

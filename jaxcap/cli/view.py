@@ -50,7 +50,7 @@ class View:
 
     def run(self) -> None:
         if self.rate is not None and not 0 < self.rate < float("inf"):
-            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames a second.")
+            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames per second.")
         if self.spacing is not None and not 0 <= self.spacing < float("inf"):
             raise InputError(f"--spacing is {self.spacing:g}; it must be at least 0 metres.")
         bodies, files = self.bodies()

@@ -136,5 +136,5 @@ def _check(skeleton: Skeleton, a: Motion, b: Motion) -> None:
             raise ValueError("A motion has no frames; there is nothing to join.")
     if abs(a.rate - b.rate) > 1e-6 * a.rate:
         raise ValueError(
-            f"The motions have {a.rate:g} and {b.rate:g} frames a second; resample one of them to the other."
+            f"The motions have {a.rate:g} and {b.rate:g} frames per second; resample one of them to the other."
         )

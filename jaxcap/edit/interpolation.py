@@ -37,7 +37,7 @@ def ease(share: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
 
 @checked
 def resample(motion: Motion, rate: float | int) -> Motion:
-    """Resample a motion to another rate, frames a second.
+    """Resample a motion to another rate, frames per second.
 
     Each new frame is interpolated between its two neighbours. The result begins with the same frame and ends
     at most one new frame before the end.
@@ -45,7 +45,7 @@ def resample(motion: Motion, rate: float | int) -> Motion:
     **Raises:** `ValueError` for a rate that is not above 0, or a motion without frames.
     """
     if not 0 < rate < np.inf:
-        raise ValueError(f"The rate is {rate:g}; it must be above 0 frames a second.")
+        raise ValueError(f"The rate is {rate:g}; it must be above 0 frames per second.")
     if len(motion) == 0:
         raise ValueError("The motion has no frames; there is nothing to resample.")
     count = int(np.floor((len(motion) - 1) * rate / motion.rate + 1e-9)) + 1

@@ -13,7 +13,7 @@ from ..errors import InputError
 
 #: the largest length, angle or time that is read; its square is finite in single precision too
 LARGEST = 1e15
-#: lower and upper bound of frame rates, frames a second
+#: lower and upper bound of frame rates, frames per second
 RATES = (1e-6, 1e6)
 
 #: metres in one unit
@@ -144,7 +144,7 @@ def check_rate(rate: float, where: str) -> float:
     """Check a frame rate and return it. Raises `InputError`, which begins with `where`."""
     if not RATES[0] <= rate <= RATES[1]:
         raise InputError(
-            f"{where}: {rate} frames a second cannot be a rate; give a number above zero, from {RATES[0]:g} to {RATES[1]:g}."
+            f"{where}: {rate} frames per second cannot be a rate; give a number above zero, from {RATES[0]:g} to {RATES[1]:g}."
         )
     return float(rate)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 else:
     ClientHandle = SceneClickEvent = ViserServer = Any
 
-#: maximum number of frames a second that are sent to a browser
+#: maximum number of frames per second that are sent to a browser
 FASTEST = 60.0
 #: seconds within which a closed browser is noticed
 PATIENCE = 0.25

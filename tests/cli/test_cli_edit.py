@@ -186,7 +186,7 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
         ("retarget a.npz a.npz -o new.npz --names none.txt", "jaxcap: none.txt: there is no such file"),
         ("retarget a.npz a.npz -o new.npz --source human:low", "--source human:low is not the body"),
         ("glue cloud.obj human:low still.npz -o glued2", "still.npz: there are no frames in this motion"),
-        ("resample a.npz -o new.npz --rate 0", "above 0 frames a second"),
+        ("resample a.npz -o new.npz --rate 0", "above 0 frames per second"),
         ("join a.npz other.npz -o new.npz", "another skeleton than"),
         ("join a.npz b.bvh -o new.npz --blend 9", "blend over less"),
         ("loop a.npz -o new.npz --frames 2 30", "takes the 6 frames before it"),

@@ -89,14 +89,14 @@ def test_scans_say_their_rate_and_track_and_adapt_take_it(inputs, tmp_path, caps
     with pytest.raises(InputError, match="are 60 a second, and those of .* are 120; .* --rate"):
         rate_of(None, [str(fast / "scan_0000.ply"), str(half / "scan_0000.ply")])
     told = runs(capsys, "track", inputs / "body.npz", fast, "-o", tmp_path / "out", "--last", 1)
-    assert f"120 frames a second, as {fast / 'scan.json'} says" in told
+    assert f"120 frames per second, as {fast / 'scan.json'} says" in told
     assert load_motion(tmp_path / "out" / "motion.npz").rate == 120
     asked = Adapt(str(inputs / "body.npz"), (str(fast),), tmp_path / "a.npz")
     assert asked.settings()["rate"] == 120
 
 
-@pytest.mark.parametrize(("rate", "said"), [('"a"', "is 'a'; write a number"), ("true", "is True"), ("0", "0.0 frames a second cannot"),
-                                            ("1" + "0" * 400, "too many digits"), ("NaN", "nan frames a second cannot")])  # fmt: skip
+@pytest.mark.parametrize(("rate", "said"), [('"a"', "is 'a'; write a number"), ("true", "is True"), ("0", "0.0 frames per second cannot"),
+                                            ("1" + "0" * 400, "too many digits"), ("NaN", "nan frames per second cannot")])  # fmt: skip
 def test_a_rate_of_scans_that_is_none_is_told(tmp_path, rate, said):
     (tmp_path / "scan.json").write_text(f'{{"body arrays": "a", "rate": {rate}}}')
     with pytest.raises(InputError, match=rf"scan\.json: .*{said}"):

@@ -174,8 +174,8 @@ def test_chains_that_cannot_be_are_refused():
         (np.zeros((2, 2, 3)), ["A"], 1.0, "2 markers have 1 labels"),
         (np.zeros((2, 2, 3)), ["A", "A"], 1.0, "two markers have the label 'A'"),
         (np.zeros((2, 2, 3)), ["A", ""], 1.0, "a marker has an empty label"),
-        (np.zeros((2, 1, 3)), ["A"], 0.0, "0.0 frames a second cannot be a rate"),
-        (np.zeros((2, 1, 3)), ["A"], np.nan, "nan frames a second cannot be a rate"),
+        (np.zeros((2, 1, 3)), ["A"], 0.0, "0.0 frames per second cannot be a rate"),
+        (np.zeros((2, 1, 3)), ["A"], np.nan, "nan frames per second cannot be a rate"),
         (np.full((2, 1, 3), np.inf), ["A"], 1.0, "marker 'A' has an infinite coordinate"),
     ],
 )

@@ -162,7 +162,7 @@ def test_sentences_in_full():
     with pytest.raises(InputError, match="MarkerFrames: `labels` has length 3; expected 4, dimension M of `places`"):
         jc.MarkerFrames(jnp.ones((2, 4, 3)), jnp.ones((2, 4), bool), tuple("abc"))
     with pytest.raises(
-        InputError, match="Motion: `rate` is -30.0; expected a number of frames a second above 0"
+        InputError, match="Motion: `rate` is -30.0; expected a number of frames per second above 0"
     ):
         jc.Motion(jc.stack_poses([POSE]).poses, -30.0)
     with pytest.raises(InputError, match="pose_body: `body` is a Pose; expected a Body"):

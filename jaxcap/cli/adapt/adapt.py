@@ -274,7 +274,7 @@ class Adapt:
                 "above 0",
             ),
             "--report-every": (self.report_every, self.report_every >= 1, "at least 1"),
-            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames a second"),
+            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames per second"),
         }
         for name, (value, fine, what) in wrong.items():
             if not fine:

@@ -41,7 +41,7 @@ def table(head: list[str], rows: list[list[str]]) -> None:
 def progress(
     frames: Iterable, total: int, done: int = 0, label: str = "tracking", what: str = "frames"
 ) -> Iterator:
-    """Iterate over frames (or `what`) and report progress on stderr: on a terminal a bar with frames a second
+    """Iterate over frames (or `what`) and report progress on stderr: on a terminal a bar with frames per second
     and the time left, otherwise a line every few seconds."""
     yield from (_bar if sys.stderr.isatty() else _lines)(frames, total, done, label, what)
 

@@ -46,7 +46,7 @@ class Join:
         other, b = read_edited(self.second, self.unit)
         check_same((self.first, skeleton), (self.second, other))
         if abs(a.rate - b.rate) > 1e-6 * a.rate:
-            warn(f"{self.second}: it has {b.rate:g} frames a second and becomes one of {a.rate:g}")
+            warn(f"{self.second}: it has {b.rate:g} frames per second and becomes one of {a.rate:g}")
             b = resample(b, a.rate)
         frames = round(self.blend * a.rate)
         if frames > min(len(a), len(b)):

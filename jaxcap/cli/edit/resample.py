@@ -21,7 +21,7 @@ class Resample:
     out: OutMotion
     """Output file for the motion, .bvh or .npz."""
     rate: Annotated[float, arg(metavar="RATE")]
-    """New rate, frames a second."""
+    """New rate, frames per second."""
     unit: OptionalUnit = None
     """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False

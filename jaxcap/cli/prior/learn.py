@@ -55,7 +55,7 @@ class Learn:
     """Registered meshes of the body, for the shape around its vertices: mesh files, a folder, a quoted glob, or an
     .npz with vertices (F, V, 3) and faces."""
     rate: Annotated[float, arg(metavar="FPS")] = 30.0
-    """Largest number of frames a second to learn from. Neighbouring frames add little information."""
+    """Largest number of frames per second to learn from. Neighbouring frames add little information."""
     most: Annotated[int, arg(metavar="N")] = 10
     """Largest number of Gaussians of a pair."""
     floor: Annotated[float, arg(metavar="DEGREES")] = 2.0
@@ -104,7 +104,7 @@ class Learn:
             raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
         check_npz(self.out, self.overwrite, "a prior")
         if not 0 < self.rate < np.inf:
-            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames a second.")
+            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames per second.")
         if not 1 <= self.most <= 100:
             raise InputError(f"--most is {self.most}; it must be between 1 and 100.")
         if not 0.01 <= self.floor <= 45:

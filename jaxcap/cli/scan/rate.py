@@ -11,7 +11,7 @@ from ..console.console import say
 from ..console.options import arg
 from .folder import HEADER
 
-#: default rate, frames a second
+#: default rate, frames per second
 USUAL = 30.0
 ScanRate = Annotated[
     float | None,
@@ -51,7 +51,7 @@ def rate_of(given: float | None, clouds: Sequence[str]) -> Rate:
 def tell_rate(rate: Rate) -> None:
     """Print a rate that was read from a file."""
     if rate.file is not None:
-        say(f"{rate.frames:g} frames a second, as {rate.file} says")
+        say(f"{rate.frames:g} frames per second, as {rate.file} says")
 
 
 def _beside(path: Path) -> Rate | None:

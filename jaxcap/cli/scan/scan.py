@@ -138,7 +138,7 @@ class Scan:
         if self.seed < 0:
             raise InputError(f"--seed is {self.seed}; it must be at least 0.")
         if self.rate is not None and not 0 < self.rate < np.inf:
-            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames a second.")
+            raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames per second.")
         if self.resume and self.overwrite:
             raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
         if self.npz and self.kind == "mesh":
@@ -199,7 +199,7 @@ class Scan:
 
 
 def thin_motion(motion: Motion, rate: float | None) -> Motion:
-    """Subsample a motion to a lower rate, frames a second, by the nearest frames.
+    """Subsample a motion to a lower rate, frames per second, by the nearest frames.
 
     **Raises:** `InputError` for a higher rate than the motion's.
     """
@@ -207,7 +207,7 @@ def thin_motion(motion: Motion, rate: float | None) -> Motion:
         return motion
     if rate > motion.rate * (1 + 1e-9):
         raise InputError(
-            f"--rate is {rate:g}, and the motion has {motion.rate:g} frames a second; give less."
+            f"--rate is {rate:g}, and the motion has {motion.rate:g} frames per second; give less."
         )
     count = int(np.floor((len(motion) - 1) * rate / motion.rate + 1e-9)) + 1
     frames = np.floor(np.arange(count) * motion.rate / rate + 0.5).astype(int)

@@ -151,7 +151,7 @@ class Track:
             "--outlier": (self.outlier, 0 < self.outlier < 1, "between 0 and 1"),
             "--damping": (self.damping, 0 <= self.damping < np.inf, "at least 0"),
             "--iterations": (self.iterations, self.iterations >= 1, "at least 1"),
-            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames a second"),
+            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames per second"),
         }
         for name, (value, fine, what) in wrong.items():
             if not fine:

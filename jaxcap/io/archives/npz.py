@@ -225,7 +225,7 @@ def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
     rate = get_array(arrays, "rate", path, ()).item()
     if not RATES[0] <= rate <= RATES[1]:
         raise InputError(
-            f"{path}: the rate is {rate}; it must be from {RATES[0]:g} to {RATES[1]:g} frames a second."
+            f"{path}: the rate is {rate}; it must be from {RATES[0]:g} to {RATES[1]:g} frames per second."
         )
     if not (np.linalg.norm(rotations, axis=-1) > LEAST).all():
         raise InputError(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-#: frames a second if keys lie on no grid; and the largest rate of a grid
+#: frames per second if keys lie on no grid; and the largest rate of a grid
 PLAIN, FASTEST = 30.0, 480.0
 #: largest offset of a key in steps; seconds below which keys coincide; subdivisions that are tried
 OFF, SAME, PARTS = 0.05, 1e-4, 6
@@ -22,7 +22,7 @@ def frames_of(keys: Sequence[Float[np.ndarray, "_"]], rate: float | None, path: 
     """Count the frames from the first key to the last.
 
     Frames are at `rate`, or on the coarsest grid that contains all keys. Warns if keys lie on no grid; the
-    rate is then `PLAIN` frames a second.
+    rate is then `PLAIN` frames per second.
     """
     first, last = first_and_last(keys)
     if rate is not None:
@@ -30,7 +30,7 @@ def frames_of(keys: Sequence[Float[np.ndarray, "_"]], rate: float | None, path: 
     steps = grid_steps(np.unique(np.concatenate(keys)))
     if steps is None:
         warnings.warn(
-            f"{path}: the keys of its animation lie on no grid of times; it is sampled at {PLAIN:g} frames a second, which "
+            f"{path}: the keys of its animation lie on no grid of times; it is sampled at {PLAIN:g} frames per second, which "
             "may miss single keys. Give a rate for another one.",
             stacklevel=2,
         )

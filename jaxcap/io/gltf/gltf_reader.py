@@ -31,7 +31,7 @@ def read_gltf(
     in metres, upright after the transforms above the roots; the joints' frames there are their orientations.
     Kinds and axes are those that `write_gltf` stores; otherwise roots are free and other joints are ball
     joints. Times are sampled at `rate`, from the first key of any node to the last. Without `rate` the
-    coarsest rate that contains all keys is used, and 30 frames a second with a warning if there is none.
+    coarsest rate that contains all keys is used, and 30 frames per second with a warning if there is none.
     Other figures in the file are left out with a warning. Scale may change above the roots only and must be
     uniform.
 

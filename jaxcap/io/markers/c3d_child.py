@@ -23,7 +23,7 @@ class Loaded(NamedTuple):
     residuals: Float[np.ndarray, "M F"]
     #: words of the parameters of the group POINT, by name; empty for numeric parameters
     words: dict[str, list[str]]
-    #: frames a second, from the group POINT if present, and from the header
+    #: frames per second, from the group POINT if present, and from the header
     rates: list[float]
     header_rate: float
 

@@ -38,7 +38,7 @@ def read_marker_table(
 ) -> MarkerFile:
     """Read the markers of a CSV file with cells separated by commas, semicolons or tabs.
 
-    **Arguments:** `unit` of lengths, by default metres; `rate` in frames a second, which overrides that of
+    **Arguments:** `unit` of lengths, by default metres; `rate` in frames per second, which overrides that of
     the file. Rows that are missing by the time or frame column become frames without visible markers.
 
     **Raises:** `InputError`, with the line, if there is no such file, no column belongs to a marker, a marker
@@ -84,7 +84,7 @@ def read_marker_table(
     rate = rate or said or found or (1.0 if len(there) == 1 else None)
     if len(there) and rate is None:
         raise InputError(
-            f"{path}: nothing tells the frames a second; add a column 'time' in seconds, or a first line such as "
+            f"{path}: nothing tells the frames per second; add a column 'time' in seconds, or a first line such as "
             "'# rate: 120'."
         )
     missing = len(full) - len(there)

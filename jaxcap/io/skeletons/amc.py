@@ -21,7 +21,7 @@ from .asf import Asf
 def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
     """Read a motion of the skeleton `asf`, as poses of `asf.skeleton`.
 
-    `rate` is in frames a second: the file does not contain it, and the CMU database was recorded at 120.
+    `rate` is in frames per second: the file does not contain it, and the CMU database was recorded at 120.
 
     **Raises:** `InputError` with file and line, if the file is invalid, cut short, or belongs to another
     skeleton.

@@ -52,7 +52,7 @@ def test_dialects(tmp_path, text):
 
 def test_unit_and_rate_are_the_callers(tmp_path):
     text = "A.x,A.y,A.z,B.x,B.y,B.z\n100,200,50,130,200,50\n101,200,50,131,200,50\n"
-    with pytest.raises(InputError, match="nothing tells the frames a second"):
+    with pytest.raises(InputError, match="nothing tells the frames per second"):
         jc.read_markers(table(tmp_path, text))
     file = read_marker_table(table(tmp_path, text), unit="cm", rate=50.0)
     assert file.frames.rate == 50.0
@@ -119,7 +119,7 @@ HEAD = "time,A.x,A.y,A.z,B.x,B.y,B.z\n"
         (HEAD + ROWS.replace("0.02", "0.0281"), "column 'time' does not go in equal steps"),
         (HEAD + ROWS.replace("0.02", ""), ":4: '' in column 'time' is not a number"),
         (HEAD + "0,,,,,,\n0.01,,,,,,\n", "none of its 2 markers is seen in any of 2 frames"),
-        ("# rate: -5\n" + HEAD.replace("time", "note") + ROWS, "-5.0 frames a second cannot be a rate"),
+        ("# rate: -5\n" + HEAD.replace("time", "note") + ROWS, "-5.0 frames per second cannot be a rate"),
         ("time,P:A.x,P:A.y,P:A.z,Q:B.x,Q:B.y,Q:B.z\n" + ROWS, "2 subjects in it, 'P' .* and 'Q'"),
         ("\0\1\2", "this is a binary file"),
     ],

@@ -298,7 +298,7 @@ def test_a_motion_lasts_from_the_first_key_of_any_joint_to_the_last(chain, tmp_p
 
 def test_keys_on_no_grid_are_sampled_with_a_word(chain, tmp_path, rng):
     path = moving_two(chain, tmp_path, np.sort(rng.uniform(0, 3, 20)))
-    with pytest.warns(UserWarning, match=r"two.glb: the keys .* on no grid .* 30 frames a second"):
+    with pytest.warns(UserWarning, match=r"two.glb: the keys .* on no grid .* 30 frames per second"):
         motion = read_gltf(path)[1]
     assert (len(motion), motion.rate) == (121, pytest.approx(30.0))
 
