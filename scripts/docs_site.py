@@ -1,6 +1,6 @@
 """What `mkdocs` needs to make a site of pages that also read well where they lie.
 
-Links out of `docs` become links inside of the site: figures of `assets` and rendered notebooks are taken along, other
+Links out of `docs` become links inside of the site: figures of `assets` and notebooks are taken along, other
 files are named without a link, and a function with its file, ``[`solve`](../jaxcap/fit/solve.py)``, leads to its own
 reference. Pages of the reference say which parts of the package they are of, `<!-- names of energy -->`, and get the
 public names from there.
@@ -27,7 +27,7 @@ FUNCTION = re.compile(r"\[`([\w.]+)`\]\((?:\.\./)+(jaxcap/[\w/]+)\.py\)")
 LINK = re.compile(r"(!?\[[^\]]*\])\((\.\.?/[^)#\s]+)(#[^)\s]*)?\)")
 NAMES = re.compile(r"<!-- names of ([\w ,]+) -->")
 #: functions of the papers that are not among the public names have a page of their own
-PAPERS, RENDERED = "reference/papers.md", "notebooks/rendered/"
+PAPERS = "reference/papers.md"
 
 
 def on_files(files: "Files", config: "MkDocsConfig") -> "Files":
@@ -37,14 +37,25 @@ def on_files(files: "Files", config: "MkDocsConfig") -> "Files":
     for path in sorted((ROOT / "assets").iterdir()):
         if path.suffix in (".png", ".webp"):
             files.append(File.generated(config, f"assets/{path.name}", abs_src_path=str(path)))
-    for path in sorted((ROOT / RENDERED).rglob("*")):
-        if path.is_file():
-            name = path.relative_to(ROOT / RENDERED).as_posix()
-            files.append(File.generated(config, f"notebooks/{name}", abs_src_path=str(path)))
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        content, pictures = notebook_page(path)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=content))
+        for name, picture in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=picture))
     content = "# Functions of the papers\n\nWhat the tables of equations name and `import jaxcap` does not bring.\n\n"
     content += "\n".join(f"::: {name}\n" for name in paper_functions())
     files.append(File.generated(config, PAPERS, content=content))
     return files
+
+
+def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
+    """Convert an executed notebook to Markdown and its pictures by their names."""
+    from nbconvert import MarkdownExporter
+
+    content, resources = MarkdownExporter().from_filename(
+        str(path), resources={"output_files_dir": f"{path.stem}_files", "unique_key": path.stem}
+    )
+    return content, resources["outputs"]
 
 
 def on_page_markdown(markdown: str, page: "Page", config: "MkDocsConfig", files: "Files") -> str:
@@ -53,8 +64,8 @@ def on_page_markdown(markdown: str, page: "Page", config: "MkDocsConfig", files:
     where = page.file.src_uri
     folder = posixpath.dirname(where)
     if where.startswith("notebooks/"):
-        # as it lies in the checkout
-        folder = posixpath.join("..", RENDERED.rstrip("/"))
+        # links are from the folder of notebooks in the checkout
+        folder = "../notebooks"
     markdown = FUNCTION.sub(lambda found: f"[`{found[1]}`][{dotted(found[2])}.{found[1]}]", markdown)
 
     def inside(found: re.Match) -> str:
@@ -74,10 +85,8 @@ def site_path(target: str) -> str | None:
     """Where a file of the checkout lies in the site; None where it is not in it."""
     if target.startswith("docs/"):
         return target.removeprefix("docs/")
-    if target.startswith(RENDERED):
-        return "notebooks/" + target.removeprefix(RENDERED)
-    if re.fullmatch(r"notebooks/\w+\.py", target):
-        return target.removesuffix(".py") + ".md"
+    if re.fullmatch(r"notebooks/\w+\.(py|ipynb)", target):
+        return target.rsplit(".", 1)[0] + ".md"
     return target if target.startswith("assets/") else None
 
 

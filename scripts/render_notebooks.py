@@ -1,34 +1,35 @@
-"""Run the notebooks and write what they show as `notebooks/rendered/NAME.md` with pictures beside.
+"""Run the notebooks and write them with their outputs as `notebooks/NAME.ipynb`.
 
     python scripts/render_notebooks.py                 # all of them
     python scripts/render_notebooks.py track energy
 
-A notebook is a text, `notebooks/NAME.py` in jupytext's percent format; this makes a page of it that a browser shows
-without running anything. Numbers may differ in their last digits on other machines. Needs `pip install -e ".[notebooks]"`.
+`notebooks/NAME.py` is the source, in jupytext's percent format. The two are paired: Jupyter with jupytext
+keeps both up to date. Numbers may differ in their last digits on other machines. Needs
+`pip install -e ".[notebooks]"`.
 """
 
 import argparse
 import base64
 import io
 import os
-import shutil
 import sys
 import time
 from pathlib import Path
 
 import jupytext
+import nbformat
 from nbclient import NotebookClient
 from PIL import Image
 
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
-#: pixels that pictures are wide at most, and their colours
-WIDE, COLOURS = 900, 128
+#: maximum width of pictures in pixels, and their number of colours
+WIDTH, COLOURS = 900, 128
 
 
 def main() -> None:
-    """Run and write."""
+    """Run the named notebooks, or all."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", help="which, all where none is given")
+    parser.add_argument("names", nargs="*", help="names of notebooks; all by default")
     options = parser.parse_args()
     for name in options.names or sorted(path.stem for path in NOTEBOOKS.glob("*.py")):
         begin = time.perf_counter()
@@ -37,56 +38,45 @@ def main() -> None:
 
 
 def render(name: str) -> Path:
-    """The page of one notebook, which is run for it from its own folder."""
-    # a kernel's pictures come inline
+    """Run one notebook in its folder and write it with small outputs."""
+    # pictures of a kernel are inline
     os.environ.pop("MPLBACKEND", None)
     notebook = jupytext.read(NOTEBOOKS / f"{name}.py")
     notebook = NotebookClient(
         notebook, timeout=1800, kernel_name="python3", resources={"metadata": {"path": str(NOTEBOOKS)}}
     ).execute()
-    folder = NOTEBOOKS / "rendered"
-    folder.mkdir(exist_ok=True)
-    pictures = folder / name
-    shutil.rmtree(pictures, ignore_errors=True)
-    parts, count = [], 0
-    for cell in notebook.cells:
-        if cell.cell_type == "markdown":
-            # links are from the notebook's folder, and the page lies one deeper
-            parts.append(cell.source.replace("](../", "](../../"))
-            continue
-        parts.append(f"```python\n{cell.source}\n```")
-        told = ""
-        for output in cell.outputs:
-            if output.output_type == "stream" and output.name == "stdout":
-                told += output.text
-                continue
-            data = output.get("data", {})
-            if "image/png" in data:
-                parts, told = said(parts, told), ""
-                pictures.mkdir(exist_ok=True)
-                shrink(base64.b64decode(data["image/png"]), pictures / f"{count}.png")
-                parts.append(f"![]({name}/{count}.png)")
-                count += 1
-            elif "text/plain" in data:
-                told += data["text/plain"] + "\n"
-        parts = said(parts, told)
-    page = folder / f"{name}.md"
-    page.write_text("\n\n".join(parts) + "\n", "utf-8")
+    for number, cell in enumerate(notebook.cells):
+        cell["id"] = f"cell-{number}"
+        cell.metadata.clear()
+        if cell.cell_type == "code":
+            cell.outputs = [small for output in cell.outputs if (small := shrink_output(output))]
+    page = NOTEBOOKS / f"{name}.ipynb"
+    page.write_text(nbformat.writes(notebook) + "\n", "utf-8")
     return page
 
 
-def said(parts: list[str], told: str) -> list[str]:
-    """The parts and what a cell printed, where it did."""
-    return [*parts, f"```text\n{told.rstrip()}\n```"] if told.strip() else parts
+def shrink_output(output: nbformat.NotebookNode) -> nbformat.NotebookNode | None:
+    """Keep the picture or the text of an output; drop progress on stderr."""
+    if output.output_type == "stream":
+        return output if output.name == "stdout" else None
+    data = output.get("data", {})
+    if "image/png" in data:
+        output["data"] = {"image/png": shrink_picture(data["image/png"])}
+    elif "text/plain" in data:
+        output["data"] = {"text/plain": data["text/plain"]}
+    output["metadata"] = {}
+    return output
 
 
-def shrink(png: bytes, target: Path) -> None:
-    """A picture at most so many pixels wide, in few colours."""
-    with Image.open(io.BytesIO(png)) as picture:
-        share = min(1.0, WIDE / picture.width)
+def shrink_picture(encoded: str) -> str:
+    """Reduce a PNG in base64 to the maximum width and few colours."""
+    target = io.BytesIO()
+    with Image.open(io.BytesIO(base64.b64decode(encoded))) as picture:
+        share = min(1.0, WIDTH / picture.width)
         size = (round(share * picture.width), round(share * picture.height))
         small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    small.quantize(COLOURS).save(target, optimize=True)
+    small.quantize(COLOURS).save(target, "png", optimize=True)
+    return base64.b64encode(target.getvalue()).decode()
 
 
 if __name__ == "__main__":

@@ -9,7 +9,9 @@ import tyro
 from jaxcap.cli import main
 from tests.docs_pages import CHECKOUT, GIVEN, all_pages, commands_of, python_of
 
-WITH_PYTHON = [page for page in all_pages() if python_of(page)]
+#: sections of this page need other libraries: tests/project/test_interoperability.py
+OTHERS = "docs/interoperability.md"
+WITH_PYTHON = [page for page in all_pages() if page != OTHERS and python_of(page)]
 #: pages whose Python takes seconds
 LIGHT = ("docs/conventions.md", "CONTRIBUTING.md")
 #: verbs that take a moment where their files are there

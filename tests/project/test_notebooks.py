@@ -1,5 +1,6 @@
-"""Notebooks run as they stand, and their rendered pages are of the current text."""
+"""Notebooks run, and their executed files have the cells of the current text."""
 
+import json
 import os
 import re
 import subprocess
@@ -35,7 +36,7 @@ def cells_of(text: str) -> list[tuple[str, str]]:
 
 def test_all_notebooks_are_known():
     assert sorted(path.stem for path in (CHECKOUT / "notebooks").glob("*.py")) == list(NAMES)
-    assert sorted(path.stem for path in (CHECKOUT / "notebooks/rendered").glob("*.md")) == list(NAMES)
+    assert sorted(path.stem for path in (CHECKOUT / "notebooks").glob("*.ipynb")) == list(NAMES)
 
 
 @pytest.mark.parametrize(
@@ -67,26 +68,20 @@ def test_a_notebook_runs(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_rendered_page_is_of_the_current_text(name):
-    """Every cell stands in it, in order, and no other code; `python scripts/render_notebooks.py NAME` makes it anew."""
+def test_a_notebook_has_the_cells_of_its_text_and_their_outputs(name):
+    """`python scripts/render_notebooks.py NAME` makes it anew."""
     folder = CHECKOUT / "notebooks"
-    page, place = (folder / "rendered" / f"{name}.md").read_text("utf-8"), 0
-    cells = cells_of((folder / f"{name}.py").read_text("utf-8"))
-    for kind, source in cells:
-        wanted = source.replace("](../", "](../../") if kind == "markdown" else f"```python\n{source}\n```"
-        found = page.find(wanted, place)
-        assert found >= 0, f"render {name} anew: this is not in its page\n{wanted}"
-        place = found + len(wanted)
-    assert page.count("```python\n") == sum(kind == "code" for kind, _ in cells)
+    notebook = json.loads((folder / f"{name}.ipynb").read_text("utf-8"))
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in notebook["cells"]]
+    assert cells == cells_of((folder / f"{name}.py").read_text("utf-8")), f"render {name} anew"
+    assert notebook["metadata"]["jupytext"]["formats"] == "ipynb,py:percent"
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["execution_count"] for cell in code)
+    assert not any(output["output_type"] == "error" for cell in code for output in cell["outputs"])
 
 
-def test_pictures_of_rendered_pages_are_there_and_small():
-    folder = CHECKOUT / "notebooks" / "rendered"
-    shown = {
-        (page.parent / link).resolve()
-        for page in folder.glob("*.md")
-        for link in re.findall(r"!\[\]\(([^)]+)\)", page.read_text("utf-8"))
-    }
-    assert len(shown) > 12
-    assert shown == {path.resolve() for path in folder.rglob("*.png")}
-    assert sum(path.stat().st_size for path in shown) < 3_000_000
+def test_outputs_of_notebooks_have_pictures_and_are_small():
+    pages = sorted((CHECKOUT / "notebooks").glob("*.ipynb"))
+    pictures = sum(page.read_text("utf-8").count('"image/png"') for page in pages)
+    assert pictures > 12
+    assert sum(page.stat().st_size for page in pages) < 3_000_000
