@@ -85,8 +85,8 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray, names: list[str]) -> 
         raise InputError("The meshes have no triangles; expected a surface, not a point cloud.")
     if faces.min() < 0 or faces.max() >= count:
         raise InputError(
-            f"A triangle has vertex {faces.min() if faces.min() < 0 else faces.max()}; expected vertices from "
-            f"0 to {count - 1}."
+            f"A triangle has vertex {faces.min() if faces.min() < 0 else faces.max()}; expected vertices "
+            f"from 0 to {count - 1}."
         )
     used = np.zeros(count, bool)
     used[faces] = True
