@@ -52,11 +52,13 @@ def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> 
     vertices, faces = np.asarray(sequence.vertices, float), np.asarray(sequence.faces)
     called = list(names) if names is not None else [f"mesh {number}" for number in range(len(vertices))]
     if len(called) != len(vertices):
-        raise ValueError(f"There are {len(vertices)} meshes and {len(called)} names; give each its own.")
+        raise ValueError(
+            f"There are {len(vertices)} meshes and {len(called)} names; expected one name per mesh."
+        )
     if len(vertices) < 2:
         raise InputError(
-            f"There is {'one mesh' if len(vertices) else 'no mesh'} only, which shows no motion; give at least two, "
-            "in poses that move every joint."
+            f"The sequence has {'one mesh only' if len(vertices) else 'no mesh'} and contains no motion; "
+            "expected at least two; give meshes in poses that move every joint."
         )
     _check_arrays(vertices, faces, called)
     edges = mesh_edges(faces)
@@ -76,21 +78,22 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray, names: list[str]) -> 
     if not finite.all():
         frame = int(np.argmin(finite.all(1)))
         raise InputError(
-            f"{names[frame]} has {(~finite[frame]).sum()} vertices that are not finite, the first of them vertex "
-            f"{int(np.argmin(finite[frame]))}; leave this mesh out."
+            f"{names[frame]} has {(~finite[frame]).sum()} vertices that are not finite, the first is vertex "
+            f"{int(np.argmin(finite[frame]))}; repair this mesh or leave it out."
         )
     if len(faces) == 0:
-        raise InputError("The meshes have no triangles; a body needs a surface, not a cloud.")
+        raise InputError("The meshes have no triangles; expected a surface, not a point cloud.")
     if faces.min() < 0 or faces.max() >= count:
         raise InputError(
-            f"A triangle names vertex {faces.min() if faces.min() < 0 else faces.max()}, but there are only 0 to {count - 1}."
+            f"A triangle has vertex {faces.min() if faces.min() < 0 else faces.max()}; expected vertices "
+            f"from 0 to {count - 1}."
         )
     used = np.zeros(count, bool)
     used[faces] = True
     if not used.all():
         raise InputError(
-            f"{(~used).sum()} of {count} vertices are in no triangle, the first of them vertex {int(used.argmin())}; "
-            "remove them from all meshes."
+            f"{(~used).sum()} of {count} vertices are in no triangle, the first is vertex "
+            f"{int(used.argmin())}; remove them from all meshes."
         )
     sizes = np.ptp(vertices, axis=1).max(1)
     if (sizes == 0).any():
@@ -124,15 +127,16 @@ def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> N
     if others:
         many = f"the other {len(main.members)}" if len(main.members) > 1 else names[main.members[0]]
         raise InputError(
-            f"{_listed(others, names)} {'has' if len(others) == 1 else 'have'} another order of vertices than {many}: "
-            f"edges differ in length by more than a factor of {STRETCH:g} all over; registered meshes keep one order."
+            f"{_listed(others, names)} {'has' if len(others) == 1 else 'have'} a different vertex order than "
+            f"{many}: edge lengths differ by more than a factor of {STRETCH:g} across the mesh; expected "
+            "registered meshes with one vertex order."
         )
     factors = np.exp(np.median(logs - np.median(logs, axis=0), axis=1))
     wrong = np.flatnonzero(np.abs(np.log(factors)) > np.log(POSES))
     if wrong.size:
         raise InputError(
-            f"{_listed(wrong.tolist(), names)} {'is' if wrong.size == 1 else 'are'} {factors[wrong[0]]:.4g} times as "
-            "large as the others; give all in one unit."
+            f"{_listed(wrong.tolist(), names)} {'is' if wrong.size == 1 else 'are'} {factors[wrong[0]]:.4g} "
+            "times as large as the others; give all meshes in one unit."
         )
 
 
@@ -149,11 +153,11 @@ def _size(extent: float) -> list[str]:
     likely = [unit for unit, metres in _UNITS.items() if USUAL[0] <= extent * metres <= USUAL[1]]
     likely.sort(key=lambda unit: abs(np.log(extent * _UNITS[unit] / 1.7)))
     hint = (
-        f"it looks like {likely[0]}: pass unit='{likely[0]}' or --unit {likely[0]}"
+        f"the unit is probably {likely[0]}: pass unit='{likely[0]}' or --unit {likely[0]}"
         if likely
         else "check the unit"
     )
-    told = f"The meshes are {extent:.4g} m long, where a body is usually from {USUAL[0]:g} to {USUAL[1]:g} m; {hint}."
+    told = f"The meshes are {extent:.4g} m long; expected a body of {USUAL[0]:g} to {USUAL[1]:g} m; {hint}."
     if not POSSIBLE[0] <= extent <= POSSIBLE[1]:
         raise InputError(told)
     return [told]
@@ -170,8 +174,9 @@ def _torn(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> list[str
     # find the vertex that most torn edges share
     ends = np.bincount(edges[far[frames[0]]].reshape(-1))
     return [
-        f"{_listed(frames, names)} {'is' if len(frames) == 1 else 'are'} torn: edges are more than {TORN:g} times as "
-        f"long as in the others, such as those of vertex {int(ends.argmax())}; mend or leave out."
+        f"{_listed(frames, names)} {'has' if len(frames) == 1 else 'have'} displaced vertices: edges are "
+        f"more than {TORN:g} times as long as in the other meshes, such as those of vertex "
+        f"{int(ends.argmax())}; repair these meshes or leave them out."
     ]
 
 
@@ -185,25 +190,26 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent:
     twice = int((twin != np.arange(count)).sum())
     if apart > together:
         raise InputError(
-            f"The surface falls into {apart} pieces instead of {together}, because {twice} vertices stand twice, such as "
-            f"vertex {int(np.argmax(twin != np.arange(count)))}; merge them alike in all meshes."
+            f"The surface has {apart} connected components instead of {together}, because {twice} vertices "
+            f"are duplicates, such as vertex {int(np.argmax(twin != np.arange(count)))}; merge duplicates in "
+            "the same way in all meshes."
         )
     if twice:
         told.append(
-            f"{twice} vertices stand where others do in all meshes, such as vertex "
+            f"{twice} vertices are duplicates of others in all meshes, such as vertex "
             f"{int(np.argmax(twin != np.arange(count)))}."
         )
     if apart > 1:
         told.append(
-            f"The surface is of {apart} pieces that nothing joins; each is moved by the joints that fit it, and parts "
-            "of different pieces are neighbours only where they are near."
+            f"The surface has {apart} connected components; each follows the joints that fit it, and parts "
+            "of different components are adjacent only where they are close to each other."
         )
     corners = np.sort(triangle_sides(faces), axis=1)
     shared = np.unique(corners, axis=0, return_counts=True)[1]
     if (shared > 2).any():
         told.append(
-            f"The surface is not a manifold: {(shared > 2).sum()} edges belong to more than two triangles, the worst to "
-            f"{shared.max()}."
+            f"The surface is not a manifold: {(shared > 2).sum()} edges belong to more than two triangles, "
+            f"at most to {shared.max()}."
         )
     a, b, c = (vertices[:, faces[:, corner]] for corner in range(3))
     flat = (np.linalg.norm(np.cross(b - a, c - a), axis=2) <= 1e-12 * extent**2).all(0)
@@ -220,7 +226,8 @@ def _motion(vertices: np.ndarray, extent: float) -> list[str]:
     apart = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
     if np.ptp(apart, axis=0).max() < 1e-4 * extent:
         raise InputError(
-            "The meshes show one pose only, moved as a whole; give meshes in poses that move every joint."
+            "The meshes differ by a rigid motion only; expected several poses; give meshes in poses that "
+            "move every joint."
         )
     return []
 

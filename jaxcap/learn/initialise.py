@@ -104,7 +104,8 @@ def choose_pairs(
     wrong = pairs[(pairs < 0) | (pairs >= skeleton.num_joints)]
     if len(wrong):
         raise ValueError(
-            f"The pairs name joint {wrong[0]}, but there are only joints 0 to {skeleton.num_joints - 1}."
+            f"The left-right pairs have the joint index {wrong[0]}; expected indices from 0 to "
+            f"{skeleton.num_joints - 1}."
         )
     return pairs
 
@@ -119,7 +120,7 @@ def _bind(skeleton, skin: SkinName, labels, rest, meshes: MeshSequence) -> Body:
         "rigid": RigidSkin(bones),
     }
     if skin not in skins:
-        raise ValueError(f"There is no skin '{skin}' to learn; give one of {', '.join(skins)}.")
+        raise ValueError(f"The skin '{skin}' is unknown; expected one of {', '.join(skins)}.")
     return Body(skeleton, skins[skin], jnp.asarray(rest, dtype), meshes.faces)
 
 

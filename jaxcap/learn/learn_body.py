@@ -123,7 +123,7 @@ def learn_body(
     coarse = coarsen(meshes, VERTICES if loose else enough_vertices(joints))
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
-        _LOG.info("finding parts and joints")
+        _LOG.info("segmenting rigid parts and estimating joints")
         # heat weights need the whole mesh, terms need all vertices, and an unknown number of joints is found more surely on all
         on_coarse = joints is not None and skeleton is None and whole is None
         start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, skeleton, free_bones)
@@ -139,7 +139,7 @@ def learn_body(
             coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE, given
         )
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
-        _LOG.info("carrying the body over to all vertices")
+        _LOG.info("transferring the body to all vertices")
         state = state._replace(body=_refine(state, meshes, coarse, loose))
     # no exchange on the fine mesh after one on the coarse mesh
     if not (thinned and loose):

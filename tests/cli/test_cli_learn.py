@@ -250,9 +250,9 @@ def test_bad_meshes_are_one_line(inputs, tmp_path, capsys, slow_learner):
     shuffled = vertices.copy()
     shuffled[2] = shuffled[2][np.random.default_rng(1).permutation(vertices.shape[1])]
     cases = {
-        "another order": (shuffled, faces),
+        "different vertex order": (shuffled, faces),
         "one mesh only": (vertices[:1], faces),
-        "pieces instead of 1": (
+        "connected components instead of 1": (
             vertices[:, faces].reshape(FRAMES, -1, 3),
             np.arange(faces.size).reshape(-1, 3),
         ),

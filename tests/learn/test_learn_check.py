@@ -47,7 +47,7 @@ def test_good_meshes_are_passed_in_silence():
 
 def test_one_mesh_shows_no_motion():
     assert "one mesh only" in refused(bent()[:1])
-    assert "one pose only" in refused(np.repeat(bent()[:1], 4, axis=0) + np.arange(4)[:, None, None])
+    assert "a rigid motion only" in refused(np.repeat(bent()[:1], 4, axis=0) + np.arange(4)[:, None, None])
 
 
 @pytest.mark.parametrize("how", ["first", "one", "two"])
@@ -60,13 +60,13 @@ def test_another_order_of_vertices_is_named(how):
     names = [f"pose_{i}.obj" for i in range(6)]
     line = refused(meshes, names=names)
     assert line.startswith(", ".join(names[i] for i in wrong) + " ha")
-    assert f"another order of vertices than the other {6 - len(wrong)}" in line
+    assert f"a different vertex order than the other {6 - len(wrong)}" in line
 
 
 def test_two_meshes_of_different_order_name_each_other():
     meshes = bent(2)
     meshes[1] = meshes[1][np.random.default_rng(2).permutation(meshes.shape[1])]
-    assert "mesh 1 has another order of vertices than mesh 0" in refused(meshes)
+    assert "mesh 1 has a different vertex order than mesh 0" in refused(meshes)
 
 
 @pytest.mark.parametrize("factor", [1000.0, 0.01, 1 / 2.54])
@@ -90,7 +90,7 @@ def test_a_swapped_vertex_is_told():
     meshes = bent()
     meshes[4, [0, -1]] = meshes[4, [-1, 0]]
     line = told(meshes)
-    assert "mesh 4 is torn" in line
+    assert "mesh 4 has displaced vertices" in line
     assert "vertex 0" in line or f"vertex {meshes.shape[1] - 1}" in line
 
 
@@ -116,7 +116,7 @@ def test_arrays_that_do_not_fit():
 def test_pieces_are_counted():
     meshes, count = bent(), bent().shape[1]
     both = np.concatenate([meshes, meshes + [0.5, 0, 0]], axis=1)
-    assert "of 2 pieces" in told(both, np.concatenate([FACES, FACES + count]))
+    assert "has 2 connected components" in told(both, np.concatenate([FACES, FACES + count]))
 
 
 def test_vertices_that_stand_twice():
@@ -126,18 +126,18 @@ def test_vertices_that_stand_twice():
     row = np.flatnonzero((FACES == 5).any(1))[0]
     faces[row] = np.where(faces[row] == 5, count, faces[row])
     twice = np.concatenate([meshes, meshes[:, 5:6]], axis=1)
-    assert "1 vertices stand where others do" in told(twice, faces)
+    assert "1 vertices are duplicates of others" in told(twice, faces)
     # every triangle with corners of its own
     soup = meshes[:, FACES].reshape(len(meshes), -1, 3)
     line = refused(soup, np.arange(3 * len(FACES)).reshape(-1, 3))
-    assert f"{len(FACES)} pieces instead of 1" in line
+    assert f"{len(FACES)} connected components instead of 1" in line
     assert "merge" in line
 
 
 def test_vertices_that_meet_in_one_mesh_only_are_no_twins():
     meshes = bent()
     meshes[0, 7] = meshes[0, 90]
-    assert "stand where" not in told(meshes)
+    assert "duplicates" not in told(meshes)
 
 
 def test_edges_of_three_triangles_and_triangles_without_area():
@@ -156,8 +156,8 @@ def test_parts_that_move_alike_are_told():
     lines = check_parts(rest, labels, rotations, np.zeros((5, 4, 3)))
     assert len(lines) == 3
     assert "No vertex belongs to part 3" in lines[0]
-    assert "Nothing moves part 0" in lines[1]
-    assert "Part 1 and part 2 move alike" in lines[2]
+    assert "No mesh moves part 0" in lines[1]
+    assert "Part 1 and part 2 have the same motion" in lines[2]
     rotations[:, 2] = np.swapaxes(turns, 1, 2)
     rotations[:, 0] = rotations[::-1, 2]
     assert len(check_parts(rest, labels, rotations, np.zeros((5, 4, 3)))) == 1
@@ -170,7 +170,7 @@ def test_a_joint_that_never_turns_is_told():
     poses = [random_pose(body.skeleton, rng) for _ in range(4)]
     jaw, rest = body.skeleton.index("jaw"), rest_pose(body.skeleton).rotations[0]
     stiff = [eqx.tree_at(lambda p: p.rotations, pose, pose.rotations.at[jaw].set(rest)) for pose in poses]
-    pairs = ("neck and jaw move alike", "hand and tool move alike")
+    pairs = ("neck and jaw have the same motion", "hand and tool have the same motion")
     lines = " ".join(check_learned(body, stack_poses(stiff)))
     free = " ".join(check_learned(body, stack_poses(poses)))
     assert pairs[0] in lines and pairs[0] not in free
@@ -187,4 +187,4 @@ def test_the_captures_pass(shared):
         sequence = MeshSequence(file["vertices"][::9], file["faces"])
     assert check_meshes(sequence) == []
     backwards = sequence.vertices.at[4].set(sequence.vertices[4, ::-1])
-    assert "mesh 4 has another order" in refused(backwards, sequence.faces)
+    assert "mesh 4 has a different vertex order" in refused(backwards, sequence.faces)

@@ -79,7 +79,7 @@ class Projected(AbstractStructured):
         return self.arrow.magnitudes(x)
 
     def among(self, free: Unknowns) -> "Projected":
-        raise NotImplementedError("Projected equations have no bounds.")
+        raise NotImplementedError("Reduced normal equations do not support bounds.")
 
     def in_structure(self):
         return self.arrow.in_structure()

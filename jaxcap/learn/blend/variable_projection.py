@@ -66,9 +66,11 @@ def improve_all(
     **Raises:** `ValueError` for a skin that is not linear, and for joints other than balls below free roots.
     """
     if not isinstance(body.skin, LinearSkin):
-        raise ValueError(f"A {type(body.skin).__name__} cannot be projected; give the body a LinearSkin.")
+        raise ValueError(f"The body has a {type(body.skin).__name__}; expected a LinearSkin.")
     if not is_simple(body.skeleton):
-        raise ValueError("Only ball joints below free roots can be projected; give the body such a skeleton.")
+        raise ValueError(
+            "The skeleton has joints of other kinds; expected free roots with ball joints below them."
+        )
     count = body.skeleton.num_joints
     tree, limbs = make_limbs(body.skeleton, poses)
     width = len(tree.parents)

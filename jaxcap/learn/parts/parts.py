@@ -83,7 +83,10 @@ def find_parts(
     if count is None:
         count = choose_count(curve, float(np.linalg.norm(np.ptp(rest, axis=0))))
     elif count > len(curve):
-        raise ValueError(f"The surface was asked for {count} parts but has only {len(curve)} patches.")
+        raise ValueError(
+            f"The number of parts is {count}; expected at most {len(curve)}, the number of "
+            "patches of the surface."
+        )
     state = improve_parts(scene, merged_labels(merging, count)[patches], count)
     labels, moved = state.labels, state.moments
     error = float(np.sqrt(rigid_errors(moved).sum() / len(meshes)))
@@ -133,13 +136,14 @@ def _merge_patches(scene: Scene, count: int) -> tuple[np.ndarray, Merging, Scene
 
 def _check(meshes: np.ndarray, faces: np.ndarray, count: int | None) -> None:
     if len(meshes) < 2:
-        raise ValueError("Rigid parts show only in motion: at least two meshes are needed, one was given.")
+        raise ValueError("There is no motion to find rigid parts from; expected at least two meshes.")
     if not np.isfinite(meshes).all():
         frame = int(np.flatnonzero(~np.isfinite(meshes).all((1, 2)))[0])
-        raise ValueError(f"Mesh {frame} holds a number that is not finite.")
+        raise ValueError(f"Mesh {frame} has vertices that are not finite.")
     if faces.size == 0 or faces.min() < 0 or faces.max() >= meshes.shape[1]:
         raise ValueError(
-            f"The faces have to name vertices 0 to {meshes.shape[1] - 1}, and there has to be one."
+            "There are no faces, or their vertex indices are invalid; expected indices from 0 to "
+            f"{meshes.shape[1] - 1}."
         )
     if count is not None and count < 1:
-        raise ValueError(f"A body has at least one part; {count} were asked for.")
+        raise ValueError(f"The number of parts is {count}; expected at least 1.")

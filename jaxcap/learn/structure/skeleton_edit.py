@@ -165,7 +165,9 @@ def _skin(body: Body, skeleton: Skeleton, change) -> AbstractSkin:
         return LinearSkin(jnp.asarray(shares, dtype))
     if isinstance(skin, RigidSkin):
         return RigidSkin(jnp.asarray(np.argmax(shares, 1), skin.bones.dtype))
-    raise ValueError(f"The joints of a body with a {type(skin).__name__} cannot be exchanged.")
+    raise ValueError(
+        f"The body has a {type(skin).__name__}; expected a SwingTwistSkin, LinearSkin or RigidSkin."
+    )
 
 
 def _follow(skeleton: Skeleton, bones: Bones, rest: np.ndarray, labels: np.ndarray) -> Pose:

@@ -159,8 +159,7 @@ def _chooser(body: Body, poses: Pose, influences: int | None):
     if isinstance(skin, RigidSkin):
         return Parts(blends), skin.bones, RigidSkin
     raise ValueError(
-        f"The weights of a {type(skin).__name__} cannot be improved; give the body a SwingTwistSkin, "
-        "a LinearSkin or a RigidSkin."
+        f"The body has a {type(skin).__name__}; expected a SwingTwistSkin, LinearSkin or RigidSkin."
     )
 
 
@@ -168,6 +167,6 @@ def _check(body: Body, poses: Pose, targets) -> None:
     frames = poses.rotations.shape[0]
     if targets.shape != (frames, len(body.vertices), 3):
         raise ValueError(
-            f"Targets of shape {tuple(targets.shape)} do not fit {frames} poses of a body of "
-            f"{len(body.vertices)} vertices; give (frames, vertices, 3)."
+            f"The targets have shape {tuple(targets.shape)}; expected (frames, vertices, 3) with {frames} "
+            f"frames and {len(body.vertices)} vertices."
         )
