@@ -50,8 +50,8 @@ def check_skin(skin: AbstractSkin) -> None:
     loose = ~(np.asarray(weights).sum(1) > 0)
     if loose.any():
         raise InputError(
-            f"{type(skin).__name__}: `weights` of vertex {int(loose.argmax())} sum to {np.asarray(weights)[loose.argmax()].sum():g}; "
-            "expected 1, so that the vertex moves with some bone."
+            f"{type(skin).__name__}: `weights` of vertex {int(loose.argmax())} sum to "
+            f"{np.asarray(weights)[loose.argmax()].sum():g}; expected 1, so that at least one bone moves the vertex."
         )
 
 

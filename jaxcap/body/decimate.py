@@ -77,10 +77,10 @@ def decimate(
             best = points, triangles
             if len(triangles) <= 1.02 * target + 2:
                 return best
-    found = "nothing" if best is None else f"{len(best[0])}"
+    found = "no" if best is None else f"{len(best[0])}"
     raise ValueError(
-        f"A surface of {present} vertices could not be reduced to {count}: {found} is left at best; "
-        f"ask for more vertices."
+        f"A surface of {present} vertices could not be decimated to {count}; the smallest result has {found} "
+        "vertices; ask for more vertices."
     )
 
 

@@ -124,9 +124,9 @@ def misfit(prior: PairPrior, skeleton: Skeleton) -> str | None:
             own = skeleton.orientations[skeleton.index(name)]
             turned = float(rotation.distance(jnp.asarray(frame, own.dtype), own))
             if turned > TURNED:
-                return f"the frame of '{name}' at rest is turned by {np.degrees(turned):.0f}°"
+                return f"the rest frame of '{name}' differs by {np.degrees(turned):.0f}°"
         if pair not in there:
-            return f"'{pair[1]}' does not follow on '{pair[0]}'"
+            return f"'{pair[1]}' is not the next rotating joint below '{pair[0]}'"
     return None
 
 
@@ -144,19 +144,20 @@ def make_pair_prior(
     negative or do not sum to one, or a factor is not lower triangular with a positive diagonal.
     """
     if not len(pairs):
-        raise ValueError("There is no pair of joints that turn one after the other; a prior needs one.")
+        raise ValueError("There are no pairs of successive rotating joints; a prior needs at least one.")
     weights, means, factors = (np.asarray(values, float) for values in (weights, means, factors))
     shape = (len(pairs), weights.shape[-1])
     if (weights.shape, means.shape, factors.shape) != (shape, (*shape, 6), (*shape, 6, 6)):
         raise ValueError(
-            f"Mixtures of {len(pairs)} pairs have weights {weights.shape}, means {means.shape} and factors "
-            f"{factors.shape}; they do not fit together."
+            f"The mixtures of {len(pairs)} pairs have weights of shape {weights.shape}, means of shape "
+            f"{means.shape} and factors of shape {factors.shape}; expected {shape}, {(*shape, 6)} and "
+            f"{(*shape, 6, 6)}."
         )
     for pair, share, mean, factor in zip(pairs, weights, means, factors, strict=True):
         name = " and ".join(pair)
         if not ((share >= 0).all() and abs(share.sum() - 1) < 1e-4):
             raise ValueError(
-                f"The mixing weights of {name} are {share.tolist()}; they are at least 0 and sum to 1."
+                f"The mixing weights of {name} are {share.tolist()}; expected numbers of at least 0 that sum to 1."
             )
         if not (
             np.isfinite(mean).all()
@@ -164,7 +165,7 @@ def make_pair_prior(
             and (np.diagonal(factor, axis1=1, axis2=2) > 0).all()
         ):
             raise ValueError(
-                f"A Gaussian of {name} has no positive definite precision; learn the prior again."
+                f"The precision of a Gaussian of {name} is not positive definite; learn the prior again."
             )
     if np.triu(factors, 1).any():
         raise ValueError("The factors of the precisions are not lower triangular; learn the prior again.")

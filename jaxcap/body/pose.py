@@ -44,7 +44,8 @@ class Motion(eqx.Module):
         check_rate("Motion", self.rate)
         if self.poses.scale.ndim == 0:
             raise InputError(
-                "Motion: `poses` is one pose; expected poses stacked over frames, such as stack_poses([pose]) makes."
+                "Motion: `poses` is one pose; expected poses stacked over frames, such as those of "
+                "stack_poses([pose])."
             )
 
     @property
@@ -79,7 +80,7 @@ def rest_pose(skeleton: Skeleton) -> Pose:
 def stack_poses(poses: Sequence[Pose], rate: float = 30.0) -> Motion:
     """Stack single poses into a `Motion`, differentiably. Raises `InputError` where there are none."""
     if not poses:
-        raise InputError("stack_poses: `poses` is empty; expected one pose at least.")
+        raise InputError("stack_poses: `poses` is empty; expected at least one pose.")
     return Motion(jax.tree.map(lambda *leaves: stack(leaves), *poses), rate)
 
 

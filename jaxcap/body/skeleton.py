@@ -57,8 +57,9 @@ class Skeleton(eqx.Module):
         for number, (parent, kind) in enumerate(zip(self.parents, self.kinds, strict=True)):
             if not -1 <= parent < self.num_joints or parent == number or kind not in KINDS:
                 raise InputError(
-                    f"Skeleton: joint {number}, '{self.names[number]}', has the parent {parent} and the kind '{kind}'; expected "
-                    f"is another joint, or -1 for a root, and one of {', '.join(KINDS)}."
+                    f"Skeleton: joint {number}, '{self.names[number]}', has parent {parent} and kind '{kind}'; "
+                    "expected the index of another joint, or -1 for a root, and one of the kinds "
+                    f"{', '.join(KINDS)}."
                 )
 
     @property
@@ -160,19 +161,19 @@ def make_skeleton(
         raise ValueError("A skeleton needs at least one joint; none was given.")
     if not len(parents) == len(kinds) == len(centres) == len(orientations) == len(axes) == count:
         raise ValueError(
-            f"A skeleton of {count} names was given {len(parents)} parents, {len(kinds)} kinds, "
-            f"{len(centres)} centres; give one of each for every joint."
+            f"A skeleton with {count} names has {len(parents)} parents, {len(kinds)} kinds and "
+            f"{len(centres)} centres; expected one of each for every joint."
         )
     twice = next((name for name, times in Counter(names).items() if times > 1), None)
     if twice is not None:
-        raise ValueError(f"The joint name '{twice}' stands twice; give every joint its own name.")
+        raise ValueError(f"The joint name '{twice}' occurs twice; give every joint a unique name.")
     for name, parent, kind in zip(names, parents, kinds, strict=True):
         if not -1 <= parent < count:
             raise ValueError(
-                f"Joint '{name}' has parent {parent}, but there are only joints 0 to {count - 1}."
+                f"Joint '{name}' has parent {parent}; expected a joint from 0 to {count - 1}, or -1 for a root."
             )
         if kind not in KINDS:
-            raise ValueError(f"Joint '{name}' is of kind '{kind}'; a joint is one of {', '.join(KINDS)}.")
+            raise ValueError(f"Joint '{name}' has kind '{kind}'; expected one of {', '.join(KINDS)}.")
     for name, centre in zip(names, centres, strict=True):
         if not np.isfinite(centre).all():
             raise ValueError(f"The centre of joint '{name}' is {centre.tolist()}; give three finite numbers.")
@@ -180,8 +181,8 @@ def make_skeleton(
     if not (np.isfinite(long) & (long > 0)).all():
         wrong = int(np.argmin(np.isfinite(long) & (long > 0)))
         raise ValueError(
-            f"The orientation of joint '{names[wrong]}' is {orientations[wrong].tolist()}; give a quaternion that "
-            "has a length."
+            f"The orientation of joint '{names[wrong]}' is {orientations[wrong].tolist()}; expected a finite, "
+            "non-zero quaternion."
         )
     if not np.isfinite(axes).all():
         raise ValueError("The axes of a joint are not finite; give two directions of three finite numbers.")
@@ -219,10 +220,10 @@ def rest_difference(one: Skeleton, other: Skeleton) -> str | None:
     """
     for name, parent, there in zip(one.names, one.parents, other.parents, strict=True):
         if parent != there:
-            hangs = [
-                names[p] if p >= 0 else "nothing" for names, p in ((one.names, parent), (other.names, there))
+            ends = [
+                names[p] if p >= 0 else "none" for names, p in ((one.names, parent), (other.names, there))
             ]
-            return f"'{name}' hangs on {hangs[0]}, not on {hangs[1]}"
+            return f"joint '{name}' has parent {ends[0]}, not {ends[1]}"
     bones = [joint for joint, parent in enumerate(one.parents) if parent >= 0]
     above = [one.parents[joint] for joint in bones]
     centres = [np.asarray(skeleton.centres, float) for skeleton in (one, other)]
@@ -238,8 +239,8 @@ def rest_difference(one: Skeleton, other: Skeleton) -> str | None:
         return None
     worst = int(turned.argmax())
     return (
-        f"bone from '{one.names[above[worst]]}' to '{one.names[bones[worst]]}' points {turned[worst]:.0f} degrees elsewhere "
-        "at rest"
+        f"bone from '{one.names[above[worst]]}' to '{one.names[bones[worst]]}' differs by "
+        f"{turned[worst]:.0f} degrees in direction at rest"
     )
 
 

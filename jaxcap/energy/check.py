@@ -64,7 +64,8 @@ def check_indices(owner: str, field: str, numbers: Any, what: str, count: int) -
     wrong = (values < 0) | (values >= count)
     if wrong.any():
         raise InputError(
-            f"{owner}: `{field}` has {int(values[wrong][0])}, and the body has {count} {what}; expected 0 to {count - 1}."
+            f"{owner}: `{field}` has {int(values[wrong][0])}, and the body has {count} {what}; "
+            f"expected 0 to {count - 1}."
         )
 
 
@@ -125,7 +126,8 @@ def _check_finite(term: AbstractEnergy) -> None:
                     missing = missing[weights != 0]
                 if missing.any():
                     raise InputError(
-                        f"{type(term).__name__}: `{field.name}` has NaN; give numbers, and a weight of zero to what is not known."
+                        f"{type(term).__name__}: `{field.name}` has NaN; expected numbers; give missing data the "
+                        "weight zero."
                     )
 
 
@@ -139,7 +141,7 @@ def _check_residual(term: AbstractEnergy, body: Body, pose: Pose) -> None:
             raise InputError(_words(term, body, str(found).splitlines()[0])) from found
         if len(getattr(shape, "shape", ())) != 1:
             given = getattr(shape, "shape", type(shape).__name__)
-            raise InputError(_words(term, body, f"it is {given}, not one row (R,)"))
+            raise InputError(_words(term, body, f"it is {given}; expected one row (R,)"))
         lengths.append(shape.shape[0])
     if lengths[0] != lengths[1]:
         raise InputError(

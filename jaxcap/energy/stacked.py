@@ -28,7 +28,7 @@ class Stacked(AbstractEnergy):
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
         raise InputError(
-            f"Stacked: the data of {name_of(self.energy)} are of several frames and one posed body was given; "
+            f"Stacked: the data of {name_of(self.energy)} belong to several frames, but there is one posed body; "
             "solve for the sequence with a SequenceProblem."
         )
 
@@ -40,14 +40,15 @@ def stack_energies(energies: Sequence[AbstractEnergy]) -> Stacked:
     **Raises:** `InputError` where there are none, and where they differ in type or shape.
     """
     if not energies:
-        raise InputError("stack_energies: no energies were given; give one for each frame.")
+        raise InputError("stack_energies: `energies` is empty; expected one energy for each frame.")
     kinds = [jax.tree.structure(energy) for energy in energies]
     shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(energy)] for energy in energies]
     for frame in range(1, len(energies)):
         if (kinds[frame], shapes[frame]) != (kinds[0], shapes[0]):
             raise InputError(
-                f"stack_energies: the energy of frame {frame}, {name_of(energies[frame])} with arrays of {shapes[frame]}, differs "
-                f"from that of frame 0, {name_of(energies[0])} with {shapes[0]}; pad what is missing, with weights of zero."
+                f"stack_energies: the energy of frame {frame}, {name_of(energies[frame])} with arrays of shapes "
+                f"{shapes[frame]}, differs from that of frame 0, {name_of(energies[0])} with {shapes[0]}; pad missing "
+                "data with weights of zero."
             )
     return Stacked(jax.tree.map(lambda *leaves: stack([jnp.asarray(leaf) for leaf in leaves]), *energies))
 
@@ -60,8 +61,8 @@ class WeighedFrames(AbstractEnergy):
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
         raise InputError(
-            f"WeighedFrames: the weights of {name_of(self.energy)} are of {len(self.weights)} frames and one posed body was given; "
-            "solve for the sequence with a SequenceProblem."
+            f"WeighedFrames: the weights of {name_of(self.energy)} belong to {len(self.weights)} frames, but there "
+            "is one posed body; solve for the sequence with a SequenceProblem."
         )
 
 

@@ -47,8 +47,8 @@ class Camera(eqx.Module):
             np.abs(axes @ axes.T - np.eye(3)).max() < TURNED and np.linalg.det(axes) > 0
         ):
             raise InputError(
-                f"Camera: `rotation` is {axes.round(4).tolist()}; expected a rotation matrix: rows of length 1 at right "
-                "angles to each other, whose determinant is 1 and not -1."
+                f"Camera: `rotation` is {axes.round(4).tolist()}; expected a rotation matrix with orthonormal rows "
+                "and the determinant 1, not -1."
             )
 
     @property
@@ -89,14 +89,14 @@ def in_picture(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array,
 def check_picture(width: int, height: int, where: str = "") -> None:
     """Check the size of images. Raises `InputError`, which begins with `where`, for too few pixels or too
     many."""
-    what = f"{where}: pictures" if where else "Pictures"
+    what = f"{where}: images" if where else "Images"
     if min(width, height) < LEAST_PIXELS:
         raise InputError(
-            f"{what} of {width} x {height} pixels are too small; give at least {LEAST_PIXELS} a side."
+            f"{what} of {width} x {height} pixels are too small; expected at least {LEAST_PIXELS} on each side."
         )
     if width * height > MOST_PIXELS:
         raise InputError(
-            f"{what} of {width} x {height} pixels are too large; give at most {MOST_PIXELS} pixels in all."
+            f"{what} of {width} x {height} pixels are too large; expected at most {MOST_PIXELS} pixels in total."
         )
 
 
@@ -112,12 +112,12 @@ def look_at(eye, target, width: int, height: int, field_of_view: float | int) ->
     """
     check_picture(width, height)
     if not 1 <= field_of_view <= 170:
-        raise InputError(f"The field of view is {field_of_view:g} degrees; give an angle from 1 to 170.")
+        raise InputError(f"The field of view is {field_of_view:g} degrees; expected 1 to 170 degrees.")
     eye, target = np.asarray(eye, float), np.asarray(target, float)
     apart = np.linalg.norm(target - eye)
     if not (np.isfinite(apart) and apart > 1e-6):
         raise InputError(
-            f"A camera at {_told(eye)} cannot look at {_told(target)}; place it apart from what it looks at."
+            f"A camera at {_told(eye)} cannot look at {_told(target)}; expected two different finite positions."
         )
     forward = (target - eye) / apart
     # a camera that looks straight up or down has its x axis along the x axis of the world
@@ -149,13 +149,15 @@ def ring_of_cameras(
     distance that is not above 0, a height that is not finite, and the errors of `look_at`.
     """
     if not 1 <= count <= MOST_CAMERAS:
-        raise InputError(f"{count} views were asked for; give from 1 to {MOST_CAMERAS}.")
+        raise InputError(f"{count} views were requested; expected 1 to {MOST_CAMERAS}.")
     if not 0 < arc <= 360:
-        raise InputError(f"The arc of cameras is {arc:g} degrees; give more than 0 and at most 360.")
+        raise InputError(f"The arc of cameras is {arc:g} degrees; expected more than 0 and at most 360.")
     if not 0 < distance < np.inf:
-        raise InputError(f"Cameras are to stand {distance:g} m from the body; give a distance above 0.")
+        raise InputError(
+            f"The distance of the cameras is {distance:g} m from the body; expected a finite distance above 0."
+        )
     if not np.isfinite(height):
-        raise InputError(f"Cameras are to stand {height:g} m high; give a finite height.")
+        raise InputError(f"The height of the cameras is {height:g} m; expected a finite height.")
     if arc == 360:
         angles = np.radians(360.0 * np.arange(count) / count)
     else:
@@ -182,9 +184,9 @@ def check_sees(cameras: Sequence[Camera], points: Float[np.ndarray, "N 3"], wher
         if bool(in_picture(camera, jnp.asarray(points)).any()):
             continue
         behind = not bool((project(camera, jnp.asarray(points))[1] > 0).any())
-        what = "points away from the body" if behind else "has the body outside of its picture"
+        what = "points away from the body" if behind else "has the body outside of its image"
         raise InputError(
-            f"{where}: camera {number} at {_told(np.asarray(camera.eye))} {what}; turn it, move it, or leave it out."
+            f"{where}: camera {number} at {_told(np.asarray(camera.eye))} {what}; rotate it, move it or omit it."
         )
 
 

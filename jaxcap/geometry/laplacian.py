@@ -35,7 +35,9 @@ def make_conformance(faces: Int[np.ndarray, "F 3"], num_vertices: int, alpha: fl
     **Raises:** `ValueError` for a negative or infinite `alpha`.
     """
     if not 0 <= alpha < np.inf:
-        raise ValueError(f"alpha is {alpha}; the weight of shape against distance is finite and at least 0.")
+        raise ValueError(
+            f"`alpha`, the weight of shape relative to distance, is {alpha}; expected a finite number of at least 0."
+        )
     adjacency = vertex_adjacency(faces, num_vertices)
     counts = np.diff(adjacency.indptr)
     width = max(int(counts.max(initial=0)), 1)

@@ -115,8 +115,8 @@ def _middle_angle(angles: Float[np.ndarray, "F"], joint: str) -> float:
 
 def _wraps(joint: str, span: float) -> str:
     return (
-        f"Joint '{joint}' turns through {np.degrees(span):.0f} degrees, so that no middle keeps its range within "
-        "half a turn; its rotations wrap, and limits cannot be learned from them."
+        f"Joint '{joint}' rotates through {np.degrees(span):.0f} degrees; its range is not within half a turn of "
+        "any centre, so its rotations wrap and limits cannot be learned from them."
     )
 
 

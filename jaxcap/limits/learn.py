@@ -49,7 +49,7 @@ def learn_limits(
     """
     if not samples:
         raise InputError(
-            "learn_limits: `samples` is empty; expected the samples of one joint at least, by its name."
+            "learn_limits: `samples` is empty; expected samples of at least one joint, by name."
         )
     return SurfaceLimits(
         tuple(learn_surface(one, voxel, keyframe, least, coverage) for one in samples.values())

@@ -33,8 +33,8 @@ def arm_samples(
     """
     if len(markers) != 4 or len(trunk) != 3:
         raise InputError(
-            f"{len(markers)} markers of the arm and {len(trunk)} of the trunk; give shoulder, upper arm, elbow, "
-            "forearm, and three of the trunk."
+            f"There are {len(markers)} markers of the arm and {len(trunk)} of the trunk; expected shoulder, upper "
+            "arm, elbow and forearm, and three of the trunk."
         )
     for label in (*markers, *trunk):
         if label not in frames.labels:
@@ -50,7 +50,8 @@ def arm_samples(
     good = np.asarray(frames.seen)[:, columns].all(1) & bent
     if not good.any():
         raise InputError(
-            f"No frame shows {', '.join((*markers, *trunk))} at once with the elbow bent, which its plane is read off."
+            f"No frame shows {', '.join((*markers, *trunk))} at once with the elbow bent; a straight arm does not "
+            "define the plane of the elbow."
         )
     places, first, normal = places[good], first[good], normal[good]
     arm = _frame(first, normal)

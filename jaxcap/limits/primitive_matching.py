@@ -24,7 +24,8 @@ def match_primitives(
     """
     if len(other_centres) > len(centres):
         raise ValueError(
-            f"{len(centres)} primitives cannot take one each of {len(other_centres)}; match the other way."
+            f"{len(centres)} primitives cannot be matched to {len(other_centres)} others; expected at most as many "
+            "others as primitives; swap the two sets."
         )
     mine = np.column_stack([centres, thickness])
     others = np.column_stack([other_centres, other_thickness])

@@ -56,7 +56,7 @@ def parse_joints(text: str) -> tuple[tuple[str, str | None], ...]:
     while len(ordered) < len(found):
         ready = [n for n, p in found.items() if n not in ordered and (p is None or p in ordered)]
         if not ready:
-            raise InputError(f"--joints {text}: the joints are coupled in a circle; leave one out.")
+            raise InputError(f"--joints {text}: the coupling of the joints has a cycle; leave one out.")
         ordered += ready
     return tuple((name, found[name]) for name in ordered)
 
@@ -97,7 +97,7 @@ def gather_samples(
         )
     kind = kinds.pop()
     if kind in ("fixed", "translate"):
-        raise ValueError(f"Joint '{joint}' is {kind} and does not turn; name one that does.")
+        raise ValueError(f"Joint '{joint}' is {kind} and does not rotate; name a joint that rotates.")
     return JointSamples(joint, kind, axes, np.concatenate(rotations), np.concatenate(blocks), above)
 
 

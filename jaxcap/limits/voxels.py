@@ -36,8 +36,8 @@ def voxelise(
     kept = counts >= least
     if not kept.any():
         raise ValueError(
-            f"No voxel has {least:g} samples: the {len(places)} samples are at most {counts.max()} in one voxel of "
-            f"{np.degrees(2 * width):.3g} degrees; lower the threshold, widen voxels, or give more motion."
+            f"No voxel has {least:g} samples: of {len(places)} samples, at most {counts.max()} are in one voxel of "
+            f"{np.degrees(2 * width):.3g} degrees; reduce the threshold, widen the voxels, or give more motion."
         )
     sizes = np.ones(int(kept.sum()), int)
     cells, counts = cells[kept], counts[kept].astype(float)

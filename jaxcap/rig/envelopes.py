@@ -79,8 +79,8 @@ def envelope_parts(
     radii = np.asarray(radii, float)
     if (radii < 0).any() or not np.isfinite(radii).all() or not (radii > 0).any():
         raise InputError(
-            "The radii of envelopes are lengths in metres, zero for a bone without envelope, and at "
-            "least one is above zero; give such radii."
+            "The radii of the envelopes are negative, not finite, or all zero; expected lengths in metres, zero "
+            "for a bone without envelope, and at least one above zero."
         )
     tails = default_tails(skeleton) if tails is None else np.asarray(tails, float)
     distances, _ = bone_distances(vertices, np.asarray(skeleton.centres, float), tails)
@@ -94,8 +94,8 @@ def envelope_parts(
         others = f" and {len(outside) - 1} more" if len(outside) > 1 else ""
         place = ", ".join(f"{x:.4f}" for x in vertices[first])
         raise InputError(
-            f"Vertex {first} at ({place}) m{others} lies in no envelope: the nearest bone is "
-            f"'{skeleton.names[near]}', whose radius of {radii[near]:.4f} m would have to be "
-            f"{distances[first, near]:.4f} m; widen it."
+            f"Vertex {first} at ({place}) m{others} is outside all envelopes; the nearest bone, "
+            f"'{skeleton.names[near]}', has a radius of {radii[near]:.4f} m; increase it to at least "
+            f"{distances[first, near]:.4f} m."
         )
     return bones

@@ -60,9 +60,9 @@ def place_human(
     found = register(template, sample_surface(upright, faces))
     if found.residual > POOR_FIT:
         raise InputError(
-            f"The human that fits the mesh best is {1e3 * unit * found.residual:.0f} mm away from it on "
-            f"average, more than {1e3 * unit * POOR_FIT:.0f} mm; give the mesh of one person who stands upright "
-            f"along {up}, with the arms off the body and the triangles facing outwards."
+            f"The best fit of the human to the mesh has a mean distance of {1e3 * unit * found.residual:.0f} mm; "
+            f"expected at most {1e3 * unit * POOR_FIT:.0f} mm; give the mesh of one person, upright along {up}, "
+            "with the arms away from the body and the triangles facing outwards."
         )
     posed = pose_template(template, found.person)
     return Body(
@@ -85,9 +85,9 @@ def check_person(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
         return height
     units = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
     likely = [unit for unit, metres in units.items() if 1.0 <= height * metres <= 2.2]
-    advice = f"it is likely in {likely[0]}, so scale it to metres" if likely else "scale it to metres"
+    advice = f"its unit is probably {likely[0]}; scale it to metres" if likely else "scale it to metres"
     raise InputError(
-        f"The mesh is {height:.4g} m tall along {up}, where a person is between {SHORTEST:g} and "
+        f"The mesh is {height:.4g} m tall along {up}; expected the height of a person, {SHORTEST:g} to "
         f"{TALLEST:g} m; {advice}, or name the axis that points up."
     )
 

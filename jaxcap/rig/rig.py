@@ -47,7 +47,7 @@ def rig_mesh(
     in the mesh.
     """
     if method not in METHODS:
-        raise InputError(f"The method of rigging '{method}' is unknown; give one of {', '.join(METHODS)}.")
+        raise InputError(f"The rigging method '{method}' is unknown; give one of {', '.join(METHODS)}.")
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, np.int32)
     _check_mesh(vertices, faces)
     if skeleton is None:
@@ -70,7 +70,7 @@ def rig_mesh(
 def _check_mesh(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> None:
     if len(vertices) == 0 or len(faces) == 0:
         raise InputError(
-            f"The mesh has {len(vertices)} vertices and {len(faces)} triangles; give one with a surface."
+            f"The mesh has {len(vertices)} vertices and {len(faces)} triangles; expected a mesh with a surface."
         )
     wrong = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(wrong):
@@ -80,9 +80,9 @@ def _check_mesh(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"
     wrong = np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))
     if len(wrong):
         raise InputError(
-            f"Triangle {wrong[0]} is made of vertices {faces[wrong[0]].tolist()}, but there are only "
-            f"vertices 0 to {len(vertices) - 1}; mend the triangle or leave it out."
+            f"Triangle {wrong[0]} has the vertices {faces[wrong[0]].tolist()}; expected 0 to "
+            f"{len(vertices) - 1}; correct the triangle or leave it out."
         )
     corners = vertices[faces]
     if not np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():
-        raise InputError("No triangle of the mesh has an area; give one with a surface.")
+        raise InputError("All triangles of the mesh have zero area; give a mesh with a surface.")

@@ -61,7 +61,7 @@ def scan_depths(
     if not cameras:
         raise InputError("There are no cameras to scan with; give at least one.")
     if seed < 0 or frame < 0:
-        raise InputError(f"The seed is {seed} and the frame is {frame}; neither can be below zero.")
+        raise InputError(f"The seed is {seed} and the frame is {frame}; expected both at least 0.")
     surface, depths = make_surface(vertices, faces), []
     for view, (camera, lost) in enumerate(
         zip(cameras, dropped_views(scanner.drop, len(cameras), seed, frame), strict=True)

@@ -44,7 +44,7 @@ def check_scanner(scanner: Scanner) -> None:
 
     **Raises:** `InputError` that names the first setting that is not.
     """
-    share, length = "from 0 and below 1", "at least 0 metres"
+    share, length = "at least 0 and below 1", "at least 0 metres"
     wrong = {
         "drop": (0 <= scanner.drop < 1, share),
         "grazing": (0 < scanner.grazing <= 90, "above 0 and at most 90 degrees"),
@@ -53,7 +53,7 @@ def check_scanner(scanner: Scanner) -> None:
         "flying": (0 <= scanner.flying <= 1, "from 0 to 1"),
         "flying_reach": (0 <= scanner.flying_reach < np.inf, length),
         "noise": (0 <= scanner.noise < np.inf, length),
-        "noise_growth": (0 <= scanner.noise_growth < np.inf, "at least 0 a metre"),
+        "noise_growth": (0 <= scanner.noise_growth < np.inf, "at least 0 per metre"),
         "quantise": (0 <= scanner.quantise < np.inf, length),
         "gap": (0 < scanner.gap < np.inf, "above 0 metres"),
         "normal_window": (scanner.normal_window >= 1, "at least 1 pixel"),
@@ -65,4 +65,4 @@ def check_scanner(scanner: Scanner) -> None:
             value = getattr(scanner, name)
             raise InputError(f"{name.replace('_', '-')} of the scanner is {value:g}; it must be {what}.")
     if scanner.mesh and (scanner.points is not None or scanner.voxel):
-        raise InputError("A scan that is a mesh keeps its grid of pixels; leave points and voxel out.")
+        raise InputError("A scan as a mesh keeps all pixels of the grid; leave points and voxel out.")

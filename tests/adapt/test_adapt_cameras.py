@@ -45,7 +45,7 @@ def test_cameras_that_are_none(folder, capsys):
     ("camera", "what"),
     [
         (look_at([0, 0.5, 2.5], [0, 0.5, 5.0], 320, 240, 60), "points away"),
-        (look_at([0, 0.5, 2.5], [2.5, 0.5, 2.0], 320, 240, 60), "outside of its picture"),
+        (look_at([0, 0.5, 2.5], [2.5, 0.5, 2.0], 320, 240, 60), "outside of its image"),
         (look_at([0, 500.0, 2500.0], [0, 0, 0], 320, 240, 60), "give translations in metres"),
     ],
 )

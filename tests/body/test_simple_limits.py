@@ -108,7 +108,7 @@ def test_energies_of_boxes_against_central_differences(rng):
 @pytest.mark.parametrize(
     ("box", "words"),
     [
-        ({"nose": EulerBox(np.zeros(3), np.ones(3), np.eye(3))}, "skeleton has"),
+        ({"nose": EulerBox(np.zeros(3), np.ones(3), np.eye(3))}, "not in the skeleton"),
         ({"hand": EulerBox(np.ones(3), np.zeros(3), np.eye(3))}, "swap them"),
         ({"hand": EulerBox(np.zeros(3), np.ones(3), np.ones((3, 3)))}, "right angles"),
     ],

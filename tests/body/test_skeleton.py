@@ -83,8 +83,8 @@ def test_layout_gives_every_number_one_place():
         ({"parents": [-1, 1, 0]}, "cycle: b -> b"),
         ({"parents": [-1, 0, 7]}, "'c' has parent 7"),
         ({"parents": [-1, 0, -2]}, "'c' has parent -2"),
-        ({"names": ["a", "b", "a"]}, "'a' stands twice"),
-        ({"kinds": ["free", "ball", "hinge"]}, "'c' is of kind 'hinge'"),
+        ({"names": ["a", "b", "a"]}, "'a' occurs twice"),
+        ({"kinds": ["free", "ball", "hinge"]}, "'c' has kind 'hinge'"),
         ({"centres": [[0, 0, 0], [0, np.nan, 0], [0, 0, 0]]}, "centre of joint 'b'"),
         ({"centres": np.zeros((2, 3))}, "2 centres"),
         ({"names": [], "parents": [], "kinds": [], "centres": np.zeros((0, 3))}, "at least one joint"),
@@ -124,8 +124,8 @@ def test_skeletons_are_alike_by_their_joints_and_apart_by_where_these_stand():
         ([0.6, 0, 0], 1, None),
         # of another person, and a little lower
         ([0.5, -0.1, 0.0], 1, None),
-        ([0.2, -0.4, 0.0], 1, "bone from 'shoulder' to 'hand' points 90 degrees elsewhere"),
-        ([0.6, 0, 0], 0, "'hand' hangs on shoulder, not on hip"),
+        ([0.2, -0.4, 0.0], 1, "bone from 'shoulder' to 'hand' differs by 90 degrees in direction"),
+        ([0.6, 0, 0], 0, "'hand' has parent shoulder, not hip"),
     ],
 )
 def test_poses_mean_the_same_where_bones_point_the_same_way(arm, hangs, said):

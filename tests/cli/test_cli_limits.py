@@ -146,7 +146,7 @@ def test_ranges_that_wrap_are_refused(capsys, tmp_path):
     told = fails(
         capsys, "limits", "learn", tmp_path / "round.npz", "--joints", "shoulder", "-o", tmp_path / "l.npz"
     )
-    assert "no middle keeps its range within half a turn" in told
+    assert "its range is not within half a turn of any centre" in told
 
 
 def test_a_damaged_file_is_told(capsys, folder, learned, tmp_path):

@@ -166,7 +166,7 @@ def test_a_calibration_takes_the_place_of_the_ring(inputs, tmp_path, capsys):
     assert "away.json: camera 2 at (0, 0, 2) points away from the body" in told
     write_cameras(tmp_path / "past.json", [look_at([0, 0, 2.0], [2, 0, 1.0], 96, 72, 30)])
     told = fails(capsys, *command(inputs, tmp_path / "no", "--cameras", tmp_path / "past.json"))
-    assert "camera 0 at (0, 0, 2) has the body outside of its picture" in told
+    assert "camera 0 at (0, 0, 2) has the body outside of its image" in told
     assert not (tmp_path / "no").exists()
 
 
@@ -196,8 +196,8 @@ def test_empty_views_and_frames_are_told_by_number(inputs, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        (("--views", 0), "0 views were asked for"),
-        (("--views", 10**9), "1000000000 views were asked for; give from 1 to 1000"),
+        (("--views", 0), "0 views were requested"),
+        (("--views", 10**9), "1000000000 views were requested; expected 1 to 1000"),
         (("--arc", 500), "arc of cameras is 500 degrees"),
         (("--resolution", 4, 4), "4 x 4 pixels are too small"),
         (("--distance", -1), "-1 m from the body"),

@@ -208,9 +208,9 @@ def test_what_does_not_go_together_is_a_sentence(scene):
         stack_energies(
             [RestPrior(jnp.ones((BODY.skeleton.num_joints, 3))), NearHeight(jnp.array([1]), jnp.asarray(0.0))]
         )
-    with pytest.raises(InputError, match="give one for each frame"):
+    with pytest.raises(InputError, match="expected one energy for each frame"):
         stack_energies([])
-    with pytest.raises(InputError, match="the data of VertexLandmarks are of several frames"):
+    with pytest.raises(InputError, match="the data of VertexLandmarks belong to several frames"):
         problem.frames.terms[0].residual(pose_body(BODY, rest_pose(BODY.skeleton)))
     assert isinstance(problem.frames.terms[0], Stacked)
 

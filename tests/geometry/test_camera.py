@@ -73,7 +73,7 @@ def test_a_ring_is_even_and_an_arc_has_its_ends():
         ({"arc": 0.0}, "arc of cameras is 0"),
         ({"arc": 400.0}, "arc of cameras is 400"),
         ({"distance": 0.0}, "0 m from the body"),
-        ({"height": float("nan")}, "nan m high"),
+        ({"height": float("nan")}, "height of the cameras is nan m"),
         ({"resolution": (4, 240)}, "4 x 240 pixels are too small"),
         ({"field_of_view": 190.0}, "190 degrees"),
     ],
@@ -92,7 +92,7 @@ def test_cameras_that_see_nothing_are_told_by_number():
     check_sees(ring, points, "ring")
     with pytest.raises(InputError, match=r"ring: camera 1 at \(0, 1, 4\) points away from the body"):
         check_sees([ring[0], look_at([0, 1, 4], [0, 1, 8], 64, 48, 60)], points, "ring")
-    with pytest.raises(InputError, match="camera 0 at .* has the body outside of its picture"):
+    with pytest.raises(InputError, match="camera 0 at .* has the body outside of its image"):
         check_sees(ring, points + [0, 5, 0], "ring")
 
 

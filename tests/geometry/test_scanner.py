@@ -300,7 +300,7 @@ def test_ply_files_come_in_again(tmp_path, rng):
     [
         ({"noise": -0.1}, "noise of the scanner is -0.1; it must be at least 0"),
         ({"noise_growth": float("nan")}, "noise-growth of the scanner is nan"),
-        ({"drop": 1.0}, "drop of the scanner is 1; it must be from 0 and below 1"),
+        ({"drop": 1.0}, "drop of the scanner is 1; it must be at least 0 and below 1"),
         ({"holes": 1.5}, "holes of the scanner is 1.5"),
         ({"flying": -1.0}, "flying of the scanner is -1"),
         ({"grazing": 0.0}, "grazing of the scanner is 0"),

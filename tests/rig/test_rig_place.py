@@ -105,7 +105,7 @@ def test_joints_are_found_in_people_of_another_build(rng, options, up):
 
 def test_a_mesh_that_is_no_person_is_told_with_its_distance():
     box = trimesh.creation.box((1.0, 1.7, 1.0)).subdivide_to_size(0.08)
-    with pytest.raises(InputError, match=r"is \d+ mm away from it on average"):
+    with pytest.raises(InputError, match=r"mean distance of \d+ mm"):
         place_human(np.array(box.vertices), np.array(box.faces))
 
 

@@ -72,7 +72,7 @@ def test_a_vertex_in_no_envelope_is_named_and_the_radius_told_would_do():
     message = r"Vertex 1 at \(0\.7500, 0\.3000, 0\.0000\) m .*'b'.* 0\.3000 m"
     with pytest.raises(InputError, match=message) as error:
         envelope_parts(vertices, chain(), TAILS, radii)
-    told = float(re.findall(r"be (\d\.\d+) m", str(error.value))[0])
+    told = float(re.findall(r"at least (\d\.\d+) m", str(error.value))[0])
     widened = envelope_parts(vertices, chain(), TAILS, np.array([0.2, told + 1e-9, 0.2]))
     np.testing.assert_array_equal(widened, [0, 1])
 
@@ -135,7 +135,7 @@ def test_the_largest_weights_are_kept():
     ("change", "message"),
     [
         (lambda v, f: (np.where(np.arange(len(v))[:, None] == 7, np.nan, v), f), "Vertex 7 is at .*nan"),
-        (lambda v, f: (v, np.concatenate([f, [[0, 1, 5000]]])), "made of vertices .*5000"),
+        (lambda v, f: (v, np.concatenate([f, [[0, 1, 5000]]])), "has the vertices .*5000"),
         (lambda v, f: (v * [1, 0, 0], f), "area"),
         (lambda v, f: (v, f[:0]), "0 triangles"),
     ],

@@ -105,13 +105,18 @@ def make_euler_boxes(skeleton: Skeleton, boxes: Mapping[str, EulerBox]) -> Euler
     for name, box in boxes.items():
         if name not in place:
             raise ValueError(
-                f"There is a box for joint '{name}', but the skeleton has {', '.join(skeleton.names)}."
+                f"There is a box for joint '{name}', which is not in the skeleton; expected one of "
+                f"{', '.join(skeleton.names)}."
             )
         lower, upper, frame = (np.array(part, float) for part in box)
         if not (lower <= upper).all():
-            raise ValueError(f"The box of joint '{name}' goes from {lower} down to {upper}; swap them.")
+            raise ValueError(
+                f"The box of joint '{name}' has lower bounds {lower} above its upper bounds {upper}; swap them."
+            )
         if not np.allclose(frame.T @ frame, np.eye(3), atol=1e-4):
-            raise ValueError(f"The axes of the box of joint '{name}' are not of unit length at right angles.")
+            raise ValueError(
+                f"The axes of the box of joint '{name}' are not orthonormal; expected unit axes at right angles."
+            )
         if np.linalg.det(frame) < 0:
             frame[:, 2] *= -1
             lower[2], upper[2] = -upper[2], -lower[2]

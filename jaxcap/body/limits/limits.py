@@ -206,12 +206,13 @@ def make_joint_ranges(
         count = KINDS[skeleton.kinds[joint]][1]
         if len(pairs) != count:
             raise ValueError(
-                f"Joint '{name}' is {skeleton.kinds[joint]} and needs {count} pairs of angles, not {len(pairs)}."
+                f"Joint '{name}' is {skeleton.kinds[joint]} and has {len(pairs)} ranges of angles; expected {count}."
             )
         for number, (lower, upper) in enumerate(pairs):
             if not lower <= upper:
                 raise ValueError(
-                    f"The range of joint '{name}' goes from {lower:g} down to {upper:g}; swap them."
+                    f"The range of joint '{name}' has the lower bound {lower:g} above its upper bound {upper:g}; "
+                    "swap them."
                 )
             # a range with an infinite bound has no middle
             rows.append((joint, number, max(lower, -2 * np.pi), min(upper, 2 * np.pi)))
@@ -221,10 +222,10 @@ def make_joint_ranges(
         lengths = np.linalg.norm(axes, axis=1)
         angles = np.asarray([cone.heading_angle, cone.bank_angle], float)
         if not (lengths > 0).all():
-            raise ValueError(f"A cone of joint '{name}' has the axis (0, 0, 0); give it a direction.")
+            raise ValueError(f"A cone of joint '{name}' has the axis (0, 0, 0); expected a non-zero vector.")
         if not ((angles >= 0) & (angles <= np.pi + 1e-9)).all():
             raise ValueError(
-                f"The cone angles of joint '{name}' are {angles.tolist()}; give 0 to pi radians."
+                f"The cone angles of joint '{name}' are {angles.tolist()}; expected 0 to pi radians."
             )
         balls.append((joint, axes / lengths[:, None], angles))
     table = np.asarray(rows, float).reshape(-1, 4)
@@ -246,11 +247,13 @@ def make_joint_ranges(
 def _joint(skeleton: Skeleton, place: Mapping[str, int], name: str, kinds: tuple[str, ...], what: str) -> int:
     if name not in place:
         raise ValueError(
-            f"There is a {what} for joint '{name}', but the skeleton has {', '.join(skeleton.names)}."
+            f"There is a {what} for joint '{name}', which is not in the skeleton; expected one of "
+            f"{', '.join(skeleton.names)}."
         )
     joint = place[name]
     if skeleton.kinds[joint] not in kinds:
         raise ValueError(
-            f"There is a {what} for joint '{name}', which is {skeleton.kinds[joint]}; it fits {' and '.join(kinds)} joints."
+            f"There is a {what} for joint '{name}', which is {skeleton.kinds[joint]}; expected a "
+            f"{' or '.join(kinds)} joint."
         )
     return joint

@@ -163,7 +163,9 @@ def make_pose_boxes(
     """Create checked boxes, radians. Raises `ValueError` where a lower bound is above its upper one."""
     for name, low, high in zip(joints, lower, upper, strict=True):
         if not (low <= high).all():
-            raise ValueError(f"The box of joint '{name}' goes from {low} down to {high}; swap them.")
+            raise ValueError(
+                f"The box of joint '{name}' has lower bounds {low} above its upper bounds {high}; swap them."
+            )
     return PoseBoxes(tuple(joints), jnp.asarray(lower, float), jnp.asarray(upper, float))
 
 

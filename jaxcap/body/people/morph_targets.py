@@ -92,7 +92,7 @@ def reach_height(morphs: Morphs, traits: Traits, height: float) -> Traits:
     shortest, tallest = tall(-1.0), tall(1.0)
     if not shortest <= height <= tallest:
         raise ValueError(
-            f"The height of a human is {height} m; at this sex, age, weight and muscle give "
+            f"The height of a human is {height} m; for this sex, age, weight and muscle, give "
             f"a number from {shortest:.2f} to {tallest:.2f} m."
         )
     stature: Any = brentq(lambda stature: tall(stature) - height, -1.0, 1.0, xtol=1e-7)

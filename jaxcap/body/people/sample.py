@@ -28,7 +28,7 @@ def sample_poses(skeleton: Skeleton, count: int = 64, seed: int = 0) -> Pose:
     **Raises:** `ValueError` where `count` is not positive.
     """
     if count < 1:
-        raise ValueError(f"{count} poses were to be sampled; ask for at least 1.")
+        raise ValueError(f"The number of poses is {count}; expected at least 1.")
     deviations = rest_deviations(skeleton, _UNKNOWN)
     deviations = np.where(np.isfinite(deviations), deviations, 0.0)
     normal = np.random.default_rng(seed).normal(size=(count, skeleton.num_joints, 3))

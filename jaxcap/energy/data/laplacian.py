@@ -34,7 +34,8 @@ def make_laplacian_shape(body: Body, mesh: Float[np.ndarray, "V 3"]) -> Laplacia
     """
     if mesh.shape != body.vertices.shape:
         raise ValueError(
-            f"The mesh is of the shape {mesh.shape} and the body has {len(body.vertices)} vertices; register it to the body."
+            f"The mesh has shape {mesh.shape} and the body has {len(body.vertices)} vertices; register the mesh "
+            "to the body."
         )
     metric = make_conformance(np.asarray(body.faces), len(body.vertices), 0.0)
     return LaplacianShape(metric, laplacian(metric, jnp.asarray(mesh, body.vertices.dtype)))

@@ -149,9 +149,9 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
     positive.
     """
     if primitives < 1:
-        raise ValueError(f"A bone was to have {primitives} primitives at most; give one or more.")
+        raise ValueError(f"The limit is {primitives} primitives per bone; expected at least one.")
     if blend is not None and not blend > 0:
-        raise ValueError(f"Primitives were to blend over {blend} metres; give a positive length.")
+        raise ValueError(f"The blend length of the primitives is {blend} m; expected a positive length.")
     vertices, areas = np.asarray(body.vertices, float), _areas(body)
     parts = np.asarray(body.skin.parts())
     bones, slices, shapes = [], [], []
@@ -162,7 +162,7 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
             shapes.append(_shape(vertices[chosen], areas[chosen], along))
     if not bones:
         raise ValueError(
-            f"No bone of this body has {FEWEST} vertices or more, so there is no shape to take on; "
+            f"No bone of this body has {FEWEST} or more vertices, so there is no shape to fit; "
             "give a body with a surface."
         )
     centres = np.array([centre for centre, _ in shapes])
