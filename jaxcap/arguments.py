@@ -81,7 +81,8 @@ def check_metres(where: str, name: str, points: np.ndarray) -> None:
     if extent > LARGEST:
         likely = {unit: f"{size:g}" for unit, size in _UNITS.items() if 0.3 <= extent * size <= 3.0}
         unit = (
-            f"it looks like {' or '.join(likely)}: multiply by {' or '.join(likely.values())}, or read the file in its unit"
+            f"it looks like {' or '.join(likely)}: multiply by {' or '.join(likely.values())}, or give the "
+            "unit when reading the file"
             if likely
             else "check the unit"
         )
@@ -122,7 +123,7 @@ def checked(function: Function) -> Function:
         try:
             given = signature.bind(*arguments, **named).arguments
         except TypeError as error:
-            raise InputError(f"{name}: {error}; it takes {signature_words(signature)}.") from None
+            raise InputError(f"{name}: {error}; expected arguments: {signature_words(signature)}.") from None
         lengths: Lengths = {}
         for key, value in given.items():
             kind = signature.parameters[key].kind
@@ -147,7 +148,7 @@ def signature_words(signature: inspect.Signature) -> str:
     words = [
         key if value.default is value.empty else f"[{key}]" for key, value in signature.parameters.items()
     ]
-    return ", ".join(words) or "no arguments"
+    return ", ".join(words) or "none"
 
 
 def describe(value: Any) -> str:
@@ -157,10 +158,14 @@ def describe(value: Any) -> str:
     if isinstance(value, (str, Path)):
         return f"is {str(value)[:40]!r}"
     if _is_array(value):
-        return f"has {_kind(value)} numbers of shape {_shape(value)}"
-    name = (value if isinstance(value, type) else type(value)).__name__
-    article = "an" if name[:1].lower() in "aeiou" else "a"
-    return f"is the class {name} itself" if isinstance(value, type) else f"is {article} {name}"
+        return f"is {_with_article(_kind(value))} array of shape {_shape(value)}"
+    if isinstance(value, type):
+        return f"is the class {value.__name__} itself"
+    return f"is {_with_article(type(value).__name__)}"
+
+
+def _with_article(words: str) -> str:
+    return f"{'an' if words[:1].lower() in tuple('aeiou') else 'a'} {words}"
 
 
 def array(value: Any) -> Any:
@@ -242,11 +247,11 @@ def _generic_mismatch(origin: Any, parts: tuple, value: Any, lengths: Lengths, n
     if not isinstance(value, (list, tuple)) or not parts:
         return None
     if fixed and len(value) != len(parts):
-        return f"{len(parts)} of them"
+        return f"{len(parts)} elements"
     for number, element in enumerate(value):
         wanted = _mismatch(parts[number] if fixed else parts[0], element, {}, name)
         if wanted is not None:
-            return f"{wanted} at place {number}, where it {describe(element)}"
+            return f"{wanted} at index {number}, which {describe(element)}"
     return None
 
 
@@ -284,7 +289,7 @@ def _array_mismatch(annotation: Any, value: Any, lengths: Lengths, name: str) ->
     shape = ", ".join("..." if dim[0] in "*." else dim.lstrip("#_") or "any" for dim in dims)
     known = {dim: lengths[dim] for dim in dims if dim in lengths}
     where = " and ".join(f"{dim} is {size} as in `{owner}`" for dim, (size, owner) in known.items())
-    return f"an array of {what}numbers of shape ({shape}{',' * (len(dims) == 1)})" + (
+    return f"{_with_article(what + 'array')} of shape ({shape}{',' * (len(dims) == 1)})" + (
         f", where {where}" if where else ""
     )
 
@@ -354,8 +359,8 @@ def _check_joints(where: str, given: dict[str, Any]) -> None:
             there = rotations.shape[-2] if len(rotations.shape) > 1 else None
             if there != count:
                 raise InputError(
-                    f"{where}: `{key}` has {there} joints; expected {count} as in `{owner}`, such as "
-                    "rest_pose(skeleton) has, or retarget it."
+                    f"{where}: `{key}` has {there} joints; expected {count} as in `{owner}`; give one of "
+                    "this skeleton, such as rest_pose(skeleton), or retarget it."
                 )
 
 
@@ -371,10 +376,8 @@ def _owned_joints(value: Any, deep: int = 2) -> int | None:
 
 
 def _named(kind: type) -> str:
-    plain = {int: "a whole number", float: "a number", bool: "True or False", str: "a text", Path: "a path"}
-    name = kind.__name__
-    article = "an" if name[:1].lower() in "aeiou" else "a"
-    return plain.get(kind, f"{article} {name}")
+    plain = {int: "an integer", float: "a number", bool: "True or False", str: "a string", Path: "a path"}
+    return plain.get(kind, _with_article(kind.__name__))
 
 
 def _is_array(value: Any) -> bool:

@@ -16,6 +16,6 @@ def asset_path(name: str) -> Path:
         if path.is_file():
             return path
     raise FileNotFoundError(
-        f"The file '{name}' that comes with jaxcap is neither at {places[0]} nor at {places[1]}; "
-        f"install jaxcap anew, or build the file with scripts/build_human.py."
+        f"The data file '{name}' of jaxcap is neither at {places[0]} nor at {places[1]}; "
+        f"reinstall jaxcap, or build the file with scripts/build_human.py."
     )

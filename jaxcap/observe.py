@@ -88,7 +88,7 @@ class MeshSequence(eqx.Module):
     def __getitem__(self, frames):
         if isinstance(frames, (int, np.integer)):
             if not -len(self) <= frames < len(self):
-                raise IndexError(f"There is no mesh {frames} in a sequence of {len(self)}.")
+                raise IndexError(f"There is no mesh {frames} in a sequence of {len(self)} meshes.")
             return self.vertices[frames]
         step = abs(frames.step or 1) if isinstance(frames, slice) else 1
         return MeshSequence(self.vertices[frames], self.faces, self.rate / step)
@@ -135,26 +135,26 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
     single = getattr(places, "dtype", None) == np.float32
     places = np.asarray(places) if single else numbers_of("make_markers", "places", places)
     if places.ndim != 3 or places.shape[2] != 3:
-        raise InputError(f"{name} have an array of shape {places.shape}; markers come as (F, M, 3).")
+        raise InputError(f"{name} have an array of shape {places.shape}; expected (F, M, 3).")
     if places.shape[1] == 0:
         raise InputError(f"{name}: there are no markers; give at least one.")
     if len(places) == 0:
         raise InputError(f"{name}: there are no frames; give at least one.")
     if len(labels) != places.shape[1]:
         raise InputError(
-            f"{name}: {places.shape[1]} markers have {len(labels)} labels; give one for each marker."
+            f"{name}: {places.shape[1]} markers have {len(labels)} labels; expected one for each marker."
         )
     twice = [label for label, count in Counter(labels).items() if count > 1]
     if twice or "" in labels:
         what = f"two markers have the label '{twice[0]}'" if twice else "a marker has an empty label"
-        raise InputError(f"{name}: {what}; give each marker a label of its own.")
+        raise InputError(f"{name}: {what}; give each marker a unique label.")
     if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"{name}: {rate} frames per second cannot be a rate; give a number above zero.")
+        raise InputError(f"{name}: `rate` is {rate} frames per second; expected a finite number above 0.")
     infinite = np.argwhere(np.isinf(places))
     if len(infinite):
         raise InputError(
-            f"{name}: marker '{labels[infinite[0, 1]]}' has an infinite coordinate; write NaN where a "
-            "marker is not seen."
+            f"{name}: marker '{labels[infinite[0, 1]]}' has an infinite coordinate; use NaN for an "
+            "occluded marker."
         )
     seen = np.asarray(~np.isnan(places).any(2))
     # relative to the median of each frame, as people walk far
@@ -178,13 +178,13 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     """
     points = numbers_of("make_cloud", "points", points)
     if points.ndim != 2 or points.shape[1:] != (3,):
-        raise InputError(f"{name} has an array of shape {points.shape}; points come as (N, 3).")
+        raise InputError(f"{name} has an array of shape {points.shape}; expected (N, 3).")
     if len(points) == 0:
-        raise InputError(f"{name} is empty: it has no points.")
+        raise InputError(f"{name} is empty; expected at least one point.")
     bad = np.flatnonzero(~np.isfinite(points).all(1))
     if bad.size:
         raise InputError(
-            f"{name} has {bad.size} points that are not finite, the first of them point {bad[0]}; remove them."
+            f"{name} has {bad.size} points that are not finite, first point {bad[0]}; remove them."
         )
     check_metres("make_cloud", "points" if name == "the cloud" else name, points)
     check_place(points, name)
@@ -193,10 +193,12 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     if normals.shape != points.shape or weights.shape != points.shape[:1]:
         raise InputError(
             f"{name} has {len(points)} points, but normals of shape {normals.shape} and weights of "
-            f"shape {weights.shape}; give one of each for every point."
+            f"shape {weights.shape}; expected one normal and one weight for each point."
         )
     if not ((weights >= 0) & np.isfinite(weights)).all():
-        raise InputError(f"{name} has a weight below zero or not finite; weights are at least zero.")
+        raise InputError(
+            f"{name} has a weight below zero or not finite; expected finite weights of at least 0."
+        )
     return ordered_cloud(points, unit_normals(normals), weights)
 
 
@@ -210,13 +212,15 @@ def check_place(points: Float[np.ndarray, "N 3"], name: str) -> None:
     if away > FARTHEST or beyond > WILD:
         far = away if away > FARTHEST else beyond
         raise InputError(
-            f"{name} has points {far:.3g} m from the origin; expected at most {FARTHEST:g} m, beyond which numbers have "
-            "no room for millimetres: take the place of the scene away from all points, and check the unit."
+            f"{name} has points {far:.3g} m from the origin; expected at most {FARTHEST:g} m, as single "
+            "precision does not resolve millimetres beyond; check the unit, or subtract the position of "
+            "the scene from all points."
         )
     extent = float(np.ptp(points, axis=0).max())
     if 0 < extent < SPECK:
         raise InputError(
-            f"{name} is {extent:.3g} m wide; expected metres, at least {SPECK:g}; check the unit, which may be kilometres."
+            f"{name} is {extent:.3g} m wide; expected metres, at least {SPECK:g}; check the unit, which "
+            "may be kilometres."
         )
 
 
@@ -268,10 +272,11 @@ class CloudFrames(Sequence[Cloud]):
     def __init__(self, frames: "Cloud | Sequence[Cloud | Scan]"):
         if isinstance(frames, Cloud) and frames.points.ndim != 3:
             raise InputError(
-                "A single cloud was given; a sequence is a list of clouds, or one stacked (F, N, 3)."
+                "`clouds` is a single cloud; expected a list of clouds, or one cloud stacked over frames "
+                "(F, N, 3)."
             )
         if isinstance(frames, Scan) or not (hasattr(frames, "__getitem__") or isinstance(frames, Cloud)):
-            raise InputError(f"A sequence of clouds was expected, and `clouds` {describe(frames)}.")
+            raise InputError(f"`clouds` {describe(frames)}; expected a sequence of clouds.")
         self._frames = frames
 
     def __len__(self) -> int:
@@ -300,7 +305,8 @@ def as_cloud(frame: "Cloud | Scan", number: int = 0) -> Cloud:
         return make_cloud(frame.points, frame.normals, name=frame.name)
     if not isinstance(frame, Cloud):
         raise InputError(
-            f"Cloud {number} {describe(frame)}; expected a Cloud, such as make_cloud makes of arrays, or a Scan of read_clouds."
+            f"Cloud {number} {describe(frame)}; expected a Cloud, as make_cloud returns, or a Scan, "
+            "as read_clouds returns."
         )
     return frame
 
@@ -310,7 +316,7 @@ def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
     """Stack clouds of one or several sizes into one with a leading axis of frames."""
     frames: list[Cloud] = CloudFrames(clouds)[:]
     if not frames:
-        raise InputError("stack_clouds: `clouds` is empty; expected one cloud at least.")
+        raise InputError("stack_clouds: `clouds` is empty; expected at least one cloud.")
     size = max(cloud.points.shape[0] for cloud in frames)
 
     def padded(leaf):

@@ -62,7 +62,8 @@ def check_within(where: str, low: float | int, high: float | int, unit: str = ""
 def check_deviations(where: str, **given: Any) -> None:
     """Check that standard deviations are above zero; an infinite one leaves its parameter free. Raises
     `InputError`."""
-    check_values(where, lambda x: x > 0, "a standard deviation above 0, infinite for what is free", **given)
+    expected = "a standard deviation above 0, infinite for a free parameter"
+    check_values(where, lambda x: x > 0, expected, **given)
 
 
 def check_direction(where: str, **given: Any) -> None:
@@ -74,7 +75,8 @@ def check_direction(where: str, **given: Any) -> None:
         length = np.linalg.norm(numbers) if numbers.shape == (3,) else 0.0
         if not 0 < length < np.inf:
             raise InputError(
-                f"{where}: `{name}` is {numbers.tolist()}; expected a direction, three finite numbers of which one is not 0."
+                f"{where}: `{name}` is {numbers.tolist()}; expected a direction: three finite numbers, not "
+                "all 0."
             )
 
 
@@ -85,8 +87,8 @@ def check_faces(where: str, faces: Any, count: int) -> None:
         wrong = (corners < 0) | (corners >= count)
         if wrong.any():
             raise InputError(
-                f"{where}: `faces` has vertex {corners[wrong][0]}, and there are {count} vertices; expected 0 to "
-                f"{count - 1}."
+                f"{where}: `faces` has vertex {corners[wrong][0]}, but there are {count} vertices; "
+                f"expected indices from 0 to {count - 1}."
             )
 
 

@@ -63,11 +63,11 @@ def fit_meshes(
     count = body.vertices.shape[0]
     if sequence.vertices.shape[1] != count:
         raise InputError(
-            f"The meshes have {sequence.vertices.shape[1]} vertices and the body {count}; only meshes in the "
-            "order of the body's own vertices can be fitted so."
+            f"The meshes have {sequence.vertices.shape[1]} vertices; expected the {count} vertices of the "
+            "body, in their order; use `track` for meshes with other vertices."
         )
     if len(sequence) == 0:
-        raise InputError("There is no mesh to fit the body to.")
+        raise InputError("There is no mesh to fit; give a sequence of at least one mesh.")
     places = sequence.vertices.astype(body.vertices.dtype)
     poses = procrustes_poses(body, sequence) if start is None else start
     chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)

@@ -54,7 +54,7 @@ class PoseProblem(AbstractDenseProblem[Pose]):
         return move_within(self.boxes, skeleton, y, self._chart(self.boxes, y), d)
 
     def constraint(self):
-        return None if self.boxes is None else "boxes of poses"
+        return None if self.boxes is None else "pose boxes"
 
     def scales(self):
         return pose_scales(self.body.skeleton)

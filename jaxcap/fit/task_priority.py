@@ -71,7 +71,7 @@ def solve_in_order(
     **Raises:** `ValueError` where there is no group.
     """
     if not groups:
-        raise ValueError("There is nothing to solve for; give one energy or more, highest priority first.")
+        raise ValueError("`groups` is empty; expected at least one energy, highest priority first.")
     for group in groups:
         check_numbers(group, body)
     numbers = (jnp.asarray(number, body.vertices.dtype) for number in (damping, rtol, atol))

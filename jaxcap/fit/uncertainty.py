@@ -64,5 +64,5 @@ def describe_unobservable(skeleton: Skeleton, result: Uncertainty) -> list[str]:
         direction = np.asarray(result.directions[:, column])
         largest = np.argsort(-np.abs(direction))[:3]
         parts = [f"{direction[k]:+.2f} {names[k]}" for k in largest if abs(direction[k]) > 0.1]
-        lines.append("The data do not show " + ", ".join(parts) + ".")
+        lines.append("The data do not determine " + ", ".join(parts) + ".")
     return lines

@@ -203,7 +203,7 @@ def test_the_asset_is_found_in_a_wheel_and_in_a_checkout(tmp_path, monkeypatch, 
     (package / "_assets" / "human.npz").touch()
     monkeypatch.setattr(assets, "PACKAGE", package)
     assert asset_path("human.npz") == package / "_assets" / "human.npz"
-    with pytest.raises(FileNotFoundError, match=r"The file 'horse.npz' that comes with jaxcap is neither at"):
+    with pytest.raises(FileNotFoundError, match=r"The data file 'horse.npz' of jaxcap is neither at"):
         asset_path("horse.npz")
 
 

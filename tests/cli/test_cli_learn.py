@@ -121,7 +121,7 @@ def test_fit_refuses_what_does_not_fit(inputs, tmp_path, capsys):
         vertices = file["vertices"]
     np.savez(tmp_path / "other.npz", vertices=vertices[:, :-2], faces=np.array([[0, 1, 2]]))
     out = ["-o", tmp_path / "motion.npz"]
-    assert "72 vertices and the body 74" in fails(
+    assert "72 vertices; expected the 74 vertices of the body" in fails(
         capsys, "fit", inputs / "bar.npz", tmp_path / "other.npz", *out
     )
     assert "no such file" in fails(capsys, "fit", inputs / "bar.npz", tmp_path / "nowhere.npz", *out)

@@ -187,5 +187,5 @@ def test_meshes_that_are_refused(capsys, folder, person, tmp_path):
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), None)
     write_mesh(tmp_path / "small.obj", mesh)
     told = fails(capsys, *body, "--meshes", tmp_path / "small.obj")
-    assert "The meshes have 3 vertices and the body" in told
+    assert "The meshes have 3 vertices; expected the" in told
     assert not out.exists()

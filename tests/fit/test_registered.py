@@ -117,7 +117,7 @@ def test_some_of_the_vertices_do(scene):
 
 def test_meshes_of_another_body_are_refused(scene):
     body, _, meshes = scene
-    with pytest.raises(InputError, match=f"47 vertices and the body {meshes.shape[1]}"):
+    with pytest.raises(InputError, match=f"47 vertices; expected the {meshes.shape[1]} vertices of the body"):
         fit_meshes(body, MeshSequence(meshes[:, 1:], body.faces[:1]))
     with pytest.raises(InputError, match="no mesh"):
         fit_meshes(body, MeshSequence(meshes[:0], body.faces))

@@ -118,7 +118,7 @@ def test_joints_without_data_are_named(rng):
         assert np.linalg.norm(null[slot]) == pytest.approx(1.0, abs=1e-9)
     lines = describe_unobservable(SKELETON, found)
     assert len(lines) == null.shape[1]
-    assert all(line.startswith("The data do not show ") and line.endswith(".") for line in lines)
+    assert all(line.startswith("The data do not determine ") and line.endswith(".") for line in lines)
     named = " ".join(lines)
     assert "elbow.rx" in named
     assert "hand.r" in named

@@ -168,14 +168,14 @@ def test_chains_that_cannot_be_are_refused():
 @pytest.mark.parametrize(
     ("places", "labels", "rate", "sentence"),
     [
-        (np.zeros((2, 3)), ["A"], 1.0, r"shape \(2, 3\); markers come as"),
+        (np.zeros((2, 3)), ["A"], 1.0, r"shape \(2, 3\); expected"),
         (np.zeros((2, 0, 3)), [], 1.0, "no markers"),
         (np.zeros((0, 2, 3)), ["A", "B"], 1.0, "no frames"),
         (np.zeros((2, 2, 3)), ["A"], 1.0, "2 markers have 1 labels"),
         (np.zeros((2, 2, 3)), ["A", "A"], 1.0, "two markers have the label 'A'"),
         (np.zeros((2, 2, 3)), ["A", ""], 1.0, "a marker has an empty label"),
-        (np.zeros((2, 1, 3)), ["A"], 0.0, "0.0 frames per second cannot be a rate"),
-        (np.zeros((2, 1, 3)), ["A"], np.nan, "nan frames per second cannot be a rate"),
+        (np.zeros((2, 1, 3)), ["A"], 0.0, "`rate` is 0.0 frames per second"),
+        (np.zeros((2, 1, 3)), ["A"], np.nan, "`rate` is nan frames per second"),
         (np.full((2, 1, 3), np.inf), ["A"], 1.0, "marker 'A' has an infinite coordinate"),
     ],
 )

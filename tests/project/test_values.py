@@ -96,7 +96,7 @@ REFUSED = [
     (lambda: jc.make_cloud(np.concatenate([POINTS, [[1e200, 0, 0]]])), "1e.200 m from the origin"),
     (lambda: jc.make_cloud(POINTS + [1e6, 0, 0]), "1e.06 m from the origin; expected at most 10000 m"),
     (lambda: jc.make_cloud(0.001 * POINTS), "wide; expected metres, at least 0.005"),
-    (lambda: jc.make_cloud(np.zeros((5, 3), complex)), "make_cloud: `points` has complex numbers .* real numbers"),
+    (lambda: jc.make_cloud(np.zeros((5, 3), complex)), "make_cloud: `points` is a complex array .* real numbers"),
     # sentences of `ValueError` take the function that was called
     (lambda: jc.human(height=175), "human: The height of a human is 175.0 m;"),
     (lambda: jc.human(resolution=2), "human: A body cannot be reduced to 2 vertices"),
@@ -106,7 +106,7 @@ REFUSED = [
     (lambda: jc.edit.make_constraints(BODY, [jc.edit.Constraint(V, (0.0, 0.0, 0.0))]), "make_constraints: There is a constraint on vertex"),
     (lambda: jc.limits.make_joint_ranges(SKELETON, {"knee": [(0, 1)]}), "make_joint_ranges: There is a range for joint 'knee'"),
     (lambda: jc.adapt_body(BODY), "adapt_body: `task` is a Body; expected an AdaptTask"),
-    (lambda: jc.learn.solve_joints(BODY, POSE), "solve_joints: missing a required argument: 'targets'; it takes body, poses,"),
+    (lambda: jc.learn.solve_joints(BODY, POSE), "solve_joints: missing a required argument: 'targets'; expected arguments: body, poses,"),
 ]  # fmt: skip
 
 

@@ -284,13 +284,13 @@ def test_cloud_of_a_body_is_fine():
 @pytest.mark.parametrize(
     ("share", "factor", "likely"),
     [
-        (1.0, 1000, "it looks like millimetres (mm): say"),
-        (1.0, 100, "it looks like centimetres (cm): say"),
-        (0.7, 100, "it looks like centimetres (cm): say"),
-        (1.0, 10, "it looks like decimetres (dm): say"),
+        (1.0, 1000, "it looks like millimetres (mm): give"),
+        (1.0, 100, "it looks like centimetres (cm): give"),
+        (0.7, 100, "it looks like centimetres (cm): give"),
+        (1.0, 10, "it looks like decimetres (dm): give"),
         # of a person who is not seen whole
-        (0.4, 100, "it looks like centimetres (cm) or inches (in): say"),
-        (0.6, 39.37, "it looks like inches (in): say"),
+        (0.4, 100, "it looks like centimetres (cm) or inches (in): give"),
+        (0.6, 39.37, "it looks like inches (in): give"),
         (1.0, 1e6, "check the units of both."),
     ],
 )

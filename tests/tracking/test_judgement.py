@@ -194,7 +194,7 @@ def test_legs_through_each_other_are_told_where_every_point_is_explained(rng):
         evidence = gather_evidence(SURFACE, pose, scan(pose, rng), NOBODY)
         judgement = judge_evidence(SURFACE, NOTHING, evidence)
         assert judgement.verdict in verdicts, judgement.shares
-    assert {"left leg within another part of the body", "right leg within another part of the body"} == set(
+    assert {"left leg inside another part of the body", "right leg inside another part of the body"} == set(
         judgement.reasons
     )
 
@@ -238,7 +238,7 @@ def test_a_body_that_always_ran_through_itself_is_not_usual(rng):
         usual = renew(usual, evidence)
     assert float(np.max(evidence.inside)) > 0.02
     assert judgement.verdict != "good"
-    assert any("leg within another part" in reason for reason in judgement.reasons)
+    assert any("leg inside another part" in reason for reason in judgement.reasons)
 
 
 def test_parts_without_points_are_told(rng):

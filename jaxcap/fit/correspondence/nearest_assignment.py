@@ -61,10 +61,13 @@ def make_mesh_scan(
     """
     if not len(vertices) or not np.isfinite(vertices).all() or normals.shape != vertices.shape:
         raise ValueError(
-            f"The mesh has {len(vertices)} vertices and {len(normals)} normals; give some, finite, and one normal for each."
+            f"The mesh has {len(vertices)} vertices and {len(normals)} normals; expected at least one "
+            "vertex, finite positions, and one normal for each vertex."
         )
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise ValueError(f"A triangle is of vertex {faces.max()}, and the mesh has {len(vertices)} vertices.")
+        raise ValueError(
+            f"`faces` has vertices {faces.min()} to {faces.max()}, but the mesh has {len(vertices)} vertices."
+        )
     return Scan(vertices, unit_normals(normals), KDTree(vertices), padded_size(len(vertices)), faces)
 
 

@@ -51,17 +51,17 @@ def make_parts(
     """
     bones = np.asarray(bones)
     if bones.size == 0:
-        raise ValueError("Parts need at least one vertex; the array of bones is empty.")
+        raise ValueError("`bones` is empty; expected at least one vertex.")
     outside = np.flatnonzero((bones < 0) | (bones >= num_parts))
     if outside.size:
         raise ValueError(
             f"Vertex {outside[0]} belongs to bone {bones[outside[0]]}, but there are only bones 0 to "
-            f"{num_parts - 1}; give num_parts the number of bones."
+            f"{num_parts - 1}; set `num_parts` to the number of bones."
         )
     if vertices is not None and np.shape(vertices) != (len(bones), 3):
         raise ValueError(
-            f"Parts of {len(bones)} vertices were given positions of shape {np.shape(vertices)}; "
-            f"give ({len(bones)}, 3)."
+            f"`vertices` has shape {np.shape(vertices)}; expected ({len(bones)}, 3), a position for each "
+            "of `bones`."
         )
     blocks, counts = [], []
     for part in range(num_parts):

@@ -50,9 +50,9 @@ class SoftAssignment(AbstractAssignment):
 
     def __check_init__(self):
         if not (np.isfinite(self.sigma) and self.sigma > 0):
-            raise ValueError(f"sigma is {self.sigma}; a standard deviation is finite and above 0.")
+            raise ValueError(f"`sigma` is {self.sigma}; expected a finite standard deviation above 0.")
         if not 0 <= self.outlier < 1:
-            raise ValueError(f"The share of outliers is {self.outlier}; it is at least 0 and less than 1.")
+            raise ValueError(f"`outlier` is {self.outlier}; expected a share of at least 0 and below 1.")
 
     def from_scan(self, surface, scan, reach, cosine):
         chosen = np.flatnonzero(surface.seen)

@@ -15,8 +15,8 @@ LIMITS = ((0.005, 0.012), (0.016, 0.03), (0.02, 0.03))
 #: the rows in words, for a limb
 WORDS = (
     "unexplained points near the {}",
-    "{} where a camera sees nothing",
-    "{} within another part of the body",
+    "missing points on the {}",
+    "{} inside another part of the body",
 )
 #: increase of the limits per unit of the normal level: a higher level varies more
 RELATIVE = 0.25

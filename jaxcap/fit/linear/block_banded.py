@@ -103,7 +103,7 @@ class BandedFactor(AbstractFactor):
 
     def solve(self, side: Float[Array, "F D"], equalities: Equalities | None = None) -> Float[Array, "F D"]:
         if equalities is not None:
-            raise NotImplementedError("Frames that share nothing keep no equations.")
+            raise NotImplementedError("Equalities are not supported without shared unknowns.")
         return self.backward(self.forward(side[:, :, None]))[:, :, 0]
 
     def forward(self, sides: Float[Array, "F D K"]) -> Float[Array, "F D K"]:

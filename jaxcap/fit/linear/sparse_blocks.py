@@ -72,7 +72,7 @@ class SparseFactor(AbstractFactor):
 
     def solve(self, side: Float[Array, "V 3"], equalities: Equalities | None = None) -> Float[Array, "V 3"]:
         if equalities is not None:
-            raise NotImplementedError("Vertices by themselves keep no equations.")
+            raise NotImplementedError("Equalities are not supported without shared unknowns.")
         tolerance = self.matrix.tolerance
         return conjugate_gradients(
             self.matrix.mv, side, self.precondition, tolerance=tolerance, max_steps=STEPS

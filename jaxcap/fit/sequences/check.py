@@ -41,7 +41,7 @@ def _check_unknowns(problem: SequenceProblem) -> None:
     if not isinstance(given, dict) or not all(isinstance(each, AbstractUnknown) for each in given.values()):
         raise InputError(
             f"SequenceProblem: `unknowns` is {type(given).__name__} of {', '.join(type(each).__name__ for each in given) or 'nothing'}; "
-            "expected unknowns by their names, such as {'size': Size()}."
+            "expected a dict of unknowns by name, such as {'size': Size()}."
         )
     counts: dict[str, int] = {"joints": body.skeleton.num_joints, "vertices": len(body.vertices)}
     for name, unknown in given.items():
@@ -51,11 +51,12 @@ def _check_unknowns(problem: SequenceProblem) -> None:
             check_indices(owner, field, numbers, what, counts[what])
             twice = sorted({number for number in numbers if numbers.count(number) > 1})
             if twice:
-                raise InputError(f"{owner}: `{field}` has {twice[0]} twice; expected each once.")
+                raise InputError(f"{owner}: `{field}` has {twice[0]} twice; expected unique indices.")
     for prior in problem.shared:
         if isinstance(prior, NormalPrior) and prior.name not in given:
             raise InputError(
-                f"NormalPrior: there is no unknown '{prior.name}'; expected one of {', '.join(sorted(given)) or 'none'}."
+                f"NormalPrior: there is no unknown '{prior.name}'; expected one of "
+                f"{', '.join(sorted(given)) or 'none'}."
             )
 
 
@@ -65,24 +66,26 @@ def _check_frames(problem: SequenceProblem, poses: Pose) -> None:
         given["held"] = len(problem.held)
     counts = num_frames_of(problem.frames)
     if len({*given.values(), *counts}) > 1:
-        words = ", ".join(f"`{name}` are of {count}" for name, count in given.items())
-        stacked = " and ".join(map(str, sorted(counts))) or "no"
+        words = ", ".join(f"{count} in `{name}`" for name, count in given.items())
+        stacked = " and ".join(map(str, sorted(counts))) or "none"
         raise InputError(
-            f"SequenceProblem: {words} frames, and stacked energies of {stacked}; expected one number."
+            f"SequenceProblem: the numbers of frames are {words}, and {stacked} in stacked energies; "
+            "expected equal numbers."
         )
     widest = max([1, *(term.frames for term in problem.between)])
     if widest > problem.num_frames:
         raise InputError(
-            f"SequenceProblem: {problem.num_frames} frames were given, and an energy between frames sees {widest}; "
-            "give more frames, or leave that energy out."
+            f"SequenceProblem: {problem.num_frames} frames were given, but an energy between frames needs "
+            f"{widest}; give more frames, or leave out that energy."
         )
     if problem.between and not isinstance(problem.times, Tracer):
         wrong = np.flatnonzero(~(np.diff(np.asarray(problem.times)) > 0))
         if len(wrong):
             frame = int(wrong[0])
             raise InputError(
-                f"SequenceProblem: `times` go from {float(problem.times[frame]):g} to {float(problem.times[frame + 1]):g} at frame "
-                f"{frame + 1}; expected times that rise from frame to frame."
+                f"SequenceProblem: `times` changes from {float(problem.times[frame]):g} to "
+                f"{float(problem.times[frame + 1]):g} at frame {frame + 1}; expected strictly increasing "
+                "times."
             )
 
 
@@ -92,15 +95,16 @@ def _check_constraints(problem: SequenceProblem) -> None:
     check_indices("SequenceProblem", "mirrored", problem.mirrored, "joints", problem.body.skeleton.num_joints)
     if not problem.unknowns:
         raise InputError(
-            "SequenceProblem: `mirrored` keeps bones equally long, and there are no `unknowns` that change them; give some, or leave "
-            "`mirrored` out."
+            "SequenceProblem: `mirrored` needs unknown lengths of bones, but there are no `unknowns`; give "
+            "some, or leave out `mirrored`."
         )
     bounded = [
         name for name, each in problem.unknowns.items() if each.bounds(each.start(problem.body)) is not None
     ]
     if bounded:
         raise InputError(
-            f"SequenceProblem: `mirrored` and bounds of the unknown '{bounded[0]}' cannot both be kept; leave one of them out."
+            f"SequenceProblem: `mirrored` and bounds of the unknown '{bounded[0]}' cannot be combined; "
+            "leave out one of them."
         )
 
 
@@ -114,7 +118,8 @@ def _check_seen(problem: SequenceProblem, start: SequenceEstimate) -> None:
     for name, parts in jax.tree.unflatten(jax.tree.structure(shapes.values), used).items():
         if not any(jax.tree.leaves(parts)):
             raise InputError(
-                f"SequenceProblem: no energy depends on the unknown '{name}'; give one that does, or leave it out of `unknowns`."
+                f"SequenceProblem: no energy depends on the unknown '{name}'; add one that does, or leave "
+                "the unknown out of `unknowns`."
             )
 
 
@@ -127,6 +132,7 @@ def _check_bounds(problem: SequenceProblem, start: SequenceEstimate) -> None:
         if len(crossed):
             low, high = (float(end[crossed[0]]) for end in ends)
             raise InputError(
-                f"SequenceProblem: bounds of the unknown '{name}' cross: number {crossed[0]} is at least {low:g} and at most "
-                f"{high:g} from its start; give the smaller one first."
+                f"SequenceProblem: the bounds of the unknown '{name}' are crossed: relative to its start, "
+                f"component {crossed[0]} is at least {low:g} and at most {high:g}; give the smaller bound "
+                "first."
             )

@@ -257,7 +257,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             if self.unknowns[name].bounds(self.unknowns[name].start(self.body))
         ]
         names = [f"bounds of the unknown '{name}'" for name in bounded]
-        names += ["boxes of poses"] * (self.boxes is not None) + ["bones of equal length"] * bool(
+        names += ["pose boxes"] * (self.boxes is not None) + ["bones of equal length"] * bool(
             self.mirrored
         )
         return " and ".join(names) or None

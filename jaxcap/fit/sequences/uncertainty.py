@@ -67,7 +67,8 @@ def sequence_uncertainty(
     """
     if not isinstance(solution.energy, Tracer) and not np.isfinite(solution.energy):
         raise InputError(
-            "sequence_uncertainty: the solution's energy is not finite; look for NaN in the data and at `SequenceSolution.result`."
+            "sequence_uncertainty: the solution's energy is not finite; check the data for NaN, and "
+            "`SequenceSolution.result`."
         )
     estimate = SequenceEstimate(solution.poses, solution.values)
     rows = jax.eval_shape(problem.residual, estimate).shape[0]
@@ -166,18 +167,18 @@ def describe_sequence(problem: SequenceProblem, result: SequenceUncertainty) -> 
     """
     lines = []
     if not result.trustworthy:
-        lines.append("The solver had not converged; deviations hold where it has.")
+        lines.append("The solver did not converge; deviations are valid only at a minimum.")
     for column in np.flatnonzero(np.asarray(result.unobservable)):
         direction = np.asarray(result.directions[:, column])
         largest = np.argsort(-np.abs(direction))[:3]
         parts = [f"{direction[k]:+.2f} {result.names[k]}" for k in largest if abs(direction[k]) > 0.1]
-        lines.append("The data do not show " + ", ".join(parts) + ".")
+        lines.append("The data do not determine " + ", ".join(parts) + ".")
     still = np.asarray(result.still)
     for number, name in enumerate(dof_layout(problem.body.skeleton).names):
         frames = np.flatnonzero(still[:, number])
         if len(frames) == len(still):
-            lines.append(f"The data do not show {name} in any frame.")
+            lines.append(f"The data do not determine {name} in any frame.")
         elif len(frames):
             some = ", ".join(map(str, frames[:10])) + (" and others" if len(frames) > 10 else "")
-            lines.append(f"The data do not show {name} in frames {some}.")
+            lines.append(f"The data do not determine {name} in frames {some}.")
     return lines

@@ -230,8 +230,8 @@ class SkinningWeights(AbstractUnknown[Float[Array, "C K"]]):
         weights = getattr(body.skin, "weights", None)
         if weights is None:
             raise InputError(
-                f"SkinningWeights: a {type(body.skin).__name__} has no one weight for each vertex and bone; give a body with a LinearSkin or a "
-                "DualQuaternionSkin."
+                f"SkinningWeights: a {type(body.skin).__name__} has no matrix of weights by vertex and "
+                "bone; give a body with a LinearSkin or a DualQuaternionSkin."
             )
         return weights
 

@@ -160,8 +160,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         scales = problem.scales()
         if not eqx.is_array(scales):
             raise InputError(
-                f"LevenbergMarquardt: `linear_solver` takes problems whose unknowns are one flat array, and those of {type(problem).__name__} "
-                "are not; leave it out."
+                "LevenbergMarquardt: `linear_solver` needs unknowns that are one flat array, but those of "
+                f"{type(problem).__name__} are not; leave out `linear_solver`."
             )
         residual, jacobian = problem.linearise(y)
         rows = lx.MatrixLinearOperator(jacobian * scales)

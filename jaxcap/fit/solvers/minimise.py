@@ -101,7 +101,8 @@ def _minimise(problem, start, solver: AbstractManifoldSolver, max_steps: int, da
 def _check_solver(problem: AbstractProblem, solver: Any) -> None:
     if not isinstance(solver, AnySolver):
         raise InputError(
-            f"{type(solver).__name__} is no solver of least squares; give LevenbergMarquardt(), or a least-squares solver or minimiser of optimistix."
+            f"{type(solver).__name__} is not a least-squares solver; give LevenbergMarquardt(), or a "
+            "least-squares solver or minimiser of optimistix."
         )
     manifold = isinstance(solver, AbstractManifoldSolver)
     if manifold and not solver.needs_rows:
@@ -109,13 +110,14 @@ def _check_solver(problem: AbstractProblem, solver: Any) -> None:
     name, constraint = type(solver).__name__, problem.constraint()
     if constraint is not None:
         raise InputError(
-            f"{name} keeps no constraints, and the problem has {constraint}; give LevenbergMarquardt()."
+            f"{name} does not support constraints, but the problem has {constraint}; use "
+            "LevenbergMarquardt()."
         )
     if not isinstance(solver, optx.AbstractMinimiser) and not hasattr(
         problem, "linearise" if manifold else "residual"
     ):
         raise InputError(
-            f"{name} needs all rows of the Jacobian, which {type(problem).__name__} never writes out; give "
+            f"{name} needs the whole Jacobian, which {type(problem).__name__} does not compute; use "
             "LevenbergMarquardt() or a minimiser such as optimistix.BFGS."
         )
 

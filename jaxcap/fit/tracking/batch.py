@@ -56,8 +56,9 @@ def fit_batch(
     clouds = clouds if isinstance(clouds, Cloud) else stack_clouds(clouds)
     if starts.rotations.ndim != 3 or starts.rotations.shape[0] != clouds.points.shape[0]:
         raise InputError(
-            f"{clouds.points.shape[0]} clouds or sequences were given, and poses of shape "
-            f"{starts.rotations.shape}; give one start for each, stacked (B, J, 4), such as stack_poses(...).poses."
+            f"{clouds.points.shape[0]} clouds or sequences were given, but starts of shape "
+            f"{starts.rotations.shape}; expected one start for each, stacked (B, J, 4), such as "
+            "stack_poses(...).poses."
         )
     return _fit_batch(tracker, starts, clouds, jnp.asarray(sigma), batch_size)
 

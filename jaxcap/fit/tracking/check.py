@@ -53,7 +53,7 @@ def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> Non
         nearest = min(shares, key=lambda unit: abs(np.log(shares[unit])))
         likely = [nearest] if abs(np.log(shares[nearest])) < np.log(4.0) else []
     if extent > height and likely:
-        hint = f"it looks like {' or '.join(likely)}: say so with the unit"
+        hint = f"it looks like {' or '.join(likely)}: give that unit"
     else:
         hint = "check the units of both"
-    raise InputError(f"{name} is {extent:.4g} m long, and the body {height:.4g} m; {hint}.")
+    raise InputError(f"{name} is {extent:.4g} m long, but the body {height:.4g} m; {hint}.")

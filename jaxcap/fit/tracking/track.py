@@ -181,7 +181,7 @@ def track(
     """
     if tracker is not None and terms != ():
         raise InputError(
-            "track: terms were given beside a tracker; give them to make_tracker(body, terms=...)."
+            "track: `terms` and `tracker` were both given; give the terms to make_tracker(body, terms=...)."
         )
     check_rate("track", rate)
     tracker = make_tracker(body, terms=terms) if tracker is None else tracker
@@ -214,8 +214,8 @@ def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str
         )
     if len(verdicts) > 1 and verdicts[0][0] == "doubtful":
         sentences.append(
-            "later frames are compared with the first one, which is doubtful: a fault that they share with it is not told; look "
-            "at that frame, or give a better first pose"
+            "the first frame is doubtful, and later frames are compared with it: faults that they share "
+            "with it are not reported; check that frame, or give a better first pose"
         )
     return sentences
 
@@ -231,8 +231,8 @@ def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
     named = ", ".join(f"{part} (in {count})" for part, count in counts.most_common(REASONS))
     more = f" and {len(counts) - REASONS} other parts" if len(counts) > REASONS else ""
     return [
-        f"{sum(map(bool, unseen))} of {len(unseen)} frames do not show all of the body: no points are of {named}{more}, whose "
-        "pose there is a guess"
+        f"{sum(map(bool, unseen))} of {len(unseen)} frames do not show the whole body: no points belong to "
+        f"{named}{more}, and their poses in these frames are guesses"
     ]
 
 
