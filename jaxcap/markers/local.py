@@ -95,7 +95,9 @@ def fit_local(
         segments = correct(segments, labels, corrections)
     loose = [labels[m] for m in np.flatnonzero(segments.loose) if labels[m] not in lost]
     if loose:
-        told.append(f"{_listed(loose)} in no segment: no segment has a constant distance from {_them(loose)}.")
+        told.append(
+            f"{_listed(loose)} in no segment: no segment has a constant distance from {_them(loose)}."
+        )
     pairs = None if template is None else template_pairs(template[0], segments, template[1])
     tree = find_tree(places, seen, segments, method, pairs)
     if not tree.markers.frames.known.any():
@@ -107,8 +109,8 @@ def fit_local(
     told += _pieces(tree, root, segments, labels)
     if segments.num_segments == 1:
         told.append(
-            "All distances between markers are constant, so the markers form one segment without a joint. For "
-            "joints, give a take in which every joint rotates."
+            "All distances between markers are constant, so the markers form one segment without a joint. "
+            "For joints, give a take in which every joint rotates."
         )
     made = assemble(tree, root, len(labels), _lengths(tree, lengths, symmetry, segments))
     told += _precisions(tree, made, segments)
@@ -135,7 +137,9 @@ def _lengths(tree: Tree, method: LengthMethod, symmetry, segments: Segments) -> 
     for left, right in symmetry or ():
         for name in (left, right):
             if name not in segments.names:
-                raise ValueError(f"There is no segment '{name}'; expected one of {', '.join(segments.names)}.")
+                raise ValueError(
+                    f"There is no segment '{name}'; expected one of {', '.join(segments.names)}."
+                )
         ends = [
             [n for n, bone in enumerate(between) if bone[0] == segments.names.index(name)]
             for name in (left, right)
@@ -173,8 +177,8 @@ def _pieces(tree: Tree, root: int, segments: Segments, labels) -> list[str]:
             inside += [c for c, parent in enumerate(tree.parents) if parent == k]
         markers = [labels[m] for k in inside for m in segments.members[k]]
         told.append(
-            f"{_listed(markers)} not connected to the other markers: they do not move together with them, as if "
-            "they were on another subject. They are left out; fit them separately."
+            f"{_listed(markers)} not connected to the other markers: they do not move together with them, "
+            "as if they were on another subject. They are left out; fit them separately."
         )
     return told
 
@@ -188,13 +192,13 @@ def _precisions(tree: Tree, made: Assembled, segments: Segments) -> list[str]:
         across = joint.precision[-2 if joint.axis_in_parent is not None else -1]
         if joint.swept < HARDLY or across > VAGUE:
             told.append(
-                f"The joint between '{segments.names[joint.parent]}' and '{segments.names[segment]}' rotates by "
-                f"{np.degrees(joint.swept):.0f} degrees, and its centre has a standard deviation of "
-                f"{1e3 * across:.0f} mm in the worst direction"
-                f"{' perpendicular to its axis' if joint.axis_in_parent is not None else ''}; "
+                f"The joint between '{segments.names[joint.parent]}' and '{segments.names[segment]}' "
+                f"rotates by {np.degrees(joint.swept):.0f} degrees, and its centre has a standard deviation "
+                f"of {1e3 * across:.0f} mm in the worst "
+                f"direction{' perpendicular to its axis' if joint.axis_in_parent is not None else ''}; "
                 + (
-                    "the data do not show that the segments are connected. If they belong to two bodies, fit each "
-                    "body separately."
+                    "the data do not show that the segments are connected. If they belong to two bodies, "
+                    "fit each body separately."
                     if across > APART
                     else "in undetermined directions it is midway between the nearest markers."
                 )

@@ -89,7 +89,9 @@ def make_subject(
                 f"Marker '{label}' is on bone {bones[marker]}; expected 0 to {skeleton.num_joints - 1}."
             )
         if models[marker] not in MODELS:
-            raise ValueError(f"Marker '{label}' has the model '{models[marker]}'; expected one of {', '.join(MODELS)}.")
+            raise ValueError(
+                f"Marker '{label}' has the model '{models[marker]}'; expected one of {', '.join(MODELS)}."
+            )
         if not np.isfinite(offsets[marker]).all():
             raise ValueError(f"The offset of marker '{label}' is not finite; give its rest position.")
         if not 0 <= weights[marker] <= 1 or not 0 < deviations[marker] < np.inf:

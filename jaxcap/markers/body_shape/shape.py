@@ -71,7 +71,9 @@ def fit_shape(
     known and visible, an unknown trait or joint, a trait out of its range, no person of such size.
     """
     if frames is None and not lengths:
-        raise ValueError("fit_shape has neither frames nor bone lengths; give frames of markers, bone lengths, or both.")
+        raise ValueError(
+            "fit_shape has neither frames nor bone lengths; give frames of markers, bone lengths, or both."
+        )
     start, free = _known(given or {})
     body = body_of(start, resolution, joints)
     pose, energy, held, places = rest_pose(body.skeleton), None, None, np.zeros((0, 3))
@@ -86,7 +88,8 @@ def fit_shape(
         seen = np.asarray(np.isfinite(places).all(axis=1))
         if seen.sum() < 6:
             raise ValueError(
-                f"Only {int(seen.sum())} markers are both attached to the body and visible; expected at least 6."
+                f"Only {int(seen.sum())} markers are both attached to the body and visible; expected at "
+                "least 6."
             )
         dtype = body.vertices.dtype
         deviations = jnp.asarray(rest_deviations(body.skeleton), dtype)
@@ -183,7 +186,10 @@ def _told(traits: Traits, spread: np.ndarray, free, residuals: np.ndarray, label
                 "it is close to the mean of the prior."
             )
         if value in (LOWEST[number], HIGHEST[number]):
-            said.append(f"The {name} is at the limit of its range, {value:g}; the person may be beyond the range of the model.")
+            said.append(
+                f"The {name} is at the limit of its range, {value:g}; the person may be beyond the range of "
+                "the model."
+            )
     missing = [label for label, r in zip(labels, residuals, strict=True) if not np.isfinite(r)]
     if missing:
         said.append(f"{len(missing)} markers on the body are never visible: {', '.join(missing[:10])}.")

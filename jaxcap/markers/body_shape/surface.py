@@ -67,9 +67,9 @@ def attach_markers(
     if far.any():
         worst = int(np.argmax(np.abs(hold.heights)))
         raise ValueError(
-            f"Marker '{names[worst]}' is {abs(hold.heights[worst]):.2f} m from the surface, and {int(far.sum())} of "
-            f"{len(places)} markers are more than {REACH} m from it; pose the body as in the recording of the "
-            "markers, and check the unit."
+            f"Marker '{names[worst]}' is {abs(hold.heights[worst]):.2f} m from the surface, and "
+            f"{int(far.sum())} of {len(places)} markers are more than {REACH} m from it; pose the body as "
+            "in the recording of the markers, and check the unit."
         )
     dtype = body.vertices.dtype
     return SurfaceMarkers(
@@ -91,7 +91,8 @@ def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = HEIG
         holding = np.argwhere(faces == vertex)
         if not len(holding):
             raise ValueError(
-                f"Marker '{label}' is on vertex {vertex}, which is in no triangle; the body has {count} vertices."
+                f"Marker '{label}' is on vertex {vertex}, which is in no triangle; the body has {count} "
+                "vertices."
             )
         triangle, corner = holding[0]
         corners.append(faces[triangle])
@@ -126,7 +127,9 @@ def surface_landmarks(
 def _labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
     names = tuple(f"marker{number}" for number in range(count)) if labels is None else tuple(labels)
     if len(names) != count:
-        raise ValueError(f"There are {len(names)} labels for {count} markers; give one label for each marker.")
+        raise ValueError(
+            f"There are {len(names)} labels for {count} markers; give one label for each marker."
+        )
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"The marker label '{name}' occurs twice; give every marker its own label.")

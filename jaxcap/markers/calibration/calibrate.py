@@ -100,7 +100,8 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
     used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
     if used.any(0).sum() < 3:
         raise ValueError(
-            f"Only {int(used.any(0).sum())} markers are ever visible; a body needs at least three, and several on each bone."
+            f"Only {int(used.any(0).sum())} markers are ever visible; a body needs at least three, and "
+            "several on each bone."
         )
     template, pairs = subject, _pairs(subject, symmetry)
     usable, explained = used.sum(1) >= 3, used

@@ -163,18 +163,19 @@ def describe_precision(
         where = _in_words(subject, poses, joint, direction)
         if told:
             said.append(
-                f"{where}, the centre of {skeleton.names[joint]} has a standard deviation of {1000 * deviation:.0f} mm."
+                f"{where}, the centre of {skeleton.names[joint]} has a standard deviation of "
+                f"{1000 * deviation:.0f} mm."
             )
         else:
             said.append(
-                f"{where}, the data do not determine the centre of {skeleton.names[joint]}: it is that of the "
-                f"template, with a standard deviation of {1000 * deviation:.0f} mm."
+                f"{where}, the data do not determine the centre of {skeleton.names[joint]}: it is that of "
+                f"the template, with a standard deviation of {1000 * deviation:.0f} mm."
             )
     size = _size_deviation(subject, joints, known.covariance)
     if size > 0.01:
         said.append(
-            f"The overall size of the skeleton has a standard deviation of {100 * size:.1f} %: longer bones, with "
-            "markers at other positions on them, would fit equally well."
+            f"The overall size of the skeleton has a standard deviation of {100 * size:.1f} %: longer "
+            "bones, with markers at other positions on them, would fit equally well."
         )
     return said
 

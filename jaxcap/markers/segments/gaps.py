@@ -84,8 +84,8 @@ def describe_gaps(frames: MarkerFrames) -> tuple[str, ...]:
     for chain in find_pieces(frames):
         names = [frames.labels[i] for i in chain]
         told.append(
-            f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join them by "
-            "join_pieces, or by --pieces join of fit and solve."
+            f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join "
+            "them by join_pieces, or by --pieces join of fit and solve."
         )
     return tuple(told)
 
@@ -135,7 +135,9 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
         index = list(chain)
         if (seen[:, index].sum(1) > 1).any():
             names = ", ".join(frames.labels[i] for i in chain)
-            raise ValueError(f"{names} are visible in the same frame, so they are not pieces of one trajectory.")
+            raise ValueError(
+                f"{names} are visible in the same frame, so they are not pieces of one trajectory."
+            )
         head = min(chain)
         places[:, head] = places[:, index].sum(1)
         seen[:, head] = seen[:, index].any(1)

@@ -71,8 +71,8 @@ def find_partition(
         if unit > ADRIFT * size:
             raise ValueError(
                 "No markers move together: for most markers the distances to all others vary by more than "
-                f"{1e3 * unit:.0f} mm. Check that the markers are on one body and that the unit is right; if so, "
-                "give a threshold."
+                f"{1e3 * unit:.0f} mm. Check that the markers are on one body and that the unit is right; "
+                "if so, give a threshold."
             )
         options = np.geomspace(0.5 * unit, 3.0 * unit, TRIED).tolist()
     best: tuple[float, float, list[tuple[int, ...]], list[tuple[int, ...]]] | None = None
@@ -87,8 +87,9 @@ def find_partition(
     members = sorted((part for part in parts if len(part) > 1), key=lambda part: part[0])
     if not members:
         raise ValueError(
-            f"No markers move together: all distances between two markers vary by more than {1e3 * chosen:.0f} mm. "
-            "Check that the markers are on one body and that the unit is right; if so, give a larger threshold."
+            "No markers move together: all distances between two markers vary by more than "
+            f"{1e3 * chosen:.0f} mm. Check that the markers are on one body and that the unit is right; if "
+            "so, give a larger threshold."
         )
     weights = attachment_weights(members, known, unit)
     return Partition(make_segments(members, len(known), weights), chosen, deviations, tuple(cover))
