@@ -76,16 +76,16 @@ def fit_local(
     places, seen = np.asarray(frames.places, float), np.asarray(frames.seen)
     labels, told = frames.labels, []
     if not seen.any():
-        raise ValueError("No marker is seen in any frame, so there is nothing to fit.")
+        raise ValueError("No marker is visible in any frame, so there is nothing to fit.")
     if is_still(frames):
         raise ValueError(
-            f"All {len(frames)} frames are equal: nothing moves, so neither segments nor joints can be told. "
-            "Give a take in which every joint turns."
+            f"All {len(frames)} frames are equal: nothing moves, so neither segments nor joints can be "
+            "determined. Give a take in which every joint rotates."
         )
     ever = np.asarray(seen.any(0)).tolist()
     lost = [label for label, some in zip(labels, ever, strict=True) if not some]
     if lost:
-        told.append(f"{_listed(lost)} never seen and left out.")
+        told.append(f"{_listed(lost)} never visible and left out.")
     mended = mend_swaps(places, seen, labels)
     told += mended.told
     places, seen = mended.places, mended.seen
@@ -95,20 +95,22 @@ def fit_local(
         segments = correct(segments, labels, corrections)
     loose = [labels[m] for m in np.flatnonzero(segments.loose) if labels[m] not in lost]
     if loose:
-        told.append(f"{_listed(loose)} loose: no segment keeps its distance from {_them(loose)}.")
+        told.append(
+            f"{_listed(loose)} in no segment: no segment has a constant distance from {_them(loose)}."
+        )
     pairs = None if template is None else template_pairs(template[0], segments, template[1])
     tree = find_tree(places, seen, segments, method, pairs)
     if not tree.markers.frames.known.any():
         raise ValueError(
-            "No segment has three markers, not on a line, that are seen together, so none has a frame; "
+            "No segment has three markers that are visible together and not on a line, so none has a frame; "
             "give a larger threshold or a take with fewer gaps."
         )
     root = max(tree.roots, key=lambda k: _size(tree, k, segments))
     told += _pieces(tree, root, segments, labels)
     if segments.num_segments == 1:
         told.append(
-            "All markers keep their distances, so they are one segment without a joint. For joints, give a take in "
-            "which every joint turns."
+            "All distances between markers are constant, so the markers form one segment without a joint. "
+            "For joints, give a take in which every joint rotates."
         )
     made = assemble(tree, root, len(labels), _lengths(tree, lengths, symmetry, segments))
     told += _precisions(tree, made, segments)
@@ -135,7 +137,9 @@ def _lengths(tree: Tree, method: LengthMethod, symmetry, segments: Segments) -> 
     for left, right in symmetry or ():
         for name in (left, right):
             if name not in segments.names:
-                raise ValueError(f"There is no segment '{name}'; there are {', '.join(segments.names)}.")
+                raise ValueError(
+                    f"There is no segment '{name}'; expected one of {', '.join(segments.names)}."
+                )
         ends = [
             [n for n, bone in enumerate(between) if bone[0] == segments.names.index(name)]
             for name in (left, right)
@@ -173,8 +177,8 @@ def _pieces(tree: Tree, root: int, segments: Segments, labels) -> list[str]:
             inside += [c for c, parent in enumerate(tree.parents) if parent == k]
         markers = [labels[m] for k in inside for m in segments.members[k]]
         told.append(
-            f"{_listed(markers)} joined to nothing else: these markers never keep together with the others, as if "
-            "they were of another subject; they are left out, fit them by themselves."
+            f"{_listed(markers)} not connected to the other markers: they do not move together with them, "
+            "as if they were on another subject. They are left out; fit them separately."
         )
     return told
 
@@ -188,13 +192,15 @@ def _precisions(tree: Tree, made: Assembled, segments: Segments) -> list[str]:
         across = joint.precision[-2 if joint.axis_in_parent is not None else -1]
         if joint.swept < HARDLY or across > VAGUE:
             told.append(
-                f"The joint of '{segments.names[joint.parent]}' and '{segments.names[segment]}' turns by "
-                f"{np.degrees(joint.swept):.0f} degrees, and its centre is known to {1e3 * across:.0f} mm in the worst "
-                f"direction{' across its axis' if joint.axis_in_parent is not None else ''}; "
+                f"The joint between '{segments.names[joint.parent]}' and '{segments.names[segment]}' "
+                f"rotates by {np.degrees(joint.swept):.0f} degrees, and its centre has a standard deviation "
+                f"of {1e3 * across:.0f} mm in the worst "
+                f"direction{' perpendicular to its axis' if joint.axis_in_parent is not None else ''}; "
                 + (
-                    "nothing tells that they are joined. If they are of two bodies, fit each by itself."
+                    "the data do not show that the segments are connected. If they belong to two bodies, "
+                    "fit each body separately."
                     if across > APART
-                    else "what is not known is as between the nearest markers."
+                    else "in undetermined directions it is midway between the nearest markers."
                 )
             )
     return told
@@ -208,7 +214,7 @@ def _left_out(tree: Tree, made: Assembled, segments: Segments, labels) -> list[s
         if k in made.order or k not in joined or k in roots or _top(tree, k) != made.order[0]:
             continue
         markers = [labels[m] for m in segments.members[k]]
-        told.append(f"'{name}' ({_listed(markers)} in it) has no frame of its own and no bone.")
+        told.append(f"The segment '{name}' ({_listed(markers)} in it) has no frame and no bone.")
     return told
 
 

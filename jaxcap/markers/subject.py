@@ -77,24 +77,27 @@ def make_subject(
     shapes = bones.shape[:1], offsets.shape[:1], weights.shape, deviations.shape, (len(models),)
     if offsets.shape != (count, 3) or any(shape != (count,) for shape in shapes):
         raise ValueError(
-            f"There are {count} labels, with bones of shape {bones.shape}, offsets {offsets.shape}, weights "
-            f"{weights.shape}, deviations {deviations.shape} and {len(models)} models; give one of each a marker."
+            f"There are {count} labels, bones of shape {bones.shape}, offsets {offsets.shape}, weights "
+            f"{weights.shape}, deviations {deviations.shape} and {len(models)} models; give one of each for "
+            "every marker."
         )
     for marker, label in enumerate(labels):
         if labels.count(label) > 1:
-            raise ValueError(f"The marker '{label}' stands twice; give every marker its own name.")
+            raise ValueError(f"The marker label '{label}' occurs twice; give every marker its own label.")
         if not 0 <= bones[marker] < skeleton.num_joints:
             raise ValueError(
-                f"Marker '{label}' is on bone {bones[marker]}; there are bones 0 to {skeleton.num_joints - 1}."
+                f"Marker '{label}' is on bone {bones[marker]}; expected 0 to {skeleton.num_joints - 1}."
             )
         if models[marker] not in MODELS:
-            raise ValueError(f"Marker '{label}' has the model '{models[marker]}'; use {', '.join(MODELS)}.")
+            raise ValueError(
+                f"Marker '{label}' has the model '{models[marker]}'; expected one of {', '.join(MODELS)}."
+            )
         if not np.isfinite(offsets[marker]).all():
-            raise ValueError(f"The offset of marker '{label}' is not finite; give its place at rest.")
+            raise ValueError(f"The offset of marker '{label}' is not finite; give its rest position.")
         if not 0 <= weights[marker] <= 1 or not 0 < deviations[marker] < np.inf:
             raise ValueError(
                 f"Marker '{label}' has the weight {weights[marker]} and the deviation {deviations[marker]}; "
-                "weights are from 0 to 1, deviations above 0 metres."
+                "expected a weight from 0 to 1 and a deviation above 0 metres."
             )
     offsets, weights, deviations = (jnp.asarray(values, dtype) for values in (offsets, weights, deviations))
     return Subject(skeleton, jnp.asarray(bones, jnp.int32), offsets, weights, deviations, labels, models)

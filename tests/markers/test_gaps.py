@@ -76,15 +76,15 @@ def test_what_is_wrong_is_told():
     lost[10:12] = np.nan
     assert never_seen(named(lost)) == ("M3",)
     told = " ".join(describe_gaps(named(lost)))
-    assert "Marker M3 is never seen" in told
-    assert "2 of 60 frames show no marker" in told
+    assert "Marker M3 is never visible" in told
+    assert "2 of 60 frames have no visible marker" in told
     still = np.repeat(places[:1], 60, 0)
     assert is_still(named(still))
     assert not is_still(named(places))
     assert "All 60 frames are equal" in " ".join(describe_gaps(named(still)))
     still[5:9, 2] = np.nan
     assert is_still(named(still))
-    assert describe_gaps(named(np.full((4, 2, 3), np.nan))) == ("No marker is seen in any frame.",)
+    assert describe_gaps(named(np.full((4, 2, 3), np.nan))) == ("No marker is visible in any frame.",)
 
 
 CUTS = [(0, 50, 80), (0, 150, 175), (2, 100, 130), (5, 60, 62), (6, 20, 70), (7, 110, 160)]
@@ -158,7 +158,7 @@ def test_names_with_a_star_say_nothing_across_a_gap():
 
 def test_chains_that_cannot_be_are_refused():
     frames = named(two_limbs(20))
-    with pytest.raises(ValueError, match="M0, M1 are seen in the same frame"):
+    with pytest.raises(ValueError, match="M0, M1 are visible in the same frame"):
         join_pieces(frames, ((0, 1),))
     pieces, _ = broken(two_limbs(), CUTS)
     with pytest.raises(ValueError, match="in two chains"):

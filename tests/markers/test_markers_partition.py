@@ -107,7 +107,7 @@ def test_a_pair_is_untangled_by_its_jumps(rng):
     mended = mend_swaps(places, everything(places), tuple("abcdefghijkl"))
     np.testing.assert_array_equal(mended.places, scene.places)
     assert mended.told == (
-        "'c' and 'd' wore each other's labels in 30 frames (100 to 129); they were put right.",
+        "The labels 'c' and 'd' were swapped in 30 frames (100 to 129); the swap is corrected.",
     )
 
 

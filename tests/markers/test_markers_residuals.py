@@ -86,7 +86,7 @@ def test_subjects_say_what_is_wrong():
     skeleton = chain_skeleton()
     with pytest.raises(ValueError, match="'b' is on bone 12"):
         make_subject(skeleton, [0, 12], np.zeros((2, 3)), ["a", "b"])
-    with pytest.raises(ValueError, match="stands twice"):
+    with pytest.raises(ValueError, match="occurs twice"):
         make_subject(skeleton, [0, 1], np.zeros((2, 3)), ["a", "a"])
     with pytest.raises(ValueError, match="one of each"):
         make_subject(skeleton, [0, 1], np.zeros((3, 3)), ["a", "b"])

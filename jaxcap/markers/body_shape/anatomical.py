@@ -62,8 +62,8 @@ def anatomical_markers(
     known = [label for label in labels if label in table]
     if not known:
         raise ValueError(
-            f"None of the labels {', '.join(list(labels)[:8])} is a landmark that is known, such as LASIS, RKNE, C7; "
-            "say on which vertices of the human the markers are."
+            f"None of the labels {', '.join(list(labels)[:8])} is a known landmark such as LASIS, RKNE or "
+            "C7; give the vertices of the human that the markers are attached to."
         )
     centres = dict(zip(body.skeleton.names, np.asarray(body.skeleton.centres, float), strict=True))
     near = np.array([centres[table[label][0]] + table[label][1] for label in known])

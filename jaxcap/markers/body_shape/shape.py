@@ -71,7 +71,9 @@ def fit_shape(
     known and visible, an unknown trait or joint, a trait out of its range, no person of such size.
     """
     if frames is None and not lengths:
-        raise ValueError("There is nothing to fit a shape to; give frames of markers, bone lengths, or both.")
+        raise ValueError(
+            "fit_shape has neither frames nor bone lengths; give frames of markers, bone lengths, or both."
+        )
     start, free = _known(given or {})
     body = body_of(start, resolution, joints)
     pose, energy, held, places = rest_pose(body.skeleton), None, None, np.zeros((0, 3))
@@ -86,7 +88,8 @@ def fit_shape(
         seen = np.asarray(np.isfinite(places).all(axis=1))
         if seen.sum() < 6:
             raise ValueError(
-                f"Only {int(seen.sum())} markers are both known on the body and seen; a person takes 6 at the least."
+                f"Only {int(seen.sum())} markers are both attached to the body and visible; expected at "
+                "least 6."
             )
         dtype = body.vertices.dtype
         deviations = jnp.asarray(rest_deviations(body.skeleton), dtype)
@@ -126,10 +129,10 @@ def bone_lengths(skeleton: Skeleton, shortest: float = 0.02) -> dict[tuple[str, 
 def _measured(skeleton: Skeleton, lengths: Mapping[tuple[str, str], float], height: float | None) -> Measured:
     for name in (name for pair in lengths for name in pair):
         if name not in skeleton.names:
-            raise ValueError(f"There is no joint '{name}' on the human; it has {', '.join(skeleton.names)}.")
+            raise ValueError(f"The human has no joint '{name}'; expected one of {', '.join(skeleton.names)}.")
     for what, value in [*lengths.items(), *([("the person", height)] if height is not None else [])]:
         if not 0 < value < 3:
-            raise ValueError(f"The length of {what} is {value} m; give metres, above 0 and below 3.")
+            raise ValueError(f"The length of {what} is {value} m; expected metres, above 0 and below 3.")
     pairs = np.array([[skeleton.index(a), skeleton.index(b)] for a, b in lengths], int).reshape(-1, 2)
     return Measured(pairs, np.array(list(lengths.values()), float), height)
 
@@ -138,7 +141,7 @@ def _known(given: Mapping[str, float]) -> tuple[Traits, tuple[int, ...]]:
     """Return the initial traits and the indices of the free ones."""
     for name, value in given.items():
         if name not in Traits._fields:
-            raise ValueError(f"There is no trait '{name}'; people have {', '.join(Traits._fields)}.")
+            raise ValueError(f"There is no trait '{name}'; expected one of {', '.join(Traits._fields)}.")
         low, high = getattr(LOWEST, name), getattr(HIGHEST, name)
         if not low <= value <= high:
             raise ValueError(f"The {name} of a human is {value}; give a number from {low:g} to {high:g}.")
@@ -179,17 +182,21 @@ def _told(traits: Traits, spread: np.ndarray, free, residuals: np.ndarray, label
         name, value = Traits._fields[number], traits[number]
         if spread[number] > UNTOLD * SPREAD[number]:
             said.append(
-                f"The {name} is hardly told ({value:.2f}, standard deviation {spread[number]:.2f}); it is what is usual."
+                f"The {name} is poorly determined ({value:.2f}, standard deviation {spread[number]:.2f}); "
+                "it is close to the mean of the prior."
             )
         if value in (LOWEST[number], HIGHEST[number]):
-            said.append(f"The {name} is at the end of its range, {value:g}; the human has no more of it.")
+            said.append(
+                f"The {name} is at the limit of its range, {value:g}; the person may be beyond the range of "
+                "the model."
+            )
     missing = [label for label, r in zip(labels, residuals, strict=True) if not np.isfinite(r)]
     if missing:
-        said.append(f"{len(missing)} markers on the body are never seen: {', '.join(missing[:10])}.")
+        said.append(f"{len(missing)} markers on the body are never visible: {', '.join(missing[:10])}.")
     worst = [f"{label} ({1e3 * r:.0f} mm)" for label, r in zip(labels, residuals, strict=True) if r > 0.05]
     if worst:
         said.append(
-            f"{len(worst)} markers are further than 50 mm from where the person has them: {', '.join(worst[:10])}."
+            f"{len(worst)} markers are more than 50 mm from their fitted positions: {', '.join(worst[:10])}."
         )
     return tuple(said)
 

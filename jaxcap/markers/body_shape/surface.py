@@ -54,12 +54,12 @@ def attach_markers(
     places = np.asarray(places, float)
     if places.ndim != 2 or places.shape[1] != 3:
         raise ValueError(
-            f"The places of markers have the shape {places.shape}; give (M, 3), one row a marker."
+            f"The marker positions have the shape {places.shape}; expected (M, 3), one row for each marker."
         )
     names = _labels(labels, len(places))
     for name, place in zip(names, places, strict=True):
         if not np.isfinite(place).all():
-            raise ValueError(f"The place of marker '{name}' is not finite; attach markers that were seen.")
+            raise ValueError(f"The position of marker '{name}' is not finite; attach visible markers only.")
     pose = rest_pose(body.skeleton) if pose is None else pose
     vertices = np.asarray(_vertices(body, pose), float)
     hold = attach(places, vertices, np.asarray(body.faces))
@@ -67,8 +67,9 @@ def attach_markers(
     if far.any():
         worst = int(np.argmax(np.abs(hold.heights)))
         raise ValueError(
-            f"Marker '{names[worst]}' is {abs(hold.heights[worst]):.2f} m from the surface, and {int(far.sum())} of "
-            f"{len(places)} markers are further than {REACH} m; pose the body as the markers were, and check the unit."
+            f"Marker '{names[worst]}' is {abs(hold.heights[worst]):.2f} m from the surface, and "
+            f"{int(far.sum())} of {len(places)} markers are more than {REACH} m from it; pose the body as "
+            "in the recording of the markers, and check the unit."
         )
     dtype = body.vertices.dtype
     return SurfaceMarkers(
@@ -90,7 +91,8 @@ def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = HEIG
         holding = np.argwhere(faces == vertex)
         if not len(holding):
             raise ValueError(
-                f"Marker '{label}' is on vertex {vertex}, which no triangle holds; the body has {count} vertices."
+                f"Marker '{label}' is on vertex {vertex}, which is in no triangle; the body has {count} "
+                "vertices."
             )
         triangle, corner = holding[0]
         corners.append(faces[triangle])
@@ -125,10 +127,12 @@ def surface_landmarks(
 def _labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
     names = tuple(f"marker{number}" for number in range(count)) if labels is None else tuple(labels)
     if len(names) != count:
-        raise ValueError(f"There are {len(names)} labels for {count} markers; give one each.")
+        raise ValueError(
+            f"There are {len(names)} labels for {count} markers; give one label for each marker."
+        )
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"The marker '{name}' stands twice; give every marker its own name.")
+            raise ValueError(f"The marker label '{name}' occurs twice; give every marker its own label.")
     return names
 
 

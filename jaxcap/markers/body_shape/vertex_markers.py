@@ -21,9 +21,9 @@ def vertex_frames(body: Body, motion: Motion, vertices: Sequence[int], labels: S
     count, joints = len(body.vertices), motion.poses.rotations.shape[1]
     wrong = [vertex for vertex in vertices if not 0 <= vertex < count]
     if wrong:
-        raise ValueError(f"There is no vertex {wrong[0]}; the body has 0 to {count - 1}.")
+        raise ValueError(f"There is no vertex {wrong[0]}; the body has the vertices 0 to {count - 1}.")
     if joints != body.skeleton.num_joints:
-        raise ValueError(f"The motion moves {joints} joints and the body has {body.skeleton.num_joints}.")
+        raise ValueError(f"The motion has {joints} joints, but the body has {body.skeleton.num_joints}.")
     chosen = jnp.asarray(vertices, int)
     places = deform_all(take_vertices(body, chosen), motion.poses)
     return make_markers(np.asarray(places), labels, motion.rate)

@@ -105,7 +105,7 @@ def _renewed(
         features = sliding(problem.template, y.poses)
         found = find_skin(features, np.asarray(_residuals(problem, y)), np.asarray(problem.seen))
         if found is not None:
-            _LOG.info("skin slides on its bones, by %.1f mm a radian", 1000 * found)
+            _LOG.info("skin slides on its bones by %.1f mm per radian", 1000 * found)
             slides = jnp.zeros((features.shape[2], problem.template.num_markers, 3))
             replaced = jnp.asarray(features), jnp.asarray(found)
             problem = eqx.tree_at(lambda p: (p.features, p.slide_deviation), problem, replaced)

@@ -100,7 +100,8 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
     used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
     if used.any(0).sum() < 3:
         raise ValueError(
-            f"Only {int(used.any(0).sum())} markers are ever seen; a body takes three at the least, and several a bone."
+            f"Only {int(used.any(0).sum())} markers are ever visible; a body needs at least three, and "
+            "several on each bone."
         )
     template, pairs = subject, _pairs(subject, symmetry)
     usable, explained = used.sum(1) >= 3, used
@@ -111,7 +112,7 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
         places, seen = matched.places[chosen], jnp.asarray(explained[chosen])
         again = subject is template and not explained[used].all()
-        _LOG.info("fitting %d frames together%s", len(chosen), ", roughly" if again else "")
+        _LOG.info("fitting %d frames jointly%s", len(chosen), ", with rough tolerances" if again else "")
         # a rough fit is enough to find swapped labels
         problem = make_calibration_problem(
             template, places, seen, joints, pairs, trust, robust=robust, terms=terms
@@ -122,7 +123,7 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
             break
         # the subject is known better now, and so are the swapped labels
         motion, usable, explained = _followed(_measured(fit), frames, used)
-    _LOG.info("computing how well the subject is known")
+    _LOG.info("computing the covariance of the subject")
     known = shared_covariance(fit.problem, fit.estimate)
     best = _measured(fit)
     slid = _slid(fit)
@@ -130,7 +131,7 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
     hardly = hardly_known(best, known, joints)
     told = (*describe_precision(best, known, poses, joints, hardly), *_on_skin(best, slid), *solved.told)
     if not fit.converged:
-        told += (f"The fit had not converged after {steps} steps; allow more.",)
+        told += (f"The fit did not converge in {steps} steps; allow more steps.",)
     return Calibration(
         best,
         solved.motion,
@@ -152,8 +153,8 @@ def _on_skin(subject: Subject, variances: Float[np.ndarray, "M"]) -> list[str]:
     most = [marker for marker in np.argsort(-far)[:5] if far[marker] > SLIDING]
     if not most:
         return []
-    each = ", ".join(f"{subject.labels[marker]} by {1000 * far[marker]:.0f} mm" for marker in most)
-    return [f"Skin slides on its bones as the joints turn, the most under {each}."]
+    each = ", ".join(f"{subject.labels[marker]} ({1000 * far[marker]:.0f} mm)" for marker in most)
+    return [f"Skin slides on its bones as the joints rotate; the markers with the most sliding are {each}."]
 
 
 def _followed(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"]):
@@ -186,7 +187,8 @@ def _pairs(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple
     for name in (name for pair in symmetry for name in pair):
         if name not in skeleton.names:
             raise ValueError(
-                f"There is no joint '{name}' to be symmetrical; the skeleton has {', '.join(skeleton.names)}."
+                f"There is no joint '{name}' for a symmetric pair; the skeleton has "
+                f"{', '.join(skeleton.names)}."
             )
     pairs = [(skeleton.index(left), skeleton.index(right)) for left, right in symmetry]
     kept = bones_of(skeleton, np.array(pairs, int).reshape(-1, 2))

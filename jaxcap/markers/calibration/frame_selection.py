@@ -26,7 +26,8 @@ def choose_frames(
     usable = np.asarray(usable) & (used.sum(1) >= 3)
     if not usable.any():
         raise ValueError(
-            "No frame shows three markers that the template explains; check labels, unit and the template."
+            "No frame has three visible markers that fit the template; check the labels, the unit and the "
+            "template."
         )
     frames = np.flatnonzero(usable)
     if len(frames) <= count:

@@ -156,25 +156,26 @@ def describe_precision(
     ]
     if silent:
         said.append(
-            f"No markers tell where the centres of {', '.join(silent)} are; their bones stay as long as the "
-            "template's."
+            f"No markers determine the centres of {', '.join(silent)}; their bones keep the lengths of the "
+            "template."
         )
     for joint, direction, deviation, told in hardly:
         where = _in_words(subject, poses, joint, direction)
         if told:
             said.append(
-                f"{where}, the centre of {skeleton.names[joint]} is known to {1000 * deviation:.0f} mm only."
+                f"{where}, the centre of {skeleton.names[joint]} has a standard deviation of "
+                f"{1000 * deviation:.0f} mm."
             )
         else:
             said.append(
-                f"{where}, the data do not tell the centre of {skeleton.names[joint]}: it is where the "
-                f"template has it, known to {1000 * deviation:.0f} mm only."
+                f"{where}, the data do not determine the centre of {skeleton.names[joint]}: it is that of "
+                f"the template, with a standard deviation of {1000 * deviation:.0f} mm."
             )
     size = _size_deviation(subject, joints, known.covariance)
     if size > 0.01:
         said.append(
-            f"The size of the skeleton as a whole is known to {100 * size:.1f} % only: longer bones with markers "
-            "elsewhere on them would look alike."
+            f"The overall size of the skeleton has a standard deviation of {100 * size:.1f} %: longer "
+            "bones, with markers at other positions on them, would fit equally well."
         )
     return said
 
@@ -191,9 +192,9 @@ def _in_words(subject: Subject, poses: Pose, joint: int, direction: np.ndarray) 
     turns = w * signed[:, 1:] - signed[:, :1] * v - np.cross(v, signed[:, 1:])
     values, axes = np.linalg.eigh(turns.T @ turns / len(turns))
     if values[2] < np.radians(3.0) ** 2 / 4:
-        return "As it hardly turns"
+        return "As its joint hardly rotates"
     if abs(axes[:, 2] @ direction) > 0.85 and values[1] < 0.25 * values[2]:
-        return "Along the axis that it turns about"
+        return "Along the axis of rotation"
     parent = skeleton.parents[joint]
     bone = np.asarray(skeleton.centres[joint] - skeleton.centres[parent], float)
     if abs(bone @ direction) > 0.85 * np.linalg.norm(bone) > 0:

@@ -74,7 +74,7 @@ def solve_markers(
     _LOG.info("solving %d frames", len(places))
     energy = own_terms("solve_markers", terms, marker_body(subject))
     solved = _in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search, energy)
-    _LOG.info("solving frames again that no pose explains")
+    _LOG.info("solving poorly fitted frames again")
     solved = _again(subject, places, used, enough, solved, energy)
     lost = ~enough | ~np.isfinite(np.asarray(solved.residuals)).all(1) | _unexplained(subject, used, solved)
     residuals = np.where(seen, np.asarray(_lengths(subject, solved.pose, places)), np.nan)
@@ -164,16 +164,16 @@ def _sentences(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str,
     said = []
     never = [label for label, there in zip(subject.labels, seen.any(0), strict=True) if not there]
     if never:
-        said.append(f"{len(never)} of the subject's markers never appear: {', '.join(never[:10])}.")
+        said.append(f"{len(never)} of the subject's markers are never visible: {', '.join(never[:10])}.")
     others = [label for label in frames.labels if label not in subject.labels]
     if others:
         said.append(
-            f"{len(others)} markers are not the subject's and are left out: {', '.join(others[:10])}."
+            f"{len(others)} markers do not belong to the subject and are left out: {', '.join(others[:10])}."
         )
     if lost.any():
         numbers = ", ".join(map(str, np.flatnonzero(lost)[:20]))
         said.append(
-            f"{int(lost.sum())} of {len(lost)} frames are lost (fewer than {LEAST} markers, or explained by no "
-            f"pose) and keep the pose before: {numbers}."
+            f"{int(lost.sum())} of {len(lost)} frames are lost (fewer than {LEAST} markers, or no pose fits) "
+            f"and keep the previous pose: {numbers}."
         )
     return tuple(said)

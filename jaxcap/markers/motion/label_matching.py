@@ -29,7 +29,7 @@ def match_markers(subject: Subject, frames: MarkerFrames) -> Matched:
     chosen = np.array([place.get(label, -1) for label in subject.labels])
     if (chosen < 0).all():
         raise ValueError(
-            f"None of the frames' markers ({', '.join(frames.labels[:6])}, ...) is one of the subject's "
+            f"None of the frames' markers ({', '.join(frames.labels[:6])}, ...) is a marker of the subject "
             f"({', '.join(subject.labels[:6])}, ...); fit a subject to these markers, or rename them."
         )
     if len(frames) == 0:

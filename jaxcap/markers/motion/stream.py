@@ -77,8 +77,9 @@ def stream_frame(
     places = np.asarray(places)
     if len(places) != subject.num_markers:
         raise InputError(
-            f"stream_frame: `places` are of {len(places)} markers, and the subject has {subject.num_markers}; give one row for each, in the "
-            "subject's order, NaN where it is not seen."
+            f"stream_frame: there are positions of {len(places)} markers, but the subject has "
+            f"{subject.num_markers}; give one row for each marker, in the subject's order, with NaN where "
+            "it is not visible."
         )
     there = np.isfinite(places).all(1) & (np.asarray(subject.weights) > 0)
     there = there if seen is None else there & np.asarray(seen)

@@ -32,7 +32,9 @@ def score_centre(relative: Relative, robust: bool = True) -> Centre:
     **Raises:** `ValueError` where the child's frame is not known.
     """
     if relative.rotations is None or relative.translations is None:
-        raise ValueError("SCoRE needs the frames of both segments; this child has fewer than three markers.")
+        raise ValueError(
+            "SCoRE needs the frames of both segments, but the child has fewer than three markers."
+        )
     r, t = relative.rotations, relative.translations
     count = len(r)
     middle_child = np.median(np.einsum("fba,fb->fa", r, relative.middle - t), axis=0)

@@ -36,7 +36,7 @@ def find_joint(relative: Relative, parent: int, child: int, method: Method = "sc
     **Raises:** `ValueError` for a method that does not exist.
     """
     if method not in METHODS:
-        raise ValueError(f"There is no method '{method}' for centres; there are {', '.join(METHODS)}.")
+        raise ValueError(f"There is no method '{method}' for centres; expected one of {', '.join(METHODS)}.")
     used = method if relative.turns or method != "score" else "gamage"
     centre = _without_noise(METHODS[used](relative), relative)
     hinge = None

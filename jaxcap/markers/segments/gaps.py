@@ -74,18 +74,18 @@ def describe_gaps(frames: MarkerFrames) -> tuple[str, ...]:
     """
     seen, told = np.asarray(frames.seen), []
     if not seen.any():
-        return ("No marker is seen in any frame.",)
+        return ("No marker is visible in any frame.",)
     if lost := never_seen(frames):
-        told.append(f"{_listed(lost)} never seen; leave out what was not worn.")
+        told.append(f"{_listed(lost)} never visible; leave out markers that were not worn.")
     if len(frames) > 1 and is_still(frames):
-        told.append(f"All {len(frames)} frames are equal: nothing moves, so no joint can be found in them.")
+        told.append(f"All {len(frames)} frames are equal: nothing moves, so no joint can be determined.")
     if empty := int((~seen.any(1)).sum()):
-        told.append(f"{empty} of {len(frames)} frames show no marker at all.")
+        told.append(f"{empty} of {len(frames)} frames have no visible marker.")
     for chain in find_pieces(frames):
         names = [frames.labels[i] for i in chain]
         told.append(
-            f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join_pieces, or "
-            "--pieces join of fit and solve, makes them one."
+            f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join "
+            "them by join_pieces, or by --pieces join of fit and solve."
         )
     return tuple(told)
 
@@ -130,12 +130,14 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
     for chain in chains:
         if used & set(chain) or len(set(chain)) < len(chain):
             raise ValueError(
-                f"Marker '{labels[chain[0]]}' is in two chains of pieces; give each marker to one."
+                f"Marker '{labels[chain[0]]}' is in two chains of pieces; a marker can be in one chain only."
             )
         index = list(chain)
         if (seen[:, index].sum(1) > 1).any():
             names = ", ".join(frames.labels[i] for i in chain)
-            raise ValueError(f"{names} are seen in the same frame, so they are not pieces of one trajectory.")
+            raise ValueError(
+                f"{names} are visible in the same frame, so they are not pieces of one trajectory."
+            )
         head = min(chain)
         places[:, head] = places[:, index].sum(1)
         seen[:, head] = seen[:, index].any(1)

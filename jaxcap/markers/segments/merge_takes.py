@@ -18,13 +18,13 @@ def unite_takes(takes: Sequence[MarkerFrames]) -> MarkerFrames:
     **Raises:** `ValueError` where there are no takes, or one shares no label with those before it.
     """
     if not takes:
-        raise ValueError("There are no takes to unite; give at least one.")
+        raise ValueError("There are no takes to merge; give at least one.")
     labels: dict[str, int] = {}
     for number, take in enumerate(takes):
         if number and not set(take.labels) & set(labels):
             raise ValueError(
-                f"Take {number + 1} has no marker ({_some(take.labels)}) in common with those before it "
-                f"({_some(tuple(labels))}); unite takes of the same markers only."
+                f"Take {number + 1} has no marker ({_some(take.labels)}) in common with the previous takes "
+                f"({_some(tuple(labels))}); merge takes of the same markers only."
             )
         for label in take.labels:
             labels.setdefault(label, len(labels))

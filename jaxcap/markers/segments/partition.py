@@ -60,18 +60,19 @@ def find_partition(
     deviations = pair_deviations(places, seen, TAIL if robust else 0)
     known = np.where(np.isnan(deviations), np.inf, deviations)
     if not np.isfinite(known[np.triu_indices(len(known), 1)]).any():
-        raise ValueError("No two markers are ever seen together, so none can be told to move as one.")
+        raise ValueError("No two markers are ever visible together, so no segment can be found.")
     if threshold is not None:
         if not threshold > 0:
-            raise ValueError(f"The threshold is {threshold}; give a distance above zero, in metres.")
+            raise ValueError(f"The threshold is {threshold}; expected a distance above zero, in metres.")
         options, unit = [float(threshold)], 0.6 * float(threshold)
     else:
         size = float(np.nanmax(median_distances(places, seen)))
         unit = usual_deviation(known, size)
         if unit > ADRIFT * size:
             raise ValueError(
-                f"No markers move together: most change their distance from every other by more than {1e3 * unit:.0f} mm. "
-                "Is it one body, and the unit right? Give a threshold if so."
+                "No markers move together: for most markers the distances to all others vary by more than "
+                f"{1e3 * unit:.0f} mm. Check that the markers are on one body and that the unit is right; "
+                "if so, give a threshold."
             )
         options = np.geomspace(0.5 * unit, 3.0 * unit, TRIED).tolist()
     best: tuple[float, float, list[tuple[int, ...]], list[tuple[int, ...]]] | None = None
@@ -86,8 +87,9 @@ def find_partition(
     members = sorted((part for part in parts if len(part) > 1), key=lambda part: part[0])
     if not members:
         raise ValueError(
-            f"No markers move together: every two change their distance by more than {1e3 * chosen:.0f} mm. "
-            "Is it one body, and the unit right? Give a larger threshold if so."
+            "No markers move together: all distances between two markers vary by more than "
+            f"{1e3 * chosen:.0f} mm. Check that the markers are on one body and that the unit is right; if "
+            "so, give a larger threshold."
         )
     weights = attachment_weights(members, known, unit)
     return Partition(make_segments(members, len(known), weights), chosen, deviations, tuple(cover))
@@ -132,9 +134,9 @@ def correct(
     weights = segments.weights.copy()
     for label, (name, weight) in corrections.items():
         if label not in labels:
-            raise ValueError(f"There is no marker '{label}' to correct; there are {', '.join(labels)}.")
+            raise ValueError(f"There is no marker '{label}' to correct; expected one of {', '.join(labels)}.")
         if not 0 <= weight <= 1:
-            raise ValueError(f"The marker '{label}' is given the weight {weight}; give 0 to 1.")
+            raise ValueError(f"The weight of marker '{label}' is {weight}; expected 0 to 1.")
         marker = labels.index(label)
         for some in sets.values():
             if marker in some:

@@ -48,25 +48,33 @@ def make_segments(members, num_markers: int, weights=None, names=None) -> Segmen
     members = tuple(tuple(int(m) for m in some) for some in members)
     names = tuple(f"segment{k}" for k in range(len(members))) if names is None else tuple(names)
     if len(names) != len(members) or len(set(names)) != len(names):
-        raise ValueError(f"{len(members)} segments were given the names {names}; give each its own name.")
+        raise ValueError(
+            f"There are {len(members)} segments with the names {names}; give each segment its own name."
+        )
     owner: dict[int, str] = {}
     for name, some in zip(names, members, strict=True):
         if not some:
-            raise ValueError(f"The segment '{name}' has no markers; give it some or leave it out.")
+            raise ValueError(f"The segment '{name}' has no markers; add markers or leave the segment out.")
         for marker in some:
             if not 0 <= marker < num_markers:
                 raise ValueError(
-                    f"The segment '{name}' has marker {marker}, but there are markers 0 to {num_markers - 1}."
+                    f"The segment '{name}' has the marker {marker}; expected 0 to {num_markers - 1}."
                 )
             if marker in owner:
                 raise ValueError(
-                    f"Marker {marker} stands in '{owner[marker]}' and in '{name}'; a marker has one segment."
+                    f"Marker {marker} is in '{owner[marker]}' and in '{name}'; a marker can be in one "
+                    "segment only."
                 )
             owner[marker] = name
     weights = np.ones(num_markers) if weights is None else np.array(weights, float)
     if weights.shape != (num_markers,):
-        raise ValueError(f"{num_markers} markers were given {weights.size} weights; give one for each.")
+        raise ValueError(
+            f"There are {weights.size} weights for {num_markers} markers; give one weight for each marker."
+        )
     inside = np.isin(np.arange(num_markers), list(owner))
     if not ((weights[inside] > 0) & (weights[inside] <= 1)).all():
-        raise ValueError("Weights of attachment are above 0 and at most 1; leave a loose marker out.")
+        raise ValueError(
+            "A weight of attachment is outside its range; expected above 0 and at most 1. Leave loose "
+            "markers out."
+        )
     return Segments(members, np.where(inside, weights, 0.0), names)

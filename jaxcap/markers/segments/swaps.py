@@ -143,7 +143,7 @@ def _sentences(undone: list[tuple[int, int, int]], labels: tuple[str, ...]) -> l
         spans = [f"{a}" if b - a == 1 else f"{a} to {b - 1}" for a, b in runs(mask)]
         shown = ", ".join(spans[:6]) + (", ..." if len(spans) > 6 else "")
         told.append(
-            f"'{labels[i]}' and '{labels[j]}' wore each other's labels in {len(some)} "
-            f"frame{'s' if len(some) > 1 else ''} ({shown}); they were put right."
+            f"The labels '{labels[i]}' and '{labels[j]}' were swapped in {len(some)} "
+            f"frame{'s' if len(some) > 1 else ''} ({shown}); the swap is corrected."
         )
     return told

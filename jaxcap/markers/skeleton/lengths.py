@@ -82,7 +82,9 @@ def bone_lengths(
     **Raises:** `ValueError` for a method that does not exist.
     """
     if method not in ("mean", "least_squares", "global"):
-        raise ValueError(f"There is no method '{method}' for lengths; give mean, least_squares or global.")
+        raise ValueError(
+            f"There is no method '{method}' for lengths; expected mean, least_squares or global."
+        )
     if not between:
         return np.zeros(0)
     a, b = (np.array(side) for side in zip(*between, strict=True))

@@ -114,12 +114,16 @@ def template_pairs(template: Skeleton, segments: Segments, bones: Mapping[str, s
     owner: dict[int, int] = {}
     for name, bone in bones.items():
         if name not in segments.names:
-            raise ValueError(f"There is no segment '{name}'; there are {', '.join(segments.names)}.")
+            raise ValueError(f"There is no segment '{name}'; expected one of {', '.join(segments.names)}.")
         if bone not in template.names:
-            raise ValueError(f"The template has no joint '{bone}'; it has {', '.join(template.names)}.")
+            raise ValueError(
+                f"The template has no joint '{bone}'; expected one of {', '.join(template.names)}."
+            )
         if template.index(bone) in owner:
             other = segments.names[owner[template.index(bone)]]
-            raise ValueError(f"The bone '{bone}' is given '{other}' and '{name}'; give each its own.")
+            raise ValueError(
+                f"The segments '{other}' and '{name}' are both on the bone '{bone}'; give each its own bone."
+            )
         owner[template.index(bone)] = segments.names.index(name)
     pairs = []
     for bone, segment in owner.items():
