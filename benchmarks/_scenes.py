@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 import jaxcap as jc
 from benchmarks.report import progress
-from jaxcap.demo.scanner import sample_surface
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.skeletons.amc import read_amc
 from jaxcap.io.skeletons.asf import read_asf
 

@@ -24,7 +24,7 @@ from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.demo.picture import View, draw
-from jaxcap.demo.scanner import sample_surface
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface
 
 #: the actors and the takes that their poses are of

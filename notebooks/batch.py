@@ -29,7 +29,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import jaxcap as jc
-from jaxcap.demo.scanner import sample_surface
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.report.plots import (
     AMBER,
     BLUE,

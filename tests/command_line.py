@@ -15,8 +15,10 @@ from jaxcap.cli.console import heartbeat
 from jaxcap.cli.console.groups import JAXCAP
 from jaxcap.cli.console.verbs import Group, Verb
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.demo.scanner import Scanner, scan
+from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.io.archives.npz import save_body, save_motion
+from jaxcap.scanner.scan import scan_frame
+from jaxcap.scanner.settings import Scanner
 
 FRAMES, POINTS = 5, 600
 # words in a silence depend on how busy the machine is; `test_cli_start` has them by its own clock
@@ -56,13 +58,14 @@ def runs(capsys, *arguments) -> str:
 
 def write_inputs(folder: Path) -> Path:
     """`body.npz`, a small human, `clouds.npz` of its first steps, and their `truth.npz`."""
-    body, rng = human(joints="tracking", resolution="low"), np.random.default_rng(3)
+    body = human(joints="tracking", resolution="low")
     motion = walk_and_wave(body.skeleton, seconds=FRAMES / 30)
-    scanner, frames = Scanner(points=POINTS, outliers=0.0), []
+    scanner, cameras = Scanner(noise=0.004, points=POINTS), ring_of_cameras(6, 360, 2.5, 0.5, [0.0, 0.0, 0.0])
+    scans = []
     for frame in range(FRAMES):
-        vertices = np.asarray(_pose_body(body, motion[frame]).vertices)
-        frames.append(scan(scanner, vertices, np.asarray(body.faces), rng))
-    points, normals = zip(*frames, strict=True)
+        vertices = np.asarray(_pose_body(body, motion[frame]).vertices, float)
+        scans.append(scan_frame(scanner, cameras, vertices, np.asarray(body.faces), frame=frame))
+    points, normals = [scan.points for scan in scans], [scan.normals for scan in scans]
     save_body(folder / "body.npz", body)
     np.savez(folder / "clouds.npz", points=np.stack(points), normals=np.stack(normals))
     save_motion(folder / "truth.npz", motion, body.skeleton)

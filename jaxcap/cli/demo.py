@@ -13,14 +13,16 @@ from ..body.people.human import human
 from ..body.pose import Motion
 from ..demo.performance import walk_and_wave
 from ..demo.picture import View, draw
-from ..demo.scanner import Scanner, scan
 from ..errors import InputError
 from ..fit.tracking.track import track_frames, verdict_sentences
 from ..fit.tracking.track_frame import make_tracker
+from ..geometry.camera import ring_of_cameras
 from ..io.system.atomic import replacing, write_text
 from ..io.system.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe import make_cloud
+from ..scanner.scan import scan_frame
+from ..scanner.settings import Scanner
 from .console.console import progress, say, table, warn
 from .console.options import Flag, OptionalCount, arg
 from .console.timed import timed
@@ -29,6 +31,11 @@ from .track.results import FILES, check_folder, make_writable, write_results
 
 _pose_body = eqx.filter_jit(pose_body)
 PICTURE = "demo.png"
+CLOUDS = "clouds.npz"
+#: the virtual cameras on a ring around the body, and the size of their images, pixels
+CAMERAS, RESOLUTION = 6, (320, 240)
+#: share of outliers among the points
+OUTLIERS = 0.03
 #: number of points in a picture's cloud
 SHOWN = 5000
 
@@ -65,20 +72,23 @@ class Demo:
         true_body = human()
         body = human(resolution=self.vertices or "medium")
         truth = walk_and_wave(true_body.skeleton, self.seconds)
-        scanner = Scanner(points=self.points, noise=self.noise)
-        rng, clouds, joints = np.random.default_rng(0), [], []
+        scanner = Scanner(noise=self.noise, flying=0.05, points=self.points, outliers=OUTLIERS)
+        cameras = ring_of_cameras(CAMERAS, 360, 2.5, 0.5, [0.0, 0.1, 0.0], RESOLUTION)
+        scans, joints = [], []
         say(
-            f"scanning {truth.num_frames} frames with {scanner.cameras} virtual cameras, "
+            f"scanning {truth.num_frames} frames with {CAMERAS} virtual cameras, "
             f"{1000 * self.noise:g} mm noise, {100 * scanner.outliers:g} % outliers"
         )
         for frame in range(truth.num_frames):
             posed = _pose_body(true_body, truth[frame])
-            points, normals = scan(scanner, np.asarray(posed.vertices), np.asarray(true_body.faces), rng)
-            clouds.append(make_cloud(points, normals, name=f"frame {frame}"))
+            vertices, faces = np.asarray(posed.vertices, float), np.asarray(true_body.faces)
+            scans.append(scan_frame(scanner, cameras, vertices, faces, frame=frame))
             joints.append(np.asarray(posed.joints))
         say(
             f"tracking {self.points} points a frame on {len(body.vertices)} vertices; the first frame compiles"
         )
+        clouds = [make_cloud(scan.points, scan.normals, name=f"frame {k}") for k, scan in enumerate(scans)]
+        write_clouds(self.out / CLOUDS, [scan.points for scan in scans], [scan.normals for scan in scans])
         tracker = make_tracker(body)
         steps = progress(timed(track_frames(tracker, clouds)), len(clouds))
         results = results_of(row_template(tracker), np.stack([pack(frame, took) for frame, took in steps]))

@@ -1,4 +1,4 @@
-"""Triangle meshes as arrays: normals, areas and edges."""
+"""Triangle meshes as arrays: normals, edges and random points."""
 
 from functools import partial
 
@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+
+from ..arguments import checked
 
 
 def face_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Float[Array, "F 3"]:
@@ -38,3 +40,20 @@ def mesh_edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     """List every undirected edge once, the smaller vertex first, in ascending order."""
     pairs = np.unique(np.sort(triangle_sides(faces), axis=1), axis=0)
     return pairs[pairs[:, 0] < pairs[:, 1]]
+
+
+@checked
+def sample_surface(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+    """Sample points on a surface uniformly by area, with the unit normals of their triangles."""
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    chosen = rng.choice(len(faces), count, p=areas / areas.sum())
+    first, second = np.sqrt(rng.uniform(size=count)), rng.uniform(size=count)
+    weights = np.stack([1 - first, first * (1 - second), first * second], 1)
+    return np.einsum("nc,nca->na", weights, corners[chosen]), normals[chosen] / areas[chosen, None]

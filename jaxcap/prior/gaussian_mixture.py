@@ -3,10 +3,13 @@
 Plain NumPy in float64: compilation does not pay off for a few thousand poses of six numbers.
 """
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.cluster.vq import kmeans2
+from scipy.special import logsumexp
 
 from ..geometry.linear import factor_symmetric
 
@@ -61,7 +64,7 @@ def fit_mixture(
     history = []
     for _ in range(rounds + 1):
         joint = log_joint(mixture, samples)
-        total = log_sum(joint)
+        total = logsumexp(joint, axis=1)
         history.append(total.mean())
         if len(history) > rounds or (len(history) > 1 and history[-1] - history[-2] < gain):
             break
@@ -85,13 +88,7 @@ def log_joint(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.n
 
 def log_density(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N"]:
     """Compute the logarithm of the mixture density at each sample (Adaptation, eq. 4.1)."""
-    return log_sum(log_joint(mixture, samples))
-
-
-def log_sum(joint: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N"]:
-    """Compute `log(sum(exp(joint)))` of each row."""
-    top = joint.max(1, keepdims=True)
-    return top[:, 0] + np.log(np.exp(joint - top).sum(1))
+    return logsumexp(log_joint(mixture, samples), axis=1)
 
 
 def spread_labels(
@@ -99,30 +96,16 @@ def spread_labels(
 ) -> tuple[Int[np.ndarray, "N"], float]:
     """Cluster samples by k-means++ (Arthur and Vassilvitskii 2007) and a few rounds of k-means.
 
-    Each initial centre is sampled with a probability in proportion to the squared distance from the previous
-    ones. Returns the labels, and the sum of squared distances to the centres.
+    Returns the labels, and the sum of squared distances to the centres.
     """
-    centres = samples[[rng.integers(len(samples))]]
-    apart = ((samples - centres[0]) ** 2).sum(1)
-    while len(centres) < count:
-        # sample uniformly if all samples are equal
-        chances = apart / apart.sum() if apart.sum() > 0 else None
-        centres = np.vstack([centres, samples[rng.choice(len(samples), p=chances)]])
-        apart = np.minimum(apart, ((samples - centres[-1]) ** 2).sum(1))
-    labels = _closest(samples, centres)
-    for _ in range(rounds):
-        sizes = np.bincount(labels, minlength=count)
-        sums = np.stack([np.bincount(labels, column, count) for column in samples.T], 1)
-        centres = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centres)
-        moved = _closest(samples, centres)
-        if (moved == labels).all():
-            break
-        labels = moved
+    distinct, labels = np.unique(samples, axis=0, return_inverse=True)
+    if len(distinct) <= count:
+        return labels.reshape(-1), 0.0
+    with warnings.catch_warnings():
+        # a cluster may lose its samples; the mixture drops it
+        warnings.filterwarnings("ignore", "One of the clusters is empty")
+        centres, labels = kmeans2(samples, count, iter=rounds, minit="++", seed=rng)
     return labels, float(((samples - centres[labels]) ** 2).sum())
-
-
-def _closest(samples, centres) -> np.ndarray:
-    return np.argmin((centres**2).sum(1) - 2 * samples @ centres.T, 1)
 
 
 def _maximise(samples, shares, means, floor) -> Mixture:

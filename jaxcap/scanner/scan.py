@@ -14,6 +14,9 @@ from .fuse import Scan, fuse_cloud, fuse_mesh
 from .noise import spoil
 from .settings import Scanner, check_scanner
 
+#: margin of the box of outliers around the surface, metres
+OUTLIER_MARGIN = 0.1
+
 
 @checked
 def scan_frame(
@@ -38,11 +41,29 @@ def scan_frame(
     if scanner.mesh:
         return fuse_mesh(cameras, depths, scanner.gap, scanner.normal_window)
     scan = fuse_cloud(cameras, depths, scanner.gap, scanner.normal_window, scanner.voxel)
-    if scanner.points is None or scanner.points >= len(scan.points):
+    rng = _random(seed, frame, 1)
+    if scanner.points is not None and scanner.points < len(scan.points):
+        kept = np.sort(rng.choice(len(scan.points), scanner.points, replace=False))
+        scan = Scan(scan.points[kept], scan.normals[kept], scan.views[kept], scan.faces)
+    return add_outliers(scan, scanner.outliers, vertices, rng)
+
+
+def add_outliers(
+    scan: Scan, share: float, vertices: Float[np.ndarray, "V 3"], rng: np.random.Generator
+) -> Scan:
+    """Replace a random share of a cloud by points uniform in the box of the surface and 0.1 m around it.
+
+    Their normals are random; their views are those of the points that they replace.
+    """
+    count = round(share * len(scan.points))
+    if count == 0:
         return scan
-    kept = _random(seed, frame, 1).choice(len(scan.points), scanner.points, replace=False)
-    kept.sort()
-    return Scan(scan.points[kept], scan.normals[kept], scan.views[kept], scan.faces)
+    chosen = rng.choice(len(scan.points), count, replace=False)
+    points, normals = scan.points.copy(), scan.normals.copy()
+    points[chosen] = rng.uniform(vertices.min(0) - OUTLIER_MARGIN, vertices.max(0) + OUTLIER_MARGIN, (count, 3))
+    directions = rng.normal(size=(count, 3))
+    normals[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return Scan(points, normals, scan.views, scan.faces)
 
 
 def scan_depths(

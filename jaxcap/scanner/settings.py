@@ -35,6 +35,8 @@ class Scanner(NamedTuple):
     voxel: float = 0.0
     #: number of points kept of a cloud, at random; None keeps all
     points: int | None = None
+    #: share of points replaced by outliers, uniform in the box of the surface and 0.1 m around it
+    outliers: float = 0.0
     #: make meshes: a grid of triangles for each view, cut at discontinuities; grids of views are not merged
     mesh: bool = False
 
@@ -58,11 +60,14 @@ def check_scanner(scanner: Scanner) -> None:
         "gap": (0 < scanner.gap < np.inf, "above 0 metres"),
         "normal_window": (scanner.normal_window >= 1, "at least 1 pixel"),
         "voxel": (0 <= scanner.voxel < np.inf, length),
+        "outliers": (0 <= scanner.outliers < 1, share),
         "points": (scanner.points is None or scanner.points >= 1, "at least 1"),
     }
     for name, (fine, what) in wrong.items():
         if not fine:
             value = getattr(scanner, name)
             raise InputError(f"{name.replace('_', '-')} of the scanner is {value:g}; it must be {what}.")
-    if scanner.mesh and (scanner.points is not None or scanner.voxel):
-        raise InputError("A scan as a mesh keeps all pixels of the grid; leave points and voxel out.")
+    if scanner.mesh and (scanner.points is not None or scanner.voxel or scanner.outliers):
+        raise InputError(
+            "A scan as a mesh keeps all pixels of the grid; remove the settings points, voxel and outliers."
+        )

@@ -22,7 +22,7 @@ from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import Modes, joint_modes, moved
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.demo.scanner import sample_surface
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.data.pairs import PairDistances, pair_directions
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import (

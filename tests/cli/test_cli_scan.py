@@ -210,7 +210,7 @@ def test_empty_views_and_frames_are_told_by_number(inputs, tmp_path, capsys):
         (("--seed", -1), "--seed is -1"),
         (("--resume", "--overwrite"), "give one of them"),
         (("--as", "mesh", "--npz"), "leave one of them out"),
-        (("--as", "mesh", "--points", 10), "leave points and voxel out"),
+        (("--as", "mesh", "--points", 10), "remove the settings points, voxel and outliers"),
         (("--cameras", "none.json"), "none.json: there is no such file"),
     ],
 )

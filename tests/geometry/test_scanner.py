@@ -295,6 +295,20 @@ def test_ply_files_come_in_again(tmp_path, rng):
     assert len(cloud.faces) == 0
 
 
+def test_outliers_are_a_share_of_the_points_anywhere_in_the_box():
+    ball = trimesh.creation.icosphere(3, 0.5)
+    vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    cameras = ring_of_cameras(6, 360, 2.5, 0.5, [0.0, 0.0, 0.0])
+    scanner = Scanner(noise=0.01, points=4000, outliers=0.25)
+    scan = scan_frame(scanner, cameras, vertices, faces)
+    distances = scan_to_surface(scan.points, vertices, faces)
+    assert len(scan.points) == 4000
+    np.testing.assert_allclose(np.linalg.norm(scan.normals, axis=1), 1.0, atol=1e-9)
+    # outliers lie anywhere in a box of 1.2 m; noise goes 4 cm at most
+    assert 0.12 < (distances > 0.04).mean() < 0.25
+    assert np.abs(scan.points).max() < 0.6 + 0.04
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -305,7 +319,8 @@ def test_ply_files_come_in_again(tmp_path, rng):
         ({"flying": -1.0}, "flying of the scanner is -1"),
         ({"grazing": 0.0}, "grazing of the scanner is 0"),
         ({"points": 0}, "points of the scanner is 0"),
-        ({"mesh": True, "points": 9}, "leave points and voxel out"),
+        ({"outliers": 1.0}, "outliers of the scanner is 1"),
+        ({"mesh": True, "points": 9}, "remove the settings points, voxel and outliers"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(change, told):

@@ -12,9 +12,8 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.demo.picture import View, draw
-from jaxcap.demo.scanner import Scanner, sample_surface, scan
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.skeletons.bvh import read_bvh
-from jaxcap.metrics import scan_to_surface
 
 _pose_body = eqx.filter_jit(pose_body)
 
@@ -22,11 +21,6 @@ _pose_body = eqx.filter_jit(pose_body)
 @pytest.fixture(scope="module")
 def body():
     return human(resolution="low")
-
-
-def sphere():
-    ball = trimesh.creation.icosphere(3, 0.5)
-    return np.asarray(ball.vertices), np.asarray(ball.faces)
 
 
 def test_performance_walks_and_waves(body):
@@ -61,38 +55,6 @@ def test_sampling_is_by_area(rng):
     np.testing.assert_allclose(normals, np.tile([0.0, 0.0, 1.0], (len(points), 1)), atol=1e-12)
 
 
-def test_one_camera_sees_one_side(rng):
-    scanner = Scanner(cameras=1, height=0.0, points=2000, noise=0.0, normal_noise=0.0, outliers=0.0)
-    points, normals = scan(scanner, *sphere(), rng)
-    assert len(points) == 2000
-    # from 2.5 m the horizon of a ball of 0.5 m lies at z = 0.1
-    assert points[:, 2].min() > 0.1
-    np.testing.assert_allclose(np.sum(points * normals, 1), 0.5, atol=0.01)
-
-
-def test_what_is_behind_is_hidden(rng):
-    """A small sheet behind a large one, both facing the camera."""
-    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    vertices = np.concatenate([square, 0.5 * square - [0, 0, 0.3]])
-    scanner = Scanner(cameras=1, height=0.0, points=1000, pixel=0.05, noise=0.0, outliers=0.0)
-    points, _ = scan(scanner, vertices, np.concatenate([faces, faces + 4]), rng)
-    assert (points[:, 2] > -0.1).mean() > 0.99
-
-
-def test_noise_and_outliers_are_as_asked(rng):
-    vertices, faces = sphere()
-    scanner = Scanner(points=4000, noise=0.01, outliers=0.25)
-    points, normals = scan(scanner, vertices, faces, rng)
-    distances = scan_to_surface(points, vertices, faces)
-    assert len(points) == 4000
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
-    # outliers lie anywhere in a box of 1.2 m; noise goes 3 cm at most
-    assert 0.15 < (distances > 0.03).mean() < 0.25
-    near = distances[distances < 0.03]
-    assert 0.004 < np.sqrt(np.mean(near**2)) < 0.012
-
-
 def test_picture_shows_body_and_cloud(body, tmp_path, rng):
     vertices, faces = np.asarray(body.vertices), np.asarray(body.faces)
     points, _ = sample_surface(vertices, faces, 500, rng)
@@ -116,7 +78,7 @@ def test_demo_leaves_all_it_promises(tmp_path, capsys):
     )
     assert "joint centres" in out
     assert {path.name for path in (tmp_path / "demo").iterdir()} == {
-        "motion.bvh", "motion.npz", "statistics.csv", "statistics.json", "demo.png", ".gitignore",
+        "clouds.npz", "motion.bvh", "motion.npz", "statistics.csv", "statistics.json", "demo.png", ".gitignore",
     }  # fmt: skip
     assert read_bvh(tmp_path / "demo" / "motion.bvh")[1].num_frames == 15
     frames = json.loads((tmp_path / "demo" / "statistics.json").read_text())["frames"]

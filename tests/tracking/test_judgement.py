@@ -13,7 +13,7 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.demo.scanner import sample_surface
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.fit.correspondence.visibility import visible_vertices
 from jaxcap.fit.judgement.evidence import _seen_by, gather_evidence
 from jaxcap.fit.judgement.inside import within_others

@@ -10,7 +10,7 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.demo.scanner import sample_surface
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.errors import InputError
 from jaxcap.fit.tracking import recover

@@ -76,6 +76,8 @@ class Scan:
     """Keep one point per cube of this side, metres; 0 keeps all points."""
     points: OptionalCount = None
     """Keep N random points of each cloud. Default: all."""
+    outliers: float = 0.0
+    """Share of points replaced by random points around the body."""
     kind: Annotated[Literal["cloud", "mesh"], arg(name="as")] = "cloud"
     """Write points only (cloud), or also a grid of triangles for each view (mesh)."""
     npz: Flag = False

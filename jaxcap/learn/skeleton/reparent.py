@@ -10,10 +10,10 @@ from jaxtyping import Float, Int
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
+from ...geometry.spanning_tree import spanning_tree
 from ..parts.surface import Surface
 from .centres import Seams, find_centres, find_seams
 from .pose_from_parts import world_motions
-from .tree import least_tree
 
 #: distance, as a share of the body's diagonal, within which the centre of a joint with a new parent may move
 REACH = 0.03
@@ -62,7 +62,7 @@ def hang_children(
         for a, b in picked
     ]
     points, gaps = common_points(rows, bones, size)
-    edges = least_tree(gaps, np.array(picked), len(ends))
+    edges = spanning_tree(gaps, np.array(picked), len(ends))
     return {
         ends[child]: (ends[above], points[edge], float(gaps[edge]))
         for child, above, edge in _outwards(edges, picked)
@@ -97,7 +97,7 @@ def hang_joint(
     ]
     points, gaps = common_points(rows, bones, size)
     costs = np.where(np.arange(len(rows)) < len(old), CLEARLY * gaps, gaps)
-    edges = least_tree(costs, np.array([row[:2] for row in rows]), count + 1)
+    edges = spanning_tree(costs, np.array([row[:2] for row in rows]), count + 1)
     # a joint whose direction alone is reversed keeps its centre
     return tuple(
         (child, above, points[edge] if edge >= len(old) else rows[edge][2])

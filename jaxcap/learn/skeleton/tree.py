@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
+from ...geometry.spanning_tree import spanning_tree
 from ..parts.parts import Parts
 from ..parts.surface import make_surface
 from .centres import Centres, Seams, find_centres, find_seams
@@ -59,7 +60,7 @@ def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarra
         return _hang(parts, [0], [-1], means, means, np.zeros(1), areas)
     seams = find_seams(surface, parts.labels, rest, count)
     centres = find_centres(seams, parts.rotations, parts.translations, size, parts.error)
-    joints = least_tree(_doubts(seams, centres, parts.error), seams.pairs, count)
+    joints = spanning_tree(_doubts(seams, centres, parts.error), seams.pairs, count).tolist()
     order, above, joint = _from_root(seams.pairs[joints], joints, areas)
     place = [means[order[0]] if j < 0 else centres.points[j] for j in joint]
     gaps = np.array([0.0 if j < 0 else centres.residuals[j] for j in joint])
@@ -102,18 +103,6 @@ def _doubts(seams: Seams, centres: Centres, error: float) -> np.ndarray:
     either = longest[seams.pairs].min(1)
     share = seams.lengths / np.where(either > 0, either, 1.0)
     return centres.residuals + DOUBT * error * (1 - share) + seams.gaps
-
-
-def least_tree(costs: np.ndarray, pairs: np.ndarray, count: int) -> list[int]:
-    """Compute the minimum spanning tree by Kruskal's algorithm; returns the indices of its pairs."""
-    owner = np.arange(count)
-    chosen = []
-    for row in np.argsort(costs, kind="stable"):
-        a, b = owner[pairs[row]]
-        if a != b:
-            owner[owner == b] = a
-            chosen.append(int(row))
-    return chosen
 
 
 def _from_root(

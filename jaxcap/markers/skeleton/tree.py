@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...body.skeleton import Skeleton
+from ...geometry.spanning_tree import spanning_tree
 from ..rotation_centres.centres import Method, find_joint
 from ..rotation_centres.hinge_centres import settle_hinges
 from ..rotation_centres.joint import Joint
@@ -74,7 +75,7 @@ def find_tree(
         bare = _bare(now)
         links: dict[int, Joint] = {}
         open_ = [
-            p for p in _least(found, segments.num_segments) if found[p][0].child in bare and p not in used
+            p for p in _cheapest_pairs(found, segments.num_segments) if found[p][0].child in bare and p not in used
         ]
         # a distant neighbour may be the nearest one with a frame so far: the lowest costs first
         most = SURE * min((found[pair][1] for pair in open_), default=0.0)
@@ -89,15 +90,15 @@ def find_tree(
         settled = bare - _bare(now)
         found = {pair: some for pair, some in found.items() if not settled & set(pair)}
     for segment in sorted(_bare(now)):
-        base = [pair for pair in _least(found, segments.num_segments) if segment in pair]
+        base = [pair for pair in _cheapest_pairs(found, segments.num_segments) if segment in pair]
         if base and len(segments.members[segment]) >= 2:
             now = hinge_assumed(now, segment, found[base[0]][0].parent)
             found = {pair: some for pair, some in found.items() if segment not in pair}
             _look(now, found, used, pairs, "score")
     if method != "score":
-        kept, found = _least(found, segments.num_segments), {}
+        kept, found = _cheapest_pairs(found, segments.num_segments), {}
         _look(now, found, used, kept, method)
-    chosen = _least(found, segments.num_segments)
+    chosen = _cheapest_pairs(found, segments.num_segments)
     limit = BREAK * _usual_distance(places, seen)
     usual = float(np.median([found[pair][1] for pair in chosen])) if chosen else 0.0
     held = [pair for pair in chosen if found[pair][1] <= max(limit, TIMES * usual)]
@@ -189,16 +190,11 @@ def _bare(now: Augmented) -> set[int]:
     return set(np.flatnonzero(~now.frames.known.any(0)).tolist())
 
 
-def _least(found, count: int) -> list[tuple[int, int]]:
-    """Compute the minimum spanning tree, or forest, by Kruskal's algorithm."""
-    owner = np.arange(count)
-    chosen = []
-    for pair in sorted(found, key=lambda pair: found[pair][1]):
-        a, b = owner[list(pair)]
-        if a != b:
-            owner[owner == b] = a
-            chosen.append(pair)
-    return chosen
+def _cheapest_pairs(found, count: int) -> list[tuple[int, int]]:
+    """Find the pairs of segments of the minimum spanning tree, or forest."""
+    pairs = list(found)
+    edges = spanning_tree(np.array([found[pair][1] for pair in pairs]), np.array(pairs, int), count)
+    return [pairs[edge] for edge in edges]
 
 
 def _usual_distance(places: np.ndarray, seen: np.ndarray) -> float:
