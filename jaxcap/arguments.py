@@ -187,7 +187,7 @@ def numbers_of(where: str, name: str, value: Any) -> np.ndarray:
 
 def _check(where: str, name: str, annotation: Any, value: Any, lengths: Lengths) -> None:
     expected = _mismatch(annotation, value, lengths, name)
-    if expected not None:
+    if expected is not None:
         raise InputError(f"{where}: `{name}` {describe(value)}; expected {expected}.")
 
 
