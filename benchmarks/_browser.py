@@ -45,7 +45,7 @@ def launched(angle: str = "swiftshader") -> Iterator:
 
     program = find_chromium()
     if program is None:
-        raise RuntimeError(f"There is none of {', '.join(PROGRAMS)}; install one.")
+        raise RuntimeError(f"No browser was found; expected one of {', '.join(PROGRAMS)}; install one.")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=[*PLAIN, *ANGLES[angle]])
         try:
@@ -74,7 +74,7 @@ def wait_for_eye(page, camera: Any, middle: ArrayLike) -> None:
     asked, end = time.time(), time.monotonic() + 60.0
     while camera.update_timestamp < asked or np.abs(np.array(camera.look_at) - middle).max() > 1e-3:
         if time.monotonic() > end:
-            raise TimeoutError("The browser does not tell that its eye has moved.")
+            raise TimeoutError("The browser did not report the new camera position.")
         page.evaluate("window.__viserMutable.sendCamera()")
         page.wait_for_timeout(50)
 

@@ -45,7 +45,7 @@ def dem_bones(
     try:
         from py_dem_bones import DemBones
     except ImportError:
-        progress('The rival is missing; install it with: pip install -e ".[bench]"')
+        progress('Dem-Bones is not installed; install it with: pip install -e ".[bench]"')
         sys.exit(2)
     frames, faces = np.asarray(meshes.vertices, float), np.asarray(meshes.faces)
     solver = DemBones()

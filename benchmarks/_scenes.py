@@ -54,7 +54,7 @@ def shared_folder() -> Path:
     beside = Path(__file__).resolve().parents[2] / "shared"
     shared = Path(os.environ.get("JAXCAP_SHARED") or beside)
     if not (shared / "data" / "motion").is_dir():
-        progress(f"{shared} holds no folder data/motion; name the folder of captures in JAXCAP_SHARED.")
+        progress(f"{shared} has no folder data/motion; set JAXCAP_SHARED to the folder of captures.")
         sys.exit(2)
     return shared
 

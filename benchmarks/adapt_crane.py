@@ -41,8 +41,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.adapt_crane", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("--frames", type=int, help="only so many frames")
-    parser.add_argument("--picture", type=Path, help="write four frames as a PNG")
+    parser.add_argument("--frames", type=int, help="number of frames")
+    parser.add_argument("--picture", type=Path, help="write a PNG of four frames")
     options = parser.parse_args()
     crane = load_crane(shared_folder())
     count = min(options.frames or len(crane.frames), len(crane.frames))

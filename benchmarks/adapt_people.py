@@ -244,12 +244,12 @@ def main() -> None:
     parser.add_argument("--setups", nargs="*", choices=("a", "b"), default=["a", "b"])
     parser.add_argument("--starts", nargs="*", choices=("given", "wrong", "searched"), default=["given", "wrong"])  # fmt: skip
     parser.add_argument(
-        "--template", default="learned", help="human, reduced, learned, or a body .npz that was learned so"
+        "--template", default="learned", help="human, reduced, learned, or the .npz file of a learned body"
     )
     parser.add_argument(
-        "--prior", choices=("learned", "none"), default="learned", help="which poses are likely"
+        "--prior", choices=("learned", "none"), default="learned", help="pose prior"
     )
-    parser.add_argument("--keep", type=Path, help="JSON of the rows that are done, read and written")
+    parser.add_argument("--keep", type=Path, help="JSON file of the finished rows, read and updated")
     options = parser.parse_args()
     kept = json.loads(options.keep.read_text()) if options.keep and options.keep.is_file() else {}
     body = template_of(options.template)

@@ -85,14 +85,14 @@ def main() -> None:
         prog="python -m benchmarks.adapt_speed", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--frames", type=int, default=40)
-    parser.add_argument("--open3d", type=Path, help="the Python of an environment that has Open3D")
+    parser.add_argument("--open3d", type=Path, help="Python executable of an environment with Open3D")
     options = parser.parse_args()
     actor = make_actor(ACTORS[3]).body
     motion = human_motion(shared_folder(), TAKES[3], actor, options.frames)
     clouds = scans_of(actor, motion, "a")
     prior = RestPrior(jnp.asarray(rest_deviations(actor.skeleton, 1.0)))
     seconds, off, start = pose_seconds(actor, prior, clouds[0], motion[0])
-    progress(f"a pose: {seconds:.3f} s, joints {1000 * off:.1f} mm")
+    progress(f"one pose: {seconds:.3f} s, mean joint error {1000 * off:.1f} mm")
     figures = {"pose_s": seconds, "pose_joints_mm": 1000 * off}
     if options.open3d:
         rigid = rigid_seconds(options.open3d, actor, clouds[0], start)

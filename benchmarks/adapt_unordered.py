@@ -134,7 +134,7 @@ def picture(path: Path, state: AdaptState, scene: Scene) -> None:
         title = f"frame {frame}: {1000 * np.median(off[frame]):.1f} mm"
         points = np.asarray(scene.clouds[frame].points)[np.asarray(scene.clouds[frame].weights) > 0]
         views.append(View(title, vertices, points, off[frame]))
-    draw(path, views, np.asarray(state.body.faces), "The frames that are furthest off")
+    draw(path, views, np.asarray(state.body.faces), "Frames with the largest errors")
 
 
 def main() -> None:
@@ -143,10 +143,14 @@ def main() -> None:
     )
     parser.add_argument("--scenes", nargs="*", choices=(*PEOPLE, "crane"), default=[*PEOPLE, "crane"])
     parser.add_argument("--frames", type=int, default=24)
-    parser.add_argument("--resolution", default="medium", help="of the template: medium or low")
-    parser.add_argument("--short", action="store_true", help="few rounds, of 8 scans")
-    parser.add_argument("--ordered-too", action="store_true", help="also as if scans followed each other")
-    parser.add_argument("--pictures", type=Path, help="a folder for the frames that are furthest off")
+    parser.add_argument("--resolution", default="medium", help="resolution of the template: medium or low")
+    parser.add_argument("--short", action="store_true", help="few rounds with 8 scans")
+    parser.add_argument(
+        "--ordered-too", action="store_true", help="adapt also as if the scans were ordered in time"
+    )
+    parser.add_argument(
+        "--pictures", type=Path, help="folder for pictures of the frames with the largest errors"
+    )
     options = parser.parse_args()
     settings = AdaptSettings(frames=8, alone=3, rounds=(2, 2)) if options.short else AdaptSettings()
     shared, begin = shared_folder(), time.perf_counter()

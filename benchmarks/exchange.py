@@ -60,7 +60,7 @@ def compared(found: dict[str, Any], truth: Truth, names: list[str]) -> dict[str,
     if "vertices" in found:
         if found["vertices"].shape != truth.vertices.shape:
             raise RuntimeError(
-                f"There are {found['vertices'].shape[1]} vertices, not {truth.vertices.shape[1]}."
+                f"The file has {found['vertices'].shape[1]} vertices; expected {truth.vertices.shape[1]}."
             )
         figures["vertices_mm"] = 1000 * np.linalg.norm(found["vertices"] - truth.vertices, axis=-1).max()
     return {name: float(value) for name, value in figures.items()}
@@ -214,12 +214,14 @@ def main() -> None:
     parser.add_argument("--programs", type=Path, default=Path.home() / ".cache" / "jaxcap" / "programs")
     parser.add_argument("--only", nargs="*", choices=programs, default=programs)
     parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--at", type=int, default=6, help="frames of these that are looked at")
-    parser.add_argument("--tolerance", type=float, default=0.001, help="of linearising, metres")
-    parser.add_argument("--cases", nargs="*", help="these only, by name")
+    parser.add_argument("--at", type=int, default=6, help="number of compared frames")
+    parser.add_argument(
+        "--tolerance", type=float, default=0.001, help="tolerance of the linearised body, metres"
+    )
+    parser.add_argument("--cases", nargs="*", help="names of the cases; all by default")
     parser.add_argument("--case", nargs=3, action="append", default=[], metavar=("NAME", "BODY", "MOTION"))
-    parser.add_argument("--no-captures", action="store_true", help="only what needs none")
-    parser.add_argument("--keep", type=Path, help="a folder for the files and pictures")
+    parser.add_argument("--no-captures", action="store_true", help="only the cases that need no captures")
+    parser.add_argument("--keep", type=Path, help="folder for the files and pictures")
     options = parser.parse_args()
     cases = make_cases(None if options.no_captures else shared_folder(), options.frames)
     for name, body, motion in options.case:

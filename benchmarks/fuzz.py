@@ -112,11 +112,13 @@ def _finish(readings: Sequence[Reading], seeds: int, written: float, total: floa
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description=__doc__)
-    parser.add_argument("--variants", type=int, default=200, help="damaged files of each format")
+    parser.add_argument("--variants", type=int, default=200, help="number of damaged files of each format")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--only", nargs="*", default=[], choices=FORMATS, help="formats")
-    parser.add_argument("--keep", type=Path, help="a folder for the files that were read wrong")
+    parser.add_argument(
+        "--only", nargs="*", default=[], choices=FORMATS, help="formats to test; all by default"
+    )
+    parser.add_argument("--keep", type=Path, help="folder for the files that were read incorrectly")
     return parser.parse_args(arguments)
 
 

@@ -225,7 +225,7 @@ def main() -> None:
             count += 1
         seconds[name] = {way: timer.seconds for way, timer in timers.items()}
         progress(
-            f"{name}: {body.skeleton.num_dofs} numbers, {len(body.vertices)} vertices; worst so far {figures}"
+            f"{name}: {body.skeleton.num_dofs} degrees of freedom, {len(body.vertices)} vertices; largest errors so far {figures}"
         )
     figures["cone_closed_form"], figures["cone_differences"] = cone_errors(rng)
     figures["limits_closed_form"], figures["limits_differences"] = limit_errors(skinned["chain"], rng)

@@ -118,7 +118,9 @@ def main() -> None:
     )
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--moves", type=int, default=60)
-    parser.add_argument("--rest", type=float, default=0.5, help="seconds between two moves in the browser")
+    parser.add_argument(
+        "--rest", type=float, default=0.5, help="seconds between two mouse moves in the browser"
+    )
     parser.add_argument("--no-browser", action="store_true")
     options = parser.parse_args()
     body = human()

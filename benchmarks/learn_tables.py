@@ -85,12 +85,12 @@ def main() -> None:
     )
     parser.add_argument("--scenes", nargs="*", choices=("human", "crane"), default=["human", "crane"])
     parser.add_argument(
-        "--resolution", choices=("full", "medium", "low"), default="full", help="of the human"
+        "--resolution", choices=("full", "medium", "low"), default="full", help="resolution of the human"
     )
-    parser.add_argument("--every", type=int, default=1, help="take every so many meshes only")
-    parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
-    parser.add_argument("--output", type=Path, help="write the tables as Markdown")
-    parser.add_argument("--keep", type=Path, help="JSON of the rows that are done, read and written")
+    parser.add_argument("--every", type=int, default=1, help="use every n-th mesh only")
+    parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
+    parser.add_argument("--output", type=Path, help="write the tables to a Markdown file")
+    parser.add_argument("--keep", type=Path, help="JSON file of the finished rows, read and updated")
     options = parser.parse_args()
     extra = {} if options.rounds is None else {"rounds": options.rounds}
 

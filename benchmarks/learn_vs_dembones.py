@@ -114,14 +114,16 @@ def main() -> None:
     parser.add_argument(
         "--scenes", nargs="*", choices=("bone", "crane", "lbs"), default=["bone", "crane", "lbs"]
     )
-    parser.add_argument("--bones", type=int, nargs="*", default=SAMPLE_BONES, help="of Dem-Bones' sample")
-    parser.add_argument("--every", type=int, default=1, help="of bone and crane, every so many meshes only")
-    parser.add_argument("--meshes", type=int, default=60, help="of the embedded human")
+    parser.add_argument(
+        "--bones", type=int, nargs="*", default=SAMPLE_BONES, help="numbers of bones for Dem-Bones' sample"
+    )
+    parser.add_argument("--every", type=int, default=1, help="use every n-th mesh of bone and crane only")
+    parser.add_argument("--meshes", type=int, default=60, help="number of meshes of the embedded human")
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="full")
     parser.add_argument(
-        "--poses", choices=("farthest", "random"), default="farthest", help="how they are picked"
+        "--poses", choices=("farthest", "random"), default="farthest", help="selection of the poses"
     )
-    parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
+    parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     extra = {} if options.rounds is None else {"rounds": options.rounds}

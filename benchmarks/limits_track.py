@@ -249,16 +249,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.limits_track", description=(__doc__ or "").splitlines()[0]
     )
-    parser.add_argument("--motions", nargs="+", default=TAKES, help="takes of subject 02 that are tracked")
-    parser.add_argument("--frames", type=int, help="track only so many frames of each take")
+    parser.add_argument("--motions", nargs="+", default=TAKES, help="takes of subject 02 to track")
+    parser.add_argument("--frames", type=int, help="number of frames of each take to track")
     parser.add_argument(
         "--every",
         type=int,
         default=1,
-        help="track every so many frames only; movements are so much quicker then",
+        help="track every n-th frame only; movements are then n times faster",
     )
-    parser.add_argument("--repeats", type=int, default=3, help="runs that are timed")
-    parser.add_argument("--depth-frames", type=int, help="fit only so many depth frames")
+    parser.add_argument("--repeats", type=int, default=3, help="number of timed runs")
+    parser.add_argument("--depth-frames", type=int, help="number of depth frames to fit")
     options = parser.parse_args()
     shared, start = shared_folder(), time.perf_counter()
     figures = tracking(shared, tuple(options.motions), options.frames, options.every, options.repeats)

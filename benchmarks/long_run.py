@@ -136,7 +136,7 @@ def main() -> None:
     )
     parser.add_argument("--frames", type=int, default=20_000)
     parser.add_argument("--points", type=int, default=1000)
-    parser.add_argument("--block", type=int, default=1000, help="frames of the blocks that are compared")
+    parser.add_argument("--block", type=int, default=1000, help="number of frames of each compared block")
     options = parser.parse_args()
     if options.frames < 3 * options.block:
         parser.error("give at least three blocks of frames")

@@ -308,9 +308,11 @@ def main() -> None:
     parser.add_argument(
         "--scenes", nargs="+", choices=("crane", *SCENES, *HARD), default=("crane", *SCENES, *HARD)
     )
-    parser.add_argument("--frames", type=int, default=175, help="so many frames of each scene")
-    parser.add_argument("--every", type=int, default=12, help="wrong poses are made at one frame in so many")
-    parser.add_argument("--picture", type=Path, help="write a case of each kind in the first scene as a PNG")
+    parser.add_argument("--frames", type=int, default=175, help="number of frames of each scene")
+    parser.add_argument("--every", type=int, default=12, help="generate wrong poses at every n-th frame")
+    parser.add_argument(
+        "--picture", type=Path, help="write a PNG with a case of each kind from the first scene"
+    )
     options = parser.parse_args()
     shared, scenes, seconds = shared_folder(), {}, {}
     for name in options.scenes:

@@ -71,12 +71,12 @@ def joints_between(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.markers_cmu", description="From 41 markers without labels to the tree."
+        prog="python -m benchmarks.markers_cmu", description="Fit a skeleton to 41 unlabelled markers."
     )
-    parser.add_argument("--frames", type=int, help="take only so many frames")
+    parser.add_argument("--frames", type=int, help="number of frames to use")
     parser.add_argument("--local", action="store_true", help="stop after the local technique")
-    parser.add_argument("--seed", type=int, default=0, help="of the order of markers")
-    parser.add_argument("--picture", type=Path, help="write the skeleton in its markers as a PNG")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random order of markers")
+    parser.add_argument("--picture", type=Path, help="write a PNG of the skeleton and its markers")
     options = parser.parse_args()
     shared = shared_folder()
     frames = jc.read_markers(shared / "data" / "markers" / f"cmu_{TAKE}.c3d")[: options.frames]
@@ -91,7 +91,7 @@ def main() -> None:
     subject = found.subject if calibrated is None else calibrated.subject
     solution = timer(jc.markers.solve_markers, subject, frames)
     for sentence in (*found.told, *(() if calibrated is None else calibrated.told), *solution.told):
-        progress(f"told: {sentence}")
+        progress(f"message: {sentence}")
 
     r, t, centres = bone_frames(skeleton, motion)
     _, _, ours = bone_frames(subject.skeleton, solution.motion)

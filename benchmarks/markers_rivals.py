@@ -132,8 +132,10 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--repeats", type=int, default=3, help="of our own calibration and solve")
-    parser.add_argument("--limit", type=float, default=3000.0, help="seconds that a rival may take")
+    parser.add_argument(
+        "--repeats", type=int, default=3, help="number of timed runs of our own calibration and solve"
+    )
+    parser.add_argument("--limit", type=float, default=3000.0, help="time limit of each rival, seconds")
     options = parser.parse_args()
     scene = the_scene(shared_folder(), options.take, options.frames, options.seed)
     chosen = np.linspace(0, len(scene.frames) - 1, options.count).round().astype(int)

@@ -285,7 +285,9 @@ def solving_seconds(frames: int, dofs: int, shared: int, width: int) -> float:
 def main():
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=120, help="of the largest problem but one")
+    parser.add_argument(
+        "--frames", type=int, default=120, help="number of frames of the second largest problem"
+    )
     frames = parser.parse_args().frames
     figures, limits = {}, {}
     body, modes = marked_human()
@@ -315,7 +317,7 @@ def main():
             first, least = least_seconds(gauss_newton_step, *single)
         figures[f"step_of_{count}_s"], figures[f"first_step_of_{count}_s"] = least, first
         progress(
-            f"{count} frames, {problem.num_shared} shared numbers: {least:.3f} s a step, {first:.1f} s the first"
+            f"{count} frames, {problem.num_shared} shared unknowns: {least:.3f} s per step, first step {first:.1f} s"
         )
     doubled = [
         figures[f"step_of_{2 * count}_s"] / figures[f"step_of_{count}_s"]

@@ -100,7 +100,7 @@ def finish(
     missed = misses(figures, limits)
     for miss in missed:
         sign, bound = limits[miss]
-        progress(f"{name}: {miss} is {figures.get(miss, 'missing')}, and should be {sign} {bound:g}.")
+        progress(f"{name}: {miss} is {figures.get(miss, 'missing')}; expected {sign} {bound:g}.")
     line = {
         "benchmark": name,
         "passed": not missed,

@@ -126,7 +126,7 @@ def main() -> None:
     )
     rigs = {rig.name: rig for rig in (*TUNED, *HELD_OUT)}
     parser.add_argument("--takes", nargs="+", default=TAKES)
-    parser.add_argument("--frames", type=int, help="only so many frames of each take")
+    parser.add_argument("--frames", type=int, help="number of frames of each take")
     parser.add_argument("--rigs", nargs="+", choices=rigs, default=list(rigs))
     options = parser.parse_args()
     shared, human = shared_folder(), jc.human(resolution="low")

@@ -122,7 +122,7 @@ def compare_e_steps(scene: Scene, repeats: int):
     }
     progress(
         f"E-step: {figures['e_step_ms']:.2f} ms, brute force {figures['e_step_brute_force_ms']:.1f} ms, "
-        f"{figures['e_step_ratio']:.1f} times; outlier shares differ by {apart.max():.1e}"
+        f"{figures['e_step_ratio']:.1f} times; outlier posteriors differ by {apart.max():.1e}"
     )
     return figures
 
@@ -181,7 +181,7 @@ def cold_start(scene: Scene):
         )
         whole = time.perf_counter() - start
     stages = json.loads(done.stdout.splitlines()[-1])
-    progress(f"cold start: {whole:.1f} s to the first frame and out again; {stages}")
+    progress(f"cold start: {whole:.1f} s from process start to exit after the first frame; {stages}")
     return whole, stages
 
 
@@ -225,7 +225,7 @@ def register_rigidly(scene: Scene, points: int | None):
     try:
         from pycpd import RigidRegistration
     except ImportError:
-        progress('pycpd is not installed: pip install -e ".[bench]" gives its figure.')
+        progress('pycpd is not installed; install it with: pip install -e ".[bench]"')
         return None
     cloud = scene.scans[0].cloud
     target = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0][:points]
@@ -274,9 +274,9 @@ def main() -> None:
     )
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--repeats", type=int, default=30)
-    parser.add_argument("--small", action="store_true", help="few sizes, and pycpd with 500 points")
-    parser.add_argument("--no-pycpd", action="store_true", help="leave out the minute that pycpd takes")
-    parser.add_argument("--picture", type=Path, help="write the cost against points and vertices as a PNG")
+    parser.add_argument("--small", action="store_true", help="measure few sizes, and pycpd with 500 points")
+    parser.add_argument("--no-pycpd", action="store_true", help="skip pycpd, which takes about a minute")
+    parser.add_argument("--picture", type=Path, help="write a PNG of the cost against points and vertices")
     options = parser.parse_args()
     if options.frames < 3:
         parser.error("the steady state needs at least 3 frames")

@@ -45,9 +45,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.track_crane", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("--frames", type=int, help="track only so many frames")
-    parser.add_argument("--rigged", type=int, default=0, help="the frame that the body is made of")
-    parser.add_argument("--picture", type=Path, help="write four frames as a PNG")
+    parser.add_argument("--frames", type=int, help="number of frames to track")
+    parser.add_argument("--rigged", type=int, default=0, help="frame from which the body is built")
+    parser.add_argument("--picture", type=Path, help="write a PNG of four frames")
     options = parser.parse_args()
 
     crane = load_crane(shared_folder())

@@ -56,12 +56,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.view_speed", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("--seconds", type=float, default=10.0, help="how long frames are counted")
+    parser.add_argument("--seconds", type=float, default=10.0, help="duration of frame counting, seconds")
     parser.add_argument("--frames", type=int, default=240)
     parser.add_argument(
-        "--size", type=int, nargs=2, default=(800, 600), help="pixels of the browser's window"
+        "--size", type=int, nargs=2, default=(800, 600), help="size of the browser window, pixels"
     )
-    parser.add_argument("--angle", choices=list(ANGLES), default="gl-egl", help="what draws, without a card")
+    parser.add_argument(
+        "--angle", choices=list(ANGLES), default="gl-egl", help="renderer without a graphics card"
+    )
     parser.add_argument("--no-install", action="store_true")
     options = parser.parse_args()
     body = jc.human(resolution="medium")
@@ -125,7 +127,7 @@ def viewer(
         line = program.stdout.readline()
         found = re.search(r"http://\S+", line)
         if found is None:
-            raise RuntimeError(f"`jaxcap view` did not tell an address but {line!r}.")
+            raise RuntimeError(f"`jaxcap view` printed {line!r}; expected an address.")
         try:
             yield found.group()
         finally:

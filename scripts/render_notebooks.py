@@ -28,7 +28,7 @@ WIDE, COLOURS = 900, 128
 def main() -> None:
     """Run and write."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", help="which, all where none is given")
+    parser.add_argument("names", nargs="*", help="names of the notebooks; all by default")
     options = parser.parse_args()
     for name in options.names or sorted(path.stem for path in NOTEBOOKS.glob("*.py")):
         begin = time.perf_counter()

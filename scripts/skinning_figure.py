@@ -32,7 +32,7 @@ def main() -> None:
             axes = figure.add_subplot(2, 4, 4 * row + column + 1, projection="3d")
             draw(axes, vertices, faces, turned=row == 1)
             if motion == "twist":
-                said = f"{100 * cross_section(vertices):.0f} % of the area left"
+                said = f"{100 * cross_section(vertices):.0f} % of the area remains"
                 axes.set_title(TITLES.get(scheme, "swing-twist"), fontsize=13)
             else:
                 said = f"bulges by {100 * bulge(vertices, degrees):.0f} % of the radius"

@@ -58,7 +58,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m scripts.tracking_picture", description=(__doc__ or "").splitlines()[0]
     )
-    parser.add_argument("--every", type=int, default=1, help="draw every so-many-th frame")
+    parser.add_argument("--every", type=int, default=1, help="draw every n-th frame only")
     parser.add_argument("--folder", type=Path, default=ASSETS)
     options = parser.parse_args()
 
@@ -68,7 +68,7 @@ def main() -> None:
     frames = list(follow(actor, performance, body))
     truth = np.array([_posed(actor, performance[number]).joints for number in range(performance.num_frames)])
     errors = joint_errors(np.array([shown.joints for shown in frames]), truth)
-    sys.stderr.write(f"mean error at the joints: {1000 * errors.mean():.1f} mm\n")
+    sys.stderr.write(f"mean joint error: {1000 * errors.mean():.1f} mm\n")
 
     pictures = [draw(shown, faces, parents) for shown in frames[:: options.every]]
     path = options.folder / "tracking.webp"
@@ -124,8 +124,8 @@ def draw(shown: Shown, faces: np.ndarray, parents: tuple[int, ...]) -> Image.Ima
     left, right = figure.subplots(1, 2)
     figure.subplots_adjust(left=0, right=1, bottom=0, top=1, wspace=0)
     for plot, title in (
-        (left, "in: points of depth cameras"),
-        (right, "out: a pose of the skeleton, every frame"),
+        (left, "input: points of depth cameras"),
+        (right, "output: a pose of the skeleton in every frame"),
     ):
         plot.set(xlim=(-REACH, REACH), ylim=(LOW, LOW + 2 * REACH * HEIGHT / WIDE), aspect="equal")
         plot.set_axis_off()

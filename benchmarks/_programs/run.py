@@ -33,15 +33,15 @@ def node_modules(folder: Path) -> Path | None:
     if (home / "complete").exists():
         return home
     if shutil.which("node") is None or shutil.which("npm") is None:
-        progress("gltf-validator and three.js are left out: node and npm are not there")
+        progress("gltf-validator and three.js are skipped: node and npm are not installed")
         return None
     home.mkdir(parents=True, exist_ok=True)
     progress(f"node: installing {', '.join(NODE)}")
     command = ["npm", "install", "--no-audit", "--no-fund", "--prefix", str(home), *NODE]
     outcome = subprocess.run(command, capture_output=True, text=True, cwd=home)
     if outcome.returncode:
-        said = (outcome.stderr.strip() or "nothing said").splitlines()[-1]
-        progress(f"gltf-validator and three.js are left out, they do not install: {said}")
+        said = (outcome.stderr.strip() or "no output").splitlines()[-1]
+        progress(f"gltf-validator and three.js are skipped: the installation failed: {said}")
         return None
     (home / "complete").touch()
     return home

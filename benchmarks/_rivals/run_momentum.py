@@ -150,7 +150,7 @@ def main():
                 tried.append((left, seconds, character, identity, settings))
             print(f"momentum {settings}: {10 * left:.3f} mm at the markers, {seconds:.1f} s", file=sys.stderr)
     if not tried:
-        sys.exit("momentum found no finite subject at any setting")
+        sys.exit("momentum: no setting gave a finite subject")
     left, seconds, character, identity, settings = min(tried, key=lambda one: one[0])
     best = None
     for trial in (

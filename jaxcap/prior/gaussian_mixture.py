@@ -50,7 +50,9 @@ def fit_mixture(
     **Raises:** `ValueError` if there are fewer samples than components, or if a sample is not finite.
     """
     if not 1 <= count <= len(samples):
-        raise ValueError(f"A mixture of {count} components cannot be fitted to {len(samples)} samples; give more samples.")
+        raise ValueError(
+            f"A mixture of {count} components cannot be fitted to {len(samples)} samples; give more samples."
+        )
     if not np.isfinite(samples).all():
         raise ValueError("A sample is not finite; leave its frame out.")
     rng = np.random.default_rng(seed)

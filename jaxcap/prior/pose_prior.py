@@ -112,7 +112,9 @@ def turn_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J 3"]
         raise ValueError("There are no poses to learn from; give poses stacked over frames.")
     joints = stacked.rotations.shape[1]
     if joints != skeleton.num_joints:
-        raise ValueError(f"The poses have {joints} joints; expected {skeleton.num_joints}, as in the skeleton.")
+        raise ValueError(
+            f"The poses have {joints} joints; expected {skeleton.num_joints}, as in the skeleton."
+        )
     vectors = np.asarray(_own_vectors(skeleton, stacked), float)
     broken = ~np.isfinite(vectors).all((1, 2))
     if broken.any():

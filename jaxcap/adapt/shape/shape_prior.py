@@ -43,7 +43,9 @@ def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]
         raise ValueError("There are no poses of training meshes; give poses stacked over meshes.")
     joints = poses.rotations.shape[1]
     if joints != body.skeleton.num_joints:
-        raise ValueError(f"The poses have {joints} joints; expected {body.skeleton.num_joints}, as in the body.")
+        raise ValueError(
+            f"The poses have {joints} joints; expected {body.skeleton.num_joints}, as in the body."
+        )
     if meshes.shape[:2] != (count, len(body.vertices)):
         raise ValueError(
             f"There are {meshes.shape[0]} meshes of {meshes.shape[1]} vertices; expected {count}, one for each pose, of "
