@@ -1,4 +1,4 @@
-"""Chromium without a screen, drawing in software, and what a window of viser has in its page."""
+"""Run headless Chromium with software rendering, and query the page of a viser window."""
 
 import contextlib
 import shutil

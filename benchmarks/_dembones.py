@@ -1,4 +1,4 @@
-"""The rival: Dem-Bones (Le and Deng 2012 and 2014), by py-dem-bones at its own settings.
+"""Run Dem-Bones (Le and Deng 2012 and 2014) by py-dem-bones with its default settings.
 
 It finds weights and one free rigid motion a bone and frame; the rest shape is given to it. Its RMSE
 is the root mean square over vertices and frames of the distance of a vertex from its place, in the

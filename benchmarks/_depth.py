@@ -1,4 +1,4 @@
-"""Real frames of a depth camera, with the upper half of a person in each, and poses in them."""
+"""Fit poses to real frames of a depth camera, each of the upper body of a person."""
 
 import dataclasses
 from pathlib import Path

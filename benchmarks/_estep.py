@@ -1,4 +1,4 @@
-"""The E-step's test scene and its rival: one plain argmin a part."""
+"""A test scene of the E-step, and a brute-force reference with one argmin per part."""
 
 import functools
 import time

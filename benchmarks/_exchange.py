@@ -1,4 +1,4 @@
-"""Bodies with motions to hand to other programs, and where their vertices and joints then are."""
+"""Bodies with motions for other programs, and the expected vertices and joints."""
 
 from pathlib import Path
 from typing import NamedTuple

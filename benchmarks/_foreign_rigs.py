@@ -1,4 +1,4 @@
-"""Rigs of other programs: the names that their files give joints, and what is otherwise about their joints."""
+"""Rigs of other programs: the names of their joints, and how their joints differ."""
 
 import numpy as np
 

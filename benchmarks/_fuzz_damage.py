@@ -1,4 +1,4 @@
-"""Damage whole files: bits, numbers, words, arrays, trees. Every function takes bytes and a generator, and gives bytes."""
+"""Damage valid files: bits, numbers, words, arrays, trees. Functions take bytes and a generator, and return bytes."""
 
 import io
 import json

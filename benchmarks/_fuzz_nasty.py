@@ -1,4 +1,4 @@
-"""Files made by hand of what no chance finds: bombs, cycles, long chains, counts that cannot be, paths that lead away."""
+"""Handmade malicious files: decompression bombs, cycles, long chains, impossible counts, paths outside the folder."""
 
 import ast
 import io

@@ -1,4 +1,4 @@
-"""Processes that read files one after the other, each with limits of memory and of time."""
+"""Read files in worker processes with limits of memory and time."""
 
 import contextlib
 import multiprocessing

@@ -1,4 +1,4 @@
-"""Read one file as its format is read by the library, and say what came of it."""
+"""Read one file with the readers of its format, and classify the outcome."""
 
 import dataclasses
 import functools

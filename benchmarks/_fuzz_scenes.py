@@ -1,4 +1,4 @@
-"""Skinned files and scenes made by hand: cycles, long chains, flat transforms, counts that cannot be, paths that lead away."""
+"""Handmade malicious skinned files: cycles, long chains, singular transforms, impossible counts, paths outside the folder."""
 
 import io
 import json

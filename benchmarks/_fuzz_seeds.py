@@ -1,4 +1,4 @@
-"""Whole files of every format that the library reads, from which damaged ones are made."""
+"""Valid files of every supported format, the seeds of damaged ones."""
 
 import json
 from collections.abc import Callable, Mapping

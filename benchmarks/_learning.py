@@ -1,5 +1,4 @@
-"""Registered meshes to learn bodies from, made ones with their truth and captured ones, and how what
-was learned is measured."""
+"""Registered meshes to learn bodies from, synthetic and captured, and error measures of learned bodies."""
 
 import time
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Scenes of the limits' benchmarks: an analytic coupled limit, and motions of the CMU database."""
+"""Scenes for benchmarks of joint limits: an analytic coupled limit, and motions of the CMU database."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""A limb of few vertices and clouds of it in a motion that repeats, for runs of any length."""
+"""A small limb and its clouds in a periodic motion, for runs of any length."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Optical markers on the embedded human, as cameras would have seen them, and a template that is wrong."""
+"""Synthetic optical markers on the embedded human, and a perturbed template."""
 
 from pathlib import Path
 from typing import NamedTuple

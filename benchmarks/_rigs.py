@@ -1,4 +1,4 @@
-"""CMU takes on rigs of other programs: other names, joints more and fewer, other rest poses, joint frames, sizes and axes."""
+"""CMU takes on rigs of other programs, with other names, joints, rest poses, joint frames, sizes and axes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType

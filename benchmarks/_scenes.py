@@ -1,4 +1,4 @@
-"""CMU motions on the embedded human, and the clouds that a scanner would have made of them."""
+"""CMU motions on the embedded human, and simulated scans of them."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""A moving arm as a pair of stereo cameras sees it: few points, of its front, noisy and in steps of depth."""
+"""Simulated stereo points of a moving arm: few, one-sided, noisy, with quantised depth."""
 
 from pathlib import Path
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""The embedded human becomes a real performer (Vlasic et al. 2008): `python -m benchmarks.adapt_crane`.
+"""Adapt the embedded human to a real performer (Vlasic et al. 2008): `python -m benchmarks.adapt_crane`.
 
     python -m benchmarks.adapt_crane --frames 30 --picture crane.png
 

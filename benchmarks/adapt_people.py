@@ -1,4 +1,4 @@
-"""A template becomes other people while they are tracked: `python -m benchmarks.adapt_people`.
+"""Adapt a template to other people: `python -m benchmarks.adapt_people`.
 
     python -m benchmarks.adapt_people --actors 1 --frames 60 --setups a --starts given --keep rows.json
 
@@ -246,9 +246,7 @@ def main() -> None:
     parser.add_argument(
         "--template", default="learned", help="human, reduced, learned, or the .npz file of a learned body"
     )
-    parser.add_argument(
-        "--prior", choices=("learned", "none"), default="learned", help="pose prior"
-    )
+    parser.add_argument("--prior", choices=("learned", "none"), default="learned", help="pose prior")
     parser.add_argument("--keep", type=Path, help="JSON file of the finished rows, read and updated")
     options = parser.parse_args()
     kept = json.loads(options.keep.read_text()) if options.keep and options.keep.is_file() else {}

@@ -1,4 +1,4 @@
-"""What adaptation costs: `python -m benchmarks.adapt_speed`.
+"""Time adaptation: `python -m benchmarks.adapt_speed`.
 
 One pose of a body of 5,000 vertices from 10,000 points, started 3 cm off as in a sequence, after compilation, the tree
 of the points included; and the whole adaptation to 40 frames, compilation included. Where Open3D is installed (it

@@ -1,4 +1,4 @@
-"""Scans that do not follow each other in time: `python -m benchmarks.adapt_unordered`.
+"""Adapt to scans that are not ordered in time: `python -m benchmarks.adapt_unordered`.
 
     python -m benchmarks.adapt_unordered --scenes woman crane --frames 12 --short --ordered-too
 

@@ -1,4 +1,4 @@
-"""What other programs make of our files: `python -m benchmarks.exchange --programs FOLDER`.
+"""Compare how other programs read our files: `python -m benchmarks.exchange --programs FOLDER`.
 
 Bodies with motions go out as `.glb`, USD and `.bvh`. Khronos's validator reads the first; Blender imports all three, and
 its joints and evaluated vertices are held to ours; three.js loads the `.glb` in a browser without a window, and its

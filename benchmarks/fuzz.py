@@ -1,4 +1,4 @@
-"""Damaged files of every format: a reader answers with data or with a sentence, soon, and in little memory.
+"""Fuzz the readers of all formats: each must return data or a clear error, quickly and in little memory.
 
 Whole files are written by the library and taken from the shared captures (`../shared`, or `JAXCAP_SHARED`), and each is
 damaged in many ways: bits, cuts, splices, counts, NaN, nesting, bombs, cycles. The same files in every run.

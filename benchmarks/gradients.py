@@ -1,4 +1,4 @@
-"""Derivatives of posed points three ways: closed form, autodiff, central differences.
+"""Compare derivatives of posed points: closed form, automatic differentiation, central differences.
 
     python -m benchmarks.gradients
 

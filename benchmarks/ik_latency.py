@@ -1,4 +1,4 @@
-"""How long a dragged point takes to be where the hand is: `python -m benchmarks.ik_latency`.
+"""Measure the latency of inverse kinematics while a point is dragged: `python -m benchmarks.ik_latency`.
 
 The embedded human with 13,380 vertices and ten constraints, nine of them held and one dragged around a loop, half of
 which is out of reach; float32. A solve is timed from the new target to the posed surface that is there in NumPy. Then a

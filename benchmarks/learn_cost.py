@@ -1,4 +1,4 @@
-"""What a round of learning costs, with meshes, vertices and joints each doubled: `python -m benchmarks.learn_cost`.
+"""Time a round of learning, with meshes, vertices and joints each doubled: `python -m benchmarks.learn_cost`.
 
     python -m benchmarks.learn_cost --vertices 700 --meshes 10 --joints 6
 

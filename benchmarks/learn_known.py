@@ -1,4 +1,4 @@
-"""A body that is known, learned from meshes alone: `python -m benchmarks.learn_known`.
+"""Learn a known body from its meshes alone: `python -m benchmarks.learn_known`.
 
     python -m benchmarks.learn_known --resolution low --training 12 --held-out 4 --rounds 2
 

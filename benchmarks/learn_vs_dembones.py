@@ -1,4 +1,4 @@
-"""Against Dem-Bones on the same meshes, with as many bones: `python -m benchmarks.learn_vs_dembones`.
+"""Compare learning with Dem-Bones on the same meshes, with as many bones: `python -m benchmarks.learn_vs_dembones`.
 
     python -m benchmarks.learn_vs_dembones --scenes bone --bones 5 10 20
     python -m benchmarks.learn_vs_dembones --scenes lbs --resolution low --meshes 12 --rounds 2

@@ -1,4 +1,4 @@
-"""Slopes of the fields of joint limits, against central differences: `python -m benchmarks.limits_gradients`.
+"""Check gradients of joint limits against central differences: `python -m benchmarks.limits_gradients`.
 
 The signed distance of a learned surface in its chart, on the thickness of primitives, on their cut-off, inside
 and far off; limits as an energy by the numbers of a pose; and the soft object's distance. Double precision.

@@ -1,4 +1,4 @@
-"""Limits learned from half of a motion, judged by the other: `python -m benchmarks.limits_holdout`.
+"""Validate learned joint limits on held-out halves of motions: `python -m benchmarks.limits_holdout`.
 
 First a known limit that couples swing with twist and elbow with shoulder: how often a learned one
 is right about poses that are not within three degrees of its border. Then shoulders and elbows,

@@ -1,4 +1,4 @@
-"""Random invalid poses turned back into learned limits: `python -m benchmarks.limits_project`.
+"""Project random invalid poses onto learned joint limits: `python -m benchmarks.limits_project`.
 
 A shoulder with its elbow, learned from the CMU database. Every pose has to be allowed afterwards,
 and no joint may be moved further than 1.1 times as far as the nearest sample that is allowed: of the

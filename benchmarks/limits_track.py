@@ -1,4 +1,4 @@
-"""What learned limits are worth in tracking: `python -m benchmarks.limits_track`.
+"""Measure the benefit of learned joint limits in tracking: `python -m benchmarks.limits_track`.
 
 The embedded human performs five takes of CMU's subject 02, seen from the front of its pelvis by what
 stands for a pair of stereo cameras: 300 points of the right arm at most, 15 mm of noise along each

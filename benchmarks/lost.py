@@ -1,4 +1,4 @@
-"""Frames that are right and frames that were made wrong: which of them are flagged.
+"""Measure how reliably wrong poses are flagged, and right ones are not.
 
     python -m benchmarks.lost
     python -m benchmarks.lost --scenes crane --frames 30

@@ -1,4 +1,4 @@
-"""Right hip and knee from functional trials, unaided: `python -m benchmarks.markers_biobuddy`.
+"""Estimate right hip and knee from functional trials, without a template: `python -m benchmarks.markers_biobuddy`.
 
 One person with 73 markers: a static pose, a trial of the right hip, one of the right knee (Pyomeca's
 BioBuddy). Segments are found in all three together, with no labels; labels only say afterwards which

@@ -1,4 +1,4 @@
-"""From 41 markers without labels to the tree: `python -m benchmarks.markers_cmu`.
+"""Estimate a skeleton from 41 unlabelled markers: `python -m benchmarks.markers_cmu`.
 
 CMU's take 02_05, punches and strikes: raw markers, and the database's own skeleton and motion of the
 same frames. Markers are shuffled and their labels hidden; what is found is compared with the database:

@@ -1,4 +1,4 @@
-"""Calibration and solve against others' programs: `python -m benchmarks.markers_rivals --venvs FOLDER`.
+"""Compare calibration and inverse kinematics with other programs: `python -m benchmarks.markers_rivals --venvs FOLDER`.
 
 The embedded human under a take of CMU's, some 60 markers with a millimetre of noise, from a template with bones 8 %
 and markers 14 mm off: 100 of 300 frames to calibrate, all to solve. Each rival runs in a virtual environment of

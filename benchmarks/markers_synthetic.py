@@ -1,4 +1,4 @@
-"""Calibration where the truth is known: `python -m benchmarks.markers_synthetic`.
+"""Calibrate synthetic subjects with known ground truth: `python -m benchmarks.markers_synthetic`.
 
 60 markers on the embedded human under CMU's motions, from a template with bones 8 % and markers 15 mm off: noise of a
 millimetre alone, with gaps and swapped labels besides, and with skin that moves. Errors are those of joint centres in

@@ -1,4 +1,4 @@
-"""One least-squares problem for many frames and what they share: minima, derivatives, precision, cost.
+"""Check least squares over many frames with shared unknowns: minima, derivatives, precision, cost.
 
     python -m benchmarks.one_solver [--frames 120]
 

@@ -1,4 +1,4 @@
-"""What all benchmarks share: a clock that keeps compilation apart, and the last line.
+"""Time and report benchmarks: a timer that separates compilation, and the final line of JSON.
 
     timer = Timer()
     result = timer(tracked, body, clouds)

@@ -1,4 +1,4 @@
-"""CMU takes on rigs of other programs, carried to the embedded human, against the takes themselves carried to it.
+"""Retarget CMU takes on rigs of other programs to the embedded human, and compare with direct retargeting.
 
     python -m benchmarks.retarget_rigs
     python -m benchmarks.retarget_rigs --takes 02_05 --frames 40 --rigs unreal nameless

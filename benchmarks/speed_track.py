@@ -1,4 +1,4 @@
-"""How fast a body of 5,000 vertices is tracked through clouds of 5,000 points.
+"""Time tracking of a body of 5,000 vertices in clouds of 5,000 points.
 
     python -m benchmarks.speed_track
     python -m benchmarks.speed_track --frames 5 --small --picture cost.png

@@ -1,4 +1,4 @@
-"""Three CMU takes, scanned with noise and outliers, tracked from nothing.
+"""Track three CMU takes, scanned with noise and outliers, without an initial pose.
 
     python -m benchmarks.track_cmu
     python -m benchmarks.track_cmu --takes 02_05 --frames 30 --picture tracked.png

@@ -1,4 +1,4 @@
-"""How fast the viewer is in a browser, and how long it takes from nothing: `python -m benchmarks.view_speed`.
+"""Time the viewer in a browser, and its installation and start: `python -m benchmarks.view_speed`.
 
 `jaxcap view` plays a motion of the embedded human with 5,000 vertices, 60 frames per second, in Chromium without a screen. By
 the page's own clock, a frame is an array of vertices that was not there at the browser's last drawing, so what came and was
