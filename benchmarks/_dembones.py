@@ -22,7 +22,7 @@ PATIENCE, ENOUGH = 30, 1e-3
 
 
 class Rival(NamedTuple):
-    """One run; RMSE in millimetres of metres."""
+    """One run of Dem-Bones; RMSE in millimetres for meshes in metres."""
 
     bones: int
     #: after its default number of iterations

@@ -20,7 +20,7 @@ _pose_body = eqx.filter_jit(jc.pose_body)
 
 
 def make_limb() -> jc.Body:
-    """A tapering tube of 416 vertices on three bones."""
+    """Make a tapering tube of 416 vertices on three bones."""
     along, around = np.meshgrid(
         np.linspace(0, LENGTH, ALONG), np.arange(AROUND) * 2 * np.pi / AROUND, indexing="ij"
     )
