@@ -29,7 +29,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 def distances(state: AdaptState, clouds: list[jc.Cloud]) -> list[np.ndarray]:
-    """From the points of every cloud to the surface, metres."""
+    """Compute the distances of the points of every cloud from the surface, metres."""
     faces = np.asarray(state.body.faces)
     return [
         scan_to_surface(np.asarray(cloud.points, float), np.asarray(_posed(state.body, state.motion[n]).vertices, float), faces)

@@ -55,7 +55,7 @@ print(json.dumps({"seconds": float(np.median(taken)), "version": o3d.__version__
 
 
 def pose_seconds(body: jc.Body, prior, cloud: jc.Cloud, truth: jc.Pose) -> tuple[float, float, jc.Pose]:
-    """Median seconds of a pose, its mean error at the joints, metres, and where it began."""
+    """Measure the median seconds of a pose; also return its mean joint error, metres, and its start."""
     rng, taken, off = np.random.default_rng(0), [], 0.0
     start = truth
     for _ in range(REPEATS + 1):
@@ -69,7 +69,7 @@ def pose_seconds(body: jc.Body, prior, cloud: jc.Cloud, truth: jc.Pose) -> tuple
 
 
 def rigid_seconds(python: Path, body: jc.Body, cloud: jc.Cloud, start: jc.Pose) -> dict:
-    """Open3D's point-to-plane registration of the surface with the points."""
+    """Time Open3D's point-to-plane registration of the surface with the points."""
     posed = jc.pose_body(body, start)
     arrays = {"vertices": posed.vertices, "vertices_normals": posed.normals, "points": cloud.points, "points_normals": cloud.normals}  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:

@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def write_files(
     folder: Path, seeds: Sequence[Seed], variants: int, seed: int, only: Iterable[str] = ()
 ) -> list[tuple[str, Path]]:
-    """Whole files, `variants` damaged ones of each format's, and those made by hand; by format."""
+    """Write valid files, `variants` damaged ones of each format, and handmade ones; return them by format."""
     files: list[tuple[str, Path]] = []
     by_format: dict[str, list[Seed]] = collections.defaultdict(list)
     for one in seeds:

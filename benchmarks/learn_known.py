@@ -29,7 +29,7 @@ NOISE = 0.002
 
 
 def measured(scene: Known, run: Run) -> dict[str, float]:
-    """Mean errors to the clean meshes, training and held out."""
+    """Compute the mean errors to the clean training and held-out meshes."""
     training = millimetres(posed_vertices(run.body, run.motion), scene.clean)
     held_out = millimetres(fitted_vertices(run.body, scene.held_out), scene.clean_held_out)
     progress(f"  {training.mean():.3f} mm in training, {held_out.mean():.3f} mm held out")

@@ -43,7 +43,7 @@ Limits = dict[str, tuple[str, float]]
 
 
 def compare(name: str, meshes: MeshSequence, bones: int, extra: dict) -> tuple[Figures, Limits]:
-    """A skeleton and free bones against Dem-Bones; as many bones as it has found, which may be fewer."""
+    """Compare a skeleton and free bones with Dem-Bones, with as many bones as it found, which may be fewer than asked."""
     progress(f"{name}: {len(meshes)} meshes, {meshes.vertices.shape[1]} vertices, {bones} bones")
     rival = dem_bones(meshes, bones)
     figures: Figures = {
@@ -66,7 +66,7 @@ def compare(name: str, meshes: MeshSequence, bones: int, extra: dict) -> tuple[F
 
 
 def exact(options, extra: dict) -> tuple[Figures, Limits, list[int]]:
-    """A body under linear blend skinning, learned back; and meshes, vertices, bones."""
+    """Learn a body with linear blend skinning from its own meshes; also return the numbers of meshes, vertices and bones."""
     truth = known(
         shared_folder(),
         "lbs",

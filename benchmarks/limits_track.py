@@ -65,7 +65,7 @@ WHOLE = tuple(
 
 
 class Contender(eqx.Module):
-    """How a frame is fitted."""
+    """A method that fits a frame."""
 
     #: an energy among others, or before all else where steps are strict
     limits: SurfaceLimits | None = None
@@ -85,7 +85,7 @@ class Contender(eqx.Module):
 
 
 class Outcome(NamedTuple):
-    """What a contender found: F frames of the arm's joints."""
+    """The result of a method: F frames of the arm's joints."""
 
     rotations: Float[np.ndarray, "F 3 4"]
     #: of shoulder and elbow, degrees
@@ -106,7 +106,7 @@ def gauss_newton_step(energy: jc.AbstractEnergy, body: jc.Body, pose: jc.Pose) -
 
 
 def arm_body(body: jc.Body) -> jc.Body:
-    """The same body, of which only the arm moves."""
+    """Fix all joints of a body but those of the arm."""
     kinds = (
         kind if name in ARM else "fixed"
         for name, kind in zip(body.skeleton.names, body.skeleton.kinds, strict=True)
@@ -117,7 +117,7 @@ def arm_body(body: jc.Body) -> jc.Body:
 
 @eqx.filter_jit
 def follow(contender: Contender, body: jc.Body, soft: SoftObject, seen: Seen) -> Float[Array, "F 3 4"]:
-    """Rotations of the arm's joints, frame by frame; the first frame of a motion starts at the truth."""
+    """Track the rotations of the arm's joints; the first frame of a motion starts at the true pose."""
     arm = jnp.array([body.skeleton.index(name) for name in ARM])
     free = jnp.full(body.skeleton.num_dofs, MOTION, seen.truth.rotations.dtype)
 
@@ -135,7 +135,7 @@ def follow(contender: Contender, body: jc.Body, soft: SoftObject, seen: Seen) ->
 
 
 def compare(contenders: dict[str, Contender], body: jc.Body, seen: Seen, repeats: int) -> dict[str, Outcome]:
-    """All contenders on the same data, in turns; seconds are medians, without the first round."""
+    """Run all methods alternately on the same data; seconds are medians without the first round."""
     skeleton, soft = body.skeleton, make_soft_object(body)
     moving, taken = arm_body(body), {name: [] for name in contenders}
     on_device = jax.tree.map(lambda leaf: jnp.asarray(leaf), seen)
@@ -160,7 +160,7 @@ def compare(contenders: dict[str, Contender], body: jc.Body, seen: Seen, repeats
 
 
 def with_arm(skeleton: jc.Skeleton, poses: jc.Pose, rotations: Float[np.ndarray, "F 3 4"]) -> jc.Pose:
-    """Stacked poses with other rotations of the arm's joints."""
+    """Replace the rotations of the arm's joints in stacked poses."""
     arm = jnp.array([skeleton.index(name) for name in ARM])
     return jc.Pose(poses.translations, poses.rotations.at[:, arm].set(rotations), poses.scale)
 
@@ -175,7 +175,7 @@ def _places(body: jc.Body, poses: jc.Pose) -> np.ndarray:
 
 
 def learn_from(shared: Path, takes: list[str], body: jc.Body, pairs) -> SurfaceLimits:
-    """Limits from takes on the human's skeleton, each joint coupled to the other of its pair."""
+    """Learn limits from takes on the human's skeleton, with each joint coupled to its parent in the pair."""
     motions = [(body.skeleton, human_motion(shared, take, body)) for take in takes]
     limits = learn_limits({joint: gather_samples(motions, joint, parent, takes) for joint, parent in pairs})
     for surface in limits.surfaces:

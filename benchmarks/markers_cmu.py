@@ -27,7 +27,7 @@ AXES = [1, 2, 0]
 
 
 def hidden(frames: jc.MarkerFrames, seed: int) -> tuple[jc.MarkerFrames, tuple[str, ...]]:
-    """Markers in another order under numbers, in the database's axes; and what they were called."""
+    """Permute markers and replace their labels by numbers, in the database's axes; also return the labels."""
     order = np.random.default_rng(seed).permutation(len(frames.labels))
     places = np.asarray(frames.places)[:, order][..., AXES]
     names = tuple(f"point{i}" for i in range(len(order)))
@@ -36,7 +36,7 @@ def hidden(frames: jc.MarkerFrames, seed: int) -> tuple[jc.MarkerFrames, tuple[s
 
 
 def bone_frames(skeleton: jc.Skeleton, motion: jc.Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations (F, J, 3, 3), translations and centres (F, J, 3) of all bones."""
+    """Compute rotations (F, J, 3, 3), translations and centres (F, J, 3) of all bones."""
 
     def of_frame(pose):
         transforms = jc.forward_kinematics(skeleton, pose)
@@ -47,13 +47,13 @@ def bone_frames(skeleton: jc.Skeleton, motion: jc.Motion) -> tuple[np.ndarray, n
 
 
 def varying(rotations: np.ndarray, origins: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(F,) how far points are from a constant place in a moving frame, the best one, metres."""
+    """Compute the distances (F,) of points from their best constant position in a moving frame, metres."""
     local = np.einsum("fba,fb->fa", rotations, points - origins)
     return np.linalg.norm(local - local.mean(0), axis=1)
 
 
 def on_the_way(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
-    """The bones from one to another, both among them."""
+    """List the bones on the path from one bone to another, both included."""
     up = [[start], [end]]
     for path in up:
         while skeleton.parents[path[-1]] >= 0:
@@ -64,7 +64,7 @@ def on_the_way(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
 
 
 def joints_between(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
-    """The joints that turn one bone against another."""
+    """List the joints between two bones."""
     way = on_the_way(skeleton, start, end)
     return [bone for bone in way if skeleton.parents[bone] in way]
 

@@ -46,7 +46,7 @@ _track_frame = eqx.filter_jit(jc.fit.track_frame)
 
 
 class Scene(NamedTuple):
-    """What the parts of this benchmark share."""
+    """The shared data of the parts of this benchmark."""
 
     performer: jc.Body
     #: of the performer, and the same of the tracked body
@@ -57,8 +57,7 @@ class Scene(NamedTuple):
 
 
 def in_turns(functions: dict[str, Callable], repeats: int) -> dict[str, float]:
-    """Median seconds of functions, compiled before, that are called one after the other, again and
-    again, so that whatever else the machine does falls on all of them."""
+    """Measure the median seconds of compiled functions in alternation, so that other load affects all of them."""
 
     def timed(function):
         # not counted: what ran before has driven this one's data out of the caches
@@ -90,7 +89,7 @@ def e_step(tracker: jc.fit.Tracker, vertices, normals, cloud: jc.Cloud, sigma):
 
 
 def compare_e_steps(scene: Scene, repeats: int):
-    """Figures; that both give the same is seen by the outlier class, the sum over all parts."""
+    """Time both E-steps, and compare their outlier posteriors, which depend on all parts."""
     tracker, cloud, sigma = scene.tracker, scene.scans[0].cloud, jnp.asarray(SIGMA)
     posed = _posed(tracker.body, scene.starts[0])
     # about the origin, where the rival's squares lose least; it is also spared the padding
@@ -128,7 +127,7 @@ def compare_e_steps(scene: Scene, repeats: int):
 
 
 def track_steadily(scene: Scene):
-    """Figures of `track_frames` after its first two frames, and the seconds of the first."""
+    """Measure `track_frames` after its first two frames; also return the seconds of the first."""
     stream = jc.fit.track_frames(scene.tracker, [scan.cloud for scan in scene.scans], start=scene.starts[0])
     taken, joints, lost = [], [], 0
     for _ in scene.scans:
@@ -157,8 +156,8 @@ def track_steadily(scene: Scene):
 
 
 def cold_start(scene: Scene):
-    """Seconds from the start of a process to its first frame, nothing compiled before; the whole, and
-    when each stage of `benchmarks/_cold_start.py` was done."""
+    """Measure the seconds of a process with one frame and an empty compilation cache; also return the end of each stage of
+    `benchmarks/_cold_start.py`."""
     cloud, pose = scene.scans[0].cloud, scene.starts[0]
     with tempfile.TemporaryDirectory() as folder:
         path, real = Path(folder) / "scene.npz", np.asarray(cloud.weights) > 0
@@ -186,8 +185,8 @@ def cold_start(scene: Scene):
 
 
 def cost(scene: Scene, points: tuple[int, ...], resolutions: tuple[str, ...], repeats: int):
-    """One row a size: points, vertices, milliseconds of an E-step and of a frame, and seconds of a
-    frame's first call, which compiles."""
+    """Measure one row per size: points, vertices, milliseconds of an E-step and of a frame, and seconds of a frame's first
+    call, which compiles."""
     medium = scene.tracker
     cases = [(count, medium) for count in points]
     for resolution in resolutions:
@@ -220,8 +219,8 @@ def cost(scene: Scene, points: tuple[int, ...], resolutions: tuple[str, ...], re
 
 
 def register_rigidly(scene: Scene, points: int | None):
-    """Seconds of one rigid coherent point drift (Myronenko and Song 2010; pycpd) of the posed body's
-    vertices to the cloud, at its default settings; `None` where pycpd is not installed."""
+    """Time one rigid coherent point drift (Myronenko and Song 2010; pycpd) of the posed body's vertices to the cloud, at its
+    default settings; None if pycpd is not installed."""
     try:
         from pycpd import RigidRegistration
     except ImportError:
@@ -236,7 +235,7 @@ def register_rigidly(scene: Scene, points: int | None):
 
 
 def picture(path: Path, rows: list[dict[str, float]], points: int, vertices: int) -> None:
-    """Cost against points, and against vertices."""
+    """Plot the cost against points and against vertices."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

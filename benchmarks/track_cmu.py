@@ -34,7 +34,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 class Tracked(NamedTuple):
-    """One take, tracked."""
+    """The result of tracking one take."""
 
     poses: list[jc.Pose]
     #: (F, J) millimetres
@@ -87,7 +87,7 @@ def say(take: str, visible: str, names, tracked: Tracked) -> None:
 
 
 def picture(path: Path, take: str, body: jc.Body, scans: list[Scanned], tracked: Tracked) -> None:
-    """Three frames, evenly spread."""
+    """Draw three frames, evenly spread."""
     views, faces = [], np.asarray(body.faces)
     for frame in sorted({0, len(scans) // 2, len(scans) - 1}):
         vertices = np.asarray(_posed(body, tracked.poses[frame]).vertices, float)

@@ -28,7 +28,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 def swapped_parts(body: jc.Body, vertices: np.ndarray, truth: np.ndarray) -> list[str]:
-    """Parts that lie nearer to where the part of the other side is in truth than to their own place."""
+    """List parts that are nearer to the true position of their mirrored part than to their own."""
     names, parts = body.skeleton.names, np.asarray(body.skin.parts())
     middles = {name: parts == bone for bone, name in enumerate(names) if (parts == bone).any()}
     swapped = []

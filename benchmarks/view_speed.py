@@ -104,7 +104,7 @@ def main() -> None:
 
 
 def write_scene(folder: Path, body: jc.Body, motion: jc.Motion) -> None:
-    """A body, its motion, and scans of 3,000 points that are some millimetres off."""
+    """Write a body, its motion, and scans of 3,000 points with some millimetres of noise."""
     rng = np.random.default_rng(0)
     save_body(folder / "body.npz", body)
     save_motion(folder / "motion.npz", motion, body.skeleton)
@@ -118,7 +118,7 @@ def write_scene(folder: Path, body: jc.Body, motion: jc.Motion) -> None:
 def viewer(
     python: str, folder: Path, *arguments: str, environment: dict[str, str] | None = None
 ) -> Iterator[str]:
-    """The address of a `jaxcap view` that runs as long as the context lasts."""
+    """Run `jaxcap view` for the duration of the context, and return its address."""
     code = "from jaxcap.cli import main; main()"
     command = [python, "-c", code, "view", *arguments, "--no-browser", "--port", "0"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)} if environment is None else environment
@@ -136,7 +136,7 @@ def viewer(
 
 
 def from_nothing(folder: Path, angle: str) -> dict[str, float]:
-    """Seconds from `pip install` until the human stands in the browser, in a fresh virtual environment."""
+    """Measure the seconds from `pip install` to the human in the browser, in a fresh virtual environment."""
     home = folder / "environment"
     subprocess.run([sys.executable, "-m", "venv", str(home)], check=True)
     python = str(home / "bin" / "python")

@@ -66,7 +66,7 @@ def hold(page, window: IkWindow) -> None:
 
 
 def drag_to(page, window: IkWindow, target, title: str) -> None:
-    """Move the mouse until the ball is where a target is on the screen."""
+    """Move the mouse until the ball is at the pixel of a target."""
     ball = lambda: pixel(window.client.camera, window.session.state.constraints[-1].target)  # noqa: E731
     start, end = ball(), pixel(window.client.camera, target)
     for share in np.linspace(0, 1, 13)[1:]:

@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def draw_tracking(path: Path, frames: int | None) -> None:
-    """Frames evenly spread over a take: as it was, without limits, and with them."""
+    """Draw frames evenly spread over a take: ground truth, without limits, and with limits."""
     shared, body = shared_folder(), jc.human(resolution="low", joints="tracking")
     learned = [take for take in takes_of(shared, "01") + takes_of(shared, "02") if take not in TAKES]
     limits = learn_from(shared, learned, body, arm_pairs())
@@ -96,7 +96,7 @@ def draw_tracking(path: Path, frames: int | None) -> None:
 
 
 def arm_colours(body: jc.Body) -> np.ndarray:
-    """Two colours on the right arm, clay elsewhere, `(V, 3)`."""
+    """Make vertex colours `(V, 3)`: two on the right arm, clay elsewhere."""
     skeleton, vertices = body.skeleton, np.asarray(body.vertices, float)
     parts = np.asarray(body.skin.parts())
     colours = np.tile(CLAY, (len(vertices), 1))
@@ -110,7 +110,7 @@ def arm_colours(body: jc.Body) -> np.ndarray:
 
 
 def draw_depth(path: Path) -> None:
-    """The points of every frame, and beside it the body found there, from the camera's eye."""
+    """Draw the points of every frame, and the fitted body, from the camera's position."""
     shared, body = shared_folder(), jc.human(resolution="low", joints="tracking")
     limits = learn_from(shared, takes_of(shared, "01") + takes_of(shared, "02"), body, WHOLE)
     fitted = fit_frames(depth_frames(shared), limits)

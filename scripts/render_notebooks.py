@@ -26,7 +26,7 @@ WIDE, COLOURS = 900, 128
 
 
 def main() -> None:
-    """Run and write."""
+    """Run notebooks, and write their pages."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("names", nargs="*", help="names of the notebooks; all by default")
     options = parser.parse_args()
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def render(name: str) -> Path:
-    """The page of one notebook, which is run for it from its own folder."""
+    """Run one notebook in its folder, and return its page."""
     # a kernel's pictures come inline
     os.environ.pop("MPLBACKEND", None)
     notebook = jupytext.read(NOTEBOOKS / f"{name}.py")
@@ -76,12 +76,12 @@ def render(name: str) -> Path:
 
 
 def said(parts: list[str], told: str) -> list[str]:
-    """The parts and what a cell printed, where it did."""
+    """Append the printed output of a cell, if there is any."""
     return [*parts, f"```text\n{told.rstrip()}\n```"] if told.strip() else parts
 
 
 def shrink(png: bytes, target: Path) -> None:
-    """A picture at most so many pixels wide, in few colours."""
+    """Reduce a picture to a largest width in pixels and few colours."""
     with Image.open(io.BytesIO(png)) as picture:
         share = min(1.0, WIDE / picture.width)
         size = (round(share * picture.width), round(share * picture.height))

@@ -24,7 +24,7 @@ TITLES = {"rigid": "rigid", "linear": "linear (LBS)", "dual_quaternion": "dual q
 
 
 def main() -> None:
-    """Two rows of four pictures, with what was measured below each."""
+    """Draw two rows of four pictures, with measurements below each."""
     figure = plt.figure(figsize=(12, 7.2))
     for column, scheme in enumerate(SCHEMES):
         for row, (motion, degrees) in enumerate((("twist", 180.0), ("swing", 120.0))):
@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def draw(axes, vertices: np.ndarray, faces: np.ndarray, turned: bool) -> None:
-    """Triangles shaded by their normals, drawn from the side of the bend."""
+    """Draw triangles shaded by their normals, from the side of the bend."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -12,7 +12,7 @@ from benchmarks.report import progress
 
 
 class Rival(NamedTuple):
-    """What is installed where, and how it is run."""
+    """The Python versions and packages of another program, and libraries to preload."""
 
     #: the first of these interpreters that is found
     pythons: tuple[str, ...]
@@ -29,7 +29,7 @@ RIVALS = {
 
 
 def interpreter(versions: tuple[str, ...]) -> str | None:
-    """A Python of one of these versions: on the path, or of pyenv."""
+    """Find a Python of one of these versions on the path or in pyenv."""
     roots = sorted(
         Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/*"), reverse=True
     )
@@ -43,12 +43,12 @@ def interpreter(versions: tuple[str, ...]) -> str | None:
 
 
 def environment(name: str, folder: Path) -> Path | None:
-    """The Python of a rival's own environment; None where it cannot be had, which is told."""
+    """Find or install the Python of a rival's environment; None as in `install`."""
     return install(name, RIVALS[name], folder)
 
 
 def install(name: str, rival: Rival, folder: Path) -> Path | None:
-    """The Python of an environment under a folder, made where it is not there; None as in `environment`."""
+    """Find or install the Python of an environment under a folder; print a message and return None if this fails."""
     home = folder / name
     python, done = home / "bin" / "python", home / "complete"
     if done.exists():
