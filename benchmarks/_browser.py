@@ -1,4 +1,4 @@
-"""Chromium without a screen, drawing in software, and what a window of viser has in its page."""
+"""Run headless Chromium with software rendering, and query the page of a viser window."""
 
 import contextlib
 import shutil
@@ -34,18 +34,18 @@ RENDERER = """() => {
 
 
 def find_chromium() -> str | None:
-    """The path of a browser, if there is one."""
+    """Find the path of a browser, or None."""
     return next(filter(None, map(shutil.which, PROGRAMS)), None)
 
 
 @contextlib.contextmanager
 def launched(angle: str = "swiftshader") -> Iterator:
-    """Playwright's browser, as long as the context lasts. Raises `RuntimeError` where there is none."""
+    """Launch a browser by Playwright for the duration of the context. Raises `RuntimeError` if none is installed."""
     from playwright.sync_api import sync_playwright
 
     program = find_chromium()
     if program is None:
-        raise RuntimeError(f"There is none of {', '.join(PROGRAMS)}; install one.")
+        raise RuntimeError(f"No browser was found; expected one of {', '.join(PROGRAMS)}; install one.")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=[*PLAIN, *ANGLES[angle]])
         try:
@@ -55,7 +55,7 @@ def launched(angle: str = "swiftshader") -> Iterator:
 
 
 def open_page(browser, url: str, size: tuple[int, int], patience: float = 60.0):
-    """A page of a window, once it is connected; `patience` is in seconds, for this and all that is waited for."""
+    """Open a page and wait for its connection; `patience` is the timeout of all waits, seconds."""
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
     page.set_default_timeout(1000 * patience)
     page.goto(url)
@@ -64,23 +64,25 @@ def open_page(browser, url: str, size: tuple[int, int], patience: float = 60.0):
 
 
 def wait_for_node(page, name: str) -> None:
-    """Until a node of the scene has a geometry in the page."""
+    """Wait until a node of the scene has a geometry in the page."""
     page.wait_for_function(f"({GEOMETRY})('{name}') !== null")
 
 
 def wait_for_eye(page, camera: Any, middle: ArrayLike) -> None:
-    """Until the browser tells by `client.camera` that it looks at `middle`, where its window has turned it. What is there
-    before is what the window asked for, or where a page looks that has just come."""
+    """Wait until the browser reports by `client.camera` that it looks at `middle`.
+
+    Earlier values are those that the window requested, or those of a new page.
+    """
     asked, end = time.time(), time.monotonic() + 60.0
     while camera.update_timestamp < asked or np.abs(np.array(camera.look_at) - middle).max() > 1e-3:
         if time.monotonic() > end:
-            raise TimeoutError("The browser does not tell that its eye has moved.")
+            raise TimeoutError("The browser did not report the new camera position.")
         page.evaluate("window.__viserMutable.sendCamera()")
         page.wait_for_timeout(50)
 
 
 def pixel(camera: Any, place: ArrayLike) -> Float[np.ndarray, "2"]:
-    """Where a place in the scene is on a page, pixels, by the camera that a browser tells (`client.camera`)."""
+    """Project a position in the scene to pixels of a page, by the camera that the browser reports (`client.camera`)."""
     eye, width, height = np.array(camera.position), camera.image_width, camera.image_height
     ahead = np.array(camera.look_at) - eye
     ahead /= np.linalg.norm(ahead)

@@ -1,4 +1,4 @@
-"""From nothing to the first tracked frame, in a process of its own: `python -m benchmarks._cold_start SCENE`.
+"""Time a cold start up to the first tracked frame, in a separate process: `python -m benchmarks._cold_start SCENE`.
 
 `SCENE` is an `.npz` with `points`, `normals`, and the start's `translations` and `rotations`. The
 last line is JSON: the seconds at which each stage was done, from the first line of this file on.

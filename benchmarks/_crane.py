@@ -17,26 +17,25 @@ RIGGED_FRAME = 0
 
 
 class Crane(NamedTuple):
-    """A real performer, 175 frames at 30 fps of one mesh: vertex `i` is the same point in all."""
+    """A real performer: 175 frames of one mesh at 30 frames per second; vertex `i` is the same point in all."""
 
     frames: Float[np.ndarray, "F V 3"]
     faces: Int[np.ndarray, "T 3"]
 
 
 def load_crane(shared: Path) -> Crane:
-    """The frames, metres, y up; `shared` is the folder of captures."""
+    """Load the frames, metres, y up; `shared` is the folder of captures."""
     with np.load(shared / "data" / "meshes" / "crane.npz", allow_pickle=False) as file:
         return Crane(file["vertices"].astype(np.float32), file["faces"].astype(np.int32))
 
 
 def rig_crane(crane: Crane, frame: int = RIGGED_FRAME) -> Body:
-    """The performer's body, made from one frame alone: its rest pose is that frame, and its
-    vertices are the capture's, in the capture's order."""
+    """Rig the performer's body from one frame, its rest pose, with the vertices of the capture in their order."""
     return rig_mesh(crane.frames[frame], crane.faces)
 
 
 def frame_cloud(crane: Crane, frame: int, count: int = 5000, seed: int = 0) -> Cloud:
-    """So many vertices of a frame with their normals, in random order: correspondences are gone."""
+    """Sample `count` vertices of a frame with their normals, in random order, without correspondences."""
     chosen = np.random.default_rng([seed, frame]).permutation(crane.frames.shape[1])[:count]
     vertices = jnp.asarray(crane.frames[frame])
     normals = vertex_normals(vertices, jnp.asarray(crane.faces))
@@ -44,5 +43,5 @@ def frame_cloud(crane: Crane, frame: int, count: int = 5000, seed: int = 0) -> C
 
 
 def true_distances(crane: Crane, frame: int, vertices: Float[Array, "V 3"]) -> Float[np.ndarray, "V"]:
-    """How far each vertex of a posed body is from the same vertex of a frame, metres."""
+    """Compute the distance of each vertex of a posed body from the same vertex of a frame, metres."""
     return np.linalg.norm(np.asarray(vertices) - crane.frames[frame], axis=1)

@@ -1,4 +1,4 @@
-"""The rival: Dem-Bones (Le and Deng 2012 and 2014), by py-dem-bones at its own settings.
+"""Run Dem-Bones (Le and Deng 2012 and 2014) by py-dem-bones with its default settings.
 
 It finds weights and one free rigid motion a bone and frame; the rest shape is given to it. Its RMSE
 is the root mean square over vertices and frames of the distance of a vertex from its place, in the
@@ -22,7 +22,7 @@ PATIENCE, ENOUGH = 30, 1e-3
 
 
 class Rival(NamedTuple):
-    """One run; RMSE in millimetres of metres."""
+    """One run of Dem-Bones; RMSE in millimetres for meshes in metres."""
 
     bones: int
     #: after its default number of iterations
@@ -45,7 +45,7 @@ def dem_bones(
     try:
         from py_dem_bones import DemBones
     except ImportError:
-        progress('The rival is missing; install it with: pip install -e ".[bench]"')
+        progress('Dem-Bones is not installed; install it with: pip install -e ".[bench]"')
         sys.exit(2)
     frames, faces = np.asarray(meshes.vertices, float), np.asarray(meshes.faces)
     solver = DemBones()

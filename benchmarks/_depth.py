@@ -1,4 +1,4 @@
-"""Real frames of a depth camera, with the upper half of a person in each, and poses in them."""
+"""Fit poses to real frames of a depth camera, each of the upper body of a person."""
 
 import dataclasses
 from pathlib import Path
@@ -40,7 +40,7 @@ LEGS = ("LHipJoint", "RHipJoint")
 
 
 class Fitted(NamedTuple):
-    """A frame and the pose found in it."""
+    """A frame and its fitted pose."""
 
     cloud: jc.Cloud
     pose: jc.Pose
@@ -54,13 +54,13 @@ class Fitted(NamedTuple):
 
 
 def depth_frames(shared: Path) -> Int[np.ndarray, "F 480 640"]:
-    """Depth in millimetres, zero where nothing was seen."""
+    """Load depth images, millimetres; zero is no measurement."""
     with np.load(shared / "data" / "depth" / "skeltrack_depth12_mm.npz") as file:
         return file["depth_mm"]
 
 
 def depth_cloud(image: Int[np.ndarray, "480 640"], count: int = POINTS) -> jc.Cloud:
-    """The points of the foremost person, y up and z towards the camera, which is the origin."""
+    """Compute the points of the foremost person, y up and z towards the camera, which is the origin."""
     depth = image / 1000.0
     near = (image > 0) & (depth < np.median(depth[image > 0]) + BEHIND)
     pieces = np.zeros(image.shape, int)
@@ -79,7 +79,7 @@ def depth_cloud(image: Int[np.ndarray, "480 640"], count: int = POINTS) -> jc.Cl
 
 
 def upper_body(body: jc.Body) -> jc.Body:
-    """The same body without the surface of its legs, which stay at rest: no frame shows them."""
+    """Remove the surface of the legs, which no frame shows, and fix their joints at rest."""
     skeleton = body.skeleton
     legs = np.any([skeleton.descent[skeleton.index(name)] for name in LEGS], axis=0)
     kept = ~legs[np.asarray(body.skin.parts())]
@@ -93,7 +93,7 @@ def upper_body(body: jc.Body) -> jc.Body:
 
 
 def upright(skeleton: jc.Skeleton) -> jc.energy.PosePrior:
-    """Holds the root's turns, and nothing else."""
+    """Make a prior of the root's rotation alone."""
     layout = dof_layout(skeleton)
     translates = np.zeros(skeleton.num_dofs + 1, bool)
     translates[np.asarray(layout.translations).reshape(-1)] = True
@@ -103,9 +103,11 @@ def upright(skeleton: jc.Skeleton) -> jc.energy.PosePrior:
 
 
 def fit_frames(images: np.ndarray, limits: SurfaceLimits) -> list[Fitted]:
-    """Each frame by itself: a search with limits among its energies, and from the nearest pose that is
-    allowed a fit with limits before all else; last once more the nearest, for the steps end a hair
-    within rounding of a bound."""
+    """Fit each frame by itself.
+
+    A search has limits among its energies. From the nearest valid pose, a fit then gives limits strict priority.
+    A last projection removes rounding errors at the bounds.
+    """
     body = upper_body(jc.human(resolution="low", joints="tracking"))
     tracker = jc.make_tracker(body, terms=(WEIGHT * jc.JointLimits(limits), upright(body.skeleton)))
     found = []

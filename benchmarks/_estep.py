@@ -1,4 +1,4 @@
-"""The E-step's test scene and its rival: one plain argmin a part."""
+"""A test scene of the E-step, and a brute-force reference with one argmin per part."""
 
 import functools
 import time
@@ -16,7 +16,7 @@ from jaxcap.observe import Cloud
 def make_scene(
     path: Path, num_vertices: int = 5000, num_points: int = 5000, noise: float = 0.005, seed: int = 0
 ):
-    """A decimated human and a noisy cloud sampled on it with one outlier in ten.
+    """Make a decimated human and a noisy cloud sampled on it, with 10 % of outliers.
 
     Returns `(parts, vertices, normals, cloud)`, float32.
     """
@@ -51,7 +51,7 @@ def make_scene(
 
 
 def part_members(parts: Parts) -> tuple[tuple[int, ...], ...]:
-    """The vertices of each part, as a static argument of `brute_force_posterior`."""
+    """List the vertices of each part, as a static argument of `brute_force_posterior`."""
     slots = np.asarray(parts.slots)
     ends = np.cumsum(parts.blocks_of_part)
     counts = zip(parts.blocks_of_part, ends, strict=True)
@@ -89,7 +89,7 @@ def brute_force_posterior(
 
 
 def median_time(function, *arguments, repeats: int = 30, **settings) -> float:
-    """Median seconds of a call, compiled before."""
+    """Measure the median seconds of a compiled call."""
     jax.block_until_ready(function(*arguments, **settings))
     times = []
     for _ in range(repeats):

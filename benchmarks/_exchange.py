@@ -1,4 +1,4 @@
-"""Bodies with motions to hand to other programs, and where their vertices and joints then are."""
+"""Bodies with motions for other programs, and the expected vertices and joints."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -31,7 +31,7 @@ class Case(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """Where a motion has a body in some frames, metres; turns are those of bones from rest, in the world."""
+    """The expected positions of a body in some frames, metres; rotations of bones from rest, in the world."""
 
     names: tuple[str, ...]
     joints: Float[np.ndarray, "F J 3"]
@@ -40,7 +40,7 @@ class Truth(NamedTuple):
 
 
 class Written(NamedTuple):
-    """The files of a case; what is in `.glb` and USD is the linearised body."""
+    """The files of a case; `.glb` and USD contain the linearised body."""
 
     glb: Path
     usd: Path
@@ -51,7 +51,7 @@ class Written(NamedTuple):
 
 
 def make_cases(shared: Path | None, frames: int, resolution: str = "medium") -> list[Case]:
-    """All cases; those of captures are left out where these are not there."""
+    """Make all cases; those of captures need the `shared` folder."""
     body = jc.human(resolution=resolution)
     weights = LinearSkin(body.skin.influence(body.skeleton.num_joints))
     cases = [
@@ -79,7 +79,7 @@ def make_cases(shared: Path | None, frames: int, resolution: str = "medium") -> 
 
 
 def chain(frames: int, grows: bool = False, rate: float = 60.0) -> tuple[jc.Body, jc.Motion]:
-    """A tube around nine joints of every kind, with a fork, axes and frames askew, and a size that is not one."""
+    """Make a tube around nine joints of every kind, with a fork, oblique axes and frames, and a size other than one."""
     rng = np.random.default_rng(7)
     joints = [
         ("root", -1, "free", [0, 0, 0]),
@@ -123,7 +123,7 @@ def chain(frames: int, grows: bool = False, rate: float = 60.0) -> tuple[jc.Body
 
 
 def write_case(folder: Path, case: Case, tolerance: float) -> Written:
-    """The case as `.glb`, `.usdc`, and `.bvh` of its own skeleton in centimetres."""
+    """Write a case as `.glb`, `.usdc`, and `.bvh` of its skeleton in centimetres."""
     linear = jc.edit.linearise(case.body, case.motion.poses, tolerance, influences=case.influences)
     motion = jc.edit.linear_motion(linear, case.motion)
     glb, usd = folder / f"{case.name}.glb", folder / f"{case.name}.usdc"

@@ -1,4 +1,4 @@
-"""Rigs of other programs: the names that their files give joints, and what is otherwise about their joints."""
+"""Rigs of other programs: the names of their joints, and how their joints differ."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ A_POSE = {"humerus": 45.0, "radius": 50.0, "wrist": 50.0}
 
 
 def _table(sided: str, trunk: str) -> dict[str, str]:
-    """Names in the order of the ASF's, `-` for one that the rig does not have."""
+    """Map ASF names to the names of a rig, given in the same order; `-` is no joint."""
     bones = ["clavicle", "humerus", "radius", "wrist", "femur", "tibia", "foot", "toes", "hand"]
     middle = ["root", "lowerback", "upperback", "thorax", "lowerneck", "upperneck", "head"]
     pairs = [*zip(bones, sided.split(), strict=True), *zip(middle, trunk.split(), strict=True)]

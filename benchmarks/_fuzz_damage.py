@@ -1,4 +1,4 @@
-"""Damage whole files: bits, numbers, words, arrays, trees. Every function takes bytes and a generator, and gives bytes."""
+"""Damage valid files: bits, numbers, words, arrays, trees. Functions take bytes and a generator, and return bytes."""
 
 import io
 import json
@@ -24,7 +24,7 @@ VALUES: tuple[Any, ...] = (
 
 
 def damage(name: str, data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """One damaged variant of a file; `other` is another file, of which pieces get into it."""
+    """Make a damaged variant of a file; `other` is another file that provides pieces."""
     ways: list[Damage] = [flip, cut, lambda d, r: splice(d, other, r), repeat, blank, plant]
     suffix = name.rsplit(".", 1)[-1]
     if suffix == "npz":
@@ -47,7 +47,7 @@ def _at(data: bytes, rng: np.random.Generator) -> int:
 
 
 def flip(data: bytes, rng: np.random.Generator) -> bytes:
-    """A few bits turned over."""
+    """Flip a few bits."""
     raw = bytearray(data)
     for _ in range(int(rng.integers(1, 9))):
         if raw:
@@ -56,34 +56,34 @@ def flip(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def cut(data: bytes, rng: np.random.Generator) -> bytes:
-    """The end is missing, or the beginning, or a piece between."""
+    """Remove the end, the beginning, or a piece in between."""
     a, b = sorted((_at(data, rng), _at(data, rng)))
     return (data[:b], data[b:], data[:a] + data[b:])[rng.integers(3)]
 
 
 def splice(data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """A piece of another file in place of one of this."""
+    """Replace a piece by one of another file."""
     a, b = sorted((_at(data, rng), _at(data, rng)))
     c, d = sorted((_at(other, rng), _at(other, rng)))
     return data[:a] + other[c:d] + data[b:]
 
 
 def repeat(data: bytes, rng: np.random.Generator) -> bytes:
-    """A piece stands many times."""
+    """Repeat a piece many times."""
     a, b = sorted((_at(data, rng), _at(data, rng)))
     times = int(min(10 ** rng.integers(1, 5), 500_000 // max(b - a, 1) + 1))
     return data[:b] + times * data[a:b] + data[b:]
 
 
 def blank(data: bytes, rng: np.random.Generator) -> bytes:
-    """A piece of zeros, of ones, of blanks, or of bytes that are no text."""
+    """Overwrite a piece by zeros, ones, blanks, or bytes that are not text."""
     a = _at(data, rng)
     b = min(len(data), a + int(2 ** rng.integers(0, 10)))
     return data[:a] + (b"\0", b"\xff", b" ", b"\xc3\x28", b"\n")[rng.integers(5)] * (b - a) + data[b:]
 
 
 def plant(data: bytes, rng: np.random.Generator) -> bytes:
-    """A number that is none, or a count that cannot be, in binary."""
+    """Insert an invalid number or an impossible count in binary."""
     numbers = (
         struct.pack("<f", np.nan), struct.pack("<f", np.inf), struct.pack("<f", -3e38), struct.pack("<d", np.nan),
         struct.pack("<d", 1e308), b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0\0\0\x80", b"\0\0\0\0", b"\xff\xff", b"\xff" * 8,
@@ -93,7 +93,7 @@ def plant(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def change_words(data: bytes, rng: np.random.Generator) -> bytes:
-    """Numbers and words of a text in place of others."""
+    """Replace numbers and words of a text."""
     words = data.decode("utf-8", "replace").split(" ")
     for _ in range(int(rng.integers(1, 4))):
         at = int(rng.integers(len(words)))
@@ -108,7 +108,7 @@ def change_words(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def change_lines(data: bytes, rng: np.random.Generator) -> bytes:
-    """Lines are missing, twice there, in another order, very long, or nested."""
+    """Remove, repeat, reorder, lengthen or nest lines."""
     lines = data.split(b"\n")
     a, b = (int(rng.integers(len(lines))) for _ in range(2))
     kind = rng.integers(5)
@@ -126,7 +126,7 @@ def change_lines(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def change_tree(data: bytes, rng: np.random.Generator) -> bytes:
-    """A value of a JSON tree is another one, is missing, or is nested."""
+    """Replace, remove or nest a value of a JSON tree."""
     try:
         tree = json.loads(data)
     except ValueError:
@@ -171,7 +171,7 @@ def _nested() -> Any:
 
 
 def change_chunk(data: bytes, rng: np.random.Generator) -> bytes:
-    """The JSON chunk of a GLB file with another value, all lengths as they have to be."""
+    """Change a value in the JSON chunk of a GLB file, and update all lengths."""
     try:
         (length,) = struct.unpack_from("<I", data, 12)
         head, rest = data[20 : 20 + length], data[20 + length :]
@@ -181,13 +181,13 @@ def change_chunk(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def glb_bytes(head: bytes, rest: bytes = b"") -> bytes:
-    """A GLB file of a JSON text and the chunks behind it."""
+    """Build a GLB file of a JSON text and its further chunks."""
     head += b" " * (-len(head) % 4)
     return struct.pack("<4sIIII", b"glTF", 2, 20 + len(head) + len(rest), len(head), 0x4E4F534A) + head + rest
 
 
 def change_array(data: bytes, rng: np.random.Generator) -> bytes:
-    """An array of an `.npz` has other numbers, another type or shape, or is missing."""
+    """Change the numbers, type or shape of an array of an `.npz` file, or remove it."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays: dict[str, np.ndarray] = {name: file[name] for name in file.files}
@@ -241,7 +241,7 @@ def _other(values: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
 
 
 def rezip(data: bytes, rng: np.random.Generator) -> bytes:
-    """An archive packed in another manner, with members that lie or are none."""
+    """Repack an archive in another way, with false or invalid members."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as old:
             members = [(info.filename, old.read(info)) for info in old.infolist()]

@@ -1,4 +1,4 @@
-"""Files made by hand of what no chance finds: bombs, cycles, long chains, counts that cannot be, paths that lead away."""
+"""Handmade malicious files: decompression bombs, cycles, long chains, impossible counts, paths outside the folder."""
 
 import ast
 import io
@@ -25,7 +25,7 @@ BOMB = 2**30
 
 
 def nasty_files() -> Iterator[tuple[str, str, bytes]]:
-    """The format, a name and the content of each file."""
+    """Yield the format, a name and the content of each file."""
     for make in (
         _archives,
         _clouds,
@@ -48,14 +48,14 @@ def npz(**arrays: Any) -> bytes:
 
 
 def array_head(shape: str, dtype: str = "<f8") -> bytes:
-    """The first bytes of an array of NumPy that says it has a shape."""
+    """Build the header of a NumPy array that claims a shape."""
     head = f"{{'descr': {dtype!r}, 'fortran_order': False, 'shape': {shape}, }}".encode()
     head += b" " * (-(len(head) + 11) % 64) + b"\n"
     return b"\x93NUMPY\x01\0" + struct.pack("<H", len(head)) + head
 
 
 def bomb(name: str, shape: str, dtype: str = "<f8") -> bytes:
-    """An archive of one array of zeros, packed a thousand times smaller than it is."""
+    """Build an archive of one array of zeros, compressed a thousandfold."""
     head, zeros = array_head(shape, dtype), bytes(2**20)
     size = math.prod(ast.literal_eval(shape)) * np.dtype(dtype).itemsize
     # a piece that is flushed in full is the same wherever it stands

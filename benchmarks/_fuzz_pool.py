@@ -1,4 +1,4 @@
-"""Processes that read files one after the other, each with limits of memory and of time."""
+"""Read files in worker processes with limits of memory and time."""
 
 import contextlib
 import multiprocessing
@@ -18,7 +18,7 @@ MEMORY, CEILING = 2**30, 4 * 2**30
 
 
 class Reading(NamedTuple):
-    """What came of one file."""
+    """The outcome of one file."""
 
     format: str
     path: Path
@@ -32,7 +32,7 @@ class Reading(NamedTuple):
 def read_all(
     files: Sequence[tuple[str, Path]], processes: int, seconds: float = SECONDS
 ) -> Iterator[Reading]:
-    """Read files by a few processes, in any order; one that dies or takes too long is replaced."""
+    """Read files in a few processes, in any order; a process that dies or takes too long is replaced."""
     context: Any = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["benchmarks._fuzz_read"])
     waiting = deque(files)
@@ -82,7 +82,7 @@ def _start(context: Any) -> tuple[Any, Any]:
 
 
 def _serve(connection: Any) -> None:
-    """Read files as they come, until there are no more."""
+    """Read files from a connection until it closes."""
     from benchmarks._fuzz_read import outcome
 
     # what libraries say of damaged files is not ours to print
@@ -101,7 +101,7 @@ def _serve(connection: Any) -> None:
 
 
 def _forget_peak() -> int:
-    """Bytes that the process has, from which its peak counts from now on."""
+    """Reset the peak memory of the process, and return its current memory, bytes."""
     Path("/proc/self/clear_refs").write_text("5")
     return _status("VmRSS")
 

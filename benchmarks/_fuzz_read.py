@@ -1,4 +1,4 @@
-"""Read one file as its format is read by the library, and say what came of it."""
+"""Read one file with the readers of its format, and classify the outcome."""
 
 import dataclasses
 import functools
@@ -67,7 +67,7 @@ FAULTS = OUTCOMES[3:]
 
 
 def outcome(format: str, path: Path) -> tuple[str, str]:
-    """The worst of `OUTCOMES` of everything that reads files of a format, memory and time apart, and what tells more of it."""
+    """Return the worst of `OUTCOMES` among all readers of a format, without memory and time, and its details."""
     found = [_outcome(reader, path) for reader in READERS[format]]
     return max(found, key=lambda one: OUTCOMES.index(one[0]))
 
@@ -101,8 +101,8 @@ def _warned(warning: warnings.WarningMessage) -> str:
 
 
 def _sentence(error: InputError, path: Path) -> tuple[str, str]:
-    """Whether an error is a sentence of the library: begins with the file or what is in it, ends as a sentence does, and
-    is not the words of another library's error."""
+    """Test if an error is a sentence of the library: it names the file, ends with a full stop, and does not repeat another
+    library's error."""
     text = str(error)
     context: BaseException | None = error.__cause__ or error.__context__
     said = text.removeprefix(str(path)).lstrip(":0123456789 ")
@@ -120,7 +120,7 @@ def _sentence(error: InputError, path: Path) -> tuple[str, str]:
 
 
 def raised_here(error: BaseException) -> bool:
-    """Whether a statement of the library raised an error, by the text of the line."""
+    """Test if a statement of the library raised an error, by the text of the line."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return "jaxcap" in Path(frame.filename).parts and (frame.line or "").startswith("raise ")
 
@@ -132,7 +132,7 @@ def _place(error: BaseException) -> str:
 
 
 def numbers(value: Any, where: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """Every float in what a reader gave, with its place there."""
+    """Yield every array of floats in the result of a reader, with its path."""
     if isinstance(value, float | np.floating):
         yield where, np.asarray(value)
     elif isinstance(value, str | bytes | int | None):
@@ -163,7 +163,7 @@ def _journal(path: Path) -> np.ndarray:
 
 
 def _amc(path: Path) -> Any:
-    """A motion of the skeleton that is made here, or of that of the captures, which lies with the whole files."""
+    """Read a motion of the synthetic skeleton, or of the captured one, stored with the valid files."""
     skeleton = path.parents[2] / "seeds" / "asf-cmu.asf"
     if "cmu" not in path.name:
         skeleton = path.with_name("own.asf")
@@ -196,7 +196,7 @@ def _contents(path: Path) -> Any:
 
 @functools.cache
 def _body() -> Body:
-    """Of what limits, parts and motions are; made when it is needed, as JAX must not have begun where processes fork."""
+    """Make the body of limits, parts and motions on demand, as JAX must not be initialised before processes fork."""
     return fuzz_body()
 
 

@@ -1,4 +1,4 @@
-"""Skinned files and scenes made by hand: cycles, long chains, flat transforms, counts that cannot be, paths that lead away."""
+"""Handmade malicious skinned files: cycles, long chains, singular transforms, impossible counts, paths outside the folder."""
 
 import io
 import json
@@ -31,7 +31,7 @@ def archive(members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> by
 
 
 def gltf(**parts: Any) -> dict[str, Any]:
-    """A skin of two joints, one below the other, and a triangle, with other parts in place of some."""
+    """Build a skin of two joints in a chain and a triangle, with some parts replaced."""
     base: dict[str, Any] = {
         "asset": {"version": "2.0"},
         "scene": 0,

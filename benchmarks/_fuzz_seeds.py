@@ -1,4 +1,4 @@
-"""Whole files of every format that the library reads, from which damaged ones are made."""
+"""Valid files of every supported format, the seeds of damaged ones."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -44,7 +44,7 @@ FRAMES = 4
 
 
 class Seed(NamedTuple):
-    """A whole file, by the format that it is counted under and the file's name."""
+    """A valid file, with the format that it counts for and its name."""
 
     format: str
     name: str
@@ -52,14 +52,14 @@ class Seed(NamedTuple):
 
 
 def fuzz_skeleton() -> Skeleton:
-    """A chain of five joints of different kinds, metres."""
+    """Make a chain of five joints of different kinds, metres."""
     kinds = ("free", "ball", "revolute", "universal", "ball")
     centres = [[0, 0.3 * j, 0.01 * j] for j in range(5)]
     return make_skeleton(("hips", "spine", "elbow", "wrist", "hand"), (-1, 0, 1, 2, 3), kinds, centres)
 
 
 def fuzz_body(skin: str = "linear") -> Body:
-    """A closed tube of 20 vertices about `fuzz_skeleton`."""
+    """Make a closed tube of 20 vertices around `fuzz_skeleton`."""
     skeleton = fuzz_skeleton()
     corners = np.array([[0.1, 0, 0.1], [-0.1, 0, 0.1], [-0.1, 0, -0.1], [0.1, 0, -0.1]])
     vertices = np.concatenate([corners + [0, 0.3 * ring, 0] for ring in range(5)])
@@ -80,7 +80,7 @@ def fuzz_body(skin: str = "linear") -> Body:
 
 
 def fuzz_motion(skeleton: Skeleton, rng: np.random.Generator, still: bool = False) -> Motion:
-    """A few frames in which every ball turns; a `still` one keeps all joints but the root in place."""
+    """Make a few frames in which every ball joint rotates; with `still`, only the root moves."""
     joints = skeleton.num_joints
     turns = np.tile([1.0, 0, 0, 0], (FRAMES, joints, 1))
     balls = [j for j, kind in enumerate(skeleton.kinds) if kind in ("free", "ball")]
@@ -92,7 +92,7 @@ def fuzz_motion(skeleton: Skeleton, rng: np.random.Generator, still: bool = Fals
 
 
 def make_seeds(folder: Path, data: Path | None = None) -> list[Seed]:
-    """Write whole files of all formats into a folder and read them as bytes; `data`, the shared captures, adds real ones."""
+    """Write valid files of all formats to a folder and read them as bytes; `data`, the shared captures, adds real ones."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(11)
     for write in (_bodies, _arrays, _texts, _runs):
@@ -276,7 +276,7 @@ def _runs(folder: Path, rng: np.random.Generator) -> None:
 
 
 def _captures(folder: Path, data: Path) -> None:
-    """Small pieces of real captures; what is missing is left out."""
+    """Extract small pieces of real captures; missing files are skipped."""
     lines: Mapping[str, tuple[str, int]] = {
         "asf-cmu.asf": ("motion/02.asf", 10_000),
         "amc-cmu.amc": ("motion/02_05.amc", 3 + 30 * 6),

@@ -1,5 +1,4 @@
-"""Registered meshes to learn bodies from, made ones with their truth and captured ones, and how what
-was learned is measured."""
+"""Registered meshes to learn bodies from, synthetic and captured, and error measures of learned bodies."""
 
 import time
 from collections.abc import Sequence
@@ -30,7 +29,7 @@ HINGE = 2.0
 
 
 class Known(NamedTuple):
-    """Meshes of a body that is known; vertex `i` is the same point in all and in the truth."""
+    """Meshes of a known body; vertex `i` is the same point in all meshes and in the ground truth."""
 
     body: jc.Body
     training: MeshSequence
@@ -45,12 +44,12 @@ class Known(NamedTuple):
 
     @property
     def moving(self) -> list[int]:
-        """The joints that a learner can find: those that turn at all, without the root."""
+        """The joints that learning can find: those that rotate at all, without the root."""
         return [joint for joint in range(1, len(self.turns)) if self.turns[joint] > STILL]
 
     @property
     def turning(self) -> list[int]:
-        """The joints whose centres are asked for."""
+        """The joints whose centres are scored."""
         return [joint for joint in range(1, len(self.turns)) if self.turns[joint] > TURNS]
 
 
@@ -65,7 +64,7 @@ def known(
     resolution: Literal["full", "medium", "low"] | int = "full",
     seed: int = 0,
 ) -> Known:
-    """The embedded human in poses of all takes of one subject, its vertices in a random order.
+    """Pose the embedded human in all takes of one subject, with its vertices in random order.
 
     The farthest poses are picked one by one, each the one farthest in joint angles from those picked
     before: so they are varied, and the held-out ones, picked last, are those that are least like the
@@ -90,7 +89,7 @@ def known(
 
 
 def varied_poses(shared: Path, body: jc.Body, count: int, without: Sequence[str] = ()) -> jc.Motion:
-    """Rest, then poses of all takes that there are, but some, as unlike as can be; on the body's skeleton."""
+    """Select dissimilar poses of all takes but some, the first at rest, on the body's skeleton."""
     motions = [_all_takes(shared, body.skeleton, subject, without) for subject in ("01", SUBJECT)]
     poses = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[motion.poses for motion in motions])
     picked = _farthest(np.asarray(poses.rotations[:, 1:], float), count - 1, np.random.default_rng(0))
@@ -100,19 +99,19 @@ def varied_poses(shared: Path, body: jc.Body, count: int, without: Sequence[str]
 
 
 def meshes_of(body: jc.Body, motion: jc.Motion) -> MeshSequence:
-    """The body in some poses, as meshes."""
+    """Pose a body, and return it as meshes."""
     return MeshSequence(posed_vertices(body, motion), body.faces)
 
 
 def crane_meshes(shared: Path) -> tuple[MeshSequence, MeshSequence]:
-    """Every second mesh of the crane capture, and the others."""
+    """Split the crane capture into every second mesh and the others."""
     crane = load_crane(shared)
     rest = [MeshSequence(crane.frames[first::2], crane.faces, rate=15.0) for first in (0, 1)]
     return rest[0], rest[1]
 
 
 def bone_meshes(shared: Path) -> MeshSequence:
-    """The sample of Dem-Bones, each of its quads as two triangles; in the unit of its file."""
+    """Load the sample of Dem-Bones, with quads split into triangles, in the unit of its file."""
     with np.load(shared / "data" / "meshes" / "dembones_bone.npz", allow_pickle=False) as file:
         quads = file["face_indices"].reshape(-1, 4)
         faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
@@ -120,14 +119,14 @@ def bone_meshes(shared: Path) -> MeshSequence:
 
 
 def shuffled(body: jc.Body, rng: np.random.Generator) -> jc.Body:
-    """The same body with its vertices in a random order."""
+    """Permute the vertices of a body randomly."""
     order = rng.permutation(len(body.vertices))
     faces = np.argsort(order).astype(np.int32)[np.asarray(body.faces)]
     return jc.Body(body.skeleton, body.skin.take(order), body.vertices[order], jnp.asarray(faces))
 
 
 def largest_turns(rotations: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "J"]:
-    """The largest angle of each joint from the mean of its rotations, degrees."""
+    """Compute the largest angle of each joint from the mean of its rotations, degrees."""
     mean = np.linalg.eigh(np.einsum("fja,fjb->jab", rotations, rotations))[1][..., -1]
     cosines = np.abs(np.einsum("fja,ja->fj", rotations, mean))
     return np.degrees(2 * np.arccos(np.clip(cosines, 0, 1))).max(0)
@@ -143,30 +142,32 @@ def _pose_all(body: jc.Body, poses: jc.Pose):
 
 
 def posed_vertices(body: jc.Body, motion: jc.Motion) -> Float[np.ndarray, "F V 3"]:
-    """The body's vertices in every pose."""
+    """Compute the body's vertices in every pose."""
     return np.asarray(_pose_all(body, motion.poses)[0])
 
 
 def millimetres(posed: Float[np.ndarray, "F V 3"], truth) -> Float[np.ndarray, "F V"]:
-    """How far each posed vertex is from its true place, in millimetres of metres."""
+    """Compute the distance of each posed vertex from its true position, millimetres, given metres."""
     return 1000 * np.linalg.norm(np.asarray(posed, float) - np.asarray(truth, float), axis=-1)
 
 
 def root_mean_square(distances: Float[np.ndarray, "F V"]) -> float:
-    """Over vertices and frames: what Dem-Bones calls its RMSE."""
+    """Compute the root mean square over vertices and frames, the RMSE of Dem-Bones."""
     return float(np.sqrt(np.mean(np.square(distances))))
 
 
 def surface_distances(meshes: MeshSequence, posed: Float[np.ndarray, "F V 3"]) -> Float[np.ndarray, "F V"]:
-    """From each vertex of a mesh to the nearest point of the body posed for it, millimetres: the
-    distance that the thesis reports (Adaptation, section 3.3.1)."""
+    """Compute the distance of each vertex of a mesh from the surface of the posed body, millimetres.
+
+    The thesis reports this distance (Adaptation, section 3.3.1).
+    """
     faces = np.asarray(meshes.faces)
     pairs = zip(np.asarray(meshes.vertices), posed, strict=True)
     return 1000 * np.stack([scan_to_surface(points, vertices, faces) for points, vertices in pairs])
 
 
 class JointErrors(NamedTuple):
-    """How far the nearest learned joint is from each true one, millimetres, means over the frames."""
+    """The distance of the nearest learned joint from each true one, millimetres, means over the frames."""
 
     names: list[str]
     centres: Float[np.ndarray, "J"]
@@ -174,14 +175,14 @@ class JointErrors(NamedTuple):
     determined: Float[np.ndarray, "J"]
 
     def say(self, turns: Float[np.ndarray, "J"]) -> None:
-        """One line a joint, on standard error."""
+        """Print one line for each joint on standard error."""
         for name, turn, centre, part in zip(self.names, turns, self.centres, self.determined, strict=True):
             hinge = f", {part:.2f} mm off its axis" if part != centre else ""
             progress(f"  {name:18s} turns {turn:5.1f} degrees: {centre:6.2f} mm{hinge}")
 
 
 def joint_errors(truth: Known, learned: jc.Body, motion: jc.Motion, joints: list[int]) -> JointErrors:
-    """True joints against the nearest learned ones, both bodies posed as in the training meshes.
+    """Compare true joints with the nearest learned ones, both bodies posed as in the training meshes.
 
     A true joint that keeps to one axis has no centre but the axis itself: any point of it moves the
     same. There `determined` leaves out the distance along the axis.
@@ -207,7 +208,7 @@ def joint_errors(truth: Known, learned: jc.Body, motion: jc.Motion, joints: list
 
 
 class Run(NamedTuple):
-    """What learning gave, and how long it took."""
+    """The result of learning, and its times."""
 
     body: jc.Body
     #: the training meshes' poses
@@ -221,7 +222,7 @@ class Run(NamedTuple):
 
 
 def learn(meshes: MeshSequence, **options) -> Run:
-    """`learn_body`, timed; says on standard error how far it is."""
+    """Time `learn_body`, with progress on standard error."""
     clock, ends = Clock(), [0.0]
 
     def say(state) -> None:
@@ -237,7 +238,7 @@ def learn(meshes: MeshSequence, **options) -> Run:
 
 
 def fitted_vertices(body: jc.Body, meshes: MeshSequence) -> Float[np.ndarray, "F V 3"]:
-    """A learned body in the poses that `jaxcap fit` gives it for meshes it has not seen."""
+    """Fit a learned body to held-out meshes as `jaxcap fit` does, and return its vertices."""
     fit = fit_meshes(body, meshes)
     if not bool(fit.converged.all()):
         progress(f"  {int((~fit.converged).sum())} of {len(meshes)} meshes did not converge")
@@ -245,7 +246,7 @@ def fitted_vertices(body: jc.Body, meshes: MeshSequence) -> Float[np.ndarray, "F
 
 
 class Clock:
-    """Seconds of what runs under it, those of compiling apart.
+    """A timer that separates the seconds of compilation.
 
     with Clock() as clock:
         learned = learn_body(meshes)
@@ -271,12 +272,12 @@ class Clock:
 
     @property
     def so_far(self) -> float:
-        """Seconds since it began."""
+        """Seconds since the start."""
         return time.perf_counter() - self._began
 
     @property
     def compile(self) -> float:
-        """Seconds of tracing and of XLA; what is traced inside another trace counts once."""
+        """Seconds of tracing and of XLA; nested traces count once."""
         total, reached = 0.0, 0.0
         for start, end in sorted(self._compiled):
             total += max(0.0, end - max(start, reached))
@@ -290,15 +291,14 @@ class Clock:
 
 
 def without_cache() -> None:
-    """Compile anew whatever JAX_COMPILATION_CACHE_DIR says, since users begin without."""
+    """Disable the compilation cache, as first runs of users have none."""
     jax.config.update("jax_enable_compilation_cache", False)
 
 
 def _all_takes(
     shared: Path, skeleton: jc.Skeleton, subject: str = SUBJECT, without: Sequence[str] = ()
 ) -> jc.Motion:
-    """All takes of a subject, but some, at 30 frames per second one after the other, on the body; one call, which
-    compiles once."""
+    """Concatenate the takes of a subject but some, at 30 frames per second, on the body, in one compiled call."""
     motions = []
     for take in takes_of(shared, subject):
         if take in without:
@@ -316,7 +316,7 @@ def _chosen(motion: jc.Motion, frames: Int[np.ndarray, "F"]) -> jc.Motion:
 def _farthest(
     rotations: Float[np.ndarray, "F J 4"], count: int, rng: np.random.Generator
 ) -> Int[np.ndarray, "C"]:
-    """Frames, each the farthest from all before it by the root of its squared joint angles."""
+    """Select frames by farthest-point sampling with the norm of joint angles."""
     picked = [int(rng.integers(len(rotations)))]
     nearest = np.full(len(rotations), np.inf)
     while len(picked) < count:

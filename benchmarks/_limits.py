@@ -1,4 +1,4 @@
-"""Scenes of the limits' benchmarks: an analytic coupled limit, and motions of the CMU database."""
+"""Scenes for benchmarks of joint limits: an analytic coupled limit, and motions of the CMU database."""
 
 import jax
 import jax.numpy as jnp
@@ -14,18 +14,18 @@ PAIRS = (("lhumerus", "lradius"), ("rhumerus", "rradius"), ("lfemur", "ltibia"),
 
 
 def cmu_motions(shared):
-    """All motions of subjects 01 and 02, each with its subject's skeleton."""
+    """Load all motions of subjects 01 and 02, each with its subject's skeleton."""
     return [read_motion(path) for path in sorted((shared / "data" / "motion").glob("0*_*.amc"))]
 
 
 def pair_skeleton() -> Skeleton:
-    """A shoulder that turns freely and an elbow that is a hinge."""
+    """Make a ball shoulder and a hinge elbow."""
     names, centres = ("shoulder", "elbow"), [[0.0, 0, 0], [0.3, 0, 0]]
     return make_skeleton(names, (-1, 0), ("ball", "revolute"), centres, axes=[[[1.0, 0, 0], [0, 1, 0]]] * 2)
 
 
 def motion_of(skeleton: Skeleton, rotations: dict[str, np.ndarray], rate: float = 30.0) -> Motion:
-    """A motion in which only some joints turn, from their rotations `(F, 4)` by name."""
+    """Make a motion of some joints, from their rotations `(F, 4)` by name."""
     frames = len(next(iter(rotations.values())))
     turned = np.tile([1.0, 0, 0, 0], (frames, skeleton.num_joints, 1))
     for name, values in rotations.items():
@@ -35,18 +35,18 @@ def motion_of(skeleton: Skeleton, rotations: dict[str, np.ndarray], rate: float 
 
 
 def uniform_rotations(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Rotations drawn uniformly, `(count, 4)`."""
+    """Sample rotations uniformly, `(count, 4)`."""
     q = rng.normal(size=(count, 4))
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
 def hinge_rotations(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Turns about one axis, `(count, 4)`."""
+    """Make rotations about one axis, `(count, 4)`."""
     return np.concatenate([np.cos(angles / 2)[:, None], np.sin(angles / 2)[:, None] * axis], 1)
 
 
 def mirrored_twist(rotations: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """The same swings with the twist about `axis` the other way round."""
+    """Invert the twist about `axis`, and keep the swing."""
     along = rotations[:, 1:] @ axis
     twist = np.concatenate([rotations[:, :1], along[:, None] * axis], 1)
     twist = Rotation.from_quat(twist, scalar_first=True)
@@ -77,7 +77,7 @@ def true_slack(shoulder: np.ndarray, elbow: np.ndarray) -> np.ndarray:
 
 
 def true_samples(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Poses drawn evenly from within the analytic limit."""
+    """Sample poses uniformly within the analytic limit."""
     shoulders, elbows = [], []
     while sum(len(s) for s in shoulders) < count:
         angle = np.radians(75) * np.cbrt(rng.uniform(size=8 * count))
@@ -92,5 +92,5 @@ def true_samples(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.n
 
 
 def clear_compiled() -> None:
-    """Forget compiled functions: each scene has shapes of its own."""
+    """Clear compiled functions, as each scene has other shapes."""
     jax.clear_caches()

@@ -1,4 +1,4 @@
-"""A limb of few vertices and clouds of it in a motion that repeats, for runs of any length."""
+"""A small limb and its clouds in a periodic motion, for runs of any length."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ _pose_body = eqx.filter_jit(jc.pose_body)
 
 
 def make_limb() -> jc.Body:
-    """A tapering tube of 416 vertices on three bones."""
+    """Make a tapering tube of 416 vertices on three bones."""
     along, around = np.meshgrid(
         np.linspace(0, LENGTH, ALONG), np.arange(AROUND) * 2 * np.pi / AROUND, indexing="ij"
     )

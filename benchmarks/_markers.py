@@ -1,4 +1,4 @@
-"""Optical markers on the embedded human, as cameras would have seen them, and a template that is wrong."""
+"""Synthetic optical markers on the embedded human, and a perturbed template."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -25,7 +25,7 @@ LAYOUT = {
 
 
 class Trouble(NamedTuple):
-    """What is wrong with what cameras saw."""
+    """The errors of simulated markers."""
 
     #: standard deviation along each axis, metres
     noise: float = 0.001
@@ -39,7 +39,7 @@ class Trouble(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Frames of markers, the subject that made them, and the template to begin with."""
+    """Frames of markers, the true subject, and the initial template."""
 
     frames: MarkerFrames
     truth: Subject
@@ -50,7 +50,7 @@ class Scene(NamedTuple):
 
 
 def performer(seed: int = 0, dtype=jnp.float32) -> Subject:
-    """60 markers or so on the surface of the embedded human, spread over each bone's own vertices."""
+    """Place about 60 markers on the surface of the embedded human, spread over the vertices of each bone."""
     body = jc.human(joints="tracking", resolution="low")
     skeleton, vertices = body.skeleton, np.asarray(body.vertices, float)
     influence = np.asarray(body.skin.influence(skeleton.num_joints))
@@ -82,7 +82,7 @@ def make_scene(
     frames: int | None = None,
     dtype=jnp.float32,
 ) -> Scene:
-    """A take of CMU's on the performer, seen by cameras with all their trouble."""
+    """Simulate the markers of a CMU take on the performer, with errors."""
     truth = performer(dtype=dtype)
     motion, skeleton = cmu_motion(shared, take)
     motion = motion.slice(slice(None, None, round(120.0 / rate))).slice(slice(frames))
@@ -111,8 +111,8 @@ def scene_of(truth: Subject, motion: jc.Motion, trouble: Trouble, seed: int) -> 
 
 
 def wrong(truth: Subject, rng: np.random.Generator, bones: float = 0.08, placement: float = 0.015) -> Subject:
-    """The truth with every bone up to `bones` too long or too short, left as right, and every marker
-    `placement` metres off in some direction."""
+    """Scale every bone of the true subject by up to `bones`, left and right alike, and move every marker by `placement`
+    metres in a random direction."""
     skeleton = truth.skeleton
     centres, old = np.array(skeleton.centres, float), np.asarray(skeleton.centres, float)
     factors = {name.replace("Right", "Left"): rng.choice([-1, 1]) * bones for name in skeleton.names}
@@ -132,14 +132,14 @@ def wrong(truth: Subject, rng: np.random.Generator, bones: float = 0.08, placeme
 
 
 def known_part(found: Calibration, joint: int) -> Float[np.ndarray, "3 3"]:
-    """What takes off an error of a joint, at rest, all that is along directions that the calibration tells to be hardly
-    known, such as the axis of a hinge."""
+    """Compute the projection of a joint's error, at rest, that removes directions that the calibration reports as poorly
+    determined, such as the axis of a hinge."""
     hardly = np.array([one.direction for one in found.hardly if one.joint == joint]).reshape(-1, 3)
     return np.eye(3) - hardly.T @ hardly
 
 
 def turns(motion: jc.Motion) -> Float[np.ndarray, "J"]:
-    """How far each joint turns, radians: twice the standard deviation of its rotation about its mean."""
+    """Compute twice the standard deviation of each joint's rotation about its mean, radians."""
     q = np.asarray(motion.poses.rotations, float)
     _, vectors = np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))
     middle = vectors[..., -1]
@@ -148,8 +148,7 @@ def turns(motion: jc.Motion) -> Float[np.ndarray, "J"]:
 
 
 def _skin_motion(truth: Subject, motion: jc.Motion, size: float, rng) -> Float[np.ndarray, "F M 3"]:
-    """Every marker slides along a direction of its own, as far as the angle of its bone's joint and of
-    the joint at its bone's end say; the largest shift over the motion is `size`."""
+    """Move each marker along a random direction, in proportion to the angle of one of its bone's joints, by up to `size`."""
     angles = np.linalg.norm(np.asarray(rotation.log(motion.poses.rotations), float), axis=-1)
     angles -= angles.mean(0)
     bones, children = np.asarray(truth.bones), {}

@@ -1,4 +1,4 @@
-"""CMU takes on rigs of other programs: other names, joints more and fewer, other rest poses, joint frames, sizes and axes."""
+"""CMU takes on rigs of other programs, with other names, joints, rest poses, joint frames, sizes and axes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -19,7 +19,7 @@ Z_UP = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 
 
 class Acting(NamedTuple):
-    """A motion as joints in the world."""
+    """A motion of joints in the world."""
 
     names: list[str]
     parents: list[str | None]
@@ -36,7 +36,7 @@ class Acting(NamedTuple):
 
 
 class Rig(NamedTuple):
-    """How a rig is made of a take."""
+    """The properties of a rig."""
 
     name: str
     #: from the ASF's name to the rig's; with `{s}` for the side: sided joints are given once
@@ -56,7 +56,7 @@ class Rig(NamedTuple):
 
 
 def acting(skeleton: jc.Skeleton, motion: jc.Motion) -> Acting:
-    """The joints of a take that rigs have."""
+    """Select the joints of a take that rigs have."""
     places, turns = posed(skeleton, motion.poses)
     kept = [*TRUNK, *(side + bone for side in "lr" for bone in SIDED)]
     kept = [name for name in skeleton.names if name in kept]
@@ -79,7 +79,7 @@ def acting(skeleton: jc.Skeleton, motion: jc.Motion) -> Acting:
 
 
 def without(*names: str) -> Callable[[Acting], Acting]:
-    """Leave joints out; what hangs on them hangs on what they hang on."""
+    """Remove joints; their children become children of their parents."""
 
     def change(acted: Acting) -> Acting:
         parents = list(acted.parents)
@@ -102,7 +102,7 @@ def without(*names: str) -> Callable[[Acting], Acting]:
 
 
 def with_root(name: str) -> Callable[[Acting], Acting]:
-    """A joint on the floor above the hips, which goes along with them."""
+    """Add a root on the floor that follows the hips."""
 
     def change(acted: Acting) -> Acting:
         floor = acted.centres[0] * [1, 0, 1]
@@ -121,7 +121,7 @@ def with_root(name: str) -> Callable[[Acting], Acting]:
 
 
 def with_joint(name: str, above: str, below: str, share: float = 0.5) -> Callable[[Acting], Acting]:
-    """A joint between two, which turns half as far as from the one to the other."""
+    """Insert a joint between two, with half of their relative rotation."""
 
     def change(acted: Acting) -> Acting:
         a, b = acted.index(above), acted.index(below)
@@ -132,7 +132,7 @@ def with_joint(name: str, above: str, below: str, share: float = 0.5) -> Callabl
 
 
 def with_twist(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
-    """A joint half along a bone that has all of the bone's twist; the bone's own joint only swings."""
+    """Insert a joint at the middle of a bone that has all of the bone's twist; the bone's joint only swings."""
 
     def change(acted: Acting) -> Acting:
         a, b = acted.index(above), acted.index(below)
@@ -147,7 +147,7 @@ def with_twist(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
 
 
 def with_half(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
-    """A joint half along a bone that has half of the twist of what hangs at the bone's end."""
+    """Insert a joint at the middle of a bone that has half of the twist of the bone's child."""
 
     def change(acted: Acting) -> Acting:
         a, b = acted.index(above), acted.index(below)
@@ -159,7 +159,7 @@ def with_half(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
 
 
 def with_leaf(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
-    """A joint half along a bone that nothing hangs on."""
+    """Add a leaf joint at the middle of a bone."""
 
     def change(acted: Acting) -> Acting:
         a, b = acted.index(above), acted.index(below)
@@ -171,7 +171,7 @@ def with_leaf(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
 
 
 def hung_on(name: str, above: str) -> Callable[[Acting], Acting]:
-    """Hang a joint on another one, where it is."""
+    """Change the parent of a joint, which keeps its position."""
 
     def change(acted: Acting) -> Acting:
         parents = [
@@ -185,12 +185,12 @@ def hung_on(name: str, above: str) -> Callable[[Acting], Acting]:
 def both(
     make: Callable[..., Callable[[Acting], Acting]], *names: str
 ) -> tuple[Callable[[Acting], Acting], ...]:
-    """A change on both sides; `{s}` in the names is l and r."""
+    """Make a change for both sides; `{s}` in the names is l and r."""
     return tuple(make(*(name.format(s=side) for name in names)) for side in "lr")
 
 
 def make_rig(acted: Acting, rig: Rig) -> tuple[jc.Skeleton, jc.Motion]:
-    """The take on the rig; joints that it has no name for are left out."""
+    """Build the rig of a take; joints without a name in the rig are removed."""
     for change in rig.changes:
         acted = change(acted)
     acted = without(*(name for name in acted.names if _called([name], rig)[0] is None))(acted)
@@ -235,7 +235,7 @@ def _called(names: Sequence[str], rig: Rig) -> list[str | None]:
 
 
 def _frame(acted: Acting, row: int, rig: Rig) -> Rotation:
-    """The rotation of a joint's frame at the ASF's rest, which is none in its file."""
+    """Compute the rotation of a joint's frame at the ASF's rest pose; the file's own frames have none."""
     if not rig.framed:
         name = acted.names[row]
         # a joint along a bone hangs as the bone does
@@ -255,7 +255,7 @@ def _frame(acted: Acting, row: int, rig: Rig) -> Rotation:
 
 
 def _twist(turns: Rotation, bone: np.ndarray) -> Rotation:
-    """The part of rotations about a bone, done first."""
+    """Extract the twist of rotations about a bone, which is applied first."""
     bone = bone / np.linalg.norm(bone)
     quaternions = turns.as_quat()
     along = quaternions[:, :3] @ bone

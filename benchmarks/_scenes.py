@@ -1,4 +1,4 @@
-"""CMU motions on the embedded human, and the clouds that a scanner would have made of them."""
+"""CMU motions on the embedded human, and simulated scans of them."""
 
 import os
 import sys
@@ -27,7 +27,7 @@ _pose_body = eqx.filter_jit(jc.pose_body)
 
 
 class Noise(NamedTuple):
-    """What is wrong with a cloud."""
+    """The errors of a simulated cloud."""
 
     points: int = 5000
     #: standard deviation along each axis, metres
@@ -42,37 +42,36 @@ NOISE = Noise()
 
 
 class Scanned(NamedTuple):
-    """One frame: its cloud and the truth."""
+    """The cloud of one frame and its true joints."""
 
     cloud: jc.Cloud
     joints: Float[np.ndarray, "J 3"]
 
 
 def shared_folder() -> Path:
-    """The captures: JAXCAP_SHARED, or `shared` beside the checkout. Leaves with a sentence where
-    there are none."""
+    """Find the folder of captures: JAXCAP_SHARED, or `shared` next to the checkout. Exit with a message if there is none."""
     beside = Path(__file__).resolve().parents[2] / "shared"
     shared = Path(os.environ.get("JAXCAP_SHARED") or beside)
     if not (shared / "data" / "motion").is_dir():
-        progress(f"{shared} holds no folder data/motion; name the folder of captures in JAXCAP_SHARED.")
+        progress(f"{shared} has no folder data/motion; set JAXCAP_SHARED to the folder of captures.")
         sys.exit(2)
     return shared
 
 
 def takes_of(shared: Path, subject: str) -> list[str]:
-    """The takes of one subject, such as `02_05` of `02`."""
+    """List the takes of one subject, such as `02_05` of `02`."""
     return sorted(path.stem for path in (shared / "data" / "motion").glob(f"{subject}_*.amc"))
 
 
 def cmu_motion(shared: Path, take: str) -> tuple[jc.Motion, jc.Skeleton]:
-    """A take as it was captured, with its own skeleton."""
+    """Load a take as captured, with its skeleton."""
     folder = shared / "data" / "motion"
     asf = read_asf(folder / f"{take.split('_')[0]}.asf")
     return read_amc(folder / f"{take}.amc", asf, CAPTURED), asf.skeleton
 
 
 def human_motion(shared: Path, take: str, body: jc.Body, frames: int | None = None) -> jc.Motion:
-    """A take at 30 frames per second on a body of other proportions, its first `frames` or all."""
+    """Retarget a take to a body at 30 frames per second, its first `frames` or all."""
     motion, skeleton = cmu_motion(shared, take)
     motion = motion.slice(slice(None, None, round(CAPTURED / RATE)))
     return jc.retarget(motion.slice(slice(frames)), skeleton, body.skeleton)
@@ -87,8 +86,11 @@ def scan_frame(
     turn: Float[np.ndarray, "3 3"] | None = None,
     clothes: Float[np.ndarray, "V"] | None = None,
 ) -> Scanned:
-    """A cloud of a posed body's surface, spread by area; `turn` rotates the scene, and `clothes` lie so far outside of
-    each vertex, metres, less a random share of a third that changes from frame to frame."""
+    """Simulate a cloud of a posed body's surface, uniform by area.
+
+    `turn` rotates the scene. `clothes` are offsets of each vertex along its normal, metres, reduced by up to 30 % at
+    random in each frame.
+    """
     posed = _pose_body(body, pose)
     vertices, joints = np.asarray(posed.vertices, float), np.asarray(posed.joints, float)
     if clothes is not None:
@@ -108,7 +110,7 @@ def scan_frame(
 
 
 def clothes_of(body: jc.Body, thickness: float = 0.06) -> Float[np.ndarray, "V"]:
-    """Return how far clothes about the thighs and the trunk lie outside each vertex, metres, smoothed along the surface."""
+    """Compute the offsets of clothes at thighs and trunk from each vertex, metres, smoothed along the surface."""
     covered = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "Spine", "LeftUpLeg", "RightUpLeg")
     cloth = np.isin(np.asarray(body.skeleton.names), covered)[np.asarray(body.skin.parts())].astype(float)
     corners = np.asarray(body.faces)
@@ -127,19 +129,19 @@ def scan_motion(
     visible: Visible = "whole",
     seed: int = 0,
 ) -> list[Scanned]:
-    """A cloud of every frame, each from a seed of its own."""
+    """Simulate a cloud of every frame, each with its own seed."""
     generators = [np.random.default_rng([seed, frame]) for frame in range(motion.num_frames)]
     return [scan_frame(body, motion[k], rng, noise, visible) for k, rng in enumerate(generators)]
 
 
 def about_vertical(angle: float) -> Float[np.ndarray, "3 3"]:
-    """The rotation about y, radians."""
+    """Make a rotation about y; `angle` in radians."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def _surface(vertices, faces, count: int, visible: Visible, rng: np.random.Generator):
-    """`count` points that are visible, with the normals of their triangles."""
+    """Sample `count` visible points, with the normals of their triangles."""
     if visible == "whole":
         return sample_surface(vertices, faces, count, rng)
     points, normals = sample_surface(vertices, faces, 10 * count, rng)
@@ -151,7 +153,7 @@ def _surface(vertices, faces, count: int, visible: Visible, rng: np.random.Gener
 
 
 def _unhidden(points: Float[np.ndarray, "N 3"], pixel: float = 0.01) -> Bool[np.ndarray, "N"]:
-    """Whether no point of the same pixel, seen along z, lies in front by more than two pixels."""
+    """Test which points no point of the same pixel occludes along z by more than two pixels."""
     columns, rows = np.floor((points[:, :2] - points[:, :2].min(0)) / pixel).astype(int).T
     pixels = rows * (columns.max() + 1) + columns
     nearest = np.full(pixels.max() + 1, -np.inf)

@@ -1,4 +1,4 @@
-"""A moving arm as a pair of stereo cameras sees it: few points, of its front, noisy and in steps of depth."""
+"""Simulated stereo points of a moving arm: few, one-sided, noisy, with quantised depth."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +20,7 @@ DENSE = Noise(points=4000, deviation=0.0, tilt=0.0, outliers=0.0)
 
 
 class Stereo(NamedTuple):
-    """What is wrong with the points."""
+    """The errors of simulated stereo points."""
 
     #: points of the arm at most, before some are dropped
     points: int = 300
@@ -36,7 +36,7 @@ STEREO = Stereo()
 
 
 class Seen(NamedTuple):
-    """Several motions, one after the other, as they are tracked; F frames of N points."""
+    """Several motions in sequence; F frames of N points."""
 
     #: of the tracked body, the pelvis at rest
     truth: jc.Pose
@@ -55,8 +55,10 @@ def see_arm(
     every: int = 1,
     stereo: Stereo = STEREO,
 ) -> Seen:
-    """Takes of the database, by the embedded human with all its vertices and joints, from the front of
-    its pelvis: the first `frames` of each or all, and of these every so many, at so much less a rate."""
+    """Simulate takes of the database on the full embedded human, seen from the front of its pelvis.
+
+    The first `frames` of each take are used, or all, and of these every `every`-th.
+    """
     performer = jc.human()
     poses, points, weights, first = [], [], [], []
     for take in takes:
@@ -74,7 +76,7 @@ def see_arm(
 
 
 def at_rest_pelvis(pose: jc.Pose) -> jc.Pose:
-    """The same pose with the root where it is at rest: the cameras go with it."""
+    """Reset the root to its rest position and rotation, as the cameras move with it."""
     return jc.Pose(
         pose.translations.at[0].set(0.0), pose.rotations.at[0].set(rotation.identity()), pose.scale
     )
@@ -83,7 +85,7 @@ def at_rest_pelvis(pose: jc.Pose) -> jc.Pose:
 def see_frame(
     body: jc.Body, pose: jc.Pose, stereo: Stereo, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N"]]:
-    """Points of the arm and their weights, from one frame; what other parts hide is not seen."""
+    """Simulate the points of the arm and their weights in one frame, without occluded ones."""
     seen = scan_frame(body, pose, rng, DENSE, "camera").cloud
     whole = np.asarray(seen.points, float)[np.asarray(seen.weights) > 0]
     vertices = np.asarray(_posed(body, pose).vertices, float)
@@ -99,15 +101,14 @@ def see_frame(
 
 
 def below(skeleton: jc.Skeleton, joint: str) -> Bool[np.ndarray, "J"]:
-    """Which joints hang on one, itself included."""
+    """Find the descendants of a joint, including itself."""
     return np.asarray(skeleton.descent[skeleton.index(joint)], bool)
 
 
 def twists(
     skeleton: jc.Skeleton, joint: str, truth: Float[np.ndarray, "F 4"], found: Float[np.ndarray, "F 4"]
 ) -> Float[np.ndarray, "F"]:
-    """Degrees of twist about the joint's own bone in the rotation that leads from the true one to the
-    one found, in the frame of the bone."""
+    """Compute the twist of the error of a joint's rotation about its bone, degrees."""
     axis = rotation.rotate(skeleton.orientations[skeleton.index(joint)], jnp.array([1.0, 0.0, 0.0]))
     between = rotation.multiply(rotation.conjugate(jnp.asarray(truth)), jnp.asarray(found))
     twist = rotation.swing_twist(between, axis)[1]

@@ -1,4 +1,4 @@
-"""The embedded human becomes a real performer (Vlasic et al. 2008): `python -m benchmarks.adapt_crane`.
+"""Adapt the embedded human to a real performer (Vlasic et al. 2008): `python -m benchmarks.adapt_crane`.
 
     python -m benchmarks.adapt_crane --frames 30 --picture crane.png
 
@@ -29,7 +29,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 def distances(state: AdaptState, clouds: list[jc.Cloud]) -> list[np.ndarray]:
-    """From the points of every cloud to the surface, metres."""
+    """Compute the distances of the points of every cloud from the surface, metres."""
     faces = np.asarray(state.body.faces)
     return [
         scan_to_surface(np.asarray(cloud.points, float), np.asarray(_posed(state.body, state.motion[n]).vertices, float), faces)
@@ -41,8 +41,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.adapt_crane", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("--frames", type=int, help="only so many frames")
-    parser.add_argument("--picture", type=Path, help="write four frames as a PNG")
+    parser.add_argument("--frames", type=int, help="number of frames")
+    parser.add_argument("--picture", type=Path, help="write a PNG of four frames")
     options = parser.parse_args()
     crane = load_crane(shared_folder())
     count = min(options.frames or len(crane.frames), len(crane.frames))

@@ -1,4 +1,4 @@
-"""A template becomes other people while they are tracked: `python -m benchmarks.adapt_people`.
+"""Adapt a template to other people: `python -m benchmarks.adapt_people`.
 
     python -m benchmarks.adapt_people --actors 1 --frames 60 --setups a --starts given --keep rows.json
 
@@ -62,14 +62,14 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 class Template(NamedTuple):
-    """Who becomes the actors, and which poses are likely."""
+    """The template and the pose prior."""
 
     body: jc.Body
     likely: jc.AbstractEnergy | None
 
 
 class Actor(NamedTuple):
-    """Who is scanned: the body with its bumps, which vertices these are of, and by how much they stand out."""
+    """The scanned body with its bumps, the vertices of the bumps, and their heights, metres."""
 
     body: jc.Body
     bumps: np.ndarray
@@ -77,7 +77,7 @@ class Actor(NamedTuple):
 
 
 def make_actor(traits: dict) -> Actor:
-    """A human with a bump on the back of the head and one between the shoulder blades."""
+    """Make a human with a bump on the back of the head and one between the shoulder blades."""
     body = jc.human(joints="tracking", resolution="medium", **traits)
     vertices = np.asarray(body.vertices, float)
     normals = np.asarray(_posed(body, jc.rest_pose(body.skeleton)).normals, float)
@@ -94,7 +94,7 @@ def make_actor(traits: dict) -> Actor:
 
 
 def scans_of(actor: jc.Body, motion: jc.Motion, setup: str) -> list[jc.Cloud]:
-    """A cloud of every frame."""
+    """Simulate a cloud of every frame."""
     middle = np.asarray(actor.vertices, float).mean(0)
     target = (float(middle[0]), float(middle[1]), float(middle[2]))
     arc, views = (360.0, 8) if setup == "a" else (145.0, 4)
@@ -111,7 +111,7 @@ def scans_of(actor: jc.Body, motion: jc.Motion, setup: str) -> list[jc.Cloud]:
 
 
 def judge(state: AdaptState, actor: Actor, motion: jc.Motion) -> dict[str, float]:
-    """Surface, bumps and joints against the truth, in the world."""
+    """Compare surface, bumps and joints with the ground truth, in the world."""
     surface, bumps, joints = [], [], []
     for frame in np.linspace(0, len(motion) - 1, JUDGED).astype(int).tolist():
         there = _posed(actor.body, motion[frame])
@@ -131,14 +131,14 @@ def judge(state: AdaptState, actor: Actor, motion: jc.Motion) -> dict[str, float
 
 
 def shake(motion: jc.Motion) -> float:
-    """Root mean square of second differences of rotation vectors, radians."""
+    """Compute the root mean square of second differences of rotation vectors, radians."""
     q = motion.poses.rotations
     turned = rotation.log(rotation.multiply(rotation.conjugate(q[:-1]), q[1:]))
     return float(jnp.sqrt(jnp.mean(jnp.diff(turned, axis=0) ** 2)))
 
 
 def first_pose(motion: jc.Motion, actor: jc.Body, template: jc.Body, start: str) -> jc.Pose | None:
-    """That of the actor, with the template's root where the actor's is."""
+    """Make the first pose: that of the actor, with the template's root at the actor's."""
     if start == "searched":
         return None
     pose, turns = motion[0], np.array(motion[0].rotations)
@@ -154,14 +154,14 @@ def first_pose(motion: jc.Motion, actor: jc.Body, template: jc.Body, start: str)
 
 
 def learned_template() -> jc.Body:
-    """A body learned from meshes of the embedded human with its skeleton, of which the first is at rest."""
+    """Learn a body from meshes of the embedded human with its skeleton; the first mesh is at rest."""
     human = jc.human(joints="tracking", resolution="medium")
     meshes = meshes_of(human, varied_poses(shared_folder(), human, POSES, TAKES))
     return learn(meshes, skeleton=human.skeleton, keep_joints=True).body
 
 
 def likely_of(template: jc.Body, name: str) -> jc.AbstractEnergy | None:
-    """Which poses are likely, from those that the template is learned from."""
+    """Learn a pose prior from the training poses of the template."""
     if name == "none":
         return None
     poses = varied_poses(shared_folder(), template, POSES, TAKES)
@@ -169,7 +169,7 @@ def likely_of(template: jc.Body, name: str) -> jc.AbstractEnergy | None:
 
 
 def template_of(name: str) -> jc.Body:
-    """The template by its word."""
+    """Make the template of a name."""
     if name == "human":
         return jc.human(joints="tracking", resolution="medium")
     if name == "reduced":
@@ -180,7 +180,7 @@ def template_of(name: str) -> jc.Body:
 def adapt(
     template: Template, clouds: list[jc.Cloud], start: jc.Pose | None, label: str
 ) -> tuple[list[AdaptState], float]:
-    """The states after every stage, and seconds."""
+    """Adapt the template; return the states after every stage, and seconds."""
     task = make_adapt_task(template.body, clouds, start=start, likely=template.likely)
     begin, states = time.perf_counter(), []
     stages = plan(task.settings)
@@ -195,7 +195,7 @@ def adapt(
 def unadapted(
     template: jc.Body, clouds: list[jc.Cloud], start: jc.Pose | None, state: AdaptState
 ) -> AdaptState:
-    """The template as it is, tracked through the clouds."""
+    """Track the unadapted template in the clouds."""
     frames = list(track_frames(make_tracker(template), clouds, start, search=start is None))
     lost = tuple(number for number, frame in enumerate(frames) if frame.lost)
     motion = jc.stack_poses([frame.pose for frame in frames], 30.0)
@@ -203,7 +203,7 @@ def unadapted(
 
 
 def scan_median(state: AdaptState, clouds: list[jc.Cloud]) -> float:
-    """From the points of a scan to the body's surface, median over judged frames, metres."""
+    """Compute the median distance of scan points from the body's surface over scored frames, metres."""
     off = []
     for frame in np.linspace(0, len(clouds) - 1, JUDGED).astype(int).tolist():
         vertices = np.asarray(_posed(state.body, state.motion[frame]).vertices, float)
@@ -213,7 +213,7 @@ def scan_median(state: AdaptState, clouds: list[jc.Cloud]) -> float:
 
 
 def row_of(template: Template, number: int, setup: str, start: str, frames: int) -> dict[str, float]:
-    """All figures of one actor."""
+    """Measure all figures of one actor."""
     actor, label = make_actor(ACTORS[number]), f"{setup}, actor {number + 1}, {start}"
     motion = human_motion(shared_folder(), TAKES[number], actor.body, frames)
     clouds = scans_of(actor.body, motion, setup)
@@ -244,12 +244,10 @@ def main() -> None:
     parser.add_argument("--setups", nargs="*", choices=("a", "b"), default=["a", "b"])
     parser.add_argument("--starts", nargs="*", choices=("given", "wrong", "searched"), default=["given", "wrong"])  # fmt: skip
     parser.add_argument(
-        "--template", default="learned", help="human, reduced, learned, or a body .npz that was learned so"
+        "--template", default="learned", help="human, reduced, learned, or the .npz file of a learned body"
     )
-    parser.add_argument(
-        "--prior", choices=("learned", "none"), default="learned", help="which poses are likely"
-    )
-    parser.add_argument("--keep", type=Path, help="JSON of the rows that are done, read and written")
+    parser.add_argument("--prior", choices=("learned", "none"), default="learned", help="pose prior")
+    parser.add_argument("--keep", type=Path, help="JSON file of the finished rows, read and updated")
     options = parser.parse_args()
     kept = json.loads(options.keep.read_text()) if options.keep and options.keep.is_file() else {}
     body = template_of(options.template)

@@ -1,4 +1,4 @@
-"""What adaptation costs: `python -m benchmarks.adapt_speed`.
+"""Time adaptation: `python -m benchmarks.adapt_speed`.
 
 One pose of a body of 5,000 vertices from 10,000 points, started 3 cm off as in a sequence, after compilation, the tree
 of the points included; and the whole adaptation to 40 frames, compilation included. Where Open3D is installed (it
@@ -55,7 +55,7 @@ print(json.dumps({"seconds": float(np.median(taken)), "version": o3d.__version__
 
 
 def pose_seconds(body: jc.Body, prior, cloud: jc.Cloud, truth: jc.Pose) -> tuple[float, float, jc.Pose]:
-    """Median seconds of a pose, its mean error at the joints, metres, and where it began."""
+    """Measure the median seconds of a pose; also return its mean joint error, metres, and its start."""
     rng, taken, off = np.random.default_rng(0), [], 0.0
     start = truth
     for _ in range(REPEATS + 1):
@@ -69,7 +69,7 @@ def pose_seconds(body: jc.Body, prior, cloud: jc.Cloud, truth: jc.Pose) -> tuple
 
 
 def rigid_seconds(python: Path, body: jc.Body, cloud: jc.Cloud, start: jc.Pose) -> dict:
-    """Open3D's point-to-plane registration of the surface with the points."""
+    """Time Open3D's point-to-plane registration of the surface with the points."""
     posed = jc.pose_body(body, start)
     arrays = {"vertices": posed.vertices, "vertices_normals": posed.normals, "points": cloud.points, "points_normals": cloud.normals}  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
@@ -85,14 +85,14 @@ def main() -> None:
         prog="python -m benchmarks.adapt_speed", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--frames", type=int, default=40)
-    parser.add_argument("--open3d", type=Path, help="the Python of an environment that has Open3D")
+    parser.add_argument("--open3d", type=Path, help="Python executable of an environment with Open3D")
     options = parser.parse_args()
     actor = make_actor(ACTORS[3]).body
     motion = human_motion(shared_folder(), TAKES[3], actor, options.frames)
     clouds = scans_of(actor, motion, "a")
     prior = RestPrior(jnp.asarray(rest_deviations(actor.skeleton, 1.0)))
     seconds, off, start = pose_seconds(actor, prior, clouds[0], motion[0])
-    progress(f"a pose: {seconds:.3f} s, joints {1000 * off:.1f} mm")
+    progress(f"one pose: {seconds:.3f} s, mean joint error {1000 * off:.1f} mm")
     figures = {"pose_s": seconds, "pose_joints_mm": 1000 * off}
     if options.open3d:
         rigid = rigid_seconds(options.open3d, actor, clouds[0], start)

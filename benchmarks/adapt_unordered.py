@@ -1,4 +1,4 @@
-"""Scans that do not follow each other in time: `python -m benchmarks.adapt_unordered`.
+"""Adapt to scans that are not ordered in time: `python -m benchmarks.adapt_unordered`.
 
     python -m benchmarks.adapt_unordered --scenes woman crane --frames 12 --short --ordered-too
 
@@ -44,14 +44,14 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 class Scene(NamedTuple):
-    """Scans in no order, and joints in the world where they are known."""
+    """Unordered scans, and the joints in the world if they are known."""
 
     clouds: list[jc.Cloud]
     joints: list[np.ndarray]
 
 
 def people_scene(shared: Path, name: str, frames: int, seed: int = 0) -> Scene:
-    """An actor in poses of several takes by turns, in random order."""
+    """Pose an actor in several takes alternately, in random order."""
     traits, takes = PEOPLE[name]
     body, rng = jc.human(joints="tracking", resolution="medium", **traits), np.random.default_rng([seed, 1])
     motions = [human_motion(shared, take, body, LENGTH) for take in takes]
@@ -70,7 +70,7 @@ def people_scene(shared: Path, name: str, frames: int, seed: int = 0) -> Scene:
 
 
 def crane_scene(shared: Path, frames: int, seed: int = 0) -> Scene:
-    """Frames of the capture at equal steps, shuffled."""
+    """Select frames of the capture at equal steps, and shuffle them."""
     crane = load_crane(shared)
     chosen = np.linspace(0, len(crane.frames) - 1, frames).astype(int)
     return Scene(
@@ -79,7 +79,7 @@ def crane_scene(shared: Path, frames: int, seed: int = 0) -> Scene:
 
 
 def distances(state: AdaptState, clouds: list[jc.Cloud]) -> list[np.ndarray]:
-    """From the points of every cloud to the surface, metres."""
+    """Compute the distances of the points of every cloud from the surface, metres."""
     faces, found = np.asarray(state.body.faces), []
     for frame, cloud in enumerate(clouds):
         points = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
@@ -89,7 +89,7 @@ def distances(state: AdaptState, clouds: list[jc.Cloud]) -> list[np.ndarray]:
 
 
 def adapt(scene: Scene, settings: AdaptSettings, resolution: str, label: str) -> tuple[AdaptState, bool]:
-    """The last state, and whether the scans were taken without an order."""
+    """Adapt the template; return the last state, and True if the scans were detected as unordered."""
     template = jc.human(joints="tracking", resolution=resolution)
     task = make_adapt_task(template, scene.clouds, RATE, settings=settings)
     begin, stages, state = time.perf_counter(), plan(task.settings), None
@@ -105,7 +105,7 @@ def adapt(scene: Scene, settings: AdaptSettings, resolution: str, label: str) ->
 
 
 def row_of(state: AdaptState, scene: Scene) -> dict[str, float]:
-    """All figures of one scene."""
+    """Compute all figures of one scene."""
     off = distances(state, scene.clouds)
     medians = np.array([np.median(frame) for frame in off])
     wrong = set(np.flatnonzero(medians > WRONG).tolist())
@@ -127,14 +127,14 @@ def row_of(state: AdaptState, scene: Scene) -> dict[str, float]:
 
 
 def picture(path: Path, state: AdaptState, scene: Scene) -> None:
-    """Draw the frames that are furthest off."""
+    """Draw the frames with the largest errors."""
     off, views = distances(state, scene.clouds), []
     for frame in np.argsort([-np.median(one) for one in off])[:DRAWN].tolist():
         vertices = np.asarray(_posed(state.body, state.motion[frame]).vertices)
         title = f"frame {frame}: {1000 * np.median(off[frame]):.1f} mm"
         points = np.asarray(scene.clouds[frame].points)[np.asarray(scene.clouds[frame].weights) > 0]
         views.append(View(title, vertices, points, off[frame]))
-    draw(path, views, np.asarray(state.body.faces), "The frames that are furthest off")
+    draw(path, views, np.asarray(state.body.faces), "Frames with the largest errors")
 
 
 def main() -> None:
@@ -143,10 +143,14 @@ def main() -> None:
     )
     parser.add_argument("--scenes", nargs="*", choices=(*PEOPLE, "crane"), default=[*PEOPLE, "crane"])
     parser.add_argument("--frames", type=int, default=24)
-    parser.add_argument("--resolution", default="medium", help="of the template: medium or low")
-    parser.add_argument("--short", action="store_true", help="few rounds, of 8 scans")
-    parser.add_argument("--ordered-too", action="store_true", help="also as if scans followed each other")
-    parser.add_argument("--pictures", type=Path, help="a folder for the frames that are furthest off")
+    parser.add_argument("--resolution", default="medium", help="resolution of the template: medium or low")
+    parser.add_argument("--short", action="store_true", help="few rounds with 8 scans")
+    parser.add_argument(
+        "--ordered-too", action="store_true", help="adapt also as if the scans were ordered in time"
+    )
+    parser.add_argument(
+        "--pictures", type=Path, help="folder for pictures of the frames with the largest errors"
+    )
     options = parser.parse_args()
     settings = AdaptSettings(frames=8, alone=3, rounds=(2, 2)) if options.short else AdaptSettings()
     shared, begin = shared_folder(), time.perf_counter()

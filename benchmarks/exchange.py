@@ -1,4 +1,4 @@
-"""What other programs make of our files: `python -m benchmarks.exchange --programs FOLDER`.
+"""Compare how other programs read our files: `python -m benchmarks.exchange --programs FOLDER`.
 
 Bodies with motions go out as `.glb`, USD and `.bvh`. Khronos's validator reads the first; Blender imports all three, and
 its joints and evaluated vertices are held to ours; three.js loads the `.glb` in a browser without a window, and its
@@ -47,7 +47,7 @@ MARGIN = 2
 
 
 def compared(found: dict[str, Any], truth: Truth, names: list[str]) -> dict[str, float]:
-    """The largest distance of a joint and of a vertex, millimetres, and the largest angle between bones, degrees."""
+    """Compute the largest distance of a joint and of a vertex, millimetres, and the largest angle between bones, degrees."""
     theirs = [str(name) for name in found["names"]]
     at = [theirs.index(name) for name in names]
     ours = [truth.names.index(name) for name in names]
@@ -60,14 +60,14 @@ def compared(found: dict[str, Any], truth: Truth, names: list[str]) -> dict[str,
     if "vertices" in found:
         if found["vertices"].shape != truth.vertices.shape:
             raise RuntimeError(
-                f"There are {found['vertices'].shape[1]} vertices, not {truth.vertices.shape[1]}."
+                f"The file has {found['vertices'].shape[1]} vertices; expected {truth.vertices.shape[1]}."
             )
         figures["vertices_mm"] = 1000 * np.linalg.norm(found["vertices"] - truth.vertices, axis=-1).max()
     return {name: float(value) for name, value in figures.items()}
 
 
 def bones_of_bvh(skeleton: jc.Skeleton) -> list[str]:
-    """Joints that BVH calls so; the others are ends of bones."""
+    """List the joints of a skeleton in BVH, without the ends of bones."""
     return [
         name
         for joint, name in enumerate(skeleton.names)
@@ -78,7 +78,7 @@ def bones_of_bvh(skeleton: jc.Skeleton) -> list[str]:
 def framed(
     vertices: Float[np.ndarray, "T V 3"], centre: Float[np.ndarray, "3"], radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The least and largest pixel of a body, as the page's camera has it."""
+    """Compute the bounding box of a body in pixels of the page's camera."""
     eye = centre + radius * np.array([1.2, 0.6, 3.4])
     ahead = (centre - eye) / np.linalg.norm(centre - eye)
     right = np.cross(ahead, [0.0, 1.0, 0.0])
@@ -90,7 +90,7 @@ def framed(
 
 
 def moved(pictures: list[bytes], low: np.ndarray, high: np.ndarray) -> dict[str, float]:
-    """Of the pixels that show the body in one of two pictures, per cent that differ; and how many outside of its box do."""
+    """Compare two pictures: the percentage of body pixels that differ, and the number of changed pixels elsewhere."""
     from matplotlib.image import imread
 
     first, second = (imread(io.BytesIO(picture))[..., :3] for picture in pictures)
@@ -107,7 +107,7 @@ def moved(pictures: list[bytes], low: np.ndarray, high: np.ndarray) -> dict[str,
 
 
 class Work(NamedTuple):
-    """A case, its files, and where the linearised body is in some frames."""
+    """A case, its files, and the expected positions of the linearised body in some frames."""
 
     case: Case
     written: Written
@@ -130,7 +130,7 @@ def of_validator(home: Path, work: Work) -> Iterator[Part]:
 
 
 def of_three(home: Path, work: Work, keep: Path | None) -> Iterator[Part]:
-    """Programs of this kind read four bones a vertex, so a case with more is looked at and not held to anything."""
+    """Check a case in three.js, which reads four bones per vertex: cases with more are rendered but have no limits."""
     vertices, rate = work.truth.vertices, work.case.motion.rate
     centre = vertices.reshape(-1, 3).mean(0)
     radius = float(np.linalg.norm(vertices - centre, axis=-1).max())
@@ -161,7 +161,7 @@ def of_usd(work: Work) -> Iterator[Part]:
 
 
 def came_back(file: Path, work: Work) -> float:
-    """From the vertices of what another program wrote again to those that it read, and back, millimetres at most."""
+    """Compute the largest distance between the vertices that another program wrote and those that it read, millimetres."""
     body, motion = jc.io.read_skinned(file)
     if motion is None:
         raise RuntimeError(f"{file.name} has no animation.")
@@ -214,12 +214,14 @@ def main() -> None:
     parser.add_argument("--programs", type=Path, default=Path.home() / ".cache" / "jaxcap" / "programs")
     parser.add_argument("--only", nargs="*", choices=programs, default=programs)
     parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--at", type=int, default=6, help="frames of these that are looked at")
-    parser.add_argument("--tolerance", type=float, default=0.001, help="of linearising, metres")
-    parser.add_argument("--cases", nargs="*", help="these only, by name")
+    parser.add_argument("--at", type=int, default=6, help="number of compared frames")
+    parser.add_argument(
+        "--tolerance", type=float, default=0.001, help="tolerance of the linearised body, metres"
+    )
+    parser.add_argument("--cases", nargs="*", help="names of the cases; all by default")
     parser.add_argument("--case", nargs=3, action="append", default=[], metavar=("NAME", "BODY", "MOTION"))
-    parser.add_argument("--no-captures", action="store_true", help="only what needs none")
-    parser.add_argument("--keep", type=Path, help="a folder for the files and pictures")
+    parser.add_argument("--no-captures", action="store_true", help="only the cases that need no captures")
+    parser.add_argument("--keep", type=Path, help="folder for the files and pictures")
     options = parser.parse_args()
     cases = make_cases(None if options.no_captures else shared_folder(), options.frames)
     for name, body, motion in options.case:

@@ -1,4 +1,4 @@
-"""The pose of a person in one cloud, from nothing: 100 random frames, turned at random.
+"""Find the pose of a person in a single cloud without an initial pose, in 100 random frames.
 
     python -m benchmarks.first_frame
     python -m benchmarks.first_frame --frames 5

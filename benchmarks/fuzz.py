@@ -1,4 +1,4 @@
-"""Damaged files of every format: a reader answers with data or with a sentence, soon, and in little memory.
+"""Fuzz the readers of all formats: each must return data or a clear error, quickly and in little memory.
 
 Whole files are written by the library and taken from the shared captures (`../shared`, or `JAXCAP_SHARED`), and each is
 damaged in many ways: bits, cuts, splices, counts, NaN, nesting, bombs, cycles. The same files in every run.
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def write_files(
     folder: Path, seeds: Sequence[Seed], variants: int, seed: int, only: Iterable[str] = ()
 ) -> list[tuple[str, Path]]:
-    """Whole files, `variants` damaged ones of each format's, and those made by hand; by format."""
+    """Write valid files, `variants` damaged ones of each format, and handmade ones; return them by format."""
     files: list[tuple[str, Path]] = []
     by_format: dict[str, list[Seed]] = collections.defaultdict(list)
     for one in seeds:
@@ -112,11 +112,13 @@ def _finish(readings: Sequence[Reading], seeds: int, written: float, total: floa
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description=__doc__)
-    parser.add_argument("--variants", type=int, default=200, help="damaged files of each format")
+    parser.add_argument("--variants", type=int, default=200, help="number of damaged files of each format")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--only", nargs="*", default=[], choices=FORMATS, help="formats")
-    parser.add_argument("--keep", type=Path, help="a folder for the files that were read wrong")
+    parser.add_argument(
+        "--only", nargs="*", default=[], choices=FORMATS, help="formats to test; all by default"
+    )
+    parser.add_argument("--keep", type=Path, help="folder for the files that were read incorrectly")
     return parser.parse_args(arguments)
 
 

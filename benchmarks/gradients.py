@@ -1,4 +1,4 @@
-"""Derivatives of posed points three ways: closed form, autodiff, central differences.
+"""Compare derivatives of posed points: closed form, automatic differentiation, central differences.
 
     python -m benchmarks.gradients
 
@@ -38,7 +38,7 @@ STEP = 1e-5
 
 
 def moved(body: Body, pose: Pose, d):
-    """The posed vertices after a tangent `d`, `(V, 3)` metres."""
+    """Compute the posed vertices after a tangent `d`, `(V, 3)` metres."""
     return pose_body(body, retract(body.skeleton, pose, d)).vertices
 
 
@@ -49,7 +49,7 @@ def autodiff(body: Body, pose: Pose):
 
 @eqx.filter_jit
 def differences(body: Body, pose: Pose):
-    """Central differences, fourth order: the error left is rounding alone."""
+    """Compute central differences of fourth order, with rounding as the only error."""
 
     def slope(e):
         near, far = (moved(body, pose, share * e) - moved(body, pose, -share * e) for share in (1, 2))
@@ -72,7 +72,7 @@ posed_of = eqx.filter_jit(pose_body)
 
 
 def paper_operators(body: Body, posed: Posed) -> np.ndarray:
-    """The Jacobian of a rigidly skinned body by Kineben's 4 x 4 operators, `(V, 3, D)`.
+    """Compute the Jacobian of a rigidly skinned body by Kineben's 4 x 4 operators, `(V, 3, D)`.
 
     Universal joints are two revolute ones.
     """
@@ -101,15 +101,15 @@ def paper_operators(body: Body, posed: Posed) -> np.ndarray:
 
 
 def apart(one, other) -> float:
-    """The largest distance of two columns, relative to the longer; a column that is nothing
-    (under a thousandth of the longest) is taken relative to that thousandth."""
+    """Compute the largest distance of two columns, relative to the longer one; a column shorter than a thousandth of the
+    longest is relative to that thousandth."""
     one, other = (np.asarray(x).reshape(-1, x.shape[-1]) for x in (one, other))
     lengths = np.maximum(np.linalg.norm(one, axis=0), np.linalg.norm(other, axis=0))
     return float(np.max(np.linalg.norm(one - other, axis=0) / np.maximum(lengths, 1e-3 * lengths.max())))
 
 
 def rigid(body: Body) -> Body:
-    """The same body with every vertex fixed to the bone that it belongs to."""
+    """Make a body rigid: every vertex follows one bone."""
     return eqx.tree_at(lambda b: b.skin, body, RigidSkin(body.skin.parts()))
 
 
@@ -129,8 +129,8 @@ def poses_of(body: Body, rng: np.random.Generator) -> list[Pose]:
 
 
 def cone_errors(rng: np.random.Generator, trials: int = 50) -> tuple[float, float]:
-    """Kineben's gradient of a cone (eq. 16) against autodiff and central differences, largest
-    distance; and so that its sign is seen, it must be far from its negative."""
+    """Compare Kineben's gradient of a cone (eq. 16) with autodiff and central differences; as a test of its sign, also with
+    its negative."""
     closed, numeric = 0.0, 0.0
 
     @jax.jit
@@ -152,8 +152,8 @@ def cone_errors(rng: np.random.Generator, trials: int = 50) -> tuple[float, floa
 
 
 def limit_errors(body: Body, rng: np.random.Generator, trials: int = 12) -> tuple[float, float]:
-    """Joint limits (eqs. 14 and 42) on the chain: autodiff against their closed form (slope
-    one beyond a range, eq. 16 beyond a cone, else nothing) and against central differences."""
+    """Compare derivatives of joint limits (eqs. 14 and 42) on the chain: autodiff, the closed form (slope one beyond a range,
+    eq. 16 beyond a cone, else zero) and central differences."""
     skeleton = body.skeleton
     ranges = {"elbow": (-0.3, 0.2), "spine": ((-0.1, 0.4), (-0.2, 0.3)), "jaw": (-0.5, -0.1)}
     cones = {"chest": Cone((1, 0, 0), 0.3, (0, 1, 0), 0.2), "hand": Cone((0, 1, 1), 0.5, (1, 0, 0), 2.0)}
@@ -225,7 +225,7 @@ def main() -> None:
             count += 1
         seconds[name] = {way: timer.seconds for way, timer in timers.items()}
         progress(
-            f"{name}: {body.skeleton.num_dofs} numbers, {len(body.vertices)} vertices; worst so far {figures}"
+            f"{name}: {body.skeleton.num_dofs} degrees of freedom, {len(body.vertices)} vertices; largest errors so far {figures}"
         )
     figures["cone_closed_form"], figures["cone_differences"] = cone_errors(rng)
     figures["limits_closed_form"], figures["limits_differences"] = limit_errors(skinned["chain"], rng)

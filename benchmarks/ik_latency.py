@@ -1,4 +1,4 @@
-"""How long a dragged point takes to be where the hand is: `python -m benchmarks.ik_latency`.
+"""Measure the latency of inverse kinematics while a point is dragged: `python -m benchmarks.ik_latency`.
 
 The embedded human with 13,380 vertices and ten constraints, nine of them held and one dragged around a loop, half of
 which is out of reach; float32. A solve is timed from the new target to the posed surface that is there in NumPy. Then a
@@ -28,7 +28,7 @@ SURFACE, SIZE = "/body/surface", (960, 640)
 
 
 def ten_constraints(body: Body, solver: str) -> tuple[IkSession, int]:
-    """A session with vertices near ten joints held; the first is the one that is dragged."""
+    """Start a session with ten constrained vertices near joints; the first one is dragged."""
     places, centres = np.asarray(body.vertices), np.asarray(body.skeleton.centres)
     session = ik.begin_session(body, settings=IkSettings(solver))  # pyright: ignore[reportArgumentType]
     held = []
@@ -40,7 +40,7 @@ def ten_constraints(body: Body, solver: str) -> tuple[IkSession, int]:
 
 
 def loop_of(place: tuple[float, float, float], count: int) -> list[tuple[float, float, float]]:
-    """Targets around a hand: half of the loop is further than the arm is long."""
+    """Make targets on a loop around a hand; half of the loop is out of reach."""
     turns = np.linspace(0, 2 * np.pi, count, endpoint=False)
     around = np.stack([np.cos(turns) - 1, np.sin(turns), 0.3 * np.sin(2 * turns)], 1)
     return [(float(x), float(y), float(z)) for x, y, z in np.asarray(place) + 0.25 * around]
@@ -79,7 +79,7 @@ WATCH = """surface => {
 
 
 def browser_milliseconds(body: Body, moves: int, rest: float) -> list[float]:
-    """From a mouse's move to the change that follows it, each with time to settle before the next."""
+    """Measure the time from a mouse move to the next change of the surface, with pauses between moves."""
     session, hand = ten_constraints(body, "levenberg-marquardt")
     server = open_server(0)
     windows = serve_ik(server, session)
@@ -118,7 +118,9 @@ def main() -> None:
     )
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--moves", type=int, default=60)
-    parser.add_argument("--rest", type=float, default=0.5, help="seconds between two moves in the browser")
+    parser.add_argument(
+        "--rest", type=float, default=0.5, help="seconds between two mouse moves in the browser"
+    )
     parser.add_argument("--no-browser", action="store_true")
     options = parser.parse_args()
     body = human()

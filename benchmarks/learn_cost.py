@@ -1,4 +1,4 @@
-"""What a round of learning costs, with meshes, vertices and joints each doubled: `python -m benchmarks.learn_cost`.
+"""Time a round of learning, with meshes, vertices and joints each doubled: `python -m benchmarks.learn_cost`.
 
     python -m benchmarks.learn_cost --vertices 700 --meshes 10 --joints 6
 
@@ -28,14 +28,14 @@ def main() -> None:
     parser.add_argument("--vertices", type=int, default=2000)
     parser.add_argument("--joints", type=int, default=12)
     parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--output", type=Path, help="write the table as Markdown")
+    parser.add_argument("--output", type=Path, help="write the table to a Markdown file")
     options = parser.parse_args()
     base = (options.meshes, options.vertices, options.joints)
 
     cases = {"base": base}
     for axis, name in enumerate(("meshes", "vertices", "joints")):
         cases[name] = tuple(2 * size if axis == at else size for at, size in enumerate(base))
-    lines = ["| meshes | vertices | joints | seconds a round | first round, with its start and compiling |"]
+    lines = ["| meshes | vertices | joints | seconds per round | first round, including compilation |"]
     lines += ["|---|---|---|---|---|"]
     figures, sizes = {}, {}
     for name, (meshes, vertices, joints) in cases.items():

@@ -1,4 +1,4 @@
-"""A real performer (Vlasic et al. 2008), learned from registered meshes: `python -m benchmarks.learn_crane`.
+"""Learn a real performer (Vlasic et al. 2008) from registered meshes: `python -m benchmarks.learn_crane`.
 
     python -m benchmarks.learn_crane --every 8 --rounds 2
 
@@ -32,9 +32,9 @@ def main() -> None:
         prog="python -m benchmarks.learn_crane", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--joints", type=int, default=18)
-    parser.add_argument("--every", type=int, default=1, help="of both halves, take every so many meshes only")
-    parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
-    parser.add_argument("--picture", type=Path, help="write four held-out meshes as a PNG")
+    parser.add_argument("--every", type=int, default=1, help="use every n-th mesh of both halves only")
+    parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
+    parser.add_argument("--picture", type=Path, help="write a PNG of four held-out meshes")
     options = parser.parse_args()
     extra = {} if options.rounds is None else {"rounds": options.rounds}
 

@@ -1,4 +1,4 @@
-"""A body that is known, learned from meshes alone: `python -m benchmarks.learn_known`.
+"""Learn a known body from its meshes alone: `python -m benchmarks.learn_known`.
 
     python -m benchmarks.learn_known --resolution low --training 12 --held-out 4 --rounds 2
 
@@ -29,7 +29,7 @@ NOISE = 0.002
 
 
 def measured(scene: Known, run: Run) -> dict[str, float]:
-    """Mean errors to the clean meshes, training and held out."""
+    """Compute the mean errors to the clean training and held-out meshes."""
     training = millimetres(posed_vertices(run.body, run.motion), scene.clean)
     held_out = millimetres(fitted_vertices(run.body, scene.held_out), scene.clean_held_out)
     progress(f"  {training.mean():.3f} mm in training, {held_out.mean():.3f} mm held out")
@@ -49,12 +49,16 @@ def main() -> None:
     parser.add_argument("--training", type=int, default=60, help="number of meshes to learn from")
     parser.add_argument("--held-out", type=int, default=20, help="number of meshes to fit afterwards")
     parser.add_argument(
-        "--poses", choices=("farthest", "random"), default="farthest", help="how they are picked"
+        "--poses", choices=("farthest", "random"), default="farthest", help="selection of the poses"
     )
-    parser.add_argument("--joints", type=int, help="how many to find, where it is not left to the meshes")
-    parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
-    parser.add_argument("--noise", type=float, nargs="*", default=[0.0, NOISE], help="metres along each axis")
-    parser.add_argument("--seed", type=int, default=0, help="of the choice of poses, the order and the noise")
+    parser.add_argument("--joints", type=int, help="number of joints; determined from the meshes by default")
+    parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
+    parser.add_argument(
+        "--noise", type=float, nargs="*", default=[0.0, NOISE], help="noise deviations along each axis, metres"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the poses, the vertex order and the noise"
+    )
     options = parser.parse_args()
     extra = {} if options.rounds is None else {"rounds": options.rounds}
 

@@ -1,4 +1,4 @@
-"""The thesis's tables on a known body and on a real performer: `python -m benchmarks.learn_tables`.
+"""Reproduce the thesis's tables on a known body and on a real performer: `python -m benchmarks.learn_tables`.
 
     python -m benchmarks.learn_tables --output tables.md --keep rows.json
     python -m benchmarks.learn_tables --scenes human --resolution low --every 8 --rounds 2
@@ -41,7 +41,7 @@ Row = dict[str, float]
 
 
 def scenes(options):
-    """Of each scene, by name, the meshes to learn from and those held out."""
+    """Load the training and held-out meshes of each scene by name."""
     shared = shared_folder()
     if "human" in options.scenes:
         scene = known(shared, resolution=options.resolution)
@@ -51,7 +51,7 @@ def scenes(options):
 
 
 def learned_row(training, held_out, settings: dict, extra: dict) -> Row:
-    """One body, and how far it is from the meshes, millimetres."""
+    """Learn one body, and compute its distances from the meshes, millimetres."""
     run = learn(training, **settings, **extra)
     near = surface_distances(training, posed_vertices(run.body, run.motion))
     far = surface_distances(held_out, fitted_vertices(run.body, held_out))
@@ -64,7 +64,7 @@ def label(scene: str, settings: dict) -> str:
 
 
 def table(scene: str, name: str, rows: dict[str, Row]) -> list[str]:
-    """One table as Markdown, settings across as in the thesis."""
+    """Format one table as Markdown, with settings as columns as in the thesis."""
     columns = [(value, rows[label(scene, USUAL | {name: value})]) for value in VARIED[name]]
     shown = [{True: "with", False: "without"}[v] if isinstance(v, bool) else f"{v:g}" for v, _ in columns]
     lines = [f"| {scene}, {HEADINGS[name]} | " + " | ".join(shown) + " |", "|---" * (len(columns) + 1) + "|"]
@@ -85,12 +85,12 @@ def main() -> None:
     )
     parser.add_argument("--scenes", nargs="*", choices=("human", "crane"), default=["human", "crane"])
     parser.add_argument(
-        "--resolution", choices=("full", "medium", "low"), default="full", help="of the human"
+        "--resolution", choices=("full", "medium", "low"), default="full", help="resolution of the human"
     )
-    parser.add_argument("--every", type=int, default=1, help="take every so many meshes only")
-    parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
-    parser.add_argument("--output", type=Path, help="write the tables as Markdown")
-    parser.add_argument("--keep", type=Path, help="JSON of the rows that are done, read and written")
+    parser.add_argument("--every", type=int, default=1, help="use every n-th mesh only")
+    parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
+    parser.add_argument("--output", type=Path, help="write the tables to a Markdown file")
+    parser.add_argument("--keep", type=Path, help="JSON file of the finished rows, read and updated")
     options = parser.parse_args()
     extra = {} if options.rounds is None else {"rounds": options.rounds}
 

@@ -1,4 +1,4 @@
-"""Against Dem-Bones on the same meshes, with as many bones: `python -m benchmarks.learn_vs_dembones`.
+"""Compare learning with Dem-Bones on the same meshes, with as many bones: `python -m benchmarks.learn_vs_dembones`.
 
     python -m benchmarks.learn_vs_dembones --scenes bone --bones 5 10 20
     python -m benchmarks.learn_vs_dembones --scenes lbs --resolution low --meshes 12 --rounds 2
@@ -43,7 +43,7 @@ Limits = dict[str, tuple[str, float]]
 
 
 def compare(name: str, meshes: MeshSequence, bones: int, extra: dict) -> tuple[Figures, Limits]:
-    """A skeleton and free bones against Dem-Bones; as many bones as it has found, which may be fewer."""
+    """Compare a skeleton and free bones with Dem-Bones, with as many bones as it found, which may be fewer than asked."""
     progress(f"{name}: {len(meshes)} meshes, {meshes.vertices.shape[1]} vertices, {bones} bones")
     rival = dem_bones(meshes, bones)
     figures: Figures = {
@@ -66,7 +66,7 @@ def compare(name: str, meshes: MeshSequence, bones: int, extra: dict) -> tuple[F
 
 
 def exact(options, extra: dict) -> tuple[Figures, Limits, list[int]]:
-    """A body under linear blend skinning, learned back; and meshes, vertices, bones."""
+    """Learn a body with linear blend skinning from its own meshes; also return the numbers of meshes, vertices and bones."""
     truth = known(
         shared_folder(),
         "lbs",
@@ -114,14 +114,16 @@ def main() -> None:
     parser.add_argument(
         "--scenes", nargs="*", choices=("bone", "crane", "lbs"), default=["bone", "crane", "lbs"]
     )
-    parser.add_argument("--bones", type=int, nargs="*", default=SAMPLE_BONES, help="of Dem-Bones' sample")
-    parser.add_argument("--every", type=int, default=1, help="of bone and crane, every so many meshes only")
-    parser.add_argument("--meshes", type=int, default=60, help="of the embedded human")
+    parser.add_argument(
+        "--bones", type=int, nargs="*", default=SAMPLE_BONES, help="numbers of bones for Dem-Bones' sample"
+    )
+    parser.add_argument("--every", type=int, default=1, help="use every n-th mesh of bone and crane only")
+    parser.add_argument("--meshes", type=int, default=60, help="number of meshes of the embedded human")
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="full")
     parser.add_argument(
-        "--poses", choices=("farthest", "random"), default="farthest", help="how they are picked"
+        "--poses", choices=("farthest", "random"), default="farthest", help="selection of the poses"
     )
-    parser.add_argument("--rounds", type=int, help="learn for at most so many rounds")
+    parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     extra = {} if options.rounds is None else {"rounds": options.rounds}

@@ -1,4 +1,4 @@
-"""Slopes of the fields of joint limits, against central differences: `python -m benchmarks.limits_gradients`.
+"""Check gradients of joint limits against central differences: `python -m benchmarks.limits_gradients`.
 
 The signed distance of a learned surface in its chart, on the thickness of primitives, on their cut-off, inside
 and far off; limits as an energy by the numbers of a pose; and the soft object's distance. Double precision.
@@ -22,7 +22,7 @@ STEP = 1e-6
 
 
 def surface_error(limits: jc.limits.SurfaceLimits, rng: np.random.Generator) -> float:
-    """The largest difference of slopes, which are about one."""
+    """Compute the largest difference of slopes, which are about one."""
     worst = 0.0
     for surface in limits.surfaces:
         parent = None if surface.parent is None else surface.keys[len(surface.keys) // 2]
@@ -44,7 +44,7 @@ def surface_error(limits: jc.limits.SurfaceLimits, rng: np.random.Generator) -> 
 
 
 def energy_error(energy: AbstractEnergy, body: jc.Body, pose: jc.Pose) -> float:
-    """The largest difference of an energy's Jacobian, against its largest number."""
+    """Compute the largest error of an energy's Jacobian, relative to its largest entry."""
 
     @eqx.filter_jit
     def residual(d):

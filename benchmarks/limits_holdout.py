@@ -1,4 +1,4 @@
-"""Limits learned from half of a motion, judged by the other: `python -m benchmarks.limits_holdout`.
+"""Validate learned joint limits on held-out halves of motions: `python -m benchmarks.limits_holdout`.
 
 First a known limit that couples swing with twist and elbow with shoulder: how often a learned one
 is right about poses that are not within three degrees of its border. Then shoulders and elbows,
@@ -44,7 +44,7 @@ KINDS = ("uniform", "shuffled", "mirrored", "never together")
 
 
 def known_limit(samples: int, questions: int) -> dict[str, float]:
-    """Shares of answers that are right, in percent."""
+    """Compute the percentages of right answers for an analytic limit."""
     rng, skeleton = np.random.default_rng(1), pair_skeleton()
     shoulder, elbow = true_samples(rng, samples)
     motion = motion_of(skeleton, {"shoulder": shoulder, "elbow": elbow})
@@ -84,13 +84,13 @@ def known_limit(samples: int, questions: int) -> dict[str, float]:
 
 
 def accepted(limits, skeleton, poses: dict[str, np.ndarray]) -> np.ndarray:
-    """Whether all of some limits allow both joints of each pose."""
+    """Test which poses all of some limits allow at both joints."""
     motion = motion_of(skeleton, poses)
     return np.all([np.asarray(allowed_frames(one, skeleton, motion)).all(1) for one in limits], axis=0)
 
 
 def questions_of(train: JointSamples, test: JointSamples, whole: JointSamples, skeleton, count: int) -> dict:
-    """Poses to be rejected, by kind."""
+    """Make negative samples, by kind."""
     rng = np.random.default_rng(2)
     assert test.parent is not None and train.parent is not None and whole.parent is not None
     some = rng.integers(0, len(test.rotations), (2, count))
@@ -114,7 +114,7 @@ def questions_of(train: JointSamples, test: JointSamples, whole: JointSamples, s
 
 
 def _embedded(children: np.ndarray, parents: np.ndarray) -> np.ndarray:
-    """Chords between quaternions as distances; a joint's half angles are short of half a turn here."""
+    """Embed pairs of rotations such that distances are chords of quaternions; rotations are below half a turn."""
     return np.concatenate([np.where(q[:, :1] < 0, -q, q) for q in (children, parents)], 1)
 
 
@@ -149,7 +149,7 @@ def main() -> None:
 
 
 def captured(count: int) -> dict[str, float]:
-    """The table of the database's joints, in percent, each pair by itself and all of them."""
+    """Compute the percentages for the joints of the database, by pair and over all pairs."""
     motions = cmu_motions(shared_folder())
     skeleton = motions[0][0]
     kept, rejected, out = [], {}, []

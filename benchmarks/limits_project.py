@@ -1,4 +1,4 @@
-"""Random invalid poses turned back into learned limits: `python -m benchmarks.limits_project`.
+"""Project random invalid poses onto learned joint limits: `python -m benchmarks.limits_project`.
 
 A shoulder with its elbow, learned from the CMU database. Every pose has to be allowed afterwards,
 and no joint may be moved further than 1.1 times as far as the nearest sample that is allowed: of the
@@ -25,7 +25,7 @@ JOINTS = ("lhumerus", "lradius")
 
 
 def pair_of(skeleton: Skeleton) -> Skeleton:
-    """The two joints alone."""
+    """Make a skeleton of the two joints alone."""
     rows = [skeleton.index(name) for name in JOINTS]
     return make_skeleton(
         JOINTS,
@@ -37,19 +37,19 @@ def pair_of(skeleton: Skeleton) -> Skeleton:
 
 
 def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Between rotations, radians."""
+    """Compute the angles between rotations, radians."""
     signed = np.where(np.sum(a * b, -1, keepdims=True) < 0, -b, b)
     return 4 * np.arcsin(np.clip(np.linalg.norm(a - signed, axis=-1) / 2, 0.0, 1.0))
 
 
 def nearest_shoulder(rotations: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """The angle from each rotation to the nearest sample, radians."""
+    """Compute the angle of each rotation from the nearest sample, radians."""
     both = np.concatenate([samples, -samples])
     return 4 * np.arcsin(np.clip(KDTree(both).query(rotations)[0] / 2, 0.0, 1.0))
 
 
 def nearest_elbow(limits, skeleton, after: np.ndarray, before: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """The angle from each elbow to the nearest of `ELBOWS` samples that its shoulder, as it is now, allows."""
+    """Compute the angle of each elbow from the nearest of `ELBOWS` samples that its current shoulder allows."""
     bends = 2 * np.arctan2(np.linalg.norm(samples[:, 1:], axis=1), samples[:, 0])
     chosen = samples[np.argsort(bends)[np.linspace(0, len(bends) - 1, ELBOWS).astype(int)]]
     best = np.full(len(after), np.inf)

@@ -1,4 +1,4 @@
-"""What learned limits are worth in tracking: `python -m benchmarks.limits_track`.
+"""Measure the benefit of learned joint limits in tracking: `python -m benchmarks.limits_track`.
 
 The embedded human performs five takes of CMU's subject 02, seen from the front of its pelvis by what
 stands for a pair of stereo cameras: 300 points of the right arm at most, 15 mm of noise along each
@@ -65,7 +65,7 @@ WHOLE = tuple(
 
 
 class Contender(eqx.Module):
-    """How a frame is fitted."""
+    """A method that fits a frame."""
 
     #: an energy among others, or before all else where steps are strict
     limits: SurfaceLimits | None = None
@@ -85,7 +85,7 @@ class Contender(eqx.Module):
 
 
 class Outcome(NamedTuple):
-    """What a contender found: F frames of the arm's joints."""
+    """The result of a method: F frames of the arm's joints."""
 
     rotations: Float[np.ndarray, "F 3 4"]
     #: of shoulder and elbow, degrees
@@ -106,7 +106,7 @@ def gauss_newton_step(energy: jc.AbstractEnergy, body: jc.Body, pose: jc.Pose) -
 
 
 def arm_body(body: jc.Body) -> jc.Body:
-    """The same body, of which only the arm moves."""
+    """Fix all joints of a body but those of the arm."""
     kinds = (
         kind if name in ARM else "fixed"
         for name, kind in zip(body.skeleton.names, body.skeleton.kinds, strict=True)
@@ -117,7 +117,7 @@ def arm_body(body: jc.Body) -> jc.Body:
 
 @eqx.filter_jit
 def follow(contender: Contender, body: jc.Body, soft: SoftObject, seen: Seen) -> Float[Array, "F 3 4"]:
-    """Rotations of the arm's joints, frame by frame; the first frame of a motion starts at the truth."""
+    """Track the rotations of the arm's joints; the first frame of a motion starts at the true pose."""
     arm = jnp.array([body.skeleton.index(name) for name in ARM])
     free = jnp.full(body.skeleton.num_dofs, MOTION, seen.truth.rotations.dtype)
 
@@ -135,7 +135,7 @@ def follow(contender: Contender, body: jc.Body, soft: SoftObject, seen: Seen) ->
 
 
 def compare(contenders: dict[str, Contender], body: jc.Body, seen: Seen, repeats: int) -> dict[str, Outcome]:
-    """All contenders on the same data, in turns; seconds are medians, without the first round."""
+    """Run all methods alternately on the same data; seconds are medians without the first round."""
     skeleton, soft = body.skeleton, make_soft_object(body)
     moving, taken = arm_body(body), {name: [] for name in contenders}
     on_device = jax.tree.map(lambda leaf: jnp.asarray(leaf), seen)
@@ -160,7 +160,7 @@ def compare(contenders: dict[str, Contender], body: jc.Body, seen: Seen, repeats
 
 
 def with_arm(skeleton: jc.Skeleton, poses: jc.Pose, rotations: Float[np.ndarray, "F 3 4"]) -> jc.Pose:
-    """Stacked poses with other rotations of the arm's joints."""
+    """Replace the rotations of the arm's joints in stacked poses."""
     arm = jnp.array([skeleton.index(name) for name in ARM])
     return jc.Pose(poses.translations, poses.rotations.at[:, arm].set(rotations), poses.scale)
 
@@ -175,7 +175,7 @@ def _places(body: jc.Body, poses: jc.Pose) -> np.ndarray:
 
 
 def learn_from(shared: Path, takes: list[str], body: jc.Body, pairs) -> SurfaceLimits:
-    """Limits from takes on the human's skeleton, each joint coupled to the other of its pair."""
+    """Learn limits from takes on the human's skeleton, with each joint coupled to its parent in the pair."""
     motions = [(body.skeleton, human_motion(shared, take, body)) for take in takes]
     limits = learn_limits({joint: gather_samples(motions, joint, parent, takes) for joint, parent in pairs})
     for surface in limits.surfaces:
@@ -249,16 +249,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.limits_track", description=(__doc__ or "").splitlines()[0]
     )
-    parser.add_argument("--motions", nargs="+", default=TAKES, help="takes of subject 02 that are tracked")
-    parser.add_argument("--frames", type=int, help="track only so many frames of each take")
+    parser.add_argument("--motions", nargs="+", default=TAKES, help="takes of subject 02 to track")
+    parser.add_argument("--frames", type=int, help="number of frames of each take to track")
     parser.add_argument(
         "--every",
         type=int,
         default=1,
-        help="track every so many frames only; movements are so much quicker then",
+        help="track every n-th frame only; movements are then n times faster",
     )
-    parser.add_argument("--repeats", type=int, default=3, help="runs that are timed")
-    parser.add_argument("--depth-frames", type=int, help="fit only so many depth frames")
+    parser.add_argument("--repeats", type=int, default=3, help="number of timed runs")
+    parser.add_argument("--depth-frames", type=int, help="number of depth frames to fit")
     options = parser.parse_args()
     shared, start = shared_folder(), time.perf_counter()
     figures = tracking(shared, tuple(options.motions), options.frames, options.every, options.repeats)

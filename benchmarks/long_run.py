@@ -1,4 +1,4 @@
-"""A run of 20,000 frames of 1,000 points by the command line: as fast and as large at its end as at its beginning.
+"""Track 20,000 frames of 1,000 points by the command line, and check that time and memory do not grow.
 
     python -m benchmarks.long_run
     python -m benchmarks.long_run --frames 300 --block 100 --points 300
@@ -34,7 +34,7 @@ REFER = 10
 
 
 class Look(NamedTuple):
-    """What was seen of a run at one time."""
+    """The measurements of a run at one time."""
 
     seconds: float
     frames: int
@@ -47,7 +47,7 @@ class Look(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """A run from its start to its end, and its exit code."""
+    """The measurements of a whole run, and its exit code."""
 
     looks: list[Look]
     end: float
@@ -55,7 +55,7 @@ class Watched(NamedTuple):
 
 
 def fixed_work() -> float:
-    """Seconds of the processor that a fixed piece of work of some milliseconds takes: products of matrices and Python."""
+    """Measure the processor seconds of a fixed piece of work of a few milliseconds: matrix products and Python."""
     matrix = np.full((96, 96), 1e-3)
     start = time.thread_time()
     for _ in range(40):
@@ -65,7 +65,7 @@ def fixed_work() -> float:
 
 
 def look_at(process: int, journal: Path, start: float, reference: float) -> Look:
-    """One look at a running process and its journal."""
+    """Measure a running process and its journal."""
     frames = 0
     if journal.is_file():
         width = int(str(read_header(journal)["width"]))
@@ -78,13 +78,13 @@ def look_at(process: int, journal: Path, start: float, reference: float) -> Look
 
 
 def _begin(journal: Path) -> int:
-    """Where the records of a journal begin."""
+    """Find the offset of the records of a journal."""
     with open(journal, "rb") as file:
         return 12 + int.from_bytes(file.read(12)[8:], "little")
 
 
 def watch(command: list[str], journal: Path) -> Watched:
-    """Run a command and look at it until it ends."""
+    """Run a command and measure it until it ends."""
     start, looks, said, reference = time.perf_counter(), [], 0.0, fixed_work()
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
         while running.poll() is None:
@@ -106,8 +106,8 @@ def watch(command: list[str], journal: Path) -> Watched:
 
 
 class Block(NamedTuple):
-    """A block of frames: seconds for a frame, by the clock and of the processor; the largest memory, bytes; the median time
-    of the fixed work, seconds."""
+    """A block of frames: wall and processor seconds per frame; the largest memory, bytes; the median time of the fixed work,
+    seconds."""
 
     clock: float
     processor: float
@@ -116,7 +116,7 @@ class Block(NamedTuple):
 
 
 def block_figures(looks: list[Look], first: int, last: int) -> Block:
-    """What was seen of the frames from `first` to `last`."""
+    """Summarise the measurements of the frames from `first` to `last`."""
     done = np.array([look.frames for look in looks])
     edges = np.interp([first, last], done, [look.seconds for look in looks])
     work = np.interp([first, last], done, [look.processor for look in looks])
@@ -136,7 +136,7 @@ def main() -> None:
     )
     parser.add_argument("--frames", type=int, default=20_000)
     parser.add_argument("--points", type=int, default=1000)
-    parser.add_argument("--block", type=int, default=1000, help="frames of the blocks that are compared")
+    parser.add_argument("--block", type=int, default=1000, help="number of frames of each compared block")
     options = parser.parse_args()
     if options.frames < 3 * options.block:
         parser.error("give at least three blocks of frames")

@@ -1,4 +1,4 @@
-"""Frames that are right and frames that were made wrong: which of them are flagged.
+"""Measure how reliably wrong poses are flagged, and right ones are not.
 
     python -m benchmarks.lost
     python -m benchmarks.lost --scenes crane --frames 30
@@ -78,7 +78,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 class Judged(NamedTuple):
-    """A pose and the verdict on it."""
+    """A pose and its verdict."""
 
     kind: str
     frame: int
@@ -92,7 +92,7 @@ class Judged(NamedTuple):
 
     @property
     def flagged(self) -> bool:
-        """Whether a word is said: of the frame, or of all parts that are wrong."""
+        """True if the frame is flagged, or all wrong parts are reported as unseen."""
         unseen = set(self.tracked.unseen)
         wrong = [
             unseen & parts for parts, error in zip(self.parts, self.errors, strict=False) if error > WRONG
@@ -105,7 +105,7 @@ def joints_of(body: jc.Body, pose: jc.Pose) -> np.ndarray:
 
 
 def turned_joint(pose: jc.Pose, joint: int, turn: Rotation) -> jc.Pose:
-    """A pose with one joint turned in its parent's frame."""
+    """Rotate one joint of a pose in its parent's frame."""
     rotations = np.array(pose.rotations)
     now = Rotation.from_quat(rotations[joint], scalar_first=True)
     rotations[joint] = (turn * now).as_quat(scalar_first=True)
@@ -113,7 +113,7 @@ def turned_joint(pose: jc.Pose, joint: int, turn: Rotation) -> jc.Pose:
 
 
 def reaching(body: jc.Body, pose: jc.Pose, chain: list[int], targets: np.ndarray) -> jc.Pose:
-    """A pose in which the bones of a chain point to where `targets (n, 3)` are."""
+    """Rotate the bones of a chain so that they point to `targets (n, 3)`."""
     for joint, child, target in zip(chain[:-1], chain[1:], targets, strict=True):
         posed = _posed(body, pose)
         joints, bones = np.asarray(posed.joints, float), np.asarray(posed.transforms.rotations, float)
@@ -124,7 +124,7 @@ def reaching(body: jc.Body, pose: jc.Pose, chain: list[int], targets: np.ndarray
 
 
 def made_wrong(body: jc.Body, pose: jc.Pose, rng: np.random.Generator) -> dict[str, jc.Pose]:
-    """Wrong poses near a right one."""
+    """Make wrong poses from a right one."""
     skeleton, joints = body.skeleton, joints_of(body, pose)
     wrong = {}
     for name, limb in LIMBS.items():
@@ -148,7 +148,7 @@ def made_wrong(body: jc.Body, pose: jc.Pose, rng: np.random.Generator) -> dict[s
 
 
 class Scene:
-    """A body, its clouds and its true joints; frames are tracked and judged one after the other."""
+    """A body, its clouds and its true joints, tracked and judged frame by frame."""
 
     def __init__(self, body: jc.Body, clouds: list[jc.Cloud], errors, others: list, every: int, seed: int):
         self.tracker, self.surface = jc.make_tracker(body), judged_surface(body)
@@ -193,7 +193,7 @@ class Scene:
 
 
 def parts_of(body: jc.Body) -> tuple[frozenset[str], ...]:
-    """For each of `MAIN` the joint itself, and the one whose bone it ends."""
+    """List for each of `MAIN` the joint and its parent."""
     names, parents = body.skeleton.names, body.skeleton.parents
     return tuple(
         frozenset({name, *((names[parents[names.index(name)]],) if parents[names.index(name)] >= 0 else ())})
@@ -202,7 +202,7 @@ def parts_of(body: jc.Body) -> tuple[frozenset[str], ...]:
 
 
 def slow_fault(scene: Scene, motion: jc.Motion, joint: str) -> list[Judged]:
-    """The true poses with one joint that turns further in each frame; what is not lost is learned from."""
+    """Judge true poses with one joint that rotates further in each frame; good frames update the usual values."""
     judged, usual = [], nothing_usual(scene.surface)
     for number, cloud in enumerate(scene.clouds):
         turn = Rotation.from_rotvec([0.0, 0.0, np.radians(SLOW * max(0, number - 10))])
@@ -308,9 +308,11 @@ def main() -> None:
     parser.add_argument(
         "--scenes", nargs="+", choices=("crane", *SCENES, *HARD), default=("crane", *SCENES, *HARD)
     )
-    parser.add_argument("--frames", type=int, default=175, help="so many frames of each scene")
-    parser.add_argument("--every", type=int, default=12, help="wrong poses are made at one frame in so many")
-    parser.add_argument("--picture", type=Path, help="write a case of each kind in the first scene as a PNG")
+    parser.add_argument("--frames", type=int, default=175, help="number of frames of each scene")
+    parser.add_argument("--every", type=int, default=12, help="generate wrong poses at every n-th frame")
+    parser.add_argument(
+        "--picture", type=Path, help="write a PNG with a case of each kind from the first scene"
+    )
     options = parser.parse_args()
     shared, scenes, seconds = shared_folder(), {}, {}
     for name in options.scenes:

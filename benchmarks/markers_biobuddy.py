@@ -1,4 +1,4 @@
-"""Right hip and knee from functional trials, unaided: `python -m benchmarks.markers_biobuddy`.
+"""Estimate right hip and knee from functional trials, without a template: `python -m benchmarks.markers_biobuddy`.
 
 One person with 73 markers: a static pose, a trial of the right hip, one of the right knee (Pyomeca's
 BioBuddy). Segments are found in all three together, with no labels; labels only say afterwards which
@@ -26,13 +26,13 @@ SHANK = ("RLEG1", "RLEG2", "RLEG3")
 
 
 def holder(segments: Segments, labels: tuple[str, ...], names: tuple[str, ...]) -> int:
-    """The segment that holds most of some markers."""
+    """Find the segment with most of some markers."""
     owners = segments.of_marker[[labels.index(name) for name in names]]
     return int(np.bincount(owners[owners >= 0], minlength=segments.num_segments).argmax())
 
 
 class Trial:
-    """Frames of the segments over all trials, in one set of axes, and joints in some of the frames."""
+    """Frames of the segments over all trials, with common axes; finds joints in some of the frames."""
 
     def __init__(self, places: np.ndarray, segments: Segments):
         self.places, self.segments = places, segments
@@ -50,7 +50,7 @@ class Trial:
 
 
 def thigh_lengths(trial: Trial, hip: Joint, knee: Joint, chosen: slice) -> np.ndarray:
-    """In each of some frames, from the hip where the pelvis carries it to the knee where the shank does."""
+    """Compute the distance from the hip, fixed in the pelvis, to the knee, fixed in the shank, in each of some frames."""
     frames = trial.frames
     ends = [
         frames.rotations[chosen, segment] @ place + frames.origins[chosen, segment]

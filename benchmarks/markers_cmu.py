@@ -1,4 +1,4 @@
-"""From 41 markers without labels to the tree: `python -m benchmarks.markers_cmu`.
+"""Estimate a skeleton from 41 unlabelled markers: `python -m benchmarks.markers_cmu`.
 
 CMU's take 02_05, punches and strikes: raw markers, and the database's own skeleton and motion of the
 same frames. Markers are shuffled and their labels hidden; what is found is compared with the database:
@@ -27,7 +27,7 @@ AXES = [1, 2, 0]
 
 
 def hidden(frames: jc.MarkerFrames, seed: int) -> tuple[jc.MarkerFrames, tuple[str, ...]]:
-    """Markers in another order under numbers, in the database's axes; and what they were called."""
+    """Permute markers and replace their labels by numbers, in the database's axes; also return the labels."""
     order = np.random.default_rng(seed).permutation(len(frames.labels))
     places = np.asarray(frames.places)[:, order][..., AXES]
     names = tuple(f"point{i}" for i in range(len(order)))
@@ -36,7 +36,7 @@ def hidden(frames: jc.MarkerFrames, seed: int) -> tuple[jc.MarkerFrames, tuple[s
 
 
 def bone_frames(skeleton: jc.Skeleton, motion: jc.Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations (F, J, 3, 3), translations and centres (F, J, 3) of all bones."""
+    """Compute rotations (F, J, 3, 3), translations and centres (F, J, 3) of all bones."""
 
     def of_frame(pose):
         transforms = jc.forward_kinematics(skeleton, pose)
@@ -47,13 +47,13 @@ def bone_frames(skeleton: jc.Skeleton, motion: jc.Motion) -> tuple[np.ndarray, n
 
 
 def varying(rotations: np.ndarray, origins: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(F,) how far points are from a constant place in a moving frame, the best one, metres."""
+    """Compute the distances (F,) of points from their best constant position in a moving frame, metres."""
     local = np.einsum("fba,fb->fa", rotations, points - origins)
     return np.linalg.norm(local - local.mean(0), axis=1)
 
 
 def on_the_way(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
-    """The bones from one to another, both among them."""
+    """List the bones on the path from one bone to another, both included."""
     up = [[start], [end]]
     for path in up:
         while skeleton.parents[path[-1]] >= 0:
@@ -64,19 +64,19 @@ def on_the_way(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
 
 
 def joints_between(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
-    """The joints that turn one bone against another."""
+    """List the joints between two bones."""
     way = on_the_way(skeleton, start, end)
     return [bone for bone in way if skeleton.parents[bone] in way]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.markers_cmu", description="From 41 markers without labels to the tree."
+        prog="python -m benchmarks.markers_cmu", description="Fit a skeleton to 41 unlabelled markers."
     )
-    parser.add_argument("--frames", type=int, help="take only so many frames")
+    parser.add_argument("--frames", type=int, help="number of frames to use")
     parser.add_argument("--local", action="store_true", help="stop after the local technique")
-    parser.add_argument("--seed", type=int, default=0, help="of the order of markers")
-    parser.add_argument("--picture", type=Path, help="write the skeleton in its markers as a PNG")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random order of markers")
+    parser.add_argument("--picture", type=Path, help="write a PNG of the skeleton and its markers")
     options = parser.parse_args()
     shared = shared_folder()
     frames = jc.read_markers(shared / "data" / "markers" / f"cmu_{TAKE}.c3d")[: options.frames]
@@ -91,7 +91,7 @@ def main() -> None:
     subject = found.subject if calibrated is None else calibrated.subject
     solution = timer(jc.markers.solve_markers, subject, frames)
     for sentence in (*found.told, *(() if calibrated is None else calibrated.told), *solution.told):
-        progress(f"told: {sentence}")
+        progress(f"message: {sentence}")
 
     r, t, centres = bone_frames(skeleton, motion)
     _, _, ours = bone_frames(subject.skeleton, solution.motion)

@@ -1,4 +1,4 @@
-"""Calibration and solve against others' programs: `python -m benchmarks.markers_rivals --venvs FOLDER`.
+"""Compare calibration and inverse kinematics with other programs: `python -m benchmarks.markers_rivals --venvs FOLDER`.
 
 The embedded human under a take of CMU's, some 60 markers with a millimetre of noise, from a template with bones 8 %
 and markers 14 mm off: 100 of 300 frames to calibrate, all to solve. Each rival runs in a virtual environment of
@@ -33,7 +33,7 @@ BONES, PLACEMENT = 0.08, 0.014
 
 
 def the_scene(shared: Path, take: str, frames: int, seed: int) -> Scene:
-    """Frames spread over the take, close enough for each to start at the one before."""
+    """Make frames that are spread over the take, close enough for each to start at the previous one."""
     truth = performer()
     motion, skeleton = cmu_motion(shared, take)
     step = max(1, len(motion) // frames)
@@ -43,7 +43,7 @@ def the_scene(shared: Path, take: str, frames: int, seed: int) -> Scene:
 
 
 def mirrored(names: tuple[str, ...]) -> np.ndarray:
-    """(J,) the joint of the other side, itself in the middle."""
+    """Find the mirrored joint (J,) of each joint; joints in the middle are their own."""
     swap = {
         "Left": "Right",
         "Right": "Left",
@@ -65,8 +65,8 @@ def pairs(names: tuple[str, ...]) -> list[tuple[str, str]]:
 
 
 def told_errors(scene: Scene, found: Calibration, joints: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """(F, K) metres, of anybody's joints: without what is along directions that hardly anything tells, such as the axis
-    of a hinge, as our calibration has them."""
+    """Compute errors of joints (F, K), metres, without directions that our calibration reports as poorly determined, such as
+    the axis of a hinge."""
     away, skeleton = joints - scene.joints, scene.truth.skeleton
     turned = jax.lax.map(lambda pose: forward_kinematics(skeleton, pose).rotations, scene.motion.poses)
     turned, errors = np.asarray(turned, float), []
@@ -78,7 +78,7 @@ def told_errors(scene: Scene, found: Calibration, joints: np.ndarray, turning: n
 
 
 def write_scene(path: Path, scene: Scene, chosen: np.ndarray, own: Subject) -> None:
-    """The template, what was seen, and the subject that we calibrated, for those that only solve."""
+    """Write the template, the markers, and our calibrated subject for programs that only solve."""
     template, skeleton = scene.template, scene.template.skeleton
     np.savez(
         path,
@@ -132,8 +132,10 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--repeats", type=int, default=3, help="of our own calibration and solve")
-    parser.add_argument("--limit", type=float, default=3000.0, help="seconds that a rival may take")
+    parser.add_argument(
+        "--repeats", type=int, default=3, help="number of timed runs of our own calibration and solve"
+    )
+    parser.add_argument("--limit", type=float, default=3000.0, help="time limit of each rival, seconds")
     options = parser.parse_args()
     scene = the_scene(shared_folder(), options.take, options.frames, options.seed)
     chosen = np.linspace(0, len(scene.frames) - 1, options.count).round().astype(int)

@@ -1,4 +1,4 @@
-"""How fast markers are calibrated, solved and followed: `python -m benchmarks.markers_speed`.
+"""Time calibration, inverse kinematics and streaming of markers: `python -m benchmarks.markers_speed`.
 
 60 markers on the embedded human, 23 joints that move, a take of CMU's at 120 frames per second with noise of a
 millimetre, gaps and swapped labels; float32. Solving is timed after a run that compiles; streaming frame by frame

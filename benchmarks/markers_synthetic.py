@@ -1,4 +1,4 @@
-"""Calibration where the truth is known: `python -m benchmarks.markers_synthetic`.
+"""Calibrate synthetic subjects with known ground truth: `python -m benchmarks.markers_synthetic`.
 
 60 markers on the embedded human under CMU's motions, from a template with bones 8 % and markers 15 mm off: noise of a
 millimetre alone, with gaps and swapped labels besides, and with skin that moves. Errors are those of joint centres in
@@ -73,8 +73,8 @@ def main() -> None:
     parser.add_argument("--takes", nargs="+", default=TAKES)
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--count", type=int, default=100, help="frames that each calibration is made of")
-    parser.add_argument("--frames", type=int, help="only so many frames of each take")
+    parser.add_argument("--count", type=int, default=100, help="number of frames of each calibration")
+    parser.add_argument("--frames", type=int, help="number of frames of each take")
     options = parser.parse_args()
     shared, figures, seconds = shared_folder(), {}, {}
     for case in options.cases:
@@ -91,7 +91,7 @@ def main() -> None:
             progress(
                 f"{case} {take} seed {seed}: {rows[-1]['told_mm']:.2f} mm ({rows[-1]['full_mm']:.2f} in full), lengths "
                 f"{rows[-1]['length_mm']:.2f} mm, inside {np.mean(rows[-1]['inside']):.2f}, {taken[-1]:.1f} s, "
-                f"{'converged' if good else 'NOT converged'}; {len(found.told)} directions told"
+                f"{'converged' if good else 'NOT converged'}; {len(found.told)} messages"
             )
         for name in ("told_mm", "full_mm", "length_mm"):
             figures[f"{case}_{name}"] = float(np.nanmean([row[name] for row in rows]))

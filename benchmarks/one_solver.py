@@ -1,4 +1,4 @@
-"""One least-squares problem for many frames and what they share: minima, derivatives, precision, cost.
+"""Check least squares over many frames with shared unknowns: minima, derivatives, precision, cost.
 
     python -m benchmarks.one_solver [--frames 120]
 
@@ -53,12 +53,12 @@ solve = eqx.filter_jit(solve_sequence)
 
 
 def in_precision(tree, dtype):
-    """All numbers of a pytree in one precision."""
+    """Convert all floating-point arrays of a pytree to one precision."""
     return jax.tree.map(lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree)
 
 
 def marked_human() -> tuple[Body, Modes]:
-    """The embedded human with some marks in place of its surface, and the modes of its joints."""
+    """Make the embedded human with some landmarks instead of its surface, and the modes of its joints."""
     body = in_precision(human(resolution="low", joints="tracking"), jnp.float64)
     rows = np.random.default_rng(0).choice(len(body.vertices), MARKS, replace=False)
     modes = joint_modes(body)
@@ -66,7 +66,7 @@ def marked_human() -> tuple[Body, Modes]:
 
 
 def shared_unknowns(body: Body, modes: Modes) -> dict[str, dict[str, AbstractUnknown]]:
-    """What the frames share in each recipe."""
+    """List the shared unknowns of each recipe."""
     inner = tuple(joint for joint, parent in enumerate(body.skeleton.parents) if parent >= 0)[:8]
     return {
         "tracking": {},
@@ -79,7 +79,7 @@ def shared_unknowns(body: Body, modes: Modes) -> dict[str, dict[str, AbstractUnk
 
 
 def scene(body: Body, unknowns: dict[str, AbstractUnknown], frames: int) -> tuple[SequenceProblem, Pose]:
-    """A smooth motion of another body, with noise on what is seen; and its true poses."""
+    """Make the problem of a smooth motion of another body with noisy data, and its true poses."""
     rng = np.random.default_rng(1)
     skeleton = body.skeleton
     ways = 0.4 * rng.normal(size=(3, skeleton.num_dofs))
@@ -123,8 +123,8 @@ def _centres_held(body: Body):
 
 
 def derivative_error(problem: SequenceProblem, start: SequenceEstimate) -> float:
-    """How far derivatives of a pose and of what is shared are from central differences, by a weight and by a datum, as a
-    share of the largest."""
+    """Compare derivatives of a pose and of shared unknowns, by a weight and by a datum, with central differences, relative to
+    the largest."""
 
     @eqx.filter_jit
     def numbers(changes):
@@ -152,7 +152,7 @@ def derivative_error(problem: SequenceProblem, start: SequenceEstimate) -> float
 
 
 def minima(problem: SequenceProblem, start: SequenceEstimate) -> dict[str, float]:
-    """How far the minimum is from that of a dense solver, and in float32 from that in float64."""
+    """Compare the minimum with that of a dense solver, and that in float32 with that in float64."""
     found, dense = solve(problem, start, TIGHT, STEPS), solve(problem, start, DENSE)
     with jax.enable_x64(False):
         single = solve(in_precision(problem, jnp.float32), in_precision(start, jnp.float32), TIGHT, STEPS)
@@ -169,8 +169,8 @@ def minima(problem: SequenceProblem, start: SequenceEstimate) -> dict[str, float
 
 
 def marker_recipe() -> dict[str, float]:
-    """The minimum of a calibration from markers: what a dense Newton step would still gain, and derivatives of its lengths by a place and
-    by a deviation against central differences."""
+    """Check the minimum of a marker calibration: the remaining gain of a dense Newton step, and derivatives of lengths by a
+    marker position and by a deviation against central differences."""
     rng = np.random.default_rng(3)
     truth = performer(dtype=jnp.float64)
     skeleton = truth.skeleton
@@ -216,8 +216,8 @@ def marker_recipe() -> dict[str, float]:
 
 
 def learning_recipe() -> dict[str, float]:
-    """The minimum of learning's joints and poses: derivatives of posed vertices by the weight of shape and by a datum against central
-    differences. The position of a hinge's centre along its axis is unobservable, so bone lengths have no derivative."""
+    """Check the minimum over learned joints and poses: derivatives of posed vertices by the shape weight and by a datum against
+    central differences. The position of a hinge's centre along its axis is unobservable, so bone lengths have no derivative."""
     rng = np.random.default_rng(4)
     body = in_precision(human(resolution="low", joints="tracking"), jnp.float64)
     skeleton = body.skeleton
@@ -248,7 +248,7 @@ def learning_recipe() -> dict[str, float]:
 
 
 def least_seconds(function, *arguments, repeats: int = 5) -> tuple[float, float]:
-    """Seconds of the first call, and the least of some others."""
+    """Measure the seconds of the first call, and the minimum of some others."""
     begun = time.perf_counter()
     jax.block_until_ready(function(*arguments))
     first, others = time.perf_counter() - begun, []
@@ -266,7 +266,7 @@ def gauss_newton_step(problem: SequenceProblem, y: SequenceEstimate):
 
 
 def solving_seconds(frames: int, dofs: int, shared: int, width: int) -> float:
-    """Of factoring and solving random equations in float32."""
+    """Measure the seconds of factorising and solving random equations in float32."""
     rng = np.random.default_rng(2)
     slopes = rng.normal(size=(frames, dofs + shared, 2 * dofs)).astype(np.float32)
     gram = np.einsum("fir,fjr->fij", slopes, slopes)
@@ -285,7 +285,9 @@ def solving_seconds(frames: int, dofs: int, shared: int, width: int) -> float:
 def main():
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=120, help="of the largest problem but one")
+    parser.add_argument(
+        "--frames", type=int, default=120, help="number of frames of the second largest problem"
+    )
     frames = parser.parse_args().frames
     figures, limits = {}, {}
     body, modes = marked_human()
@@ -315,7 +317,7 @@ def main():
             first, least = least_seconds(gauss_newton_step, *single)
         figures[f"step_of_{count}_s"], figures[f"first_step_of_{count}_s"] = least, first
         progress(
-            f"{count} frames, {problem.num_shared} shared numbers: {least:.3f} s a step, {first:.1f} s the first"
+            f"{count} frames, {problem.num_shared} shared unknowns: {least:.3f} s per step, first step {first:.1f} s"
         )
     doubled = [
         figures[f"step_of_{2 * count}_s"] / figures[f"step_of_{count}_s"]

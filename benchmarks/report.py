@@ -1,4 +1,4 @@
-"""What all benchmarks share: a clock that keeps compilation apart, and the last line.
+"""Time and report benchmarks: a timer that separates compilation, and the final line of JSON.
 
     timer = Timer()
     result = timer(tracked, body, clouds)
@@ -25,11 +25,10 @@ OPERATORS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operat
 
 
 class Timer:
-    """Wall seconds of calls, the first call of each function (which compiles) apart.
+    """Wall seconds of calls, with the first call of each function, which compiles, counted separately.
 
-    Every call waits for its result, so that nothing is timed that has only been queued.
-    A first call counts whole as compilation: at the sizes of a benchmark its run is small
-    beside it. A function that is called at several shapes compiles anew: one timer a shape.
+    Every call waits for its result, so that queued work is included. The whole first call counts as compilation: at the
+    sizes of benchmarks its run is short in comparison. A function compiles again for other shapes: use one timer per shape.
     """
 
     def __init__(self):
@@ -38,7 +37,7 @@ class Timer:
         self._seen: set[Any] = set()
 
     def __call__(self, function: Callable, *args, **kwargs):
-        """`function(*args, **kwargs)`, timed; returns its result when it is there."""
+        """Time `function(*args, **kwargs)`, and return its computed result."""
         start = time.perf_counter()
         result = jax.block_until_ready(function(*args, **kwargs))
         taken = time.perf_counter() - start
@@ -61,7 +60,7 @@ class Timer:
 
 
 def median_seconds(function: Callable, *args, repeats: int = 30) -> tuple[float, float]:
-    """`(median, first)` wall seconds of `repeats` calls after a first one that compiles."""
+    """Measure `(median, first)` wall seconds of `repeats` calls after a first one that compiles."""
     timer = Timer()
     for _ in range(repeats + 1):
         timer(function, *args)
@@ -69,13 +68,12 @@ def median_seconds(function: Callable, *args, repeats: int = 30) -> tuple[float,
 
 
 def progress(text: str) -> None:
-    """Say how far a benchmark is, on standard error."""
+    """Print progress on standard error."""
     print(text, file=sys.stderr, flush=True)
 
 
 def misses(figures: Mapping[str, Any], limits: Mapping[str, tuple[str, float]]) -> list[str]:
-    """The names of the limits that do not hold; one without a figure, or with a figure
-    that is not a number, does not hold."""
+    """List the names of violated limits; missing and NaN figures violate them."""
     return [
         name
         for name, (sign, bound) in limits.items()
@@ -90,17 +88,16 @@ def finish(
     sizes: Mapping[str, Any] | None = None,
     seconds: Mapping[str, Any] | None = None,
 ) -> NoReturn:
-    """Print the one line of JSON and leave: exit code 0, or 1 where a limit is missed.
+    """Print the line of JSON and exit, with code 1 if a limit is violated, else 0.
 
-    **Arguments:** `figures` what was measured, by names that carry their unit
-    (`error_mm`); `limits` of some of them, as `(sign, bound)` with a sign out of
-    `<= >= < > ==`; `sizes` of the problem; `seconds`, such as `Timer().seconds`.
+    **Arguments:** `figures`, measured values by names with their unit (`error_mm`); `limits` of some of them, as
+    `(sign, bound)` with a sign of `<= >= < > ==`; `sizes` of the problem; `seconds`, such as `Timer().seconds`.
     """
     limits = limits or {}
     missed = misses(figures, limits)
     for miss in missed:
         sign, bound = limits[miss]
-        progress(f"{name}: {miss} is {figures.get(miss, 'missing')}, and should be {sign} {bound:g}.")
+        progress(f"{name}: {miss} is {figures.get(miss, 'missing')}; expected {sign} {bound:g}.")
     line = {
         "benchmark": name,
         "passed": not missed,
@@ -116,7 +113,7 @@ def finish(
 
 
 def machine() -> dict[str, Any]:
-    """Versions, and what ran beside the benchmark: the load average of the last minute."""
+    """Describe the machine: versions, and the load average of the last minute."""
     return {
         "python": platform.python_version(),
         "jax": jax.__version__,
@@ -129,7 +126,7 @@ def machine() -> dict[str, Any]:
 
 
 def _plain(value):
-    """Numbers and containers as JSON has them; numbers to six digits, as text where not finite."""
+    """Convert numbers and containers to JSON; numbers have six digits, and are text if not finite."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

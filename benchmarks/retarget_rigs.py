@@ -1,4 +1,4 @@
-"""CMU takes on rigs of other programs, carried to the embedded human, against the takes themselves carried to it.
+"""Retarget CMU takes on rigs of other programs to the embedded human, and compare with direct retargeting.
 
     python -m benchmarks.retarget_rigs
     python -m benchmarks.retarget_rigs --takes 02_05 --frames 40 --rigs unreal nameless
@@ -39,7 +39,7 @@ LIMBS = tuple(
 
 
 def bone_rotations(skeleton: jc.Skeleton, motion: jc.Motion) -> dict[str, Rotation]:
-    """Rotations of limbs: of upper arms and thighs in the world, of the others against the bone above."""
+    """Compute rotations of limbs: of upper arms and thighs in the world, of the others relative to the parent bone."""
     _, turns = posed(skeleton, motion.poses)
     whole = {name: Rotation.from_quat(turns[:, skeleton.index(name)][:, [1, 2, 3, 0]]) for name in LIMBS}
     above = {"ForeArm": "Arm", "Hand": "ForeArm", "Leg": "UpLeg", "Foot": "Leg"}
@@ -52,7 +52,7 @@ def bone_rotations(skeleton: jc.Skeleton, motion: jc.Motion) -> dict[str, Rotati
 
 
 def silent(matches: jc.edit.JointMatches, motion: jc.Motion) -> list[str]:
-    """Joints of the source that turn, and whose fate the report does not say."""
+    """List rotating source joints that the report does not mention."""
     said = " ".join(matches.lines())
     rotations = np.asarray(motion.poses.rotations, float)
     turning = np.abs(rotations - rotations[:1]).max(axis=(0, 2)) > 0.01
@@ -66,7 +66,7 @@ def silent(matches: jc.edit.JointMatches, motion: jc.Motion) -> list[str]:
 def measure(
     rig: Rig, take: str, acted, direct: jc.Motion, ratio: float, human: jc.Body, folder: Path
 ) -> dict[str, object]:
-    """One rig: right, refused or wrong, and by how much."""
+    """Measure one rig: right, refused or wrong, and its errors."""
     skeleton, motion = make_rig(acted, rig)
     path = folder / f"{take}_{rig.name}.bvh"
     jc.write_bvh(path, skeleton, motion, unit=rig.unit)
@@ -107,7 +107,7 @@ def measure(
 
 
 def by_tree_alone(skeleton: jc.Skeleton) -> str:
-    """Find the limbs of a skeleton whose names are taken away: right, refused or wrong, against those found by names."""
+    """Match the limbs of a skeleton without names: right, refused or wrong, compared with matches by names."""
     named = find_limbs(skeleton, [read_name(name) for name in skeleton.names])
     alone = find_limbs(skeleton, [read_name(f"joint{row}") for row in range(skeleton.num_joints)])
     wanted, found = ([{limb.joints for limb in kind} for kind in limbs] for limbs in (named, alone))
@@ -126,7 +126,7 @@ def main() -> None:
     )
     rigs = {rig.name: rig for rig in (*TUNED, *HELD_OUT)}
     parser.add_argument("--takes", nargs="+", default=TAKES)
-    parser.add_argument("--frames", type=int, help="only so many frames of each take")
+    parser.add_argument("--frames", type=int, help="number of frames of each take")
     parser.add_argument("--rigs", nargs="+", choices=rigs, default=list(rigs))
     options = parser.parse_args()
     shared, human = shared_folder(), jc.human(resolution="low")

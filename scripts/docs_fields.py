@@ -6,10 +6,10 @@ import griffe
 
 
 class FieldRemarks(griffe.Extension):
-    """Takes what stands above a field, from `#:` on."""
+    """Read the comment above a field, from `#:` on."""
 
     def on_attribute_instance(self, *, attr: griffe.Attribute, **others: Any) -> None:
-        """Called for every attribute that is read."""
+        """Add the comment of an attribute as its docstring."""
         del others
         if attr.docstring is not None or attr.lineno is None or not attr.lines_collection:
             return

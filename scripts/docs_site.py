@@ -31,7 +31,7 @@ PAPERS = "reference/papers.md"
 
 
 def on_files(files: "Files", config: "MkDocsConfig") -> "Files":
-    """Take figures and notebooks along, and add the page of functions that only the papers' tables name."""
+    """Add figures, notebooks, and the page of functions that only the papers' tables name."""
     from mkdocs.structure.files import File
 
     for path in sorted((ROOT / "assets").iterdir()):
@@ -59,7 +59,7 @@ def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
 
 
 def on_page_markdown(markdown: str, page: "Page", config: "MkDocsConfig", files: "Files") -> str:
-    """Links and lists of one page."""
+    """Rewrite the links and lists of one page."""
     del config
     where = page.file.src_uri
     folder = posixpath.dirname(where)
@@ -82,7 +82,7 @@ def on_page_markdown(markdown: str, page: "Page", config: "MkDocsConfig", files:
 
 
 def site_path(target: str) -> str | None:
-    """Where a file of the checkout lies in the site; None where it is not in it."""
+    """Find the path of a file of the checkout in the site; None if it is not part of it."""
     if target.startswith("docs/"):
         return target.removeprefix("docs/")
     if re.fullmatch(r"notebooks/\w+\.(py|ipynb)", target):
@@ -95,8 +95,8 @@ def dotted(path: str) -> str:
 
 
 def public_names() -> dict[str, str]:
-    """The part of the package that each public name is listed with, `limits` for `limits.Cone`: its namespace, and for
-    names of `jaxcap` itself that of its module."""
+    """Map each public name to the part of the package that lists it, `limits` for `limits.Cone`: its namespace, or for names
+    of `jaxcap` itself that of its module."""
     found, namespaces = {}, []
     for name, (module, attribute) in read_stub(ROOT / "jaxcap" / "__init__.pyi").items():
         if attribute:
@@ -109,13 +109,13 @@ def public_names() -> dict[str, str]:
 
 
 def names_of(wings: str) -> list[str]:
-    """Public names of some parts of the package: `body, geometry`."""
+    """List the public names of some parts of the package: `body, geometry`."""
     wanted = [wing.strip() for wing in wings.split(",")]
     return [name for name, wing in public_names().items() if wing in wanted]
 
 
 def paper_functions() -> list[str]:
-    """What the papers' tables name and is not public, by its full name."""
+    """List the full names of functions in the papers' tables that are not public."""
     public = {f"{it.__module__}.{it.__qualname__}" for it in (attrgetter(n)(jaxcap) for n in public_names())}
     found: dict[str, None] = {}
     for name in functions_of(sorted((ROOT / "docs").rglob("*.md"))):
@@ -125,7 +125,7 @@ def paper_functions() -> list[str]:
 
 
 def functions_of(pages: list[Path]) -> Iterator[str]:
-    """The full names of all functions that pages link to by their files."""
+    """List the full names of all functions that pages link to by their files."""
     for page in pages:
         for name, path in FUNCTION.findall(page.read_text()):
             yield f"{dotted(path)}.{name}"

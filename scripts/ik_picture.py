@@ -20,8 +20,8 @@ OUT = Path(__file__).resolve().parents[1] / "assets" / "ik.png"
 SIZE = WIDTH, HEIGHT = 1080, 760
 #: of a picture, where the body is; the controls stand beside it
 LEFT, RIGHT = 300, 700
-TITLES = ("(a) The body.", "(b) Points are held; in blue, pinned.", "(c) One is dragged; the body follows.",
-          "(d) And on, until it is let go.")  # fmt: skip
+TITLES = ("(a) The body.", "(b) Constrained points; pinned ones in blue.", "(c) One point is dragged; the body follows.",
+          "(d) The drag continues until release.")  # fmt: skip
 HELD = ("LeftToeBase", "RightToeBase", "LeftLeg", "RightLeg")
 
 
@@ -66,7 +66,7 @@ def hold(page, window: IkWindow) -> None:
 
 
 def drag_to(page, window: IkWindow, target, title: str) -> None:
-    """Move the mouse until the ball is where a target is on the screen."""
+    """Move the mouse until the ball is at the pixel of a target."""
     ball = lambda: pixel(window.client.camera, window.session.state.constraints[-1].target)  # noqa: E731
     start, end = ball(), pixel(window.client.camera, target)
     for share in np.linspace(0, 1, 13)[1:]:
@@ -79,7 +79,7 @@ def settle(happened, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not happened():
         if time.monotonic() > end:
-            raise RuntimeError("the window did not follow")
+            raise RuntimeError("The window did not reach the expected state in time.")
         time.sleep(0.05)
 
 

@@ -29,7 +29,7 @@ PICTURES = {
 
 
 def main() -> None:
-    """Learn, score, draw, and make the pictures small."""
+    """Learn, score, draw, and reduce the pictures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="medium")
     parser.add_argument("--meshes", type=int, default=28)
@@ -67,7 +67,7 @@ def tell(state: jc.learn.LearnState) -> None:
 
 
 def shrink(source: Path, target: Path, width: int) -> None:
-    """A picture so many pixels wide, in few colours."""
+    """Reduce a picture to a width in pixels and few colours."""
     with Image.open(source) as picture:
         size = (width, round(picture.height * width / picture.width))
         small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)

@@ -27,7 +27,7 @@ ASSETS = Path(__file__).resolve().parents[1] / "assets"
 #: the take that is drawn, and how many of its frames
 TAKE, SHOWN = "02_08", 6
 #: what the rows show
-ROWS = {"truth": "truth, and the points", "none": "without limits", "energy": "with limits"}
+ROWS = {"truth": "ground truth and points", "none": "without limits", "energy": "with limits"}
 DOT = "#1c7293"
 SIDES = np.array([[0.95, 0.60, 0.25], [0.45, 0.65, 0.85]])
 #: degrees that the eye stands to the person's right
@@ -37,7 +37,7 @@ SIDE = 35.0
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--folder", type=Path, default=ASSETS)
-    parser.add_argument("--frames", type=int, help="track only so many frames")
+    parser.add_argument("--frames", type=int, help="number of frames to track")
     parser.add_argument("--only", choices=("track", "depth"))
     options = parser.parse_args()
     if options.only != "depth":
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def draw_tracking(path: Path, frames: int | None) -> None:
-    """Frames evenly spread over a take: as it was, without limits, and with them."""
+    """Draw frames evenly spread over a take: ground truth, without limits, and with limits."""
     shared, body = shared_folder(), jc.human(resolution="low", joints="tracking")
     learned = [take for take in takes_of(shared, "01") + takes_of(shared, "02") if take not in TAKES]
     limits = learn_from(shared, learned, body, arm_pairs())
@@ -89,14 +89,14 @@ def draw_tracking(path: Path, frames: int | None) -> None:
             fontsize=8,
             color=INK,
         )
-    figure.suptitle(f"CMU {TAKE}; how far the twists of shoulder and elbow are off", fontsize=9, color=INK)
+    figure.suptitle(f"CMU {TAKE}: twist errors of shoulder and elbow", fontsize=9, color=INK)
     figure.subplots_adjust(left=0.04, right=0.99, top=0.91, bottom=0.01, wspace=0.03, hspace=0.12)
     canvas.print_png(path)
     sys.stderr.write(f"written: {path}\n")
 
 
 def arm_colours(body: jc.Body) -> np.ndarray:
-    """Two colours on the right arm, clay elsewhere, `(V, 3)`."""
+    """Make vertex colours `(V, 3)`: two on the right arm, clay elsewhere."""
     skeleton, vertices = body.skeleton, np.asarray(body.vertices, float)
     parts = np.asarray(body.skin.parts())
     colours = np.tile(CLAY, (len(vertices), 1))
@@ -110,7 +110,7 @@ def arm_colours(body: jc.Body) -> np.ndarray:
 
 
 def draw_depth(path: Path) -> None:
-    """The points of every frame, and beside it the body found there, from the camera's eye."""
+    """Draw the points of every frame, and the fitted body, from the camera's position."""
     shared, body = shared_folder(), jc.human(resolution="low", joints="tracking")
     limits = learn_from(shared, takes_of(shared, "01") + takes_of(shared, "02"), body, WHOLE)
     fitted = fit_frames(depth_frames(shared), limits)
@@ -130,7 +130,7 @@ def draw_depth(path: Path) -> None:
         frame(plot, np.array([-2.0, -0.55]), np.array([0.7, 0.75]), title)
         plot.title.set_fontsize(8)
     figure.suptitle(
-        f"Twelve frames of a depth camera (focal length {FOCAL:.0f} pixels) and the poses found in them",
+        f"Twelve frames of a depth camera (focal length {FOCAL:.0f} pixels) and the fitted poses",
         fontsize=9,
         color=INK,
     )

@@ -24,7 +24,7 @@ TITLES = {"rigid": "rigid", "linear": "linear (LBS)", "dual_quaternion": "dual q
 
 
 def main() -> None:
-    """Two rows of four pictures, with what was measured below each."""
+    """Draw two rows of four pictures, with measurements below each."""
     figure = plt.figure(figsize=(12, 7.2))
     for column, scheme in enumerate(SCHEMES):
         for row, (motion, degrees) in enumerate((("twist", 180.0), ("swing", 120.0))):
@@ -32,7 +32,7 @@ def main() -> None:
             axes = figure.add_subplot(2, 4, 4 * row + column + 1, projection="3d")
             draw(axes, vertices, faces, turned=row == 1)
             if motion == "twist":
-                said = f"{100 * cross_section(vertices):.0f} % of the area left"
+                said = f"{100 * cross_section(vertices):.0f} % of the area remains"
                 axes.set_title(TITLES.get(scheme, "swing-twist"), fontsize=13)
             else:
                 said = f"bulges by {100 * bulge(vertices, degrees):.0f} % of the radius"
@@ -44,7 +44,7 @@ def main() -> None:
 
 
 def draw(axes, vertices: np.ndarray, faces: np.ndarray, turned: bool) -> None:
-    """Triangles shaded by their normals, drawn from the side of the bend."""
+    """Draw triangles shaded by their normals, from the side of the bend."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -46,7 +46,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 
 class Shown(NamedTuple):
-    """One frame, metres: what came in, what was found."""
+    """The input and the result of one frame, metres."""
 
     points: Float[np.ndarray, "N 3"]
     vertices: Float[np.ndarray, "V 3"]
@@ -58,7 +58,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m scripts.tracking_picture", description=(__doc__ or "").splitlines()[0]
     )
-    parser.add_argument("--every", type=int, default=1, help="draw every so-many-th frame")
+    parser.add_argument("--every", type=int, default=1, help="draw every n-th frame only")
     parser.add_argument("--folder", type=Path, default=ASSETS)
     options = parser.parse_args()
 
@@ -68,7 +68,7 @@ def main() -> None:
     frames = list(follow(actor, performance, body))
     truth = np.array([_posed(actor, performance[number]).joints for number in range(performance.num_frames)])
     errors = joint_errors(np.array([shown.joints for shown in frames]), truth)
-    sys.stderr.write(f"mean error at the joints: {1000 * errors.mean():.1f} mm\n")
+    sys.stderr.write(f"mean joint error: {1000 * errors.mean():.1f} mm\n")
 
     pictures = [draw(shown, faces, parents) for shown in frames[:: options.every]]
     path = options.folder / "tracking.webp"
@@ -88,7 +88,7 @@ def main() -> None:
 
 
 def perform(skeleton: jc.Skeleton) -> jc.Motion:
-    """What the performer of the capture did from `FIRST` on, as a motion of a human skeleton."""
+    """Retarget the capture from `FIRST` on to a human skeleton."""
     crane = load_crane(shared_folder())
     body = rig_crane(crane)
     motion = jc.track(body, [frame_cloud(crane, number) for number in range(len(crane.frames))])
@@ -96,7 +96,7 @@ def perform(skeleton: jc.Skeleton) -> jc.Motion:
 
 
 def follow(actor: jc.Body, performance: jc.Motion, body: jc.Body) -> Iterator[Shown]:
-    """An actor's frames as cameras saw them, and a body in the poses found there."""
+    """Track an actor in simulated scans with a body."""
     surfaces = [
         np.asarray(_posed(actor, performance[n]).vertices, float) for n in range(performance.num_frames)
     ]
@@ -115,7 +115,7 @@ def follow(actor: jc.Body, performance: jc.Motion, body: jc.Body) -> Iterator[Sh
 
 
 def draw(shown: Shown, faces: np.ndarray, parents: tuple[int, ...]) -> Image.Image:
-    """Both halves side by side, the performer in the middle of each."""
+    """Draw both halves side by side, centred at the performer."""
     view = tilted(turned(np.eye(3), TURN), TILT)
     # the floor goes with the lower foot
     centre = [shown.vertices[:, 0].mean(), shown.vertices[:, 1].min(), shown.vertices[:, 2].mean()]
@@ -124,8 +124,8 @@ def draw(shown: Shown, faces: np.ndarray, parents: tuple[int, ...]) -> Image.Ima
     left, right = figure.subplots(1, 2)
     figure.subplots_adjust(left=0, right=1, bottom=0, top=1, wspace=0)
     for plot, title in (
-        (left, "in: points of depth cameras"),
-        (right, "out: a pose of the skeleton, every frame"),
+        (left, "input: points of depth cameras"),
+        (right, "output: a pose of the skeleton in every frame"),
     ):
         plot.set(xlim=(-REACH, REACH), ylim=(LOW, LOW + 2 * REACH * HEIGHT / WIDE), aspect="equal")
         plot.set_axis_off()
@@ -140,13 +140,13 @@ def draw(shown: Shown, faces: np.ndarray, parents: tuple[int, ...]) -> Image.Ima
 
 
 def tilted(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
-    """The same view from further above."""
+    """Raise the viewpoint of a view."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ view
 
 
 def cast_shadow(plot, vertices: np.ndarray, faces: np.ndarray, view: np.ndarray) -> None:
-    """The body's triangles on the floor, along the light."""
+    """Draw the projection of the body's triangles along the light on the floor."""
     from matplotlib.collections import PolyCollection
 
     floor = vertices + vertices[:, 1:2] * [FALL[0], -1.0, FALL[1]]
@@ -155,7 +155,7 @@ def cast_shadow(plot, vertices: np.ndarray, faces: np.ndarray, view: np.ndarray)
 
 
 def draw_points(plot, points: np.ndarray, view: np.ndarray) -> None:
-    """The cloud, near points darker and above."""
+    """Draw the cloud, with near points darker and on top."""
     seen = points @ view.T
     order = np.argsort(seen[:, 2])
     near = (seen[order, 2:] - seen[:, 2].min()) / np.ptp(seen[:, 2])

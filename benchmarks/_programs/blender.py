@@ -18,7 +18,7 @@ UPRIGHT = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))
 
 
 def load(path: Path, rate: float) -> tuple[float, float]:
-    """Open a file, and say at which frame of the scene its first one stands, and how many lie from one to the next."""
+    """Open a file, and return the scene's frame of its first frame, and the step between frames."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene, suffix = bpy.context.scene, path.suffix.lower()
     scene.render.fps = round(rate)

@@ -27,35 +27,36 @@ WIDTH, HEIGHT = 480, 480
 
 
 def node_modules(folder: Path) -> Path | None:
-    """The folder whose `node_modules` has the validator and three.js, made where it is not there; None where it cannot be
-    had, which is told."""
+    """Find or install the folder whose `node_modules` has the validator and three.js; print a message and return None if this
+    fails."""
     home = folder / "node"
     if (home / "complete").exists():
         return home
     if shutil.which("node") is None or shutil.which("npm") is None:
-        progress("gltf-validator and three.js are left out: node and npm are not there")
+        progress("gltf-validator and three.js are skipped: node and npm are not installed")
         return None
     home.mkdir(parents=True, exist_ok=True)
     progress(f"node: installing {', '.join(NODE)}")
     command = ["npm", "install", "--no-audit", "--no-fund", "--prefix", str(home), *NODE]
     outcome = subprocess.run(command, capture_output=True, text=True, cwd=home)
     if outcome.returncode:
-        said = (outcome.stderr.strip() or "nothing said").splitlines()[-1]
-        progress(f"gltf-validator and three.js are left out, they do not install: {said}")
+        said = (outcome.stderr.strip() or "no output").splitlines()[-1]
+        progress(f"gltf-validator and three.js are skipped: the installation failed: {said}")
         return None
     (home / "complete").touch()
     return home
 
 
 def blender(folder: Path) -> Path | None:
-    """The Python that has Blender; None where it cannot be had, which is told."""
+    """Find or install the Python with Blender; None as in `install`."""
     return install("blender", BLENDER, folder)
 
 
 def in_blender(
     python: Path, file: Path, rate: float, frames: list[int], again: Path | None = None
 ) -> dict[str, np.ndarray]:
-    """What Blender makes of a file (`blender.py`), which it then writes as `again`, a `.glb`. Raises `RuntimeError` with its last lines where it fails."""
+    """Read a file in Blender (`blender.py`), and write it as `again`, a `.glb`. Raises `RuntimeError` with its last output
+    if it fails."""
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "found.npz"
         chosen = ",".join(map(str, frames))
@@ -69,7 +70,7 @@ def in_blender(
 
 
 def validated(home: Path, files: list[Path]) -> dict[str, dict[str, Any]]:
-    """What the validator says of each file, by the file's name."""
+    """Validate files; return the validator's results by file name."""
     command = ["node", str(HERE / "validate.mjs"), *map(str, files)]
     outcome = subprocess.run(command, capture_output=True, text=True, cwd=home, timeout=600, check=True)
     return {Path(path).name: found for path, found in json.loads(outcome.stdout)["files"].items()}
@@ -82,7 +83,7 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
-    """A folder under an address of this machine."""
+    """Serve a folder on the local machine, and yield its address."""
     server = http.server.ThreadingHTTPServer(
         ("127.0.0.1", 0), functools.partial(_Quiet, directory=str(folder))
     )
@@ -97,7 +98,7 @@ def served(folder: Path) -> Iterator[str]:
 def in_three(
     home: Path, file: Path, times: list[float], centre: Float[np.ndarray, "3"], radius: float
 ) -> dict[str, Any]:
-    """The body of a `.glb` in three.js at some seconds: `vertices (T, V, 3)`, `pictures` (PNG), `errors`."""
+    """Load the body of a `.glb` in three.js at some times, seconds: `vertices (T, V, 3)`, `pictures` (PNG), `errors`."""
     with tempfile.TemporaryDirectory() as folder:
         site = Path(folder)
         (site / "node_modules").symlink_to(home / "node_modules")
@@ -124,7 +125,7 @@ def in_three(
 
 
 def in_usd(file: Path, frames: list[int]) -> dict[str, Any]:
-    """The body of a USD file as UsdSkel skins it: `vertices (F, V, 3)`, `joints (F, J, 3)`, `names`, `messages` of all of
+    """Skin the body of a USD file by UsdSkel: `vertices (F, V, 3)`, `joints (F, J, 3)`, `names`, `messages` of all of
     OpenUSD's validators."""
     from pxr import Usd, UsdGeom, UsdSkel, UsdValidation, Vt
 

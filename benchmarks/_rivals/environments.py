@@ -12,7 +12,7 @@ from benchmarks.report import progress
 
 
 class Rival(NamedTuple):
-    """What is installed where, and how it is run."""
+    """The Python versions and packages of another program, and libraries to preload."""
 
     #: the first of these interpreters that is found
     pythons: tuple[str, ...]
@@ -29,7 +29,7 @@ RIVALS = {
 
 
 def interpreter(versions: tuple[str, ...]) -> str | None:
-    """A Python of one of these versions: on the path, or of pyenv."""
+    """Find a Python of one of these versions on the path or in pyenv."""
     roots = sorted(
         Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/*"), reverse=True
     )
@@ -43,19 +43,19 @@ def interpreter(versions: tuple[str, ...]) -> str | None:
 
 
 def environment(name: str, folder: Path) -> Path | None:
-    """The Python of a rival's own environment; None where it cannot be had, which is told."""
+    """Find or install the Python of a rival's environment; None as in `install`."""
     return install(name, RIVALS[name], folder)
 
 
 def install(name: str, rival: Rival, folder: Path) -> Path | None:
-    """The Python of an environment under a folder, made where it is not there; None as in `environment`."""
+    """Find or install the Python of an environment under a folder; print a message and return None if this fails."""
     home = folder / name
     python, done = home / "bin" / "python", home / "complete"
     if done.exists():
         return python
     base = interpreter(rival.pythons)
     if base is None:
-        progress(f"{name} is left out: there is no Python {' or '.join(rival.pythons)} here")
+        progress(f"{name} is skipped: Python {' or '.join(rival.pythons)} was not found")
         return None
     progress(f"{name}: installing {', '.join(rival.packages)} with {base}")
     for command in (
@@ -64,8 +64,8 @@ def install(name: str, rival: Rival, folder: Path) -> Path | None:
     ):
         outcome = subprocess.run(command, capture_output=True, text=True)
         if outcome.returncode:
-            said = (outcome.stderr.strip() or "nothing said").splitlines()[-1]
-            progress(f"{name} is left out, it does not install: {said}")
+            said = (outcome.stderr.strip() or "no output").splitlines()[-1]
+            progress(f"{name} is skipped: the installation failed: {said}")
             return None
     done.touch()
     return python
@@ -86,15 +86,15 @@ def run_rival(name: str, python: Path, given: Path, limit: float) -> dict[str, n
         command = [str(python), str(script), str(given), str(result)]
         outcome = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:
-        progress(f"{name} is left out: not done after {limit:.0f} s")
+        progress(f"{name} is skipped: it did not finish within {limit:.0f} s")
         return None
     # they say much, and draw bars; what the script itself says begins with the rival's name
     for line in outcome.stderr.splitlines():
         if line.startswith(f"{name} "):
             progress(line)
     if outcome.returncode or not result.exists():
-        said = ([line for line in outcome.stderr.splitlines() if line.strip()] or ["nothing said"])[-1][-200:]
-        progress(f"{name} is left out: it ended with code {outcome.returncode}: {said}")
+        said = ([line for line in outcome.stderr.splitlines() if line.strip()] or ["no output"])[-1][-200:]
+        progress(f"{name} is skipped: exit code {outcome.returncode}: {said}")
         return None
     with np.load(result, allow_pickle=False) as file:
         return dict(file)

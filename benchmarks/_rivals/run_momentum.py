@@ -19,7 +19,7 @@ REGULARIZATIONS, MAJOR = (0.05, 0.02, 0.01, 0.005), (3, 10)
 
 
 def character_of(scene):
-    """Free root, three angles a joint that turns, and one factor for the length of each pair of bones."""
+    """Build a character with a free root, three angles per rotating joint, and one length factor per pair of bones."""
     names, parents, centres = [str(n) for n in scene["names"]], scene["parents"], CM * scene["centres"]
     joints, rows, labels = [], [], []
     still = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
@@ -93,7 +93,7 @@ def calibrated(scene, chosen, settings):
 
 
 def rms(character, motion, scene, frames):
-    """Of the markers, centimetres."""
+    """Compute the RMS error of the markers, centimetres."""
     parents = np.array([one.parent for one in character.locators], np.int32)
     offsets = np.array([one.offset for one in character.locators], np.float32)
     order = [[str(label) for label in scene["labels"]].index(one.name) for one in character.locators]
@@ -107,7 +107,7 @@ def rms(character, motion, scene, frames):
 
 
 def followed(character, identity, scene, settings):
-    """Every frame from the one before it, with the Gauss-Newton solver and Cholesky."""
+    """Solve every frame from the previous one, with the Gauss-Newton solver and Cholesky."""
     locators, labels = character.locators, [str(label) for label in scene["labels"]]
     parents = np.array([one.parent for one in locators], np.int32)
     offsets = np.array([one.offset for one in locators], np.float32)
@@ -150,7 +150,7 @@ def main():
                 tried.append((left, seconds, character, identity, settings))
             print(f"momentum {settings}: {10 * left:.3f} mm at the markers, {seconds:.1f} s", file=sys.stderr)
     if not tried:
-        sys.exit("momentum found no finite subject at any setting")
+        sys.exit("momentum: no setting gave a finite subject")
     left, seconds, character, identity, settings = min(tried, key=lambda one: one[0])
     best = None
     for trial in (

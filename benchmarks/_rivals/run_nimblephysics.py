@@ -44,7 +44,7 @@ def skeleton_of(scene, centres):
 
 
 def add_meshes(scene, bodies, centres, folder):
-    """Slivers from each joint to its markers and children: it asks a skeleton's meshes for its height."""
+    """Add slivers from each joint to its markers and children, as nimblephysics takes the height from meshes."""
     for joint, body in enumerate(bodies):
         ends = [np.array([0.0, 0.02, 0.0])]
         ends += [centres[child] - centres[joint] for child in np.flatnonzero(scene["parents"] == joint)]
@@ -79,7 +79,7 @@ def observed(scene, frames):
 
 
 def calibrated(scene, folder, stiffness, uniform, centres):
-    """The skeleton, where its markers came to, seconds, and what markers are off by, metres."""
+    """Calibrate; return the skeleton, its marker offsets, seconds, and marker errors, metres."""
     skeleton, bodies = skeleton_of(scene, scene["centres"])
     add_meshes(scene, bodies, scene["centres"], folder)
     for bone, other in enumerate(scene["mirror"]):
@@ -112,7 +112,7 @@ def calibrated(scene, folder, stiffness, uniform, centres):
 
 
 def followed(scene, skeleton, bodies, markers, pose, damping, search):
-    """Every frame from the one before it: joints, seconds a frame, and what markers are off by, metres."""
+    """Solve every frame from the previous one; return joints, seconds per frame, and marker errors, metres."""
     order, count = list(markers.values()), len(scene["places"])
     joints, seconds, left = np.zeros((count, len(bodies), 3)), [], []
     skeleton.setPositions(pose)

@@ -42,7 +42,7 @@ def model_of(scene):
 
 
 def write_trc(path, scene):
-    """Its references are read from a file."""
+    """Write markers as a TRC file, from which OpenSim reads references."""
     places, labels, rate = scene["places"], [str(label) for label in scene["labels"]], float(scene["rate"])
     with open(path, "w") as file:
         file.write(f"PathFileType\t4\t(X/Y/Z)\t{os.path.basename(path)}\n")

@@ -70,14 +70,14 @@ def check_cameras(cameras: Sequence[Camera], clouds: Sequence[Float[np.ndarray, 
         apart = float(np.linalg.norm(np.asarray(camera.eye) - middle))
         if apart > FURTHEST:
             raise InputError(
-                f"{where}: camera {number} stands {apart:.4g} m from the scans; give translations in metres."
+                f"{where}: camera {number} is {apart:.4g} m away from the scans; give translations in metres."
             )
     check_sees(cameras, points, where)
     share = float(np.mean(within_aperture(cameras, points)))
     if share < SEEN:
         raise InputError(
-            f"{where}: {100 * (1 - share):.0f} % of the scans' points are in no camera's picture; name the cameras that "
-            "took these scans."
+            f"{where}: {100 * (1 - share):.0f} % of the scans' points are outside the images of all cameras; "
+            "give the cameras that took these scans."
         )
 
 
@@ -101,14 +101,14 @@ def check_actor(task: AdaptTask, state: AdaptState, where: str) -> None:
         if is_person(other) and other.length >= FOLDED:
             place = ", ".join(f"{value:.2f}" for value in np.median(scan.points[rows], 0))
             raise InputError(
-                f"{where}: there is more than one person in this scan, the other around ({place}); cut the scans so that "
-                "one is left."
+                f"{where}: this scan contains more than one person, another one near ({place}); crop the scans to "
+                "one person."
             )
     if not is_person(like):
         raise InputError(
-            f"{where}: this is not like a person, as the body that fits best is {height:.2f} m tall and explains "
-            f"{100 * like.share:.0f} % of the points around it, {like.length * height:.2f} m long in all, where at least "
-            f"{100 * asked(like):.0f} % are asked for; give scans of one person without floor and walls, and their unit."
+            f"{where}: this scan does not resemble a person. The best-fitting body is {height:.2f} m tall and explains "
+            f"{100 * like.share:.0f} % of the nearby points, over a length of {like.length * height:.2f} m; expected at "
+            f"least {100 * asked(like):.0f} %; give scans of one person without floor and walls, and their unit."
         )
 
 
@@ -164,7 +164,8 @@ def large_groups(points: Float[np.ndarray, "N 3"], height: float, whole: int) ->
 def connected(points: Float[np.ndarray, "N 3"], link: float) -> Int[np.ndarray, "N"]:
     """Label connected components of points.
 
-    Cells have a side of half a `link`, metres. Occupied cells are connected if their distance is at most two sides.
+    Cells have a side of half a `link`, metres. Occupied cells are connected if their distance is at most two
+    sides.
     """
     cells, cell_of = np.unique(np.floor(points / (link / 2)).astype(int), axis=0, return_inverse=True)
     pairs = KDTree(cells).query_pairs(2.0, output_type="ndarray")

@@ -95,10 +95,10 @@ def compare_stages(task: AdaptTask, state: AdaptState, *, step: int = 1) -> Iter
     """
     if state.done < len(plan(task.settings)):
         raise ValueError(
-            f"{state.done} of {len(plan(task.settings))} stages are done; finish the adaptation first."
+            f"{state.done} of {len(plan(task.settings))} stages are finished; finish the adaptation first."
         )
     if step < 1:
-        raise ValueError(f"The step is {step}; it must be at least 1.")
+        raise ValueError(f"The step is {step}; expected at least 1.")
     stages = Stages(tuple(n for n in range(0, task.frames, step) if n not in task.missing))
 
     # tracked before `first frame` too, which adapts to the first frame that is not lost

@@ -26,7 +26,7 @@ POINTS = 1000
 DEVIATIONS, OFF = 5.0, 0.003
 #: median distance from which on a frame of a finished motion is lost in any case, metres
 MOST = 0.015
-NO_SCAN = "no scan that can be used"
+NO_SCAN = "no usable scan"
 
 _posed = eqx.filter_jit(pose_body)
 
@@ -46,7 +46,9 @@ def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> A
     for (frame, distance), judgement in zip(distances.items(), judge_parts(task, state), strict=True):
         found = list(judgement.reasons) if judgement.verdict == "lost" else []
         if not distance <= limit:
-            found.append(f"{1000 * distance:.1f} mm from scan to body, where {middle:.1f} mm is usual")
+            found.append(
+                f"{1000 * distance:.1f} mm from scan to body, compared with {middle:.1f} mm over all frames"
+            )
         if found:
             reasons[frame] = ", ".join(found)
     frames = tuple(sorted(reasons))

@@ -59,7 +59,7 @@ def make_adapt_task(
     clouds = CloudFrames(clouds)
     if len(clouds) <= len(set(missing)):
         raise InputError(
-            f"{len(clouds)} frames, {len(set(missing))} of them missing, leave no cloud to adapt to."
+            f"There are {len(clouds)} frames, and {len(set(missing))} are missing; expected at least one cloud."
         )
     skeleton = template.skeleton
     prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), template.vertices.dtype))
@@ -71,9 +71,9 @@ def make_adapt_task(
         )
     if settings.unordered and (settings.every or settings.temporal):
         raise InputError(
-            "The scans do not follow each other in time, which adapting while they are tracked and a weight of smooth "
-            "motion need; leave these out (every, temporal; --adapt-every, --smoothness), or give unordered=False or "
-            "--ordered if they do."
+            "The scans are not ordered in time, as adaptation during tracking and a weight of smooth motion require; "
+            "leave these out (every, temporal; --adapt-every, --smoothness), or give unordered=False or --ordered "
+            "if the scans are ordered."
         )
     return AdaptTask(
         template=template,

@@ -160,7 +160,7 @@ class AdaptTask(NamedTuple):
             return make_scan(cloud)
         except ValueError as error:
             raise InputError(
-                f"frame {frame}: {sentence_of(error)} Name it among the `missing` frames."
+                f"frame {frame}: {sentence_of(error)} Add it to the `missing` frames."
             ) from None
 
     def some(self, frames: Sequence[int]) -> "AdaptTask":

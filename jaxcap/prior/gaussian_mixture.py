@@ -53,9 +53,11 @@ def fit_mixture(
     **Raises:** `ValueError` if there are fewer samples than components, or if a sample is not finite.
     """
     if not 1 <= count <= len(samples):
-        raise ValueError(f"{len(samples)} samples cannot be split among {count} components; give more.")
+        raise ValueError(
+            f"A mixture of {count} components cannot be fitted to {len(samples)} samples; give more samples."
+        )
     if not np.isfinite(samples).all():
-        raise ValueError("A sample of a mixture is not finite; leave its frame out.")
+        raise ValueError("A sample is not finite; leave its frame out.")
     rng = np.random.default_rng(seed)
     tries = [spread_labels(samples, count, rng) for _ in range(TRIES if count > 1 else 1)]
     labels, _ = min(tries, key=lambda found: found[1])

@@ -68,7 +68,7 @@ def choose_mixture(
     **Raises:** `ValueError` if there are fewer than 4 samples, or if a sample is not finite.
     """
     if len(samples) < 4:
-        raise ValueError(f"There are {len(samples)} poses; a mixture is learned from 4 at least.")
+        raise ValueError(f"There are {len(samples)} poses; expected at least 4 to learn a mixture.")
     folds = held_out_folds(len(samples))
     # leave at least two training samples for each component
     most = max(1, min(most, (len(samples) - np.bincount(folds).max()) // 2))

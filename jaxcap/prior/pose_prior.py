@@ -63,7 +63,7 @@ def learn_pairs(
     vectors = turn_vectors(skeleton, poses)
     pairs = successive_pairs(skeleton)
     if not pairs:
-        raise ValueError("No two joints of the skeleton turn one after the other; there is no pair to learn.")
+        raise ValueError("The skeleton has no pair of successive joints that rotate; expected at least one.")
     learned = []
     for above, below in progress(pairs, len(pairs)):
         both = np.concatenate([vectors[:, skeleton.index(name)] for name in (above, below)], 1)
@@ -112,7 +112,9 @@ def turn_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J 3"]
         raise ValueError("There are no poses to learn from; give poses stacked over frames.")
     joints = stacked.rotations.shape[1]
     if joints != skeleton.num_joints:
-        raise ValueError(f"The poses are of {joints} joints, the skeleton has {skeleton.num_joints}.")
+        raise ValueError(
+            f"The poses have {joints} joints; expected {skeleton.num_joints}, as in the skeleton."
+        )
     vectors = np.asarray(_own_vectors(skeleton, stacked), float)
     broken = ~np.isfinite(vectors).all((1, 2))
     if broken.any():
@@ -126,7 +128,7 @@ def stack_of(poses: Poses) -> Pose:
         return poses
     motions = [poses] if isinstance(poses, Motion) else list(poses)
     if not motions:
-        raise ValueError("There are no motions to learn from; give one at least.")
+        raise ValueError("There are no motions to learn from; give at least one.")
     if len({motion.poses.rotations.shape[1] for motion in motions}) > 1:
-        raise ValueError("The motions have different numbers of joints; learn from those of one skeleton.")
+        raise ValueError("The motions have different numbers of joints; give motions of one skeleton.")
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(motion.poses for motion in motions))

@@ -60,7 +60,7 @@ def test_cameras_that_took_other_scans(folder, capsys, camera, what):
 def test_cameras_that_see_little_of_the_scans():
     points = np.random.default_rng(0).uniform(-1, 1, (500, 3))
     near = look_at([0.0, 0.0, 1.3], [0, 0, 0], 320, 240, 30)
-    with pytest.raises(jc.InputError, match="% of the scans' points are in no camera's picture"):
+    with pytest.raises(jc.InputError, match="% of the scans' points are outside the images of all cameras"):
         check_cameras([near], [points], "c.json")
     check_cameras(RING, [points], "c.json")
 

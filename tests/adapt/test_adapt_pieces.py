@@ -109,6 +109,6 @@ def test_what_a_cloud_cannot_be_read_for_is_told_as_it_is(scene):
     with pytest.raises(jc.InputError, match=r"^scan_0002.ply: cannot be read; check the path.$"):
         task_of(scene, cloud=unreadable).scan(2)
     with pytest.raises(
-        jc.InputError, match=r"^frame 2: .* no points .* Name it among the `missing` frames.$"
+        jc.InputError, match=r"^frame 2: .* no points .* Add it to the `missing` frames.$"
     ):
         task_of(scene, cloud=empty).scan(2)

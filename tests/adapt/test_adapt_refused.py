@@ -172,7 +172,7 @@ def test_something_else_than_the_body(scene, monkeypatch):
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     # no other person is looked for in it
     monkeypatch.setattr(check, "_likeness_alone", lambda *_: Likeness(0.0, 0.0))
-    with pytest.raises(jc.InputError, match=r"a\.ply: this is not like a person.*give scans of one person"):
+    with pytest.raises(jc.InputError, match=r"a\.ply: this scan does not resemble a person.*give scans of one person"):
         check_actor(alone(task, middle + 0.4 * height * out, out), state, "a.ply")
     monkeypatch.setattr(check, "_likeness_alone", lambda *_: Likeness(0.9, 0.9))
     column = (
@@ -180,7 +180,7 @@ def test_something_else_than_the_body(scene, monkeypatch):
         + [0.8 * height, 0.0, 0.0]
         + 0.5 * height * rng.uniform([-0.1, -1, -0.1], [0.1, 1, 0.1], (900, 3))
     )
-    with pytest.raises(jc.InputError, match="more than one person in this scan, the other around"):
+    with pytest.raises(jc.InputError, match="this scan contains more than one person, another one near"):
         check_actor(alone(task, np.concatenate([clouds[0][0], column])), state, "a.ply")
 
 

@@ -168,7 +168,7 @@ def test_pairs_across_the_body_are_refused(rng):
     far = next(v for v in range(1, COUNT) if frozenset((0, v)) not in edges)
     across = jnp.array([0, far, 0], jnp.int32)
     pairs = eqx.tree_at(lambda p: p.vertices, pairs, pairs.vertices.at[1, 9].set(across))
-    with pytest.raises(ValueError, match=f"Pair 9 of frame 1 joins vertices 0 and {far}"):
+    with pytest.raises(ValueError, match=f"Pair 9 of frame 1 couples vertices 0 and {far}"):
         step(poses, pairs, shape, belief)
 
 

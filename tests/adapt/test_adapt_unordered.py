@@ -194,7 +194,7 @@ def test_frames_that_are_off_are_flagged_with_reasons(scene):
     assert found.lost == (2, 4, 5)
     assert found.reasons[1] == NO_SCAN
     assert "unexplained points near the " in found.reasons[0]
-    assert "mm from scan to body, where 0." in found.reasons[2]
+    assert "mm from scan to body, compared with 0." in found.reasons[2]
 
 
 def test_the_closing_lines_name_frames_with_their_reasons(mixed, capsys, tmp_path):

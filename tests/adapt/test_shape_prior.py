@@ -86,7 +86,7 @@ def test_scaled_is_the_prior_of_the_scaled_body_and_meshes(poses, meshes):
     before = shape_energy(jc.adapt.make_shape_prior(BODY, poses, meshes), BODY)
     assert shape_energy(prior, body) == pytest.approx(size**2 * before, rel=1e-9)
     for wrong in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match="must be above 0"):
+        with pytest.raises(ValueError, match="expected a finite number above 0"):
             scaled(prior, wrong)
 
 
@@ -102,8 +102,8 @@ def test_unlike_poses_are_the_furthest_from_those_before(rng):
 def test_what_no_prior_is_made_of(poses, meshes):
     for pose, mesh, told in (
         (jc.rest_pose(SKELETON), meshes, "no poses of training meshes"),
-        (poses, meshes[:, :5], "4 meshes of 5 vertices for 4 poses of a body of 48; register them"),
-        (poses, meshes[:3], "3 meshes of 48 vertices for 4 poses"),
+        (poses, meshes[:, :5], "4 meshes of 5 vertices; expected 4, one for each pose, of 48, as in the body; register"),
+        (poses, meshes[:3], "3 meshes of 48 vertices; expected 4"),
         (poses, np.where(np.arange(MESHES)[:, None, None] == 2, np.nan, meshes), "Mesh 2 is not finite"),
         (
             jc.Pose(poses.translations[:, :3], poses.rotations[:, :3], poses.scale),

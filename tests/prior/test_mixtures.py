@@ -159,7 +159,7 @@ def test_many_poses_are_left_out_in_blocks():
 
 
 def test_what_is_refused(rng):
-    with pytest.raises(ValueError, match="3 samples cannot be split among 4 components"):
+    with pytest.raises(ValueError, match="4 components cannot be fitted to 3 samples"):
         fit_mixture(np.zeros((3, 6)), 4)
     with pytest.raises(ValueError, match="not finite"):
         fit_mixture(np.full((9, 6), np.nan), 1)

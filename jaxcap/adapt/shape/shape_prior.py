@@ -40,18 +40,20 @@ def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]
     """
     count = len(poses.rotations) if poses.rotations.ndim == 3 else 0
     if not count:
-        raise ValueError("There are no poses of training meshes; give them stacked over meshes.")
+        raise ValueError("There are no poses of training meshes; give poses stacked over meshes.")
     joints = poses.rotations.shape[1]
     if joints != body.skeleton.num_joints:
-        raise ValueError(f"The poses are of {joints} joints, and the body has {body.skeleton.num_joints}.")
+        raise ValueError(
+            f"The poses have {joints} joints; expected {body.skeleton.num_joints}, as in the body."
+        )
     if meshes.shape[:2] != (count, len(body.vertices)):
         raise ValueError(
-            f"There are {meshes.shape[0]} meshes of {meshes.shape[1]} vertices for {count} poses of a body of "
-            f"{len(body.vertices)}; register them to the body."
+            f"There are {meshes.shape[0]} meshes of {meshes.shape[1]} vertices; expected {count}, one for each pose, of "
+            f"{len(body.vertices)}, as in the body; register the meshes to the body."
         )
     whole = np.isfinite(meshes).all((1, 2))
     if not whole.all():
-        raise ValueError(f"Mesh {whole.argmin()} is not finite everywhere; give meshes that are whole.")
+        raise ValueError(f"Mesh {whole.argmin()} is not finite; leave it out.")
     matrix = uniform_laplacian(body)
     return ShapePrior(matrix, poses, np.stack([matrix @ np.asarray(mesh, float) for mesh in meshes]))
 
@@ -91,6 +93,6 @@ def scaled(prior: ShapePrior, size: float) -> ShapePrior:
     **Raises:** `ValueError` if the size is not above zero.
     """
     if not 0 < size < np.inf:
-        raise ValueError(f"The size is {size:g}; it must be above 0.")
+        raise ValueError(f"The size is {size:g}; expected a finite number above 0.")
     poses = Pose(prior.poses.translations * size, prior.poses.rotations, prior.poses.scale)
     return ShapePrior(prior.laplacian, poses, prior.vectors * size)

@@ -45,13 +45,13 @@ def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> 
     **Raises:** `ValueError` if one has other numbers of vertices or joints, or there are fewer than two.
     """
     if len(bodies) < 2:
-        raise ValueError(f"{len(bodies)} bodies do not show how people differ; give at least two.")
+        raise ValueError(f"A shape space cannot be learned from {len(bodies)} bodies; give at least two.")
     vertices, joints = len(template.vertices), template.skeleton.num_joints
     for number, body in enumerate(bodies):
         if len(body.vertices) != vertices or body.skeleton.num_joints != joints:
             raise ValueError(
-                f"Body {number} has {len(body.vertices)} vertices and {body.skeleton.num_joints} joints, the template "
-                f"{vertices} and {joints}; give bodies that share its triangles."
+                f"Body {number} has {len(body.vertices)} vertices and {body.skeleton.num_joints} joints; expected "
+                f"{vertices} and {joints}, as in the template; give bodies that share its triangles."
             )
     rows = np.stack([_flat(body) for body in bodies])
     mean = rows.mean(0)

@@ -165,7 +165,7 @@ def couple(body: Body, pairs: Pairs) -> Coupling:
         if not known.all():
             frame, pair = np.argwhere(~known)[0]
             raise ValueError(
-                f"Pair {pair} of frame {frame} joins vertices {low[frame, pair]} and {high[frame, pair]}, which "
+                f"Pair {pair} of frame {frame} couples vertices {low[frame, pair]} and {high[frame, pair]}, which "
                 "share no edge; give pairs of points in triangles of the body."
             )
         slots[..., number] = np.where(low == high, low, count + found)
