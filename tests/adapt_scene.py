@@ -9,9 +9,9 @@ import jaxcap as jc
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask
 from jaxcap.adapt.shape.scale import resized
 from jaxcap.body.pose import rest_pose, retract
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.geometry.camera import ring_of_cameras
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.meshes.ply import write_ply
 

@@ -22,7 +22,6 @@ from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import Modes, joint_modes, moved
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.data.pairs import PairDistances, pair_directions
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import (
@@ -35,7 +34,7 @@ from jaxcap.fit.correspondence.correspond import (
 from jaxcap.fit.frame_equations import frame_equations
 from jaxcap.fit.linearise import body_tangent, frame_rows, vertex_maps
 from jaxcap.geometry import rotation
-from jaxcap.geometry.mesh import mesh_edges
+from jaxcap.geometry.mesh import mesh_edges, sample_surface
 
 BODY = chain_body("swing_twist")
 PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))

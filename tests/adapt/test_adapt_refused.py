@@ -29,9 +29,9 @@ from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, state_to_go_on_from
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import NearestOnSurface, make_scan
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)

@@ -19,12 +19,12 @@ from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.input import explained_words, warn_of_lost
 from jaxcap.cli.adapt.state import checkpoint_of, state_of
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.fit.tracking import track as sequence
 from jaxcap.fit.tracking.likeliest import log_likelihood
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)

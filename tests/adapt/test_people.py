@@ -13,8 +13,8 @@ from jaxcap.adapt.shape.shape_space import learn_people, people_like, person, tr
 from jaxcap.body.decimate import attach, follow, reduce_body
 from jaxcap.body.people.random_humans import human_resolution, people_of_many_shapes
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface
 
 

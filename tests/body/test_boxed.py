@@ -15,11 +15,11 @@ from jaxcap.adapt.problems import stack
 from jaxcap.body.limits.rotation_vector_boxes import box_chart, move_within, no_boxes, turning_joints
 from jaxcap.body.pose import own_vectors, project, retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import Matching, make_scan
 from jaxcap.fit.solvers.bounded_least_squares import solve_boxed
 from jaxcap.geometry import rotation
+from jaxcap.geometry.mesh import sample_surface
 
 SKELETON = chain_skeleton()
 solve, own_of = jax.jit(solve_boxed), eqx.filter_jit(own_vectors)

@@ -5,7 +5,6 @@ import json
 import equinox as eqx
 import numpy as np
 import pytest
-import trimesh
 from command_line import fails, runs
 
 from jaxcap.body.body import pose_body

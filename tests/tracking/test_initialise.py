@@ -10,11 +10,11 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.priors.prior import tangent_deviations
 from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, subtree_starts, turned_starts
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe import make_cloud
 
 BODY = human(resolution="low", joints="tracking")

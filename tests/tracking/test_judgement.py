@@ -13,7 +13,6 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.fit.correspondence.visibility import visible_vertices
 from jaxcap.fit.judgement.evidence import _seen_by, gather_evidence
 from jaxcap.fit.judgement.inside import within_others
@@ -21,6 +20,7 @@ from jaxcap.fit.judgement.surface import _even_samples, judged_surface, region_n
 from jaxcap.fit.judgement.usual import nothing_usual, renew, sensors_of, usual_of, warned
 from jaxcap.fit.judgement.verdict import judge_evidence
 from jaxcap.geometry.camera import look_at
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe import Cloud, make_cloud
 
 BODY = human(resolution="low", joints="tracking")

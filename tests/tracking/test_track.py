@@ -10,7 +10,6 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.geometry.mesh import sample_surface
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.errors import InputError
 from jaxcap.fit.tracking import recover
@@ -19,6 +18,7 @@ from jaxcap.fit.tracking.batch import fit_batch, scan_track
 from jaxcap.fit.tracking.track import track, track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker, start_state
 from jaxcap.geometry import rotation
+from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe import Cloud, make_cloud, stack_clouds
 
 POINTS, NOISE, FRAMES, JUNK = 600, 0.003, 6, 3
