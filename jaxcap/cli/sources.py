@@ -96,7 +96,7 @@ def _cloud_of(scan: ReadScan, body: Body, up: Up) -> Cloud:
 
 
 class Clouds(Sequence[Cloud]):
-    """The frames of a sequence as `load_cloud` gives them, each read when it is asked for."""
+    """The frames of a sequence as `load_cloud` returns them, each read on access."""
 
     def __init__(self, scans: Scans, body: Body, up: Up = "y"):
         self._scans, self._body = scans, body

@@ -78,7 +78,9 @@ def state_of(kept: Checkpoint, path: Path) -> AdaptState:
     def whole(name: str) -> tuple[int, ...]:
         values = get_array(arrays, name, path, (None,), "whole")
         if values.size and not 0 <= values.min() <= values.max() < frames:
-            raise InputError(f"{path}: the array '{name}' has frames outside the motion of {frames}; give --overwrite to begin anew.")
+            raise InputError(
+                f"{path}: the array '{name}' has frames that are not among the {frames} of the motion; give --overwrite to begin anew."
+            )
         return tuple(values.tolist())
 
     done, within = (get_array(arrays, name, path, (), "whole").item() for name in ("done", "within"))

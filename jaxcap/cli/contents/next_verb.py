@@ -34,7 +34,10 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "checkpoint": (
         ("learn MESHES -o {stem} --resume", "continues the run, with the options that it began with"),
     ),
-    "meshes": (("learn {file} -o body.npz", "learns a body"), ("fit BODY {file} -o motion.npz", "fits the poses of a body")),
+    "meshes": (
+        ("learn {file} -o body.npz", "learns a body"),
+        ("fit BODY {file} -o motion.npz", "fits the poses of a body"),
+    ),
     "clouds": (("track human {file} -o tracked", "fits a body"),),
     "joints": (("evaluate BODY MOTION CLOUDS --truth {file}", "compares a motion with them"),),
     "mesh": (("rig {file} -o body.npz", "makes a body of it"),),

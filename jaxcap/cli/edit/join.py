@@ -32,7 +32,7 @@ class Join:
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.3
     """Duration of the blend, seconds. 0 appends without a blend."""
     find: Flag = False
-    """Leave the first and enter the second motion where they are most alike, not at the end and at the beginning."""
+    """Connect the motions at their most similar frames, not at the end of the first and the beginning of the second."""
     unit: OptionalUnit = None
     """Unit of the motions' lengths, if their files state none. Default: centimetres for BVH."""
     overwrite: Flag = False

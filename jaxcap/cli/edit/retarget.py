@@ -46,7 +46,7 @@ class Found(NamedTuple):
 
 @dataclass
 class Retarget:
-    """Retarget a motion to another body or skeleton: limbs keep their directions, and feet keep to the floor.
+    """Retarget a motion to another body or skeleton: limbs keep their directions, and feet stay on the floor.
 
     Bodies with the same mesh, whose vertices correspond, are aligned by their surfaces; all others by the names of
     joints."""

@@ -24,7 +24,7 @@ ScanRate = Annotated[
 
 
 class Rate(NamedTuple):
-    """Frames a second, and the file that says so, None where none does."""
+    """Frames per second, and the file with this rate; None if it is not from a file."""
 
     frames: float
     file: Path | None = None
