@@ -29,4 +29,4 @@ def _version() -> str:
     try:
         return importlib.metadata.version("jaxcap")
     except importlib.metadata.PackageNotFoundError:
-        return "of a source tree, not installed"
+        return "(source tree, not installed)"

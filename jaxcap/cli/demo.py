@@ -85,7 +85,7 @@ class Demo:
             scans.append(scan_frame(scanner, cameras, vertices, faces, frame=frame))
             joints.append(np.asarray(posed.joints))
         say(
-            f"tracking {self.points} points a frame on {len(body.vertices)} vertices; the first frame compiles"
+            f"tracking {self.points} points per frame with {len(body.vertices)} vertices; the first frame compiles"
         )
         clouds = [make_cloud(scan.points, scan.normals, name=f"frame {k}") for k, scan in enumerate(scans)]
         write_clouds(self.out / CLOUDS, [scan.points for scan in scans], [scan.normals for scan in scans])
@@ -103,7 +103,7 @@ class Demo:
             ["joint centres, mm", "mean", "median", "99 %", "worst"],
             [
                 [
-                    "against the truth",
+                    "error",
                     *(
                         f"{1000 * v:.1f}"
                         for v in (summary.mean, summary.median, np.quantile(errors, 0.99), errors.max())
@@ -130,8 +130,8 @@ class Demo:
         """Check that the folder has no results, or that they may be replaced. Raises `InputError`."""
         if not self.overwrite and any((self.out / name).exists() for name in (*FILES, PICTURE)):
             raise InputError(
-                f"{self.out}: this folder holds the results of a run; give --overwrite to replace them, or another folder "
-                "by -o."
+                f"{self.out}: this folder contains the results of a run; give --overwrite to replace them, or choose "
+                "another folder with -o."
             )
         check_folder(self.out, "journal", False, self.overwrite)
 
@@ -143,14 +143,14 @@ class Demo:
             vertices = np.asarray(_pose_body(body, motion[number]).vertices)
             views.append(
                 View(
-                    f"frame {number}: joints within {1000 * errors[number].mean():.1f} mm on average",
+                    f"frame {number}: mean joint error {1000 * errors[number].mean():.1f} mm",
                     vertices,
                     points,
                     scan_to_surface(points, vertices, np.asarray(body.faces)),
                 )
             )
         with replacing(self.out / PICTURE) as beside:
-            title = f"jaxcap: {self.points:,} noisy points a frame, mean joint error {1000 * errors.mean():.1f} mm"
+            title = f"jaxcap: {self.points:,} noisy points per frame, mean joint error {1000 * errors.mean():.1f} mm"
             draw(beside, views, np.asarray(body.faces), title)
 
 

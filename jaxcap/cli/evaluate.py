@@ -70,8 +70,8 @@ class Evaluate:
         motion = load_motion_of(body, self.motion)
         if motion.num_frames != len(scans):
             raise InputError(
-                f"{self.motion}: the motion has {motion.num_frames} frames and there are {len(scans)} clouds; "
-                "choose clouds by --first and --last."
+                f"{self.motion}: the motion has {motion.num_frames} frames, but there are {len(scans)} clouds; "
+                "select clouds with --first and --last."
             )
         turn, rng = up_rotation(self.up), np.random.default_rng(0)
         truth = None if self.truth is None else read_truth(self.truth, body.skeleton, motion.num_frames)
@@ -122,12 +122,13 @@ def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], 
         names, joints = list(own.names), np.asarray(joint_paths(own, motion.poses))
     if len(joints) != frames:
         raise InputError(
-            f"{path}: the truth has {len(joints)} frames and the motion {frames}; give the truth of these."
+            f"{path}: the true motion has {len(joints)} frames; expected {frames}, as in the estimated motion."
         )
     shared = [name for name in names if name in skeleton.names]
     if not shared:
         raise InputError(
-            f"{path}: no joint of the truth is one of the body, which has {', '.join(skeleton.names)}; give the truth of this body."
+            f"{path}: no joint of the true motion is a joint of the body, which has {', '.join(skeleton.names)}; "
+            "give the true motion of this body."
         )
     return shared, np.asarray(joints, float)[:, [names.index(name) for name in shared]]
 

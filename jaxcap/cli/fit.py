@@ -51,7 +51,7 @@ class Fit:
     unit: Unit = "m"
     """Unit of the meshes, and of BODY if it is a mesh: m, dm, cm, mm, in or ft."""
     rate: OptionalRate = None
-    """Meshes a second. Default: the rate stated in the file, else 30."""
+    """Meshes per second. Default: the rate stated in the file, else 30."""
     overwrite: Flag = False
     """Replace the motion if it exists."""
 
@@ -70,7 +70,7 @@ class Fit:
             raise InputError(f"{self.meshes[0]}: {sentence_of(error)}") from None
         if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
             warn(
-                f"{self.meshes[0]}: the triangles are not those of {self.body}; vertices are taken in their order"
+                f"{self.meshes[0]}: the triangles differ from those of {self.body}; vertices are matched by their order"
             )
         save_motion(self.out, fit.motion, body.skeleton)
         scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
@@ -92,7 +92,7 @@ def same_triangles(a: Int[np.ndarray, "T 3"], b: Int[np.ndarray, "S 3"]) -> bool
 def check_rate(rate: float | None) -> None:
     """Check a rate. Raises `InputError` if it is not positive and finite."""
     if rate is not None and not 0 < rate < np.inf:
-        raise InputError(f"--rate is {rate:g}; it must be above 0 meshes a second.")
+        raise InputError(f"--rate is {rate:g}; it must be above 0 meshes per second.")
 
 
 def check_size(body: Body, sequence: MeshSequence, where: str) -> None:
@@ -101,5 +101,6 @@ def check_size(body: Body, sequence: MeshSequence, where: str) -> None:
     here = float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
     if not here / OTHER_UNIT < there < here * OTHER_UNIT:
         raise InputError(
-            f"{where}: the meshes are {there:.4g} m long and the body {here:.4g} m; say by --unit what they are in."
+            f"{where}: the meshes are {there:.4g} m long and the body {here:.4g} m; "
+            "give the unit of the meshes with --unit."
         )

@@ -86,13 +86,13 @@ class Ik:
         """Check that the options are compatible. Raises `InputError`."""
         if self.frame is not None and self.pose is None:
             raise InputError(
-                f"--frame {self.frame}: there is no motion to take it from; give one with --pose."
+                f"--frame {self.frame} selects a frame of a motion; give the motion with --pose."
             )
         if self.out is None:
             return
         if self.constraints is None:
             raise InputError(
-                f"{self.out}: there are no constraints to meet; give a file of them with --constraints."
+                f"{self.out}: there are no constraints; give a file of constraints with --constraints."
             )
         if self.out.suffix.lower() not in MOTION_WRITERS:
             raise InputError(
@@ -104,7 +104,7 @@ class Ik:
         """Make the session from the options, before the first solve."""
         body, ranges = load_body(self.body, self.skl, self.vj, self.cst, unit=self.unit, up=self.up)
         if not len(body.vertices):
-            raise InputError(f"{self.body}: this body has no vertices to hold; give one with a surface.")
+            raise InputError(f"{self.body}: this body has no vertices; give a body with a surface.")
         learned = None if self.limits is None else read_limits(self.limits, body.skeleton)
         parts = tuple(part for part in (ranges, learned) if part is not None)
         limits: AbstractLimits | None = (
@@ -129,7 +129,7 @@ class Ik:
         """Select the requested frame. Raises `InputError` if there is none."""
         count, frame = len(poses.scale), self.frame or 0
         if not count:
-            raise InputError(f"{path}: there are no frames in this motion.")
+            raise InputError(f"{path}: this motion has no frames.")
         if not 0 <= frame < count:
             raise InputError(
                 f"{path}: there is no frame {frame} in this motion; its frames are 0 to {count - 1}."
@@ -149,7 +149,7 @@ class Ik:
         rows = [
             [describe(one.point), f"{1000 * metres:.1f}"] for one, metres in zip(held, apart, strict=True)
         ]
-        table(["constraint", "mm from its target"], rows)
+        table(["constraint", "distance to target, mm"], rows)
         say(f"written: {out}")
         missed = [row[0] for row, metres in zip(rows, apart, strict=True) if metres > REACHED]
         if missed:

@@ -51,7 +51,7 @@ class Learn:
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
     """Output file for the body, .npz."""
     joints: OptionalCount = None
-    """Number of joints between the parts, without the root. Default: as many as the motion shows."""
+    """Number of joints between the parts, without the root. Default: determined from the motion."""
     alpha: float = 100.0
     """Weight of the surface's shape, relative to the positions of its vertices."""
     skin: Literal["swing_twist", "lbs", "rigid"] = "swing_twist"
@@ -79,7 +79,7 @@ class Learn:
     unit: Unit = "m"
     """Unit of meshes and skeleton: m, dm, cm, mm, in or ft."""
     rate: OptionalRate = None
-    """Meshes a second. Default: the rate stated in the file, else 30."""
+    """Meshes per second. Default: the rate stated in the file, else 30."""
     motion: OptionalFile = None
     """Output file for the poses of the training meshes. Default: next to the body, `body-motion.npz` for
     `body.npz`."""
@@ -129,7 +129,7 @@ class Learn:
         save_motion(motion_path, learned.motion, learned.body.skeleton)
         body = learned.body
         bones, joints = body.skeleton.num_joints, sum(parent >= 0 for parent in body.skeleton.parents)
-        between = "that hang on nothing" if self.free_bones else f"with {joints} joints between them"
+        between = "without parents" if self.free_bones else f"with {joints} joints between them"
         say(f"{self.out}: {len(body.vertices)} vertices on {bones} bones {between}; poses in {motion_path}")
         for told in check_learned(body, learned.motion):
             warn(told)
@@ -149,19 +149,19 @@ class Learn:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
         check_rate(self.rate)
         if self.resume and self.overwrite:
-            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+            raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
         if self.pairs is not None and not self.symmetry:
             raise InputError(
-                "--pairs says what is symmetric and --no-symmetry that nothing is; give one of them."
+                "--pairs defines symmetric joints and --no-symmetry disables symmetry; give one of them."
             )
         if self.skeleton is not None and self.joints is not None:
-            raise InputError("--skeleton has its own joints; leave --joints out.")
+            raise InputError("--skeleton defines the joints; omit --joints.")
         if self.keep_joints and self.skeleton is None:
-            raise InputError("--keep-joints is of a skeleton; give it by --skeleton.")
+            raise InputError("--keep-joints needs a skeleton; give it with --skeleton.")
         if self.limits is not None and self.skeleton is None:
-            raise InputError("--limits are of a skeleton; give it by --skeleton.")
+            raise InputError("--limits needs a skeleton; give it with --skeleton.")
         if self.free_bones and (self.skeleton is not None or self.pairs is not None):
-            raise InputError("--free-bones have no skeleton and no pairs; leave --skeleton and --pairs out.")
+            raise InputError("--free-bones uses no skeleton and no pairs; omit --skeleton and --pairs.")
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
@@ -202,7 +202,7 @@ class Learn:
             return None
         if kept.exists() and not self.overwrite:
             raise InputError(
-                f"{kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
+                f"{kept}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
             )
         return None
 
@@ -217,7 +217,9 @@ class Learn:
         """Run the learning loop, with a checkpoint after every round; Ctrl-C keeps the last one."""
         done = 0 if resumed is None else resumed.round
         begins = (
-            f"round {done} is done" if done else "parts and joints come first, and the first round compiles"
+            f"round {done} is complete"
+            if done
+            else "parts and joints are estimated first, and the first round compiles"
         )
         say(f"learning from {len(meshes)} meshes of {meshes.vertices.shape[1]} vertices; {begins}")
         symmetry = self.symmetry if self.pairs is None else read_pairs(self.pairs, skeleton)
@@ -248,7 +250,7 @@ class Learn:
                 )
             except KeyboardInterrupt:
                 # a checkpoint that exists before the first round is of a run that this one replaces
-                told = f"round {done} is kept in {kept}; --resume goes on" if done else "no round was done"
+                told = f"round {done} is saved in {kept}; --resume continues" if done else "no round is complete"
                 raise KeyboardInterrupt(f"stopped; {told}") from None
 
     def score(
@@ -262,7 +264,7 @@ class Learn:
         """Score the body on training and on held-out meshes; print and report the scores."""
         groups = {"training": (learned.motion, np.ones(len(train), bool), train)}
         if held.size:
-            doing("fitting the meshes held out")
+            doing("fitting the held-out meshes")
             fit = fit_meshes(learned.body, sequence[held])
             groups["held out"] = (fit.motion, np.asarray(fit.converged), held)
         scores: dict[str, Scores] = {
@@ -318,9 +320,9 @@ def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
                 row.append(int(number))
             else:
                 there = "" if skeleton is None else f"; the skeleton has {', '.join(skeleton.names)}"
-                raise InputError(f"--pairs has '{side}', which is no joint{there}.")
+                raise InputError(f"--pairs has '{side}', which is not a joint{there}.")
         if row[0] == row[1]:
-            raise InputError(f"--pairs has '{word}', a joint and itself.")
+            raise InputError(f"--pairs has '{word}', which pairs a joint with itself.")
         rows.append(row)
     return np.array(rows)
 
@@ -343,7 +345,7 @@ def state_of(kept: Checkpoint, path: Path) -> LearnState:
     """
     pairs = get_array(kept.arrays, "pairs", path, (None, 2), "whole")
     if pairs.size and not 0 <= pairs.min() <= pairs.max() < kept.body.skeleton.num_joints:
-        raise InputError(f"{path}: the array 'pairs' names joints that are not there; overwrite it.")
+        raise InputError(f"{path}: the array 'pairs' contains joints that do not exist; give --overwrite to begin anew.")
     return LearnState(
         body=kept.body,
         motion=kept.motion,

@@ -12,13 +12,13 @@ def check_absent(paths: Iterable[Path], overwrite: bool) -> None:
     """Check that none of the files exists, or they may be replaced. Raises `InputError`."""
     there = [path for path in paths if path.exists()]
     if there and not overwrite:
-        raise InputError(f"{there[0]}: this file is there already; give --overwrite to replace it.")
+        raise InputError(f"{there[0]}: this file already exists; give --overwrite to replace it.")
 
 
 def check_parent(path: Path) -> None:
     """Check that a file's folder exists. Raises `InputError`."""
     if not path.absolute().parent.is_dir():
-        raise InputError(f"{path}: its folder is not there; make it first.")
+        raise InputError(f"{path}: its folder does not exist; make it first.")
 
 
 def check_new(path: Path | None, overwrite: bool) -> None:
@@ -43,7 +43,7 @@ def check_motion(path: Path, overwrite: bool) -> None:
 def check_npz(path: Path, overwrite: bool, what: str = "a motion") -> None:
     """Check that an `.npz` can be written to a path. Raises `InputError`."""
     if path.suffix.lower() != ".npz":
-        raise InputError(f"{path}: {what} is written as .npz; give a name that ends so.")
+        raise InputError(f"{path}: {what} is written as .npz; give a name that ends in .npz.")
     check_new(path, overwrite)
 
 
@@ -54,8 +54,8 @@ def nothing_left(results: Iterable[Path], kept: Path) -> bool:
     if kept.exists() or not all(path.is_file() for path in results):
         return False
     say(
-        f"{results[0]}: this run is finished, and nothing is left to do; whether its options and files were those given now "
-        "is not looked at, and --overwrite begins it anew"
+        f"{results[0]}: this run is already complete; its options and input files are not compared with those "
+        "given now, and --overwrite begins it anew"
     )
     return True
 
@@ -66,5 +66,5 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{folder}: this folder cannot be made ({error.strerror}); give another one."
+            f"{folder}: this folder cannot be created ({error.strerror}); give another one."
         ) from None

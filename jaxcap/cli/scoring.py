@@ -27,7 +27,7 @@ def score_motion(
     if not fitted.all():
         missed = [names[frame] for frame in np.flatnonzero(~fitted)]
         told = ", ".join(missed[:5]) + (f" and {len(missed) - 5} more" if len(missed) > 5 else "")
-        warn(f"{len(missed)} of {len(names)} meshes could not be fitted, and count in no mean: {told}")
+        warn(f"{len(missed)} of {len(names)} meshes could not be fitted, and are excluded from the means: {told}")
 
     def each(scores):
         return progress(scores, len(sequence), label=label)
@@ -47,7 +47,7 @@ def tell_scores(groups: dict[str, Scores], each: bool = False) -> None:
                 told = sorted(told, key=lambda score: -np.nan_to_num(score.mean, nan=np.inf))[:TOLD]
             rows += [_row(f"{score.name}{'' if score.fitted else ' (not fitted)'}", score) for score in told]
             if len(told) < len(scores.meshes):
-                rows.append([f"... {len(scores.meshes) - TOLD} better ones", "", "", ""])
+                rows.append([f"... {len(scores.meshes) - TOLD} meshes with smaller errors", "", "", ""])
         rows.append(_row(f"{label}, {len(scores.meshes)} meshes", scores))
     table(["vertex to surface, mm", "mean", "sd", "vertex RMSE"], rows)
 

@@ -96,7 +96,7 @@ def _cloud_of(scan: ReadScan, body: Body, up: Up) -> Cloud:
 
 
 class Clouds(Sequence[Cloud]):
-    """The frames of a sequence as `load_cloud` gives them, each read when it is asked for."""
+    """The frames of a sequence as `load_cloud` returns them, each read on access."""
 
     def __init__(self, scans: Scans, body: Body, up: Up = "y"):
         self._scans, self._body = scans, body
@@ -180,8 +180,8 @@ def _in_folder(mesh: Path, given: Path | None, suffix: str) -> Path:
     path = mesh.with_suffix(suffix) if given is None else given
     if not path.is_file():
         raise InputError(
-            f"{mesh}: a mesh is a body only with its skeleton (.skl) and the joint of each vertex (.vj), and {path} is not "
-            f"there; put it there, or rig the mesh with `jaxcap rig {mesh} -o body.npz`."
+            f"{mesh}: a body from a mesh needs a skeleton (.skl) and the joint of each vertex (.vj), but {path} does not "
+            f"exist; add this file, or rig the mesh with `jaxcap rig {mesh} -o body.npz`."
         )
     return path
 

@@ -36,7 +36,7 @@ class View:
     spacing: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
     """Distance between motions, metres; 0 overlays them. Default: by their widths."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
-    """Frames a second of an unfinished run. Default: 30."""
+    """Frames per second of an unfinished run. Default: 30."""
     unit: OptionalUnit = None
     """Unit of lengths in files that state none: m, dm, cm, mm, in or ft."""
     up: Up = "y"
@@ -66,7 +66,7 @@ class View:
         if contents.empty:
             raise InputError(
                 " ".join(contents.told)
-                or "There is nothing to look at; give a body, a motion, clouds, markers, meshes or cameras."
+                or "There is nothing to show; give a body, a motion, clouds, markers, meshes or cameras."
             )
         for told in contents.told:
             warn(told)

@@ -348,8 +348,8 @@ def test_the_command_line_adapts_and_goes_on(scene, tmp_path, capsys):
     assert "times the template's size" in told
     assert len(jc.load_motion(tmp_path / "actor-motion.npz")) == len(clouds)
     assert not (tmp_path / "actor.npz.partial").exists()
-    assert "there already" in fails(capsys, *words)
-    assert "nothing is left to do" in runs(capsys, *words, "--resume")
+    assert "already exists" in fails(capsys, *words)
+    assert "this run is already complete" in runs(capsys, *words, "--resume")
 
 
 def test_what_is_refused(tmp_path, capsys):

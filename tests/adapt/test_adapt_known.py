@@ -114,7 +114,7 @@ def test_of_a_reduced_template_its_own_shape_is_left_out(scene, folder, capsys):
     )
     priors = read_priors(folder / "body.npz", few, own=True, reduced=True)
     assert priors is not None and priors.boxes is not None and priors.shape is None
-    assert "not the shape, with --vertices" in capsys.readouterr().out
+    assert "no shape prior, because of --vertices" in capsys.readouterr().out
     # one that is asked for is refused instead
     with pytest.raises(jc.InputError, match="and the body has 3"):
         read_priors(folder / "body.npz", few, own=False, reduced=True)
@@ -140,7 +140,7 @@ def test_the_actor_carries_on_what_counted(scene, known, folder, capsys, monkeyp
     motion = stack_poses(poses, 30.0)
     keep_state(asked.kept, AdaptState(done, actor, 1.1, motion, history=(("pose", 1.0),)), header)
     told = runs(capsys, *words(folder, "--smoothness", 0, "--resume", *more))
-    line = "body.npz: the prior in it counts (2 pairs of joints, ranges of 1 joints, the shape of 1 meshes)"
+    line = "body.npz: the prior in this file is used (2 pairs of joints, ranges of 1 joints, the shape of 1 meshes)"
     assert (line in told) == (not more)
     skeleton, out = actor.skeleton, folder / "a.npz"
     np.testing.assert_array_equal(load_limits(out)["angles"], np.arange(3.0))

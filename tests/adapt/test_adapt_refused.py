@@ -64,7 +64,7 @@ def test_amounts_that_are_none(folder, capsys, told):
     name, value, what = told.split(" ", 2)
     assert f"{name} is {value}; it must be {what}" in fails(capsys, *words(folder, name, value))
     assert "--shape-weight is 0; it must be above 0" in fails(capsys, *words(folder, "--shape-weight", 3, 0))
-    assert "--aperture is of cameras" in fails(capsys, *words(folder, "--aperture"))
+    assert "--aperture needs cameras" in fails(capsys, *words(folder, "--aperture"))
 
 
 def test_settings_are_what_was_asked(folder, scene):
@@ -274,7 +274,7 @@ def test_a_disk_that_is_full(scene, tmp_path, monkeypatch):
 
     monkeypatch.setattr(np, "savez_compressed", full)
     for later in (state._replace(done=2), state._replace(within=2)):
-        with pytest.raises(jc.InputError, match=r"No space left.*free some space.*1 stage is kept.*--resume"):
+        with pytest.raises(jc.InputError, match=r"No space left.*free some space.*1 stage is saved.*--resume"):
             keep_state(path, later, header)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
@@ -297,7 +297,7 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     with monkeypatch.context() as patched:
         patched.setattr(np, "savez_compressed", full)
         told = fails(capsys, *words(folder, "--smoothness", 0, "--resume"))
-    assert "a-motion.npz: cannot be written" in told and "stages are kept" in told
+    assert "a-motion.npz: cannot be written" in told and "stages are saved" in told
     assert not task.out.exists()
     assert "times the template's size" in runs(capsys, *words(folder, "--smoothness", 0, "--resume"))
     assert not task.kept.exists()

@@ -296,4 +296,4 @@ def test_what_is_refused(tmp_path, capsys):
     assert "ends in .html" in fails(capsys, *words, tmp_path / "a.txt")
     assert "--report-every is 0" in fails(capsys, *words, tmp_path / "a.html", "--report-every", 0)
     (tmp_path / "there.html").write_text("")
-    assert "there already" in fails(capsys, *words, tmp_path / "there.html")
+    assert "already exists" in fails(capsys, *words, tmp_path / "there.html")

@@ -99,7 +99,7 @@ def test_the_file_of_an_actor_tells_of_its_run_to_the_last_bit(scene, tmp_path):
     with pytest.raises(jc.InputError, match=r"m\.npz: this is not the motion that was written with .*a\.npz"):
         finished_run(path, motion, header)
     jc.save_body(path, state.body)
-    with pytest.raises(jc.InputError, match=r"a\.npz: it is not told in this body which run made it"):
+    with pytest.raises(jc.InputError, match=r"a\.npz: this file does not record the run that made the body"):
         finished_run(path, motion, header)
 
 
@@ -125,7 +125,7 @@ def test_a_run_that_has_ended(scene, folder, capsys):
     save_actor(out, state, {}, header_of(run, scene), run.motion_path)
     asked = words(folder, out, "--smoothness", 0, "--resume")
     before = tree(folder)
-    assert "a.npz: this run is finished, and nothing is left to do" in runs(capsys, *asked)
+    assert "a.npz: this run is already complete" in runs(capsys, *asked)
     assert tree(folder) == before
     told = fails(capsys, *asked, "--report", folder / "a.html", "--rate", 25)
     assert "this run was begun with rate 30.0, not 25.0" in told
@@ -207,7 +207,7 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_bits(folder, capsys, monkeypa
                 runs(capsys, *words(folder, parts, "--frames", 3, *more))
         assert stop.value.code == 130
         told, more = capsys.readouterr().err, ("--resume",)
-        assert f"stopped; {done} kept in {parts}.partial; --resume goes on" in told
+        assert f"stopped; {done} saved in {parts}.partial; --resume continues" in told
         assert not parts.exists()
     quoted = ("adapt", folder / "body.npz", folder / "*.ply", "-o", parts, "--start", folder / "start.npz")
     runs(capsys, *quoted, "--frames", 3, "--resume")

@@ -40,7 +40,7 @@ def test_joint_centres_in_other_programs_files(inputs, tmp_path, capsys, suffix)
     ):
         path = tmp_path / f"{source.suffix[1:]}-{unit}.{suffix}"
         told = runs(capsys, "convert", source, path, *(() if unit == "mm" else ("--target-unit", unit)))
-        assert "31 joint centres, 5 frames at 30 a second" in told
+        assert "31 joint centres, 5 frames at 30 frames per second" in told
         back = read_markers(path)
         assert back.rate == 30.0
         assert bool(np.asarray(back.seen).all())
@@ -86,7 +86,7 @@ def test_vertices_become_markers(inputs, tmp_path, capsys):
 def test_amass_there_and_back(inputs, tmp_path, capsys):
     motion = load_motion(inputs / "truth.npz")
     told = runs(capsys, "convert", inputs / "truth.npz", tmp_path / "a.npz", "--as", "amass")
-    assert "5 frames at 30 a second" in told
+    assert "5 frames at 30 frames per second" in told
     runs(capsys, "convert", tmp_path / "a.npz", tmp_path / "back.npz")
     assert load_skeleton(tmp_path / "back.npz").names == load_skeleton(inputs / "truth.npz").names
     same_motion(load_motion(tmp_path / "back.npz"), motion, 1e-12)
@@ -148,7 +148,7 @@ def test_the_human_is_a_body_without_a_file(inputs, tmp_path, capsys):
     low = jc.human(resolution="low", joints="tracking")
     np.testing.assert_array_equal(jc.load_body(tmp_path / "human.npz").vertices, low.vertices)
     told = fails(capsys, "convert", "human:low", tmp_path / "b.npz", "--motion", inputs / "truth.npz")
-    assert "--motion is for a body that becomes a .glb" in told
+    assert "--motion is for bodies that are written as .glb" in told
     runs(capsys, "convert", inputs / "body.npz", tmp_path / "b.glb", "--motion", inputs / "truth.npz")
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     runs(
@@ -169,38 +169,38 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
     save_motion(inputs / "still.npz", load_motion(motion).slice(slice(0, 0)), skeleton)
     before = tree(tmp_path)
     for source, target, *options, said in (
-        (motion, "out.fbx", "'.fbx' files are not written; write .glb"),
-        (motion, "out.gltf", "'.gltf' files are not written; write .glb"),
-        ("human", "out.gltf", "'.gltf' files are not written; write .glb"),
-        ("human", "out.ply", "human: the embedded body cannot become '.ply' files; write it as .glb"),
-        (motion, "out.foo", "cannot become '.foo' files; motions are read from"),
-        (motion, "out.trc", "--motion", motion, "--motion is for a body that becomes a .glb"),
-        (motion, "out.trc", "--as", "amass", "--as amass is for a motion that becomes an .npz"),
+        (motion, "out.fbx", "'.fbx' files cannot be written; write .glb"),
+        (motion, "out.gltf", "'.gltf' files cannot be written; write .glb"),
+        ("human", "out.gltf", "'.gltf' files cannot be written; write .glb"),
+        ("human", "out.ply", "human: the embedded body cannot be converted to '.ply' files; write it as .glb"),
+        (motion, "out.foo", "cannot be converted to '.foo' files; motions are read from"),
+        (motion, "out.trc", "--motion", motion, "--motion is for bodies that are written as .glb"),
+        (motion, "out.trc", "--as", "amass", "--as amass is for motions that are written as .npz"),
         (motion, "out.bvh", "--as", "amass", "is written as .npz"),
         (motion, "out.bvh", "--up", "y", "other motions have y up"),
         (body, "out.glb", "--up", "y", "other motions have y up"),
-        (motion, "out.bvh", "--vertices", "7", "--vertices is for a motion that becomes .trc"),
-        (motion, "out.trc", "--vertices", "7", "name it by --body"),
-        (motion, "out.bvh", "--unit", "mm", "'.npz' files say their unit themselves"),
+        (motion, "out.bvh", "--vertices", "7", "--vertices is for motions that are written as .trc"),
+        (motion, "out.trc", "--vertices", "7", "give it with --body"),
+        (motion, "out.bvh", "--unit", "mm", "'.npz' files have a known unit"),
         (motion, "out.npz", "--target-unit", "mm", "'.npz' files are written in metres"),
         (body, "out.usda", "--target-unit", "mm", "'.usda' files are written in metres"),
-        (motion, "out.bvh", "--influences", "8", "--influences is for a body that becomes"),
-        (motion, "out.bvh", "--tolerance", "1", "--tolerance is for a body that becomes"),
-        (body, "out.skl", "--body", body, "--body is for a motion"),
+        (motion, "out.bvh", "--influences", "8", "--influences is for bodies"),
+        (motion, "out.bvh", "--tolerance", "1", "--tolerance is for bodies"),
+        (body, "out.skl", "--body", body, "--body is for motions"),
         (motion, "out.usda", "not a 'jaxcap body'"),
         (body, "out.bvh", "not a 'jaxcap motion'"),
         (*marked, "LFHD", "neither a vertex"),
-        (*marked, "a=1", "a=2", "called 'a'"),
-        (*marked, "1500", "the body has 0 to 1499"),
-        (*marked, "Head=7", "a joint is called 'Head'"),
+        (*marked, "a=1", "a=2", "named 'a'"),
+        (*marked, "1500", "the vertices of the body are 0 to 1499"),
+        (*marked, "Head=7", "a joint already has the name 'Head'"),
         (*marked, tmp_path / "three.txt", "three.txt:1"),
         (*marked, tmp_path / "words.txt", "not a whole number"),
         (*marked, tmp_path / "none.txt", "no vertices"),
         (*marked, tmp_path / "minus.txt", "count from 0"),
         (*marked, tmp_path / "twice.txt", "stands twice"),
         (tmp_path / "none.npz", "out.bvh", "no such file"),
-        (inputs / "still.npz", "out.bvh", "there are no frames in this motion"),
-        (body, "out.glb", "--motion", inputs / "still.npz", "there are no frames in this motion"),
+        (inputs / "still.npz", "out.bvh", "this motion has no frames"),
+        (body, "out.glb", "--motion", inputs / "still.npz", "this motion has no frames"),
     ):
         assert said in fails(capsys, "convert", source, out.with_name(target), *options)
     assert tree(tmp_path) == before

@@ -55,7 +55,7 @@ def test_clips_are_cut_resampled_joined_looped_and_mirrored(capsys, folder):
     )
     assert "from frame" in told and "0 mm apart" in told
     told = runs(capsys, "edit", "loop", a, "-o", out, "--in-place", "--overwrite")
-    assert "a round takes 0.67 s and stays in place" in told
+    assert "one cycle takes 0.67 s and stays in place" in told
     x = np.asarray(joint_paths(SKELETON, jc.load_motion(out).poses))
     assert len(x) == 21
     np.testing.assert_array_equal(x[0], x[-1])
@@ -123,7 +123,7 @@ def test_motions_that_do_not_say_whose_they_are_take_the_body(capsys, folder):
         told = runs(
             capsys, "edit", "gaze", motion, "-o", out, "--target", 1, 0.5, 3, "--fade", 0, "--body", folder / "human.npz"
         )  # fmt: skip
-        assert "3 of them looking" in told and "and 0.00° after" in told
+        assert "3 of them with the full rotation" in told and "and 0.00° after" in told
         runs(capsys, "edit", "retarget", motion, folder / "human.npz", "-o", out, "--source", folder / "human.npz",
              "--by", "names", "--overwrite")  # fmt: skip
         found = joint_paths(body.skeleton, jc.load_motion(out).poses)
@@ -162,7 +162,7 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
     said = fails(capsys, *glue, folder / "glued")
     assert "give --overwrite" in said
     said = fails(capsys, *glue, folder / "g2", "--unit", "cm")
-    assert "say by --unit" in said
+    assert "with --unit" in said
     said = fails(capsys, *glue, folder / "g2", "--frame", 2)
     assert "there is no frame 2" in said
 
@@ -172,36 +172,36 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
     [
         ("cut a.npz -o new.txt --frames 0 3", "not written as '.txt'"),
         ("cut a.npz -o new.npz --frames 0 60", "frames 0 to 60 are not in this motion"),
-        ("cut a.npz -o new.npz", "by --frames or by --seconds"),
+        ("cut a.npz -o new.npz", "either --frames or --seconds"),
         ("cut a.npz -o a.npz --frames 0 3", "give --overwrite"),
         ("cut none.npz -o new.npz --frames 0 3", "none.npz"),
-        ("cut b.bvh -o new.npz --frames 0 3 --unit m", "say by --unit"),
-        ("cut a.npz -o new.npz --frames 0 3 --unit mm", "leave --unit mm out"),
+        ("cut b.bvh -o new.npz --frames 0 3 --unit m", "with --unit"),
+        ("cut a.npz -o new.npz --frames 0 3 --unit mm", "omit --unit mm"),
         ("cut a.npz -o new.npz --seconds 0 inf", "--seconds is 0 inf"),
         ("cut a.npz -o empty.bvh --frames 0 3 --overwrite", "empty.bvh: this is a folder"),
         ("cut bare.npz -o new.npz --frames 0 3", "does not say its skeleton"),
         ("cut marked.npz -o new.npz --frames 0 3", "an unmarked file of other arrays, not a 'jaxcap motion'"),
-        ("resample a.npz -o new.npz --rate 1e9", "that makes 2e+09 frames"),
-        ("keys a.npz -o new.npz --keys new.npz", "give them two names"),
+        ("resample a.npz -o new.npz --rate 1e9", "this gives 2e+09 frames"),
+        ("keys a.npz -o new.npz --keys new.npz", "give them different names"),
         ("retarget a.npz a.npz -o new.npz --names none.txt", "jaxcap: none.txt: there is no such file"),
         ("retarget a.npz a.npz -o new.npz --source human:low", "--source human:low is not the body"),
-        ("glue cloud.obj human:low still.npz -o glued2", "still.npz: there are no frames in this motion"),
+        ("glue cloud.obj human:low still.npz -o glued2", "still.npz: this motion has no frames"),
         ("resample a.npz -o new.npz --rate 0", "above 0 frames per second"),
-        ("join a.npz other.npz -o new.npz", "another skeleton than"),
-        ("join a.npz b.bvh -o new.npz --blend 9", "blend over less"),
+        ("join a.npz other.npz -o new.npz", "the skeleton of this motion differs from that of"),
+        ("join a.npz b.bvh -o new.npz --blend 9", "give a shorter blend"),
         ("loop a.npz -o new.npz --frames 2 30", "takes the 6 frames before it"),
         ("loop a.npz -o new.npz --least 5", "does not fit into a motion"),
         ("mirror other.npz -o new.npz", "No joint has a twin"),
         ("keys a.npz -o new.npz --degrees 0", "--degrees is 0"),
         ("keys a.npz", "nothing to write"),
         ("keys a.npz --keys keys.txt", "written as .json or .npz"),
-        ("gaze a.npz -o new.npz", "--target or by --direction"),
+        ("gaze a.npz -o new.npz", "either --target or --direction"),
         ("gaze a.npz -o new.npz --target 0 1.6 0.05", "from between the eyes"),
         ("gaze a.npz -o new.npz --target 0 1.6 3 --joints Head,Neck,Chest", "does not hang on"),
         ("gaze a.npz -o new.npz --target 0 1.6 3 --frames 0 9", "do not fit into frames 0 to 9"),
         ("gaze other.npz -o new.npz --target 0 1.6 3", "name chest, neck and head"),
         ("retarget a.npz other.npz -o new.npz", "say which do with a table"),
-        ("retarget a.npz a.npz -o new.npz --by surface", "give it by --source"),
+        ("retarget a.npz a.npz -o new.npz --by surface", "give it with --source"),
         ("retarget a.npz a.npz -o new.npz --ground", "this is a skeleton"),
         ("retarget a.npz a.npz -o new.npz --points one.txt", "one.txt:1: this line has 1 words"),
     ],

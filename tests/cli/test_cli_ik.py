@@ -80,17 +80,17 @@ def test_what_is_wrong_is_told_in_a_sentence(folder, capsys):
         folder / "still.npz", jc.stack_poses([jc.rest_pose(skeleton)]).slice(slice(0, 0)), skeleton
     )
     wrong = [
-        ([leg, "--constraints", near, "-o", folder / "none" / "out.npz"], "its folder is not there"),
+        ([leg, "--constraints", near, "-o", folder / "none" / "out.npz"], "its folder does not exist"),
         ([leg, "--constraints", near, "-o", folder / "empty.npz"], "empty.npz: this is a folder"),
         (
             [leg, "--constraints", near, "-o", out, "--pose", folder / "still.npz"],
-            "there are no frames in this motion",
+            "this motion has no frames",
         ),
         (["nowhere.obj"], "nowhere.obj: there is no such file"),
-        ([leg, "--frame", "2"], "--frame 2: there is no motion to take it from"),
-        ([leg, "-o", out], "there are no constraints to meet"),
+        ([leg, "--frame", "2"], "--frame 2 selects a frame of a motion"),
+        ([leg, "-o", out], "there are no constraints;"),
         ([leg, "--constraints", near, "-o", folder / "out.fbx"], "poses are not written as '.fbx' files"),
-        ([leg, "--constraints", near, "-o", folder / "there.npz"], "there already; give --overwrite"),
+        ([leg, "--constraints", near, "-o", folder / "there.npz"], "already exists; give --overwrite"),
         ([leg, "--constraints", folder / "none.json", "-o", out], "none.json: there is no such file"),
         (
             [leg, "--constraints", folder / "other.json", "-o", out],

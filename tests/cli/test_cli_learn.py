@@ -186,7 +186,7 @@ def test_a_stopped_run_goes_on_to_the_same_result(inputs, tmp_path, capsys, slow
     a, b = load_body(whole), load_body(cut)
     np.testing.assert_array_equal(a.vertices, b.vertices)
     before = tree(tmp_path)
-    assert "nothing is left to do" in runs(capsys, *arguments, cut, "--resume")
+    assert "this run is already complete" in runs(capsys, *arguments, cut, "--resume")
     assert tree(tmp_path) == before
 
 
@@ -232,9 +232,9 @@ def test_a_run_killed_while_it_writes_is_resumed(inputs, tmp_path, capsys, slow_
         (["--pairs", "1-2"], "'1-2'"),
         (["--free-bones", "--pairs", "1:2"], "--free-bones"),
         (["--skeleton", "nowhere.skl"], "nowhere.skl"),
-        (["--limits", "limits.npz"], "--limits are of a skeleton"),
+        (["--limits", "limits.npz"], "--limits needs a skeleton"),
         (["--floor", "nan"], "--floor"),
-        (["--keep-joints"], "--keep-joints is of a skeleton"),
+        (["--keep-joints"], "--keep-joints needs a skeleton"),
         (["--hold-out", "2", "--motion", "m.bvh"], "m.bvh"),
     ],
 )

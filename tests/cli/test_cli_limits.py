@@ -87,7 +87,7 @@ def test_project_writes_a_motion_that_is_allowed(capsys, folder, learned):
     told = runs(
         capsys, "limits", "project", folder / "wild.npz", "-l", learned, "-o", out, "--picture", picture
     )
-    assert "joints are turned back by" in told
+    assert "joints are rotated by" in told
     assert imread(picture).std() > 0.05
     skeleton, motion = jc.read_bvh(out)
     limits = jc.io.read_limits(learned, skeleton)
@@ -120,12 +120,12 @@ def test_what_is_refused(capsys, folder, learned, tmp_path):
     assert "No voxel has 100000 samples" in fails(
         capsys, *learn, "shoulder", "--threshold", 100000, "--voxel", 5
     )
-    assert "there already" in fails(capsys, "limits", "learn", m, "-o", learned, "--joints", "elbow")
+    assert "already exists" in fails(capsys, "limits", "learn", m, "-o", learned, "--joints", "elbow")
     assert "--coverage is 2" in fails(capsys, *learn, "elbow", "--coverage", 2)
     assert "written as .npz" in fails(
         capsys, "limits", "learn", m, "-o", tmp_path / "l.txt", "--joints", "elbow"
     )
-    assert "are for files of markers" in fails(capsys, *learn, "elbow", "--markers", "a,b,c,d")
+    assert "need files of markers" in fails(capsys, *learn, "elbow", "--markers", "a,b,c,d")
     assert "no such file" in fails(capsys, "limits", "check", m, "-l", tmp_path / "none.npz")
     other = jc.make_skeleton(("a", "b"), (-1, 0), ("free", "ball"), [[0.0, 1, 0], [0.2, 1.4, 0]])
     jc.save_motion(tmp_path / "other.npz", jc.stack_poses([jc.rest_pose(other)]), other)

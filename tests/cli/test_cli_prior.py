@@ -89,8 +89,8 @@ def test_what_is_refused(capsys, folder, tmp_path):
     assert "--seed is -1" in fails(capsys, *learn, "--seed", -1)
     assert "--margin is 200; it must be between 0 and 180" in fails(capsys, *learn, "--margin", 200)
     assert "written as .npz" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "p.txt")
-    assert "there already" in fails(capsys, "prior", "learn", m, "-o", folder / "body.npz")
-    assert "folder is not there" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "none" / "p.npz")
+    assert "already exists" in fails(capsys, "prior", "learn", m, "-o", folder / "body.npz")
+    assert "folder does not exist" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "none" / "p.npz")
     assert "no motions" in fails(capsys, "prior", "learn", "-o", out)
     assert "no such file" in fails(capsys, "prior", "learn", tmp_path / "none.npz", "-o", out)
     (tmp_path / "a.fbx").touch()
@@ -100,7 +100,7 @@ def test_what_is_refused(capsys, folder, tmp_path):
     still = tmp_path / "other.npz"
     jc.save_motion(still, jc.stack_poses([jc.rest_pose(other)] * 2), other)
     told = fails(capsys, "prior", "learn", m, still, "-o", out)
-    assert "this motion is of the joints a, b, c" in told
+    assert "this motion has the joints a, b, c" in told
     assert "of one skeleton" in told
     # carried over it is, where names tell which joint is which
     told = fails(capsys, "prior", "learn", still, "--body", folder / "body.npz", "-o", out)
@@ -124,7 +124,7 @@ def test_motions_of_another_skeleton_are_carried_over(capsys, tmp_path):
     assert not same_bones(human.skeleton, other)
     jc.save_motion(tmp_path / "other.npz", jc.Motion(poses, 30.0), other)
     told = runs(capsys, "prior", "learn", tmp_path / "own.npz", tmp_path / "other.npz", "--body", "human:low", "-o", tmp_path / "p.npz", "--most", 1)  # fmt: skip
-    assert "1 of 2 motions carried over to the skeleton of human:low" in told
+    assert "1 of 2 motions retargeted to the skeleton of human:low" in told
     assert jc.io.load_prior(tmp_path / "p.npz", human.skeleton).pairs
 
 
@@ -151,7 +151,7 @@ def test_shape_is_learned_from_meshes_of_the_body(capsys, person):
     words = ("--body", folder / "low.npz", "--meshes", folder / "meshes" / "*.obj", "--most", 1)
     told = runs(capsys, "prior", "learn", motion, "-o", out, *words)
     assert (
-        "shape: 4 of 4 meshes; in them the body is off by 0.00 mm, its Laplacian vectors by 0.00 mm" in told
+        "shape: 4 of 4 meshes; RMS error of the body 0.00 mm, of its Laplacian vectors 0.00 mm" in told
     )
     prior = load_shape_prior(out, jc.load_body(out))
     assert prior is not None
@@ -180,10 +180,10 @@ def test_of_many_meshes_those_posed_most_unlike_are_kept(capsys, monkeypatch, pe
 def test_meshes_that_are_refused(capsys, folder, person, tmp_path):
     meshes, out = person[0] / "meshes" / "*.obj", tmp_path / "p.npz"
     learn = ("prior", "learn", person[0] / "motion.npz", "-o", out)
-    assert "give it by --body" in fails(capsys, *learn, "--meshes", meshes)
+    assert "give it with --body" in fails(capsys, *learn, "--meshes", meshes)
     body = (*learn, "--body", person[0] / "low.npz")
     assert "no such file" in fails(capsys, *body, "--meshes", tmp_path / "none.obj")
-    assert "by --unit" in fails(capsys, *body, "--meshes", meshes, "--unit", "mm")
+    assert "with --unit" in fails(capsys, *body, "--meshes", meshes, "--unit", "mm")
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), None)
     write_mesh(tmp_path / "small.obj", mesh)
     told = fails(capsys, *body, "--meshes", tmp_path / "small.obj")

@@ -31,7 +31,7 @@ def test_retarget_brings_feet_to_the_floor_and_hands_together(capsys, tmp_path):
     assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.02
     told = runs(capsys, "edit", "retarget", tmp_path / "tall.npz", "human:height=1.5,low", "-o", tmp_path / "skin.npz",
                 "--source", "human:height=1.9,low")  # fmt: skip
-    assert "retargeted by the surface" in told
+    assert "retargeted by surface" in told
     moved = jc.load_motion(tmp_path / "skin.npz")
     assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.01
 
@@ -59,13 +59,13 @@ def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, tmp_pat
     said = fails(capsys, *words, tmp_path / "armed.npz")
     assert (
         "No arm of the target has a match in the source" in said
-        and "armed_names.json has what was found" in said
+        and "armed_names.json contains the matches found" in said
     )
     assert not (tmp_path / "armed.npz").exists()
     table = json.loads((tmp_path / "armed_names.json").read_text())
     assert "LeftForeArm" in table["unmatched"] and table["names"]["LeftUpperLeg"] == "LeftUpLeg"
     said = fails(capsys, *words, tmp_path / "armed.npz")
-    assert "armed_names.json is there already" in said
+    assert "armed_names.json already exists" in said
     for name, other in wrong.items():
         side = "Left" if "Left" in name else "Right"
         part = {"UpperArm": "Arm", "LowerArm": "ForeArm", "Hand": "Hand"}[name.split("_")[0]]
@@ -156,13 +156,13 @@ def test_two_files_that_do_not_say_their_units(capsys, tmp_path):
     )
     said = fails(capsys, *words)
     assert (
-        "say by --unit what the motion's lengths are in or by --target-unit what the target's lengths are in"
+        "give the unit of the motion with --unit or the unit of the target with --target-unit"
         in said
     )
     assert "1 m becomes 1.000 m" in runs(capsys, *words, "--target-unit", "dm")
     said = fails(
         capsys, *words[:3], tmp_path / "metres.npz", *words[4:], "--overwrite", "--target-unit", "dm"
     )
-    assert "metres.npz: this says its unit itself; leave --target-unit dm out" in said
+    assert "metres.npz: its unit is known; omit --target-unit dm" in said
     jc.write_bvh(tmp_path / "vast.bvh", person, still, unit=1e-9)
-    assert "no usual unit makes it a person's" in runs(capsys, "info", tmp_path / "vast.bvh")
+    assert "no usual unit gives the size of a person" in runs(capsys, "info", tmp_path / "vast.bvh")

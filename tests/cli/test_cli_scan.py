@@ -86,16 +86,16 @@ def test_scans_say_their_rate_and_track_and_adapt_take_it(inputs, tmp_path, caps
         assert rate_of(None, [str(clouds)]) == (120.0, fast / "scan.json")
     assert rate_of(25.0, [str(fast)]) == (25.0, None)
     assert rate_of(None, [str(inputs)]) == (30.0, None)
-    with pytest.raises(InputError, match="are 60 a second, and those of .* are 120; .* --rate"):
+    with pytest.raises(InputError, match="these scans is 60, and that of .* is 120 frames per second; .* --rate"):
         rate_of(None, [str(fast / "scan_0000.ply"), str(half / "scan_0000.ply")])
     told = runs(capsys, "track", inputs / "body.npz", fast, "-o", tmp_path / "out", "--last", 1)
-    assert f"120 frames per second, as {fast / 'scan.json'} says" in told
+    assert f"120 frames per second, from {fast / 'scan.json'}" in told
     assert load_motion(tmp_path / "out" / "motion.npz").rate == 120
     asked = Adapt(str(inputs / "body.npz"), (str(fast),), tmp_path / "a.npz")
     assert asked.settings()["rate"] == 120
 
 
-@pytest.mark.parametrize(("rate", "said"), [('"a"', "is 'a'; write a number"), ("true", "is True"), ("0", "0.0 frames per second cannot"),
+@pytest.mark.parametrize(("rate", "said"), [('"a"', "is 'a'; expected a number"), ("true", "is True"), ("0", "0.0 frames per second cannot"),
                                             ("1" + "0" * 400, "too many digits"), ("NaN", "nan frames per second cannot")])  # fmt: skip
 def test_a_rate_of_scans_that_is_none_is_told(tmp_path, rate, said):
     (tmp_path / "scan.json").write_text(f'{{"body arrays": "a", "rate": {rate}}}')
@@ -122,7 +122,7 @@ def test_a_stopped_run_goes_on_to_the_same_end(inputs, tmp_path, capsys, monkeyp
         runs(capsys, *command(inputs, tmp_path / "half", *bad))
     assert stop.value.code == 130
     told = capsys.readouterr().err
-    assert f"stopped after 2 of {FRAMES} scans, which are written; --resume goes on" in told
+    assert f"stopped after 2 of {FRAMES} scans, which are written; --resume continues" in told
     monkeypatch.setattr(scan_module, "scan_frame", scan_frame)
     # what a run leaves that is killed while it writes
     torn = tmp_path / "half" / ".scan_0002.ply.abcdefgh.unfinished" / "scan_0002.ply"
@@ -132,7 +132,7 @@ def test_a_stopped_run_goes_on_to_the_same_end(inputs, tmp_path, capsys, monkeyp
     told = fails(capsys, *command(inputs, tmp_path / "half", "--resume", "--drop", 0.2))
     assert "scan.json: the scans were made with another" in told
     before = (tmp_path / "half" / "scan_0000.ply").stat().st_mtime_ns
-    assert "2 of 4 scans are there" in runs(capsys, *command(inputs, tmp_path / "half", *bad, "--resume"))
+    assert "2 of 4 scans already exist" in runs(capsys, *command(inputs, tmp_path / "half", *bad, "--resume"))
     assert (tmp_path / "half" / "scan_0000.ply").stat().st_mtime_ns == before
     whole, half = (
         {name: data for name, data in tree(tmp_path / name).items() if name.endswith((".ply", ".json"))}
@@ -209,7 +209,7 @@ def test_empty_views_and_frames_are_told_by_number(inputs, tmp_path, capsys):
         (("--rate", 90), "--rate is 90, and the motion has 30"),
         (("--seed", -1), "--seed is -1"),
         (("--resume", "--overwrite"), "give one of them"),
-        (("--as", "mesh", "--npz"), "leave one of them out"),
+        (("--as", "mesh", "--npz"), "omit one of them"),
         (("--as", "mesh", "--points", 10), "remove the settings points, voxel and outliers"),
         (("--cameras", "none.json"), "none.json: there is no such file"),
     ],

@@ -303,7 +303,7 @@ def test_wrong_cloud_on_the_way_keeps_the_frames_before(inputs, finished, tmp_pa
     np.savez(clouds, **arrays)
     line = fails(capsys, "track", inputs / "body.npz", clouds, "-o", out)
     assert "clouds.npz[3]" in line
-    assert "3 frames before it are kept" in line
+    assert "3 previous frames are kept" in line
     assert {path.name for path in out.iterdir()} == {"journal"}
     arrays["points"][3, 5, 0] = sound
     np.savez(clouds, **arrays)

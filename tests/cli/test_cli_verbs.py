@@ -206,7 +206,7 @@ def test_convert_says_what_cannot_be(inputs, tmp_path, capsys):
 
 def test_info_says_what_is_in_a_file(inputs, tmp_path, capsys):
     assert "1500 vertices" in runs(capsys, "info", inputs / "body.npz")
-    assert f"{FRAMES} frames at 30 a second" in runs(capsys, "info", inputs / "truth.npz")
+    assert f"{FRAMES} frames at 30 frames per second" in runs(capsys, "info", inputs / "truth.npz")
     assert f"clouds: {FRAMES} frames" in runs(capsys, "info", inputs / "clouds.npz")
     assert "31 joints" in runs(capsys, "info", "human")
     (tmp_path / "one.off").write_text("OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n")

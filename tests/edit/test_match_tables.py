@@ -120,7 +120,7 @@ def test_a_refusal_writes_a_table_that_is_filled_in(capsys, tmp_path):
         jc.save_motion(tmp_path / f"{name}.npz", still(skeleton, 2), skeleton)
     words = ("edit", "retarget", tmp_path / "source.npz", tmp_path / "target.npz", "-o", tmp_path / "out.npz")
     said = fails(capsys, *words)
-    assert "out_names.json has what was found" in said and "--names" in said
+    assert "out_names.json contains the matches found" in said and "--names" in said
     text = (tmp_path / "out_names.json").read_text()
     assert '"aby": ""' in text and '"ef": "Spine"' in text
     # what is not filled in is not said
@@ -129,7 +129,7 @@ def test_a_refusal_writes_a_table_that_is_filled_in(capsys, tmp_path):
     runs(capsys, *words, "--names", tmp_path / "out_names.json")
     assert (tmp_path / "out.npz").exists()
     said = fails(capsys, *words, "--overwrite", "--write-names", tmp_path / "mine.json")
-    assert "mine.json has what was found" in said and (tmp_path / "mine.json").exists()
+    assert "mine.json contains the matches found" in said and (tmp_path / "mine.json").exists()
     write_joint_names(tmp_path / "blank.json", {"aby": ""})
     assert "No name says" in fails(capsys, *words, "--overwrite", "--names", tmp_path / "blank.json")
 

@@ -217,7 +217,7 @@ def test_wrong_requests_end_in_a_sentence(capsys, tmp_path, taken):
     assert "no such file" in fails(capsys, "view", tmp_path / "none.npz")
     assert "--spacing is -1" in fails(capsys, "view", here, "--spacing", -1)
     assert "--rate is 0" in fails(capsys, "view", here, "--rate", 0)
-    assert "There is nothing to look at" in fails(capsys, "view")
+    assert "There is nothing to show" in fails(capsys, "view")
     np.savez(tmp_path / "numbers.npz", loss=np.zeros(3))
     assert "nothing in it that has a shape" in fails(capsys, "view", tmp_path / "numbers.npz")
     assert "--body" in fails(capsys, "view", tmp_path / "motion.npz")

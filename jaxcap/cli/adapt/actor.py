@@ -53,13 +53,13 @@ def finished_run(path: Path, motion: Path, header: Mapping[str, object]) -> Adap
     run = {name.removeprefix(RUN): values for name, values in arrays.items() if name.startswith(RUN)}
     if not {"header", "motion", "steps", "distances", *NEEDS} <= run.keys():
         raise InputError(
-            f"{path}: it is not told in this body which run made it; adapt it anew, with --overwrite."
+            f"{path}: this file does not record the run that made the body; repeat the adaptation with --overwrite."
         )
     check_same_run(path, parse_json(str(run["header"]), f"{path}: its header"), header)
     if hash_of(motion) != str(run["motion"]):
         raise InputError(
-            f"{motion}: this is not the motion that was written with {path}; name that one by --motion, or adapt anew, "
-            "with --overwrite."
+            f"{motion}: this is not the motion that was written with {path}; give that motion with --motion, or repeat "
+            "the adaptation with --overwrite."
         )
     body = body_of(arrays, path)
     steps = get_array(run, "steps", path, (None,), "text").tolist()

@@ -52,8 +52,8 @@ Paired = Literal["vertices", "surface", "soft"]
 #: each one has all poses
 KEPT, TIMES = 25, 40
 UNORDERED = (
-    "scans that follow each other are no more alike than any two, so they are taken without an order in time: nothing is "
-    "made smooth; give --ordered if they are of one motion"
+    "successive scans are not more similar than other pairs of scans, so they are treated as unordered in time, and the "
+    "motion is not smoothed; give --ordered if they show one motion"
 )
 OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")]
 
@@ -231,7 +231,7 @@ class Adapt:
                     bar.tell(done, f"{names[done - 1]}: {1000 * near:.2f} mm from scan to body, median")
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
-                    f"stopped; body and motion are there, --resume makes {path}"
+                    f"stopped; body and motion are written, --resume writes {path}"
                 ) from None
         how = {
             "template": self.body,
@@ -282,7 +282,7 @@ class Adapt:
         if self.unordered and self.ordered:
             raise InputError("--unordered and --ordered are opposites; give one of them, or none.")
         if self.aperture and self.cameras is None:
-            raise InputError("--aperture is of cameras; name them by --cameras.")
+            raise InputError("--aperture needs cameras; give them with --cameras.")
         check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
     def task(
@@ -367,7 +367,7 @@ def _check_first(task: AdaptTask, state: AdaptState, where: str) -> None:
         check_actor(task, state, where)
     except InputError as error:
         raise InputError(
-            f"{sentence_of(error)} If it is one person all the same, give --unchecked."
+            f"{sentence_of(error)} If the scan does show one person, give --unchecked."
         ) from None
 
 

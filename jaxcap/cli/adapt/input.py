@@ -65,7 +65,7 @@ def check_input(scans: Scans, body: Body) -> InputSummary:
     good = len(scans) - len(found)
     if found and (good < LEAST or good < GOOD * len(scans)):
         raise InputError(
-            f"{len(found)} of {len(scans)} scans cannot be used, too many to go on without them; the first: "
+            f"{len(found)} of {len(scans)} scans cannot be used, which is too many; the first: "
             f"{next(iter(found.values()))}"
         )
     return InputSummary(found, tuple(digests))
@@ -80,9 +80,9 @@ def _digest(scan: Scan) -> str:
 def warn_of_unusable(reasons: Mapping[int, str]) -> None:
     """Warn of scans that are skipped, with reasons for the first ones."""
     for frame in list(reasons)[:TOLD]:
-        warn(f"{reasons[frame].rstrip('.')}; frame {frame} goes without a scan.")
+        warn(f"{reasons[frame].rstrip('.')}; frame {frame} is fitted without a scan.")
     if len(reasons) > TOLD:
-        warn(f"{len(reasons) - TOLD} further frames go without a scan, too.")
+        warn(f"{len(reasons) - TOLD} further frames are fitted without a scan, too.")
 
 
 def explained_words(state: AdaptState) -> str:
@@ -95,7 +95,7 @@ def warn_of_lost(state: AdaptState, scans: Scans) -> None:
     """List the frames that the body does not explain, each with the reasons."""
     if not state.lost:
         return
-    warn(f"{len(state.lost)} of {len(scans)} frames are lost, do not trust their poses:")
+    warn(f"{len(state.lost)} of {len(scans)} frames are lost; do not trust their poses:")
     reasons = state.reasons or ("not explained by the body",) * len(state.lost)
     for frame, reason in list(zip(state.lost, reasons, strict=True))[:NAMED]:
         warn(f"  {Path(scans.names[frame]).name}: {reason}")

@@ -34,8 +34,8 @@ def read_priors(path: Path | None, body: Body, *, own: bool, reduced: bool) -> P
         parts = [f"{len(priors.prior.pairs)} pairs of joints"]
         parts += [] if priors.boxes is None else [f"ranges of {len(priors.boxes.joints)} joints"]
         parts += [] if priors.shape is None else [f"the shape of {len(priors.shape.vectors)} meshes"]
-        parts += ["not the shape, with --vertices"] if reduced else []
-        say(f"{path}: the prior in it counts ({', '.join(parts)}); --prior {NONE} leaves it out")
+        parts += ["no shape prior, because of --vertices"] if reduced else []
+        say(f"{path}: the prior in this file is used ({', '.join(parts)}); --prior {NONE} disables it")
     return priors
 
 

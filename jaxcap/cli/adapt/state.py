@@ -30,15 +30,15 @@ def check_results(out: Path, motion: Path, report: Path | None, resume: bool, ov
     **Raises:** `InputError` for other file types, existing results, and folders without write access.
     """
     if out.suffix.lower() != ".npz":
-        raise InputError(f"{out}: bodies are written as .npz; give a name that ends in it.")
+        raise InputError(f"{out}: bodies are written as .npz; give a name that ends in .npz.")
     if motion.suffix.lower() not in MOTION_WRITERS:
         raise InputError(
             f"{motion}: motions are not written as '{motion.suffix}' files; use {', '.join(MOTION_WRITERS)}."
         )
     if report is not None and report.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{report}: the report is a page; give a name that ends in .html.")
+        raise InputError(f"{report}: the report is an HTML file; give a name that ends in .html.")
     if resume and overwrite:
-        raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+        raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
     every = [path for path in (out, motion, report) if path is not None]
     if motion.resolve() == out.resolve():
         raise InputError(f"{out}: body and motion cannot be one file; give --motion another name.")
@@ -78,7 +78,9 @@ def state_of(kept: Checkpoint, path: Path) -> AdaptState:
     def whole(name: str) -> tuple[int, ...]:
         values = get_array(arrays, name, path, (None,), "whole")
         if values.size and not 0 <= values.min() <= values.max() < frames:
-            raise InputError(f"{path}: '{name}' are other frames than the {frames} there are; overwrite it.")
+            raise InputError(
+                f"{path}: the array '{name}' has frames that are not among the {frames} of the motion; give --overwrite to begin anew."
+            )
         return tuple(values.tolist())
 
     done, within = (get_array(arrays, name, path, (), "whole").item() for name in ("done", "within"))
@@ -112,7 +114,7 @@ def _tracked(kept: Checkpoint, path: Path) -> TrackedFrame | None:
         return None
     template = row_template(make_tracker(kept.body), kept.motion[0])
     if row.shape != pack(template, 0.0).shape or row.dtype.kind != "f":
-        raise InputError(f"{path}: the frame that was tracked last is damaged; overwrite it to begin anew.")
+        raise InputError(f"{path}: the last tracked frame is damaged; give --overwrite to begin anew.")
     return unpack(template, row)[0]
 
 
@@ -149,7 +151,7 @@ def state_to_go_on_from(
         return state_of(load_checkpoint(path, header, NEEDS), path) if path.is_file() else None
     if path.exists() and not overwrite:
         raise InputError(
-            f"{path}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
+            f"{path}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
         )
     return None
 
@@ -170,5 +172,5 @@ def keep_state(path: Path, state: AdaptState, header: Mapping[str, object]) -> N
 def kept_words(path: Path, done: int) -> str:
     """Format the state of an interrupted run for the user."""
     if not (done and path.is_file()):
-        return "0 stages were done"
-    return f"{done} {'stage is' if done == 1 else 'stages are'} kept in {path}; --resume goes on"
+        return "no stage is complete"
+    return f"{done} {'stage is' if done == 1 else 'stages are'} saved in {path}; --resume continues"

@@ -131,7 +131,7 @@ def resting() -> Iterator[None]:
 
 
 class _Listener(logging.Handler):
-    """Takes what the library logs for what the program does."""
+    """Report log messages of the library as the current activity."""
 
     def emit(self, record: logging.LogRecord) -> None:
         doing(record.getMessage())

@@ -33,7 +33,7 @@ def keep_window(
         fill(server)
         elsewhere = address_elsewhere(server)
         more = "" if elsewhere is None else f", on other machines {elsewhere}"
-        say(f"{shown}: {address(server)}{more} (Ctrl-C ends)")
+        say(f"{shown}: {address(server)}{more} (Ctrl-C stops)")
         if browser:
             webbrowser.open(address(server))
         with resting():

@@ -51,7 +51,7 @@ def tell_arrays(path: Path, unit: str) -> str:
         tell_skeleton(skeleton_of(keys, path))
     elif kind == "joints":
         shape = load_arrays(path, lambda name: name == "joints")["joints"].shape
-        say(f"joint centres: an array of the shape {' x '.join(map(str, shape))}")
+        say(f"joint centres: an array of shape {' x '.join(map(str, shape))}")
     else:
         _others(load_arrays(path))
     return kind
@@ -61,8 +61,8 @@ def tell_meshes(path: Path | str, unit: str) -> str:
     """Print the number and size of registered meshes."""
     sequence = read_meshes(path, unit)
     say(
-        f"registered meshes: {len(sequence)} of {sequence.vertices.shape[1]} vertices and "
-        f"{len(sequence.faces)} triangles, the first {metres(np.ptp(np.asarray(sequence[0]), axis=0))}"
+        f"registered meshes: {len(sequence)} with {sequence.vertices.shape[1]} vertices and "
+        f"{len(sequence.faces)} triangles; size of the first {metres(np.ptp(np.asarray(sequence[0]), axis=0))}"
     )
     return "meshes"
 
@@ -70,7 +70,7 @@ def tell_meshes(path: Path | str, unit: str) -> str:
 def _body(path: Path) -> str:
     tell_body(load_body(path))
     if carries_prior(path):
-        say(f"a prior of poses is in this file: {len(load_prior(path).pairs)} pairs of joints")
+        say(f"this file also contains a pose prior: {len(load_prior(path).pairs)} pairs of joints")
     return "body"
 
 
@@ -79,7 +79,7 @@ def _motion(path: Path) -> str:
         return tell_moving(path, None)
     motion = load_motion(path)
     tell_motion(motion)
-    say(f"this file does not say the skeleton; the motion is of {motion.poses.rotations.shape[1]} joints")
+    say(f"this file contains no skeleton; the motion has {motion.poses.rotations.shape[1]} joints")
     return "motion of a body"
 
 
@@ -90,9 +90,9 @@ def _amass(path: Path) -> str:
         if "skeleton.names" in array_names(path):
             raise
         say(
-            f"motion in the manner of AMASS: {load_arrays(path, lambda name: name == 'poses')['poses'].shape[0]} frames"
+            f"motion in AMASS format: {load_arrays(path, lambda name: name == 'poses')['poses'].shape[0]} frames"
         )
-        say(f"this file does not say the skeleton: {error}")
+        say(f"this file contains no skeleton: {error}")
         return "motion of a body"
     tell_motion(motion)
     tell_skeleton(skeleton)
@@ -102,7 +102,7 @@ def _amass(path: Path) -> str:
 def _subject(path: Path) -> str:
     subject = load_subject(path)
     placed = int((np.asarray(subject.weights) > 0).sum())
-    say(f"subject: {subject.num_markers} markers, {placed} of them on its bones")
+    say(f"subject: {subject.num_markers} markers, {placed} of them attached to bones")
     tell_skeleton(subject.skeleton)
     return "subject"
 
@@ -117,7 +117,7 @@ def _limit(surface: LimitSurface) -> str:
     keyframes, primitives = surface.centres.shape[:2]
     coupled = "" if surface.parent is None else f", {keyframes} keyframes of {surface.parent}"
     return (
-        f"limits of {surface.joint}: {surface.chart.dimension} angles, {primitives} primitives in voxels from "
+        f"limits of {surface.joint}: {surface.chart.dimension} angles, {primitives} primitives, smallest voxel "
         f"{np.degrees(4 * float(surface.unit)):.2g} degrees{coupled}"
     )
 
@@ -137,7 +137,7 @@ def _checkpoint(path: Path) -> str:
     arrays = load_kind(path, CHECKPOINT)
     steps = get_array(arrays, "history.steps", path, (None,), "text")
     vertices = get_array(arrays, "body.vertices", path, (None, 3))
-    say(f"checkpoint: {len(steps)} steps are done, on a body of {len(vertices)} vertices")
+    say(f"checkpoint: {len(steps)} steps are complete; the body has {len(vertices)} vertices")
     return "checkpoint"
 
 

@@ -46,7 +46,7 @@ def _joints(skeleton: Skeleton) -> Iterator[str]:
 def tell_motion(motion: Motion) -> None:
     """Print the length of a motion."""
     count = motion.num_frames
-    say(f"motion: {counted(count, 'frame')} at {motion.rate:g} a second, {count / motion.rate:.2f} s")
+    say(f"motion: {counted(count, 'frame')} at {motion.rate:g} frames per second, {count / motion.rate:.2f} s")
 
 
 def tell_skinned(path: Path) -> str:
@@ -70,8 +70,12 @@ def tell_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
         return "motion", unit
     own = DEFAULT_UNITS[".bvh"]
     likely = likely_units(reach / UNITS[own])
-    fits = f"in {likely[0]} it would be a person's" if likely else "no usual unit makes it a person's"
-    say(f"unit: read in {own}, its joints reach over {reach:.3g} m at rest; {fits}")
+    fits = (
+        f"in {likely[0]} it would have the size of a person"
+        if likely
+        else "no usual unit gives the size of a person"
+    )
+    say(f"unit: read in {own}, the skeleton extends over {reach:.3g} m at rest; {fits}")
     return "motion", likely[0] if likely else "UNIT"
 
 
@@ -96,7 +100,7 @@ def tell_mesh(path: Path, unit: str) -> str:
     try:
         check_mesh(mesh, path)
     except InputError as error:
-        say(f"not a surface for a body: {error}")
+        say(f"not usable as the surface of a body: {error}")
         return "cloud"
     return "mesh"
 

@@ -36,7 +36,8 @@ def tell_folder(folder: Path, unit: str) -> str:
         return tell_clouds(str(folder), unit)
     if not there:
         raise InputError(
-            f"{folder}: there is nothing in this folder that a verb reads; `jaxcap demo -o {folder}/demo` makes something."
+            f"{folder}: this folder has no file that a verb reads; `jaxcap demo -o {folder}/demo` makes an "
+            "example."
         )
     for one, count in there.most_common():
         say(WORDS[one] if count == 1 else f"{count} {MANY[one]}")
@@ -49,7 +50,7 @@ def tell_clouds(source: str, unit: str, kind: str = "clouds") -> str:
     first = scans[0]
     if kind == "clouds" and _registered(scans):
         say(
-            f"registered meshes: {len(scans)} of {len(first.points)} vertices and {len(first.faces)} triangles, the first "
+            f"registered meshes: {len(scans)} with {len(first.points)} vertices and {len(first.faces)} triangles; size of the first "
             f"{metres(np.ptp(first.points, axis=0))}"
         )
         return "meshes"

@@ -24,7 +24,7 @@ def tell_markers(path: Path, unit: str | None) -> str:
     frames = file.frames
     count, shown = len(frames), 100 * float(np.asarray(frames.seen).mean())
     say(
-        f"markers: {len(frames.labels)}, {counted(count, 'frame')} at {frames.rate:g} a second, {count / frames.rate:.2f} s, unit "
+        f"markers: {len(frames.labels)}, {counted(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, unit "
         f"{file.unit}, {shown:.3g} % seen"
     )
     return "markers"
@@ -42,12 +42,12 @@ def tell_json(path: Path) -> str:
     elif kind == "constraints":
         rows = content["constraints"]
         count = len(rows) if isinstance(rows, list) else 0
-        of = f" of a body of {content['vertices']} vertices" if "vertices" in content else ""
+        of = f" for a body of {content['vertices']} vertices" if "vertices" in content else ""
         say(f"constraints: {count}{of}")
     elif kind == "statistics":
         tell_statistics(path)
     elif kind == "keys":
-        say(f"keys: of {len(content['joints'])} joints, {content.get('frames', 0)} frames")
+        say(f"keys: {len(content['joints'])} joints, {content.get('frames', 0)} frames")
     elif kind == "joint names":
         names = list(read_joint_names(path).values())
         say(
@@ -55,8 +55,8 @@ def tell_json(path: Path) -> str:
         )
     elif kind == "json":
         raise InputError(
-            f"{path}: there is nothing in this JSON that a verb reads; cameras are in a list 'cameras', constraints in a "
-            "list 'constraints'."
+            f"{path}: no verb reads this JSON file; expected a list 'cameras' with cameras, or a list 'constraints' "
+            "with constraints."
         )
     else:
         say(f"{'settings of a scan' if kind == 'scan' else 'report'}: {', '.join(map(str, content))[:300]}")
@@ -82,7 +82,7 @@ def tell_journal(path: Path) -> str:
     header, records = read_header(path), read_records(path)
     joints = header.get("joints")
     of = f" of {len(joints)} joints" if isinstance(joints, list) else ""
-    say(f"journal: {len(records)} frames{of} are done")
+    say(f"journal: {len(records)} frames{of} are complete")
     return "journal"
 
 
@@ -98,7 +98,7 @@ def tell_kineben(path: Path, unit: str | None) -> str:
         count, skeleton = Words(path).header("KBCST"), path.with_suffix(".skl")
         if skeleton.is_file():
             read_cst(path, read_skeleton(skeleton, unit))
-        say(f"limits: of {count} joints{', of ' + str(skeleton) if skeleton.is_file() else ''}")
+        say(f"limits: {count} joints{', skeleton ' + str(skeleton) if skeleton.is_file() else ''}")
     return kind
 
 
@@ -106,7 +106,7 @@ def tell_asf(path: Path) -> str:
     """Print a description of an `.asf`."""
     asf = read_asf(path)
     tell_skeleton(asf.skeleton)
-    say(f"limits: of {len(asf.boxes.joints)} joints")
+    say(f"limits: {len(asf.boxes.joints)} joints")
     return "asf"
 
 
@@ -122,6 +122,6 @@ def tell_text(path: Path) -> str:
         say(f"pairs of words: {len(rows)}, the first is {' '.join(rows[0])[:80]}")
         return "pairs"
     raise InputError(
-        f"{path}: this text is no list of names and vertices, of markers and segments, or of pairs of joints; write one to "
-        "a line."
+        f"{path}: this text file is not a list of names and vertices, of markers and segments, or of pairs of joints; "
+        "expected one entry per line."
     )

@@ -24,11 +24,11 @@ def write_linear_body(
     virtual, count = linear.skeleton.num_joints - joints, poses.rotations.shape[0]
     say(
         f"{target}: {len(linear.vertices)} vertices, {joints} joints, {virtual} virtual bones; "
-        f"within {1000 * linearised.error:.2g} mm of the body, {1000 * linearised.mean_error:.2g} mm on "
-        f"average, over {count} {'sampled poses' if motion is None else 'frames'}"
+        f"largest error {1000 * linearised.error:.2g} mm, mean {1000 * linearised.mean_error:.2g} mm, "
+        f"over {count} {'sampled poses' if motion is None else 'frames'}"
     )
     if linearised.error > tolerance:
         warn(
-            f"{target}: {1000 * linearised.error:.2g} mm at the worst vertex is more than the tolerance of "
-            f"{1000 * tolerance:.2g} mm; more --influences come nearer"
+            f"{target}: {1000 * linearised.error:.2g} mm, the largest error of a vertex, exceeds the tolerance of "
+            f"{1000 * tolerance:.2g} mm; increase --influences"
         )

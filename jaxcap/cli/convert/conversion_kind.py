@@ -26,14 +26,14 @@ from ...io.skinned.clip import suffix_of
 Way = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
 #: purpose of each option, and the conversions that take it
 PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
-    "motion": ("a body that becomes a .glb or USD", ("body",)),
-    "body": ("a motion that is to be a body's own", ("motion", "points")),
-    "as amass": ("a motion that becomes an .npz", ("motion",)),
-    "as body": ("a body that becomes an .npz", ("own",)),
-    "vertices": ("a motion that becomes .trc, .c3d or .csv", ("points",)),
-    "up": ("a motion in AMASS's manner", ("body", "motion", "points")),
-    "tolerance": ("a body that becomes a .glb or USD", ("body",)),
-    "influences": ("a body that becomes a .glb or USD", ("body",)),
+    "motion": ("bodies that are written as .glb or USD", ("body",)),
+    "body": ("motions of a body", ("motion", "points")),
+    "as amass": ("motions that are written as .npz", ("motion",)),
+    "as body": ("bodies that are written as .npz", ("own",)),
+    "vertices": ("motions that are written as .trc, .c3d or .csv", ("points",)),
+    "up": ("motions in AMASS format", ("body", "motion", "points")),
+    "tolerance": ("bodies that are written as .glb or USD", ("body",)),
+    "influences": ("bodies that are written as .glb or USD", ("body",)),
 }
 #: suffixes of files in metres, or with a unit
 OWN_UNIT = (".npz", *SKINNED_READERS, ".asf", ".amc")
@@ -48,10 +48,10 @@ def find_way(source: Path, target: Path, human: bool = False) -> Way:
     `InputError` if there is none."""
     here, there = ".npz" if human else suffix_of(source), target.suffix.lower()
     if there not in WRITTEN and there in INSTEAD:
-        raise InputError(f"{target}: '{there}' files are not written; write {INSTEAD[there]}.")
+        raise InputError(f"{target}: '{there}' files cannot be written; write {INSTEAD[there]}.")
     if human and there not in BODY_WRITERS:
         raise InputError(
-            f"{source}: the embedded body cannot become {_files(there)}; write it as {', '.join((*BODY_WRITERS, '.npz'))}."
+            f"{source}: the embedded body cannot be converted to {_files(there)}; write it as {', '.join((*BODY_WRITERS, '.npz'))}."
         )
     if there in BODY_WRITERS and (here == ".npz" or is_skinned(source) or is_rigged(source)):
         return "body"
@@ -70,8 +70,8 @@ def find_way(source: Path, target: Path, human: bool = False) -> Way:
             source, "something to convert", (*MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, *SUFFIXES)
         )
     raise InputError(
-        f"{source}: '{here}' files cannot become {_files(there)}; motions are read from {', '.join(MOTION_READERS)} and "
-        f"written as {', '.join(MOTION_WRITERS)}, their joint centres as {', '.join(MARKER_WRITERS)}, skeletons as .skl, "
+        f"{source}: '{here}' files cannot be converted to {_files(there)}; motions are read from "
+        f"{', '.join(MOTION_READERS)} and written as {', '.join(MOTION_WRITERS)}, their joint centres as {', '.join(MARKER_WRITERS)}, skeletons as .skl, "
         f"bodies as {', '.join(BODY_WRITERS)} and with --as body as .npz, meshes as {', '.join(MESH_WRITTEN)}."
     )
 
@@ -87,18 +87,18 @@ def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
         if given[name] and way not in ways:
             raise InputError(f"{target}: --{name} is for {purpose}.")
         if given[name] and name.startswith("as ") and target.suffix.lower() != ".npz":
-            raise InputError(f"{target}: --{name} is written as .npz; give a name that ends so.")
+            raise InputError(f"{target}: --{name} is written as .npz; give a name that ends in .npz.")
     if given["vertices"] and given["body"] is None:
-        raise InputError(f"{target}: --vertices are of a body; name it by --body.")
+        raise InputError(f"{target}: --vertices needs a body; give it with --body.")
 
 
 def check_units(way: Way, source: Path, target: Path, unit: str | None, target_unit: str | None) -> None:
     """Check that units are given only for files without their own. Raises `InputError`."""
     if unit and way != "mesh" and suffix_of(source) in OWN_UNIT:
         raise InputError(
-            f"{source}: '{suffix_of(source)}' files say their unit themselves; leave --unit {unit} out."
+            f"{source}: '{suffix_of(source)}' files have a known unit; omit --unit {unit}."
         )
     if target_unit and way != "mesh" and target.suffix.lower() in (".npz", *BODY_WRITERS):
         raise InputError(
-            f"{target}: '{target.suffix}' files are written in metres; leave --target-unit {target_unit} out."
+            f"{target}: '{target.suffix}' files are written in metres; omit --target-unit {target_unit}."
         )

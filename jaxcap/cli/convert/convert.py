@@ -132,7 +132,7 @@ class Convert:
             else (body.skeleton, load_motion_of(body, path, self.unit))
         )
         if not len(motion):
-            raise InputError(f"{path}: there are no frames in this motion.")
+            raise InputError(f"{path}: this motion has no frames.")
         return skeleton, motion
 
     def write_own(self) -> None:
@@ -156,7 +156,7 @@ class Convert:
             MANNERS[self.as_](self.target, skeleton, motion)
         else:
             write_motion(self.target, skeleton, motion, self.target_unit)
-        say(f"{self.target}: {counted(motion.num_frames, 'frame')} at {motion.rate:g} a second")
+        say(f"{self.target}: {counted(motion.num_frames, 'frame')} at {motion.rate:g} frames per second")
 
     def write_points(self) -> None:
         # labels are checked before a long motion is read
@@ -171,7 +171,7 @@ class Convert:
         for sentence in file.told:
             warn(f"{self.source.name}: {sentence}")
         say(
-            f"{self.target}: {counted(len(frames.labels), 'marker')}, {counted(len(frames), 'frame')} at {frames.rate:g} a second"
+            f"{self.target}: {counted(len(frames.labels), 'marker')}, {counted(len(frames), 'frame')} at {frames.rate:g} frames per second"
         )
 
     def write_mesh(self) -> None:

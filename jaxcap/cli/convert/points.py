@@ -33,7 +33,7 @@ def read_labels(words: Sequence[str]) -> dict[str, int]:
             )
         twice = set(found) & set(new)
         if twice:
-            raise InputError(f"Two of --vertices are called '{min(twice)}'; give each marker its own name.")
+            raise InputError(f"--vertices has two markers named '{min(twice)}'; give each marker a different name.")
         found |= new
     return found
 
@@ -56,12 +56,13 @@ def write_points(
         beyond = [name for name, vertex in labels.items() if vertex >= len(body.vertices)]
         if beyond:
             raise InputError(
-                f"--vertices: '{beyond[0]}' is vertex {labels[beyond[0]]}, and the body has 0 to {len(body.vertices) - 1}."
+                f"--vertices: '{beyond[0]}' is vertex {labels[beyond[0]]}, but the vertices of the body are "
+                f"0 to {len(body.vertices) - 1}."
             )
         alike = set(labels) & set(skeleton.names)
         if alike:
             raise InputError(
-                f"--vertices: a joint is called '{min(alike)}' already; give the marker another name."
+                f"--vertices: a joint already has the name '{min(alike)}'; give the marker another name."
             )
         markers = vertex_frames(body, motion, list(labels.values()), list(labels))
         places = np.concatenate([np.asarray(frames.places), np.asarray(markers.places)], 1)
@@ -69,5 +70,5 @@ def write_points(
     write_markers(target, frames, unit)
     more = f" and {len(labels)} markers" if labels else ""
     say(
-        f"{target}: {skeleton.num_joints} joint centres{more}, {counted(len(frames), 'frame')} at {frames.rate:g} a second"
+        f"{target}: {skeleton.num_joints} joint centres{more}, {counted(len(frames), 'frame')} at {frames.rate:g} frames per second"
     )

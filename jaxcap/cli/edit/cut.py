@@ -31,7 +31,7 @@ class Cut:
     def run(self) -> None:
         check_motion(self.out, self.overwrite)
         if (self.frames is None) == (self.seconds is None):
-            raise InputError("Say what to keep by --frames or by --seconds, and by one of them.")
+            raise InputError("Give either --frames or --seconds, and not both.")
         if self.seconds is not None and not np.isfinite(self.seconds).all():
             raise InputError(
                 f"--seconds is {self.seconds[0]:g} {self.seconds[1]:g}; give two finite numbers."

@@ -27,7 +27,7 @@ def read_edited(path: Path, unit: str | None, body: Body | None = None) -> tuple
     the file, which may have none. Raises `InputError`."""
     if unit and suffix_of(path) in OWN_UNIT:
         raise InputError(
-            f"{path}: '{suffix_of(path)}' files say their unit themselves; leave --unit {unit} out."
+            f"{path}: '{suffix_of(path)}' files have a known unit; omit --unit {unit}."
         )
     if body is None:
         skeleton, motion = load_motion(path, unit)
@@ -38,7 +38,7 @@ def read_edited(path: Path, unit: str | None, body: Body | None = None) -> tuple
             check_reach(path, read_skeleton(path, unit))
         skeleton, motion = body.skeleton, load_motion_of(body, path, unit)
     if len(motion) == 0:
-        raise InputError(f"{path}: there are no frames in this motion.")
+        raise InputError(f"{path}: this motion has no frames.")
     return skeleton, motion
 
 
@@ -47,7 +47,8 @@ def check_reach(path: Path, skeleton: Skeleton) -> None:
     reach = extent(skeleton)
     if skeleton.num_joints > 1 and not REACH[0] < reach < REACH[1]:
         raise InputError(
-            f"{path}: the joints of this motion reach over {reach:.4g} m at rest; say by --unit what its lengths are in."
+            f"{path}: the skeleton of this motion extends over {reach:.4g} m at rest; "
+            "give the unit of its lengths with --unit."
         )
 
 
@@ -56,7 +57,8 @@ def frames_of(motion: Motion, frames: tuple[int, int] | None, path: Path) -> tup
     first, last = (0, len(motion) - 1) if frames is None else frames
     if not 0 <= first <= last < len(motion):
         raise InputError(
-            f"{path}: frames {first} to {last} are not in this motion, which has {len(motion)}; give two from 0 to {len(motion) - 1}."
+            f"{path}: frames {first} to {last} are not in this motion, which has {len(motion)} frames; "
+            f"give numbers from 0 to {len(motion) - 1}."
         )
     return first, last
 
@@ -64,4 +66,4 @@ def frames_of(motion: Motion, frames: tuple[int, int] | None, path: Path) -> tup
 def save(path: Path, skeleton: Skeleton, motion: Motion, what: str = "") -> None:
     """Write a motion and print its path and length."""
     write_motion(path, skeleton, motion)
-    say(f"written: {path}, {counted(len(motion), 'frame')} at {motion.rate:g} a second{what}")
+    say(f"written: {path}, {counted(len(motion), 'frame')} at {motion.rate:g} frames per second{what}")

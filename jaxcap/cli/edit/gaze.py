@@ -90,13 +90,13 @@ class Gaze:
         """Check that the options are compatible. Raises `InputError`."""
         check_motion(self.out, self.overwrite)
         if (self.target is None) == (self.direction is None):
-            raise InputError("Say where to look by --target or by --direction, and by one of them.")
+            raise InputError("Give either --target or --direction, and not both.")
         if not 0 <= self.fade < np.inf:
             raise InputError(f"--fade is {self.fade:g}; it must be at least 0 seconds.")
         if not 0 < self.most <= 180:
             raise InputError(f"--most is {self.most:g}; it must be above 0 and at most 180 degrees.")
         if self.line is not None and self.body is None:
-            raise InputError("--line names vertices, and there is no --body that has them.")
+            raise InputError("--line gives vertices of a body; give the body with --body.")
         if self.target is not None and np.linalg.norm(self.target) > FAR:
             warn(f"--target is {np.linalg.norm(self.target):.0f} m from the origin; it is in metres")
 
@@ -108,7 +108,8 @@ class Gaze:
         line = human_line(body) if self.line is None else line_of_vertices(body, *self.line, head)
         if line is None:
             warn(
-                f"{self.body}: its face is not known; the gaze goes along the head's own front, or give --line"
+                f"{self.body}: the face of this body is not known, so the gaze is the front of the head joint; "
+                "give --line to define it"
             )
             line = line_of_joint(body.skeleton, head)
         return line
@@ -116,13 +117,13 @@ class Gaze:
     def tell(self, found, first: int, last: int, shares: dict[str, float]) -> None:
         full = found.magnitude == 1.0
         parts = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
-        say(f"frames {first} to {last}, {int(full.sum())} of them looking: {parts}")
+        say(f"frames {first} to {last}, {int(full.sum())} of them with the full rotation: {parts}")
         if full.any():
             say(
-                f"off the target by {found.before[full].mean():.1f}° before and {found.after[full].mean():.2f}° after"
+                f"angle to the target: {found.before[full].mean():.1f}° before and {found.after[full].mean():.2f}° after"
             )
         if found.held.any():
             warn(
-                f"{int(found.held.sum())} frames do not reach the target, as the turn is held at {self.most:g}° or by limits; "
+                f"{int(found.held.sum())} frames do not reach the target, as the rotation is limited to {self.most:g}° or by joint limits; "
                 f"the first is frame {int(np.argmax(found.held))}"
             )

@@ -67,7 +67,7 @@ class Glue:
         fitted = motion if self.fitted is None else read_edited(self.fitted, None, body)[1]
         if not 0 <= self.frame < len(fitted):
             raise InputError(
-                f"{where}: there is no frame {self.frame} in it; it has {len(fitted)}, 0 to {len(fitted) - 1}."
+                f"{where}: there is no frame {self.frame} in this motion; its {len(fitted)} frames are 0 to {len(fitted) - 1}."
             )
         first, last = frames_of(motion, self.frames, self.motion)
         vertices = np.asarray(_pose_body(body, fitted[self.frame]).vertices, float)
@@ -79,8 +79,8 @@ class Glue:
         off = np.abs(np.asarray(glue.heights))
         if (off > LOOSE).any():
             warn(
-                f"{self.scan}: {100 * (off > LOOSE).mean():.1f} % of the points are more than {1000 * LOOSE:.0f} mm off the body; "
-                "what is not the person moves with it too"
+                f"{self.scan}: {100 * (off > LOOSE).mean():.1f} % of the points are more than {1000 * LOOSE:.0f} mm away from the "
+                "body; other objects in the scan move with it, too"
             )
         self.begin()
         numbers = range(first, last + 1)
@@ -95,7 +95,8 @@ class Glue:
         sizes = [float(np.ptp(points, axis=0).max()) for points in (scan.vertices, vertices)]
         if not 1 / 5.0 < sizes[0] / max(sizes[1], 1e-9) < 5.0:
             raise InputError(
-                f"{self.scan}: the scan is {sizes[0]:.4g} m long and the body {sizes[1]:.4g} m; say by --unit what it is in."
+                f"{self.scan}: the scan is {sizes[0]:.4g} m long and the body {sizes[1]:.4g} m; "
+                "give the unit of the scan with --unit."
             )
 
     def begin(self) -> None:
@@ -103,7 +104,7 @@ class Glue:
         make_writable(self.out)
         there = [path for path in self.out.iterdir() if re.fullmatch(r"glued_\d{4,}\.(ply|obj)", path.name)]
         if there and not self.overwrite:
-            raise InputError(f"{self.out}: this folder holds glued scans; give --overwrite to replace them.")
+            raise InputError(f"{self.out}: this folder contains glued scans; give --overwrite to replace them.")
         for path in there:
             path.unlink()
 

@@ -32,7 +32,7 @@ class Join:
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.3
     """Duration of the blend, seconds. 0 appends without a blend."""
     find: Flag = False
-    """Leave the first and enter the second motion where they are most alike, not at the end and at the beginning."""
+    """Connect the motions at their most similar frames, not at the end of the first and the beginning of the second."""
     unit: OptionalUnit = None
     """Unit of the motions' lengths, if their files state none. Default: centimetres for BVH."""
     overwrite: Flag = False
@@ -46,12 +46,13 @@ class Join:
         other, b = read_edited(self.second, self.unit)
         check_same((self.first, skeleton), (self.second, other))
         if abs(a.rate - b.rate) > 1e-6 * a.rate:
-            warn(f"{self.second}: it has {b.rate:g} frames per second and becomes one of {a.rate:g}")
+            warn(f"{self.second}: it has {b.rate:g} frames per second and is resampled to {a.rate:g}")
             b = resample(b, a.rate)
         frames = round(self.blend * a.rate)
         if frames > min(len(a), len(b)):
             raise InputError(
-                f"--blend is {self.blend:g} s, {frames} frames, and the motions have {len(a)} and {len(b)}; blend over less."
+                f"--blend is {self.blend:g} s, {frames} frames, and the motions have {len(a)} and {len(b)} frames; "
+                "give a shorter blend."
             )
         window = max(frames, 1)
         if self.find:
@@ -59,13 +60,13 @@ class Join:
             a, b = cut(a, 0, found.first + window - 1), cut(b, found.second)
             say(
                 f"from frame {found.first} of {self.first.name} to frame {found.second} of {self.second.name}, "
-                f"{1000 * found.distance:.0f} mm apart at the joints"
+                f"joints {1000 * found.distance:.0f} mm apart"
             )
         else:
             found = find_transitions(skeleton, cut(a, len(a) - window), cut(b, 0, window - 1), window)[0]
         if found.distance > UNLIKE:
             warn(
-                f"joints are {1000 * found.distance:.0f} mm apart where the motions meet; blend over more, or --find where "
-                "they are alike"
+                f"joints are {1000 * found.distance:.0f} mm apart at the transition; give a longer --blend, or --find to "
+                "search for similar frames"
             )
         save(self.out, skeleton, join(skeleton, a, b, frames))

@@ -43,14 +43,14 @@ class Keys:
 
     def run(self) -> None:
         if self.out is None and self.keys is None:
-            raise InputError("There is nothing to write; name a motion by -o, or a file by --keys.")
+            raise InputError("There is nothing to write; give a motion with -o, or a file with --keys.")
         if self.out is not None:
             check_motion(self.out, self.overwrite)
         if self.keys is not None and self.keys.suffix.lower() not in (".json", ".npz"):
-            raise InputError(f"{self.keys}: keys are written as .json or .npz; give a name that ends so.")
+            raise InputError(f"{self.keys}: keys are written as .json or .npz; give a name that ends in one of these.")
         check_new(self.keys, self.overwrite)
         if self.out is not None and self.keys is not None and self.out.absolute() == self.keys.absolute():
-            raise InputError(f"{self.out}: this is to be the motion and its keys both; give them two names.")
+            raise InputError(f"{self.out}: motion and keys cannot be the same file; give them different names.")
         for name, value in (("--degrees", self.degrees), ("--millimetres", self.millimetres)):
             if not 0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}; it must be above 0.")
@@ -75,8 +75,8 @@ def tell(name: str, skeleton: Skeleton, found: Found, per_joint: bool) -> None:
         what = f"{int(found.keyed[:, 0].sum())} poses"
     share = 100 * found.count / (frames * joints)
     say(
-        f"{name}: {what} for {frames} frames ({share:.1f} % of the numbers); at most {found.degrees:.2f}° and "
-        f"{1000 * found.metres:.1f} mm off"
+        f"{name}: {what} for {frames} frames ({share:.1f} % of the values); errors at most {found.degrees:.2f}° and "
+        f"{1000 * found.metres:.1f} mm"
     )
 
 

@@ -55,8 +55,8 @@ class Loop:
         goes = "stays in place"
         if not self.in_place:
             metres, degrees = float(np.linalg.norm(loop.travel.shift)), np.degrees(loop.travel.heading)
-            goes = f"turns by {degrees:.0f}° and goes by {metres:.2f} m"
-        say(f"frames {first} to {last}: a round takes {(last - first) / motion.rate:.2f} s and {goes}")
+            goes = f"rotates by {degrees:.0f}° and moves by {metres:.2f} m"
+        say(f"frames {first} to {last}: one cycle takes {(last - first) / motion.rate:.2f} s and {goes}")
         save(self.out, skeleton, loop.motion)
 
     def find(self, skeleton, motion, frames: int) -> tuple[int, int]:
@@ -64,7 +64,7 @@ class Loop:
         most = len(motion) if self.most is None else round(self.most * motion.rate)
         found = find_loops(skeleton, motion, frames, max(least, frames), most, count=3)
         table(
-            ["first", "last", "apart"],
+            ["first", "last", "distance"],
             [[str(f.first + frames), str(f.second + frames), f"{1000 * f.distance:.0f} mm"] for f in found],
         )
         return found[0].first + frames, found[0].second + frames

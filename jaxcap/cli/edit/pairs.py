@@ -20,12 +20,12 @@ def table_of(path: Path) -> list[list[str]]:
             continue
         if len(words) not in (2, 3):
             raise InputError(
-                f"{path}:{number}: this line has {len(words)} words; give one of the source and one of the target, and a "
-                "weight where you like."
+                f"{path}:{number}: this line has {len(words)} words; expected a source, a target, and optionally a "
+                "weight."
             )
         rows.append([str(number), *words])
     if not rows:
-        raise InputError(f"{path}: there are no pairs in it; give one to a line.")
+        raise InputError(f"{path}: this file has no pairs; write one per line.")
     return rows
 
 
@@ -38,7 +38,7 @@ def names_of(path: Path) -> dict[str, str | None]:
     for number, here, *there in table_of(path):
         if here in names:
             raise InputError(
-                f"{path}:{number}: the joint '{here}' stands in two lines; give each joint of the source once."
+                f"{path}:{number}: the joint '{here}' occurs in two lines; give each joint of the source once."
             )
         names[here] = there[0]
     return names

@@ -33,7 +33,7 @@ class Resample:
         frames = len(motion) / motion.rate * self.rate
         if frames > MOST:
             raise InputError(
-                f"--rate is {self.rate:g}; that makes {frames:.3g} frames, and {MOST} at most are made."
+                f"--rate is {self.rate:g}; this gives {frames:.3g} frames, and the maximum is {MOST}."
             )
         try:
             found = resample(motion, self.rate)

@@ -46,7 +46,7 @@ class Found(NamedTuple):
 
 @dataclass
 class Retarget:
-    """Retarget a motion to another body or skeleton: limbs keep their directions, and feet keep to the floor.
+    """Retarget a motion to another body or skeleton: limbs keep their directions, and feet stay on the floor.
 
     Bodies with the same mesh, whose vertices correspond, are aligned by their surfaces; all others by the names of
     joints."""
@@ -106,14 +106,14 @@ class Retarget:
             raise
         except ValueError as error:
             raise InputError(f"{self.motion}: {sentence_of(error)}") from None
-        how = "surface" if surface else "names of joints"
+        how = "surface" if surface else "joint names"
         say(
-            f"{self.motion.name} retargeted by the {how}: 1 m becomes {found.ratio:.3f} m, the floor is at {found.floor:.3f} m"
+            f"{self.motion.name} retargeted by {how}: 1 m becomes {found.ratio:.3f} m, the floor is at {found.floor:.3f} m"
         )
         if isinstance(target, Body):
             low = lowest(target, found.motion.poses, found.up) - found.floor
             say(
-                f"the lowest vertex is {1000 * np.median(low):.0f} mm over the floor in the median, from "
+                f"height of the lowest vertex above the floor: median {1000 * np.median(low):.0f} mm, from "
                 f"{1000 * low.min():.0f} to {1000 * low.max():.0f} mm"
             )
         save(self.out, skeleton_of(target), found.motion)
@@ -122,13 +122,13 @@ class Retarget:
         """Check that the options are compatible. Raises `InputError`."""
         check_motion(self.out, self.overwrite)
         if self.by == "surface" and self.source is None:
-            raise InputError("--by surface takes the body that the motion is of; give it by --source.")
+            raise InputError("--by surface needs the body of the motion; give it with --source.")
         if self.in_place and self.points is None:
-            raise InputError("--in-place is for --points, and none are given.")
+            raise InputError("--in-place needs points; give them with --points.")
         for name, path in (("--names", self.names), ("--write-names", self.write_names)):
             if path is not None and self.by == "surface":
                 raise InputError(
-                    f"{name} is for retargeting by names, and --by surface was given; leave one of them out."
+                    f"{name} is for retargeting by names, and --by surface was given; omit one of them."
                 )
         if self.write_names is not None:
             self.check_table(self.write_names)
@@ -138,9 +138,9 @@ class Retarget:
     def check_table(self, path: Path) -> None:
         """Check that a table of joints can be written to a path. Raises `InputError`."""
         if path.suffix.lower() != ".json":
-            raise InputError(f"{path}: a table of joints is written as .json; give it that ending.")
+            raise InputError(f"{path}: a table of joints is written as .json; give a name that ends in .json.")
         if path.exists() and not self.overwrite:
-            raise InputError(f"{path}: this file is there already; give --overwrite to replace it.")
+            raise InputError(f"{path}: this file already exists; give --overwrite to replace it.")
 
     def source_body(self) -> Body | None:
         return None if self.source is None else load_body(self.source)[0]
@@ -153,28 +153,28 @@ class Retarget:
             if source is None or len(said) == 1:
                 raise
             raise InputError(
-                f"{said[0]}; --source {self.source} is not the body of this motion: give that, or none."
+                f"{said[0]}; --source {self.source} is not the body of this motion; give the right body, or omit --source."
             ) from None
 
     def check_units(self, source: Skeleton, target: Skeleton) -> None:
         reaches = extent(source), extent(target)
         if not 1 / OTHER_UNIT < reaches[0] / max(reaches[1], 1e-9) < OTHER_UNIT:
             raise InputError(
-                f"{self.motion}: its joints reach over {reaches[0]:.3g} m at rest and those of {self.target} over "
+                f"{self.motion}: its skeleton extends over {reaches[0]:.3g} m at rest and that of {self.target} over "
                 f"{reaches[1]:.3g} m; {self.units_to_say()}."
             )
 
     def units_to_say(self) -> str:
         """Format the advice for a source and a target of very different sizes."""
         says = [
-            f"by {option} what the {which}'s lengths are in"
+            f"the unit of the {which} with {option}"
             for option, which, file in (
                 ("--unit", "motion", self.motion),
                 ("--target-unit", "target", self.target),
             )
             if not says_unit(file)
         ]
-        return f"say {' or '.join(says)}" if says else "one of the files is wrong about its unit"
+        return f"give {' or '.join(says)}" if says else "the unit of one of the files is wrong"
 
     def floor_for(self, motion: Motion, source: Body | Skeleton, up: np.ndarray) -> float:
         """Return the user's floor height, or the height of the source's lowest point."""
@@ -195,11 +195,11 @@ class Retarget:
         )
         if self.by == "surface" and not alike:
             raise InputError(
-                f"{self.target}: its mesh is not that of {self.source}, so their vertices do not correspond; leave --by "
-                "surface out."
+                f"{self.target}: its mesh is not that of {self.source}, so their vertices do not correspond; omit "
+                "--by surface."
             )
         if self.ground and not isinstance(target, Body):
-            raise InputError(f"{self.target}: --ground takes a body with a surface; this is a skeleton.")
+            raise InputError(f"{self.target}: --ground needs a body with a surface; this is a skeleton.")
         return alike and self.by != "names" and self.names is None and self.write_names is None
 
     def along_surface(self, motion: Motion, source: Body, target: Body) -> Found:
@@ -211,7 +211,7 @@ class Retarget:
             progress=lambda blocks: progress(blocks, len(blocks), label="retargeting", what="blocks"),
         )
         say(
-            f"the surface is {1000 * moved.rmse.mean():.1f} mm off the source's pose in the target's build, "
+            f"RMS error of the surface in the source's pose: mean {1000 * moved.rmse.mean():.1f} mm, "
             f"{1000 * moved.rmse.max():.1f} mm in the worst frame"
         )
         return Found(moved.motion, moved.ratio, moved.floor, UP)
@@ -241,10 +241,10 @@ class Retarget:
         path."""
         path = self.write_names or self.out.with_name(f"{self.out.stem}_names.json")
         if path.exists() and not self.overwrite:
-            return f"{path} is there already; fill it in and give it by --names, or give --overwrite to have a new one."
+            return f"{path} already exists; fill it in and give it with --names, or give --overwrite to write a new one."
         blank = dict.fromkeys(error.open, "")
         write_joint_names(path, error.names | blank, sorted(set(target.names) - set(error.names.values())))
-        return f'{path} has what was found: fill in what is "" there, as far as you like, and give it by --names.'
+        return f'{path} contains the matches found; fill in its empty entries (""), some or all, and give it with --names.'
 
     def stand(self, motion: Motion, source: Body | Skeleton, target: Body, found: Found) -> Found:
         if isinstance(source, Body):
@@ -263,5 +263,5 @@ class Retarget:
         )
         for column, pair in enumerate(pairs):
             off = 1000 * met.distances[:, column]
-            say(f"{pair.source} and {pair.target}: {off.mean():.1f} mm apart, {off.max():.1f} mm at most")
+            say(f"{pair.source} and {pair.target}: {off.mean():.1f} mm apart on average, {off.max():.1f} mm at most")
         return found._replace(motion=met.motion)

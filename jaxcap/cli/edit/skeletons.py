@@ -23,7 +23,7 @@ OTHER_UNIT = 5.0
 def load_target(spec: str, unit: str | None = None) -> Body | Skeleton:
     """Load a body, or a skeleton from any file that has one and no body. Raises `InputError`."""
     if unit and says_unit(spec):
-        raise InputError(f"{spec}: this says its unit itself; leave --target-unit {unit} out.")
+        raise InputError(f"{spec}: its unit is known; omit --target-unit {unit}.")
     alone = suffix_of(spec) in SKELETON_READERS and suffix_of(spec) not in BODY_SUFFIXES
     if alone or identify(spec) in ("motion", "amass", "subject"):
         return load_skeleton(spec, unit)
@@ -47,16 +47,17 @@ def check_same(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> None:
         what = (
             f"'{strangers[0]}' is a joint of only one of them"
             if strangers
-            else "their joints hang differently"
+            else "the parents of their joints differ"
         )
         raise InputError(
-            f"{path}: this motion is of another skeleton than {a[0]} ({what}); give it that one by `jaxcap edit retarget`."
+            f"{path}: the skeleton of this motion differs from that of {a[0]} ({what}); "
+            "retarget the motion with `jaxcap edit retarget`."
         )
     # bones are compared, and not the rest position of the root
     offsets = [np.asarray(s.centres, float) - np.asarray(s.centres, float)[0] for s in (one, other)]
     apart = float(np.linalg.norm(offsets[0] - offsets[1], axis=1).max())
     if apart > SAME:
         raise InputError(
-            f"{path}: the bones of this motion are up to {1000 * apart:.0f} mm off those of {a[0]}; give it that skeleton by "
-            "`jaxcap edit retarget`."
+            f"{path}: the bones of this motion differ from those of {a[0]} by up to {1000 * apart:.0f} mm; "
+            "retarget the motion with `jaxcap edit retarget`."
         )

@@ -89,9 +89,9 @@ class Learn:
             if width is not None and not 0.1 <= width <= 90:
                 raise InputError(f"{name} is {width:g}; it must be between 0.1 and 90 degrees.")
         if self.threshold < 1:
-            raise InputError(f"--threshold is {self.threshold}; a voxel is kept by one sample at least.")
+            raise InputError(f"--threshold is {self.threshold}; it must be at least 1.")
         if not 0 < self.coverage <= 1:
-            raise InputError(f"--coverage is {self.coverage:g}; it is a share, above 0 and at most 1.")
+            raise InputError(f"--coverage is {self.coverage:g}; it must be above 0 and at most 1.")
         if self.report is not None:
             make_folder(self.report)
 
@@ -102,7 +102,7 @@ class Learn:
         if suffixes & set(MARKER_READERS):
             return self.marker_samples(pairs)
         if self.markers is not None or self.trunk is not None:
-            raise InputError("--markers and --trunk are for files of markers; these are motions.")
+            raise InputError("--markers and --trunk need files of markers, but these are motions.")
         motions = [load_motion(path, self.unit) for path in self.motions]
         try:
             return {joint: gather_samples(motions, joint, parent, self.motions) for joint, parent in pairs}
@@ -112,12 +112,12 @@ class Learn:
     def marker_samples(self, pairs) -> dict[str, JointSamples]:
         if self.markers is None or self.trunk is None:
             raise InputError(
-                f"{', '.join(self.motions)}: say which markers are an arm's, by --markers SHOULDER,UPPER,ELBOW,FOREARM and "
-                "--trunk with three more; or solve the markers first, by `jaxcap markers`."
+                f"{', '.join(self.motions)}: give the markers of an arm with --markers SHOULDER,UPPER,ELBOW,FOREARM, and "
+                "three more with --trunk; or solve the markers first with `jaxcap markers`."
             )
         if len(self.motions) > 1 or len(pairs) != 2 or pairs[1][1] != pairs[0][0]:
             raise InputError(
-                "Of markers, one file and one pair of joints is learned from, such as --joints shoulder:elbow."
+                "Limits from markers need one file and one pair of joints, such as --joints shoulder:elbow."
             )
         path = next(iter(self.motions))
         frames = read_markers(path, self.unit, subject=self.subject)
@@ -144,14 +144,14 @@ class Learn:
 def tell(limits: SurfaceLimits, samples: dict[str, JointSamples]) -> None:
     """Print a row for each joint: its angles and range, its voxels, its parent's keyframes."""
     table(
-        ["joint", "depends on", "angles", "samples", "range", "voxels", "from", "keyframes"],
+        ["joint", "depends on", "angles", "samples", "range", "primitives", "voxels from", "keyframes"],
         [_row(surface, samples[surface.joint]) for surface in limits.surfaces],
     )
     for one in samples.values():
         turned = np.degrees(spans(one.rotations))
         if turned < HARDLY:
             warn(
-                f"'{one.joint}' turns by {turned:.1f} degrees only; what it could do besides is not known, and forbidden"
+                f"'{one.joint}' rotates by only {turned:.1f} degrees; rotations that the motions do not show are forbidden"
             )
 
 

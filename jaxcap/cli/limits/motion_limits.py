@@ -20,7 +20,7 @@ LimitsFile = Annotated[Path, arg(aliases=("-l",), metavar="FILE")]
 
 
 class MotionLimits(NamedTuple):
-    """A motion, its limits, and what of it is beyond them."""
+    """A motion, its limits, and the joints that violate them."""
 
     skeleton: Skeleton
     motion: Motion

@@ -50,12 +50,12 @@ class Project:
         fixed = project_motion(held.limits, held.skeleton, held.motion, self.smoothness)
         write_motion(self.out, held.skeleton, fixed)
         after = judge(held.skeleton, fixed, held.limits)
-        say(f"written: {self.out}; joints are turned back by {held.degrees[held.beyond].mean() if held.beyond.any() else 0:.1f}° on average, {held.degrees.max():.1f}° at most")  # fmt: skip
+        say(f"written: {self.out}; joints are rotated by {held.degrees[held.beyond].mean() if held.beyond.any() else 0:.1f}° on average, {held.degrees.max():.1f}° at most")  # fmt: skip
         if after.beyond.any():
             warn(summary(self.out.name, after))
         if self.picture is not None:
             from ...report.motion_strip import draw_strip
 
-            title = f"{self.motion.name}: above as it was, in red what is beyond limits; below within them"
+            title = f"{self.motion.name}: above the original, violations in red; below the projection"
             draw_strip(self.picture, held.skeleton, held.motion, fixed, held.beyond, title)
             say(f"written: {self.picture}")

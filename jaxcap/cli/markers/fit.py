@@ -127,7 +127,7 @@ class Fit:
             fitted = solve_markers(subject, found.markers, terms=terms)
         else:
             say(
-                f"fitting poses, lengths and placements together in {min(self.frames, len(united))} of {len(united)} frames"
+                f"fitting poses, bone lengths and marker positions together in {min(self.frames, len(united))} of {len(united)} frames"
             )
             known = [pair for pair in pairs if set(pair) <= set(found.skeleton.names)]
             fitted = calibrate(
@@ -142,7 +142,7 @@ class Fit:
         lost = fitted.lost if isinstance(fitted, MarkerSolution) else None
         if not np.isfinite(held_residuals(subject, fitted.residuals, lost)).any():
             raise InputError(
-                f"{', '.join(self.files)}: no pose of what was found explains any frame; is it one body, and the unit right?"
+                f"{', '.join(self.files)}: no pose of the estimated skeleton explains any frame; check that the markers are of one body, and the unit."
             )
         doing("measuring residuals")
         tell_bones(found, fitted if isinstance(fitted, Calibration) else None)
@@ -154,7 +154,7 @@ class Fit:
         )
         told = tuple(dict.fromkeys((*found.told, *fitted.told, *strays(subject.labels, kept))))
         if told:
-            say("what to know of it:")
+            say("notes:")
         for sentence in told:
             say(f"- {sentence}")
         save_subject(self.out, subject)
@@ -203,7 +203,7 @@ class Fit:
         if self.template is not None and self.segments is None:
             raise InputError(
                 "--template needs --segments, a file that gives segments the names of the template's joints; "
-                "segments.txt of --report is one to begin with."
+                "start from segments.txt of --report."
             )
         check_npz(self.out, self.overwrite, "a subject")
         check_points(self.joints, "joint centres")

@@ -21,7 +21,7 @@ def tell_segments(found: LocalFit) -> None:
     seen = np.any(np.asarray(found.markers.seen), axis=0)
     loose = [labels[m] for m in np.flatnonzero(found.segments.loose) if seen[m]]
     say(
-        f"segments: {found.segments.num_segments}, of {int(seen.sum()) - len(loose)} markers; {len(loose)} are loose"
+        f"segments: {found.segments.num_segments}, with {int(seen.sum()) - len(loose)} markers; {len(loose)} are loose"
     )
     rows = []
     for segment, (name, members) in enumerate(zip(found.segments.names, found.segments.members, strict=True)):
@@ -30,9 +30,9 @@ def tell_segments(found: LocalFit) -> None:
         if name not in found.skeleton.names:
             above = "no bone"
         rows.append([name, above, ", ".join(f"{labels[m]} {weights[m]:.2f}" for m in members)])
-    widths = [max([len(row[column]) for row in rows] + [4]) for column in (1, 2)]
+    widths = [max([len(row[column]) for row in rows] + [6]) for column in (1, 2)]
     table(
-        ["segment", "on".ljust(widths[0]), "markers with their weights".ljust(widths[1])],
+        ["segment", "parent".ljust(widths[0]), "markers and weights".ljust(widths[1])],
         [[name, above.ljust(widths[0]), some.ljust(widths[1])] for name, above, some in rows],
     )
     if loose:
@@ -60,7 +60,7 @@ def tell_joints(found: LocalFit) -> None:
         )
     say(f"joints: {len(rows)}")
     if rows:
-        table(["joint", "kind", "residual", "precision", "turns"], rows)
+        table(["joint", "kind", "residual", "precision", "range"], rows)
 
 
 def strays(labels: Sequence[str], residuals: Float[np.ndarray, "F M"]) -> tuple[str, ...]:
@@ -74,8 +74,8 @@ def strays(labels: Sequence[str], residuals: Float[np.ndarray, "F M"]) -> tuple[
     more = f" and {len(found) - 8} more" if len(found) > 8 else ""
     some = ", ".join(f"{labels[m]} in {max(100 * shares[m], 1):.0f} %" for m in found[:8])
     return (
-        f"Markers are over {100 * STRAY:.0f} cm from where the subject has them: {some}{more} of frames. Either a joint "
-        "beside them did not turn in what the subject was fitted to, or they were moved or named wrongly.",
+        f"Markers are more than {100 * STRAY:.0f} cm from their positions in the subject: {some}{more} of frames. Either an "
+        "adjacent joint did not rotate in the takes of the calibration, or the markers were moved or mislabelled.",
     )
 
 
@@ -101,7 +101,7 @@ def tell_bones(found: LocalFit, calibrated: Calibration | None) -> None:
                 known,
             ]
         )
-    table_of(rows, ["bone", "one by one", "together", "known to"])
+    table_of(rows, ["bone", "separately", "together", "deviation"])
 
 
 def table_of(rows: list[list[str]], head: list[str]) -> None:

@@ -47,7 +47,7 @@ class Info:
         several = self.subject is None and len(subjects) > 1
         frames = file.frames if several else pick_subject(file.frames, path, self.subject)
         count = len(frames)
-        say(f"{path.name}: {counted(count, 'frame')} at {frames.rate:g} a second, {count / frames.rate:.2f} s, the first is {file.first_frame}")  # fmt: skip
+        say(f"{path.name}: {counted(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, the first frame is {file.first_frame}")  # fmt: skip
         say(f"markers: {len(frames.labels)}{_starred(frames)}, unit {file.unit}, {_extent(frames)}")
         for name, members in subjects.items():
             say(f"subject: {name}, {len(members)} markers")
@@ -57,7 +57,7 @@ class Info:
         for sentence in (*file.told, *describe_gaps(frames)):
             warn(sentence)
         if several:
-            warn(f"there are {len(subjects)} subjects; markers are read of one, chosen by --subject.")
+            warn(f"there are {len(subjects)} subjects; other verbs read one of them, selected with --subject.")
         try:
             check_extent(frames, path, file.scale, asked=UNIT_ASKED)
         except InputError as error:
@@ -78,7 +78,7 @@ def _gaps(frames: MarkerFrames, most: int) -> None:
         say("gaps: none, every marker is seen in every frame")
         return
     say(
-        f"gaps: {len(gappy)} of {len(frames.labels)} markers have some; {whole:.{1 if whole < 99.9 else 3}f} % is seen"
+        f"gaps: {len(gappy)} of {len(frames.labels)} markers have gaps; {whole:.{1 if whole < 99.9 else 3}f} % is seen"
     )
     order = gappy[np.argsort(gaps.seen[gappy], kind="stable")]
     shown = order[: most or None]

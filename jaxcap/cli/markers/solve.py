@@ -111,7 +111,7 @@ class Solve:
                 if solved.get(path) == digests[path] and all(
                     file.is_file() for file in self.results_of(path)
                 ):
-                    say(f"{path}: solved before")
+                    say(f"{path}: already solved")
                     continue
                 doing(f"solving {path}")
                 # from now on existing results belong to this run
@@ -122,7 +122,7 @@ class Solve:
                     if not solved:
                         self.kept.unlink(missing_ok=True)
                     elif isinstance(stop, KeyboardInterrupt):
-                        told = f"{len(solved)} of {len(self.trials)} trials are solved; --resume goes on"
+                        told = f"{len(solved)} of {len(self.trials)} trials are solved; --resume continues"
                         raise KeyboardInterrupt(f"stopped; {told}") from None
                     raise
                 solved[path] = digests[path]
@@ -156,7 +156,7 @@ class Solve:
         if not self.trials:
             raise InputError("There are no trials to solve; give .c3d, .trc or .csv files.")
         if len(self.trials) > 1 and self.out.suffix:
-            raise InputError(f"{self.out}: {len(self.trials)} trials do not go into one file; give a folder.")
+            raise InputError(f"{self.out}: {len(self.trials)} trials cannot be written to one file; give a folder.")
         if self.into_folder and self.out.suffix and not self.out.is_dir():
             raise InputError(
                 f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}, or "
@@ -166,7 +166,7 @@ class Solve:
         twice = [stem for stem in stems if stems.count(stem) > 1]
         if twice:
             raise InputError(
-                f"There are {stems.count(twice[0])} trials called '{twice[0]}'; results would be one file."
+                f"There are {stems.count(twice[0])} trials named '{twice[0]}', whose results would be the same file; rename them."
             )
         check_folder(self.report)
         if self.into_folder:
@@ -181,10 +181,10 @@ class Solve:
         check_points(self.joints, "joint centres")
         check_points(self.filled, "markers")
         if self.resume and self.overwrite:
-            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+            raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
         if self.kept.exists() and not (self.resume or self.overwrite):
             raise InputError(
-                f"{self.kept}: an unfinished run is there; give --resume to go on with it or --overwrite to begin anew."
+                f"{self.kept}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
             )
 
     @property
@@ -217,8 +217,8 @@ class Solve:
             solution = solve_markers(subject, frames, terms=terms)
         if solution.lost.all():
             raise InputError(
-                f"{path}: none of its {len(frames)} frames shows enough markers that the subject explains; is it the same "
-                "performer, with the markers at the same places?"
+                f"{path}: the subject explains enough markers in none of {len(frames)} frames; check that the performer and "
+                "the positions of the markers on the body are the same."
             )
         kept = held_residuals(subject, solution.residuals, solution.lost)
         solution = solution._replace(told=(*solution.told, *strays(subject.labels, kept)))
@@ -269,7 +269,7 @@ def _tell(subject: Subject, solution: MarkerSolution) -> None:
     kept = held_residuals(subject, solution.residuals, solution.lost)
     totals = total_residuals(kept)
     out = np.isfinite(kept) & (solution.weights < 0.5)
-    wrong = f"; {int(out.sum())} places count for little, as if swapped or moved" if out.any() else ""
+    wrong = f"; {int(out.sum())} marker positions have a low weight, as if swapped or moved" if out.any() else ""
     say(
         f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, 95 % within "
         f"{1e3 * totals['p95']:.2f} mm{wrong}"
@@ -291,4 +291,4 @@ def _tell(subject: Subject, solution: MarkerSolution) -> None:
         ],
     )
     if len(scores) > LISTED:
-        say(f"... and {len(scores) - LISTED} more with less; --report has all")
+        say(f"... and {len(scores) - LISTED} more with smaller residuals; --report lists all")

@@ -33,7 +33,7 @@ def read_solved(path: Path, header: Mapping[str, object]) -> dict[str, str]:
             raise ValueError
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError(
-            f"{path}: this file does not say which trials are solved; give --overwrite to begin anew."
+            f"{path}: this file does not list the solved trials; give --overwrite to begin anew."
         ) from None
     check_same_run(path, there, header)
     return {str(trial): str(sum_) for trial, sum_ in solved.items()}

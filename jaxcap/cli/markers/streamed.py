@@ -34,7 +34,7 @@ class Latency(NamedTuple):
         """Format the statistics as one line."""
         median, late, worst = (1e3 * figure for figure in self._figures())
         return (
-            f"latency: median {median:.2f} ms a frame, 99 % within {late:.2f} ms, the slowest {worst:.2f} ms "
+            f"latency: median {median:.2f} ms per frame, 99 % within {late:.2f} ms, the slowest {worst:.2f} ms "
             f"({len(self.seconds)} frames, one by one)"
         )
 
@@ -71,7 +71,7 @@ def solve_streamed(
     told = (
         ()
         if not lost.any()
-        else (f"{int(lost.sum())} of {len(lost)} frames are lost and keep the pose before.",)
+        else (f"{int(lost.sum())} of {len(lost)} frames are lost and keep the previous pose.",)
     )
     return MarkerSolution(motion, residuals, 1.0 * (seen & ~lost[:, None]), lost, told), Latency(seconds)
 

@@ -51,7 +51,7 @@ def read_take(
         warn(f"{Path(path).name}: {sentence}")
     shown = 100 * np.asarray(frames.seen).mean()
     say(
-        f"{Path(path).name}: {counted(len(frames), 'frame')} at {frames.rate:g} a second, {counted(len(frames.labels), 'marker')}, "
+        f"{Path(path).name}: {counted(len(frames), 'frame')} at {frames.rate:g} frames per second, {counted(len(frames.labels), 'marker')}, "
         f"{shown:.{1 if shown < 99.9 else 3}f} % seen"
     )
     return frames
@@ -64,10 +64,10 @@ def _whole(frames: MarkerFrames, path: str, join: bool) -> MarkerFrames:
         return frames
     names = [", ".join(parts.labels[i] for i in chain) for chain in chains]
     if not join:
-        more = f", and {len(chains) - 1} more are" if len(chains) > 1 else ""
+        more = f", and {len(chains) - 1} more trajectories are in pieces" if len(chains) > 1 else ""
         raise InputError(
             f"{path}: {names[0]} look like one trajectory in {len(chains[0])} pieces{more}; give --pieces join to make "
-            "each one marker, or --pieces keep if they are markers of their own."
+            "each one marker, or --pieces keep if they are separate markers."
         )
     for name in names:
         warn(f"{Path(path).name}: {name} are joined to one marker.")
@@ -90,7 +90,7 @@ def check_folder(folder: Path | None) -> None:
     while above is not None and not above.exists() and above != above.parent:
         above = above.parent
     if above is not None and not above.is_dir():
-        raise InputError(f"{folder}: {above} is a file, so no folder can be made there; give another one.")
+        raise InputError(f"{folder}: {above} is a file, so the folder cannot be created; give another one.")
     if above is not None and not os.access(above, os.W_OK):
         raise InputError(f"{folder}: this folder cannot be written to; give another one.")
 
@@ -100,7 +100,7 @@ def check_new(paths: Sequence[Path], overwrite: bool) -> None:
     `InputError`."""
     check_absent(paths, overwrite)
     if len({path.absolute() for path in paths}) < len(paths):
-        raise InputError("Two results would be the same file; give each its own name.")
+        raise InputError("Two results would be the same file; give each a different name.")
 
 
 def write_joints(

@@ -57,7 +57,7 @@ def tell_pairs(prior: PairPrior) -> None:
                 ", ".join(f"{np.degrees(np.linalg.norm(turn)):.0f}°" for turn in mode.reshape(2, 3)),
             ]
         )
-    table(["pair", "Gaussians", "deviations", "zeroed", "likeliest turns"], rows)
+    table(["pair", "Gaussians", "deviations", "zeroed", "angles of the mode"], rows)
 
 
 def tell_boxes(boxes: PoseBoxes) -> None:

@@ -61,7 +61,7 @@ class Learn:
     floor: Annotated[float, arg(metavar="DEGREES")] = 2.0
     """Smallest standard deviation of a Gaussian in any direction, degrees."""
     margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
-    """Margin at both ends of the range of each joint, degrees. Joints cannot leave this range, and few poses do not
+    """Margin at both ends of the range of each joint, degrees. Joints cannot leave this range, and few poses may not
     show all of it."""
     seed: int = 0
     """Seed of the random initial values."""
@@ -75,7 +75,7 @@ class Learn:
         body = None if self.body is None else load_body(self.body, unit=self.unit or "m")[0]
         skeleton, motions = self.read(body)
         frames = sum(len(motion) for motion in motions)
-        say(f"{counted(len(motions), 'motion')}, {counted(frames, 'pose')} learned from")
+        say(f"learning from {counted(len(motions), 'motion')}, {counted(frames, 'pose')}")
         shape = self.read_shape(body)
         try:
             learned = learn_pairs(
@@ -114,7 +114,7 @@ class Learn:
         if self.seed < 0:
             raise InputError(f"--seed is {self.seed}; it must be at least 0.")
         if self.meshes and self.body is None:
-            raise InputError("--meshes are of a body; give it by --body.")
+            raise InputError("--meshes needs a body; give it with --body.")
 
     def read(self, body: Body | None) -> tuple[Skeleton, list[Motion]]:
         """Read the skeleton of the prior, and the subsampled motions. Raises `InputError` if they are of
@@ -129,9 +129,9 @@ class Learn:
             if not same_bones(skeleton, other):
                 if body is None:
                     raise InputError(
-                        f"{path}: this motion is of the joints {', '.join(other.names)}, that of {self.motions[0]} are "
-                        f"{', '.join(skeleton.names)}, or stand otherwise at rest; give motions of one skeleton, or the body "
-                        "that they are to be carried over to, by --body."
+                        f"{path}: this motion has the joints {', '.join(other.names)}, and {self.motions[0]} has "
+                        f"{', '.join(skeleton.names)}, or the rest poses differ; give motions of one skeleton, or give "
+                        "with --body the body to retarget them to."
                     )
                 try:
                     plan = plan_retarget(other, skeleton, None, motion)
@@ -142,7 +142,7 @@ class Learn:
                 motion, carried = retarget(motion, other, skeleton, plan=plan), carried + 1
             motions.append(motion)
         if carried:
-            say(f"{carried} of {len(motions)} motions carried over to the skeleton of {self.body}")
+            say(f"{carried} of {len(motions)} motions retargeted to the skeleton of {self.body}")
         return skeleton, motions
 
     def read_shape(self, body: Body | None) -> ShapePrior | None:
@@ -178,4 +178,4 @@ def tell(learned: tuple[LearnedPair, ...]) -> None:
                 f"{zeroed} of {all_of_them}",
             ]
         )
-    table(["pair", "Gaussians", "left out: one", "chosen", "zeroed"], rows)
+    table(["pair", "Gaussians", "held out: one", "chosen", "zeroed"], rows)

@@ -31,13 +31,13 @@ def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
     except ValueError as error:
         raise InputError(f"{meshes[0]}: {sentence_of(error)}") from None
     if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
-        warn(f"{meshes[0]}: the triangles are not those of the body; vertices are taken in their order")
+        warn(f"{meshes[0]}: the triangles differ from those of the body; vertices are matched by their order")
     posed = np.asarray(fit.converged)
     for number in np.flatnonzero(~posed):
-        warn(f"{names[number]}: the body finds no pose in this mesh; it is left out")
+        warn(f"{names[number]}: no pose of the body fits this mesh; it is skipped")
     if not posed.any():
         raise InputError(
-            f"{meshes[0]}: the body finds a pose in none of {len(names)} meshes; check their unit."
+            f"{meshes[0]}: no pose of the body fits any of {len(names)} meshes; check their unit."
         )
     there = np.flatnonzero(posed)
     found = jax.tree.map(lambda a: a[there], fit.motion.poses)
@@ -46,7 +46,7 @@ def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
     prior = make_shape_prior(body, poses, np.asarray(sequence.vertices, float)[kept])
     off, apart = float(np.sqrt(np.mean(np.asarray(fit.rmse)[kept] ** 2))), shape_energy(prior, body) ** 0.5
     say(
-        f"shape: {len(kept)} of {len(names)} meshes; in them the body is off by {1e3 * off:.2f} mm, "
-        f"its Laplacian vectors by {1e3 * apart:.2f} mm"
+        f"shape: {len(kept)} of {len(names)} meshes; RMS error of the body {1e3 * off:.2f} mm, "
+        f"of its Laplacian vectors {1e3 * apart:.2f} mm"
     )
     return prior

@@ -40,7 +40,7 @@ def begin_folder(
     there = [*scans, *(folder / name for name in FILES if (folder / name).exists())]
     if there and not (resume or overwrite):
         raise InputError(
-            f"{folder}: this folder holds scans; give --resume to go on with them or --overwrite to replace them."
+            f"{folder}: this folder contains scans; give --resume to continue or --overwrite to replace them."
         )
     if resume and there:
         check_same_scans(folder / HEADER, header)
@@ -79,7 +79,7 @@ def check_same_scans(path: Path, header: Mapping[str, object]) -> None:
     difference."""
     if not path.is_file():
         raise InputError(
-            f"{path}: this file, which tells how the scans were made, is missing; give --overwrite to begin anew."
+            f"{path}: this file with the settings of the scans is missing; give --overwrite to begin anew."
         )
     earlier = read_json(path)
     if not isinstance(earlier, dict):

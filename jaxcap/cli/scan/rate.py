@@ -18,13 +18,13 @@ ScanRate = Annotated[
     arg(
         metavar="RATE",
         help_behavior_hint="",
-        help=f"Frames a second. Default: the rate in {HEADER} next to the clouds, else {USUAL:g}.",
+        help=f"Frames per second. Default: the rate in {HEADER} next to the clouds, else {USUAL:g}.",
     ),
 ]
 
 
 class Rate(NamedTuple):
-    """Frames a second, and the file that says so, None where none does."""
+    """Frames per second, and the file with this rate; None if it is not from a file."""
 
     frames: float
     file: Path | None = None
@@ -42,8 +42,8 @@ def rate_of(given: float | None, clouds: Sequence[str]) -> Rate:
     other = next((rate for rate in found if rate.frames != found[0].frames), None)
     if other is not None:
         raise InputError(
-            f"{other.file}: these scans are {other.frames:g} a second, and those of {found[0].file} are {found[0].frames:g}; "
-            "say how many all are by --rate."
+            f"{other.file}: the rate of these scans is {other.frames:g}, and that of {found[0].file} is {found[0].frames:g} "
+            "frames per second; give one rate with --rate."
         )
     return found[0] if found else Rate(USUAL)
 
@@ -51,7 +51,7 @@ def rate_of(given: float | None, clouds: Sequence[str]) -> Rate:
 def tell_rate(rate: Rate) -> None:
     """Print a rate that was read from a file."""
     if rate.file is not None:
-        say(f"{rate.frames:g} frames per second, as {rate.file} says")
+        say(f"{rate.frames:g} frames per second, from {rate.file}")
 
 
 def _beside(path: Path) -> Rate | None:
@@ -63,11 +63,11 @@ def _beside(path: Path) -> Rate | None:
         return None
     if isinstance(rate, bool) or not isinstance(rate, int | float):
         raise InputError(
-            f"{path}: the rate of the scans is {rate!r:.40}; write a number there, or give --rate."
+            f"{path}: the rate of the scans is {rate!r:.40}; expected a number; correct it, or give --rate."
         )
     try:
         return Rate(check_rate(float(rate), str(path)), path)
     except OverflowError:
         raise InputError(
-            f"{path}: the rate of the scans has too many digits; write a shorter one, or give --rate."
+            f"{path}: the rate of the scans has too many digits; write a shorter number, or give --rate."
         ) from None

@@ -85,7 +85,7 @@ class Scan:
     seed: int = 0
     """Random seed. The same seed gives the same scans."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
-    """Scans a second, at most the rate of the motion. Default: all frames."""
+    """Scans per second, at most the rate of the motion. Default: all frames."""
     resume: Flag = False
     """Continue an interrupted run."""
     overwrite: Flag = False
@@ -111,7 +111,7 @@ class Scan:
         save_motion(self.out / "truth.npz", motion, body.skeleton)
         missing = [frame for frame in range(len(motion)) if not frame_path(self.out, frame).is_file()]
         if len(missing) < len(motion):
-            say(f"{len(motion) - len(missing)} of {len(motion)} scans are there")
+            say(f"{len(motion) - len(missing)} of {len(motion)} scans already exist")
         scan = functools.partial(self.scan, scanner, cameras, body, motion)
         blind, sizes = defaultdict(list), []
         there, scans = len(motion) - len(missing), ((frame, scan(frame)) for frame in missing)
@@ -124,10 +124,10 @@ class Scan:
         except KeyboardInterrupt:
             kept = there + len(sizes)
             raise KeyboardInterrupt(
-                f"stopped after {kept} of {len(motion)} scans, which are written; --resume goes on"
+                f"stopped after {kept} of {len(motion)} scans, which are written; --resume continues"
             ) from None
         for view, frames in sorted(blind.items()):
-            warn(f"view {view} is empty in {len(frames)} of {len(missing)} frames, the first is {frames[0]}")
+            warn(f"view {view} is empty in {len(frames)} of {len(missing)} frames, the first is frame {frames[0]}")
         if self.npz:
             gather_clouds(self.out, len(motion))
         what = f", {np.mean(sizes):.0f} points each on average," if sizes else ""
@@ -142,9 +142,9 @@ class Scan:
         if self.rate is not None and not 0 < self.rate < np.inf:
             raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames per second.")
         if self.resume and self.overwrite:
-            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+            raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
         if self.npz and self.kind == "mesh":
-            raise InputError("--npz is for clouds, and --as mesh was given; leave one of them out.")
+            raise InputError("--npz is for clouds, and --as mesh was given; omit one of them.")
         if self.cameras is None:
             ring_of_cameras(
                 self.views,
@@ -193,8 +193,8 @@ class Scan:
         fused = scan_frame(scanner, cameras, vertices, np.asarray(body.faces), self.seed, frame)
         if len(fused.points) == 0 or (scanner.mesh and len(fused.faces) == 0):
             raise InputError(
-                f"frame {frame}: all {len(cameras)} views are empty; move the cameras, or lose less by --drop, "
-                "--holes and --grazing. The frames before it are kept."
+                f"frame {frame}: all {len(cameras)} views are empty; move the cameras, reduce --drop and --holes, "
+                "or increase --grazing. The previous frames are kept."
             )
         write_ply(frame_path(self.out, frame), fused.points, fused.normals, fused.views, fused.faces)
         return fused
@@ -209,7 +209,7 @@ def thin_motion(motion: Motion, rate: float | None) -> Motion:
         return motion
     if rate > motion.rate * (1 + 1e-9):
         raise InputError(
-            f"--rate is {rate:g}, and the motion has {motion.rate:g} frames per second; give less."
+            f"--rate is {rate:g}, and the motion has {motion.rate:g} frames per second; give a lower rate."
         )
     count = int(np.floor((len(motion) - 1) * rate / motion.rate + 1e-9)) + 1
     frames = np.floor(np.arange(count) * motion.rate / rate + 0.5).astype(int)

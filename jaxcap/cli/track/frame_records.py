@@ -53,7 +53,7 @@ def unpack(template: TrackedFrame, row: Float[np.ndarray, "R"]) -> tuple[Tracked
 
 
 class Results(NamedTuple):
-    """The results of N frames: what rows start with, without what the next frame needs."""
+    """The results of N frames: the first part of their rows, without the state for the next frame."""
 
     seconds: Float[np.ndarray, "N"]
     #: stacked over the frames

@@ -33,11 +33,11 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
     if there and not (resume or overwrite):
         what = "an unfinished run" if there == [journal] else "the results of a run"
         raise InputError(
-            f"{folder}: this folder holds {what}; give --resume to go on with it or --overwrite to replace it."
+            f"{folder}: this folder contains {what}; give --resume to continue it or --overwrite to replace it."
         )
     if resume and there and journal not in there:
         raise InputError(
-            f"{folder}: there is no journal in this folder to go on from; give --overwrite to begin anew."
+            f"{folder}: this folder has no journal to resume from; give --overwrite to begin anew."
         )
     if overwrite:
         for name in there:
@@ -81,8 +81,8 @@ def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:
     for number, (name, was) in enumerate(zip(names, solved, strict=False)):
         if cloud_sum(name) != was:
             raise InputError(
-                f"{journal.path}: frame {number} of this run was not {Path(name).name}, which is the cloud of that number "
-                f"now; resume it with the {len(solved)} clouds that it has solved first, or overwrite it."
+                f"{journal.path}: frame {number} of this run was not {Path(name).name}, which is now the cloud of that "
+                f"number; resume with the {len(solved)} solved clouds first, or give --overwrite to begin anew."
             )
 
 

@@ -131,12 +131,12 @@ class Track:
             warn(sentence)
         if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
             raise InputError(
-                f"{self.out}: the body was found in none of the {len(rows)} frames; what is written there shows none of them. "
-                "Are the unit, what is up, and the body those of the capture?"
+                f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "
+                "Check the unit, the up axis and the body."
             )
         if len(rows) < len(scans):
             raise KeyboardInterrupt(
-                f"stopped after {len(rows)} of {len(scans)} frames, which are written; --resume goes on"
+                f"stopped after {len(rows)} of {len(scans)} frames, which are written; --resume continues"
             )
 
     def check(self) -> None:
@@ -157,7 +157,7 @@ class Track:
             if not fine:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
         if self.resume and self.overwrite:
-            raise InputError("--resume goes on with a run and --overwrite replaces it; give one of them.")
+            raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
@@ -185,7 +185,7 @@ class Track:
                 journal.path.unlink()
                 raise
         except InputError as error:
-            kept = f" The {journal.count} frames before it are kept; mend it and give --resume to go on."
+            kept = f" The {journal.count} previous frames are kept; correct the input and give --resume to continue."
             raise InputError(f"{sentence_of(error)}{kept}") from None
 
     def steps(
@@ -211,7 +211,7 @@ def announcing() -> Callable[[Search], None]:
 
     def announce(search: Search) -> None:
         nonlocal compiled
-        why = f": {', '.join(search.reasons)}" if search.reasons else ", as --initialise always asks for"
+        why = f": {', '.join(search.reasons)}" if search.reasons else ", as requested by --initialise always"
         many = "1 search" if search.before == 1 else f"{search.before} searches"
         before = f"; {many} before it" if search.before else ""
         once = "" if compiled else "; the first search compiles its functions, which may take some minutes"

@@ -277,7 +277,7 @@ def test_what_cannot_be_told_is_said(capsys, tmp_path):
 
 def test_options_are_checked(capsys, folder, tmp_path):
     fit = ["markers", "fit", folder / "rom.c3d", "-o", tmp_path / "s.npz"]
-    assert "ends so" in fails(capsys, "markers", "fit", folder / "rom.c3d", "-o", tmp_path / "s.bvh")
+    assert "ends in .npz" in fails(capsys, "markers", "fit", folder / "rom.c3d", "-o", tmp_path / "s.bvh")
     assert "--threshold is -1" in fails(capsys, *fit, "--threshold", "-1")
     assert "--symmetry has 'arm'" in fails(capsys, *fit, "--symmetry", "arm")
     assert "There are no files" in fails(capsys, "markers", "fit", "-o", tmp_path / "s.npz")

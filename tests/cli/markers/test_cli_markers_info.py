@@ -24,7 +24,7 @@ def trial(tmp_path):
 
 def test_what_is_told(capsys, trial):
     told = runs(capsys, "markers", "info", trial)
-    assert "200 frames at 100 a second, 2.00 s, the first is 37" in told
+    assert "200 frames at 100 frames per second, 2.00 s, the first frame is 37" in told
     assert "markers: 4 (1 without a label), unit mm, all frames 1" in told
     assert "subject: Anna, 3 markers" in told
     assert "angles: 1 (Anna:LKneeAngles)" in told
@@ -107,6 +107,6 @@ def test_help(capsys, words):
 @pytest.mark.shared
 def test_a_real_file(capsys, shared):
     told = runs(capsys, "markers", "info", shared / "data" / "markers" / "cmu_02_05.c3d")
-    assert "1854 frames at 120 a second, 15.45 s" in told
+    assert "1854 frames at 120 frames per second, 15.45 s" in told
     assert "subject: TakeoMonday, 41 markers" in told
     assert "RSHN    99.84 %     1  0.025 s" in told

@@ -89,7 +89,7 @@ def test_what_is_refused_late_leaves_no_folder(capsys, tmp_path):
         capsys, "markers", "fit", still, "-o", tmp_path / "s.npz", "--report", tmp_path / "report"
     )
     assert not (tmp_path / "report").exists()
-    assert "no folder can be made there" in fails(
+    assert "so the folder cannot be created" in fails(
         capsys, "markers", "fit", still, "-o", tmp_path / "s.npz", "--report", still / "report"
     )
 
@@ -106,7 +106,7 @@ def test_joint_centres_are_not_replaced_unasked(capsys, tmp_path):
     take, joints = write(tmp_path / "take.c3d"), tmp_path / "joints.trc"
     joints.write_text("old")
     command = ("markers", "fit", take, "-o", tmp_path / "s.npz", "--local", "--joints", joints)
-    assert "joints.trc: this file is there already" in fails(capsys, *command)
+    assert "joints.trc: this file already exists" in fails(capsys, *command)
     assert joints.read_text() == "old"
 
 
@@ -134,4 +134,4 @@ def test_markers_far_from_their_place_are_told(capsys, subject, tmp_path):
     moved[20:, LABELS.index("rhand2")] += 0.1
     take = write(tmp_path / "moved.c3d", moved)
     main(["markers", "solve", str(subject), str(take), "-o", str(tmp_path / "o.bvh")])
-    assert "over 5 cm from where the subject has them: rhand2 in 67 % of frames" in capsys.readouterr().err
+    assert "more than 5 cm from their positions in the subject: rhand2 in 67 % of frames" in capsys.readouterr().err
