@@ -32,11 +32,11 @@ def cut(motion: Motion, first: int = 0, last: int | None = None) -> Motion:
     for name, frame in (("first", first), ("last", last)):
         if not -count <= frame < count:
             raise ValueError(
-                f"The {name} frame is {frame}, and the motion has {count} frames, 0 to {count - 1}."
+                f"The {name} frame is {frame}, but the motion has {count} frames; give a frame from 0 to {count - 1}."
             )
     first, last = first % count, last % count
     if last < first:
-        raise ValueError(f"The last frame, {last}, comes before the first, {first}; give them the other way.")
+        raise ValueError(f"The last frame, {last}, comes before the first, {first}; exchange them.")
     return motion.slice(slice(first, last + 1))
 
 
@@ -57,7 +57,8 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
     _check(skeleton, a, b)
     if not 0 <= frames <= min(len(a), len(b)):
         raise ValueError(
-            f"A blend over {frames} frames does not fit between motions of {len(a)} and {len(b)} frames."
+            f"A blend over {frames} frames does not fit motions of {len(a)} and {len(b)} frames; give from 0 to "
+            f"{min(len(a), len(b))}."
         )
     window = max(frames, 1)
     end, start = take_poses(a.poses, slice(len(a) - window, None)), take_poses(b.poses, slice(0, window))
@@ -94,16 +95,17 @@ def make_loop(
     _check(skeleton, motion, motion)
     if not 0 <= first < last < len(motion):
         raise ValueError(
-            f"A loop from frame {first} to {last} is not in a motion of {len(motion)} frames; give two from 0 to {len(motion) - 1}."
+            f"Frames {first} to {last} of the loop are not in a motion of {len(motion)} frames; give a first and a "
+            f"later last frame from 0 to {len(motion) - 1}."
         )
     if not 2 <= frames <= last - first:
         raise ValueError(
-            f"A blend over {frames} frames does not fit a loop of {last - first}; give 2 to {last - first}."
+            f"A blend over {frames} frames does not fit a loop of {last - first} frames; give from 2 to {last - first}."
         )
     if first < frames:
         raise ValueError(
-            f"The loop begins at frame {first}, and the blend takes the {frames} frames before it; begin later or "
-            "blend fewer."
+            f"The loop begins at frame {first}, but its blend takes the {frames} frames before it; begin later or "
+            "blend fewer frames."
         )
     early, late = (slice(end - frames, end + 1) for end in (first, last))
     paths = np.asarray(joint_paths(skeleton, motion.poses))
@@ -130,10 +132,10 @@ def _check(skeleton: Skeleton, a: Motion, b: Motion) -> None:
         joints = motion.poses.rotations.shape[1]
         if joints != skeleton.num_joints:
             raise ValueError(
-                f"The motion moves {joints} joints and the skeleton has {skeleton.num_joints}; retarget it."
+                f"The motion has {joints} joints, but the skeleton has {skeleton.num_joints}; retarget the motion."
             )
         if len(motion) == 0:
-            raise ValueError("A motion has no frames; there is nothing to join.")
+            raise ValueError("A motion has no frames; give motions with at least one frame.")
     if abs(a.rate - b.rate) > 1e-6 * a.rate:
         raise ValueError(
             f"The motions have {a.rate:g} and {b.rate:g} frames per second; resample one of them to the other."

@@ -77,11 +77,11 @@ def look_at_target(
     magnitude = fade_weights(len(motion), first, last, fade * motion.rate)
     if most is not None and not 0 < most <= 180:
         raise ValueError(
-            f"The most that the gaze may turn is {most:g} degrees; it must be above 0 and at most 180."
+            f"The largest rotation of the gaze is {most:g} degrees; expected above 0 and at most 180."
         )
     goals = np.broadcast_to(np.asarray(target, float), (len(motion), 3))
     if not np.isfinite(goals).all():
-        raise ValueError("The target of the gaze is not finite; give three numbers.")
+        raise ValueError("The target of the gaze is not finite; give three finite numbers.")
     used = magnitude > 0
     eyes, looks = (np.asarray(x) for x in _lines(skeleton, line, motion.poses))
     lengths = np.linalg.norm(goals if direction else goals - eyes, axis=1)
@@ -89,10 +89,10 @@ def look_at_target(
     if close.any():
         frame = int(np.argmax(close))
         raise ValueError(
-            "A direction of no length is none to look into."
+            "The direction of the gaze has zero length; give a vector that is not zero."
             if direction
-            else f"In frame {frame} the target is {100 * lengths[frame]:.0f} cm from between the eyes; nobody looks at "
-            f"what is nearer than {100 * NEAR:.0f} cm. Check its unit, and that it is in the motion's world."
+            else f"In frame {frame} the target is {100 * lengths[frame]:.0f} cm from the point between the eyes; expected "
+            f"at least {100 * NEAR:.0f} cm. Check its unit, and that it is in the world of the motion."
         )
     dtype = motion.poses.rotations.dtype
     cap = np.radians(180.0 if most is None else most)
@@ -129,10 +129,11 @@ def fade_weights(count: int, first: int, last: int, frames: float) -> Float[np.n
     **Raises:** `ValueError` if the two fades do not fit into the range.
     """
     if not 0 <= frames < np.inf:
-        raise ValueError(f"The fade takes {frames:g} frames; it must be at least 0.")
+        raise ValueError(f"The fade takes {frames:g} frames; expected at least 0.")
     if 2 * frames > last - first:
         raise ValueError(
-            f"Two fades of {frames:g} frames do not fit into frames {first} to {last}; take a longer range or fade faster."
+            f"Two fades of {frames:g} frames do not fit into frames {first} to {last}; use a longer range or a "
+            "shorter fade."
         )
     number = np.arange(count)
     inside = (number >= first) & (number <= last)
@@ -155,30 +156,30 @@ class _Chain(NamedTuple):
 
 def _chain(skeleton: Skeleton, line: GazeLine, shares: Mapping[str, float]) -> _Chain:
     if not shares:
-        raise ValueError("No joint is to turn; name at least the head.")
+        raise ValueError("No joints are given for the gaze; name at least the head.")
     for name, share in shares.items():
         if name not in skeleton.names:
             raise ValueError(f"There is no joint '{name}'; the skeleton has {', '.join(skeleton.names)}.")
         kind = skeleton.kinds[skeleton.names.index(name)]
         if kind not in ("ball", "free"):
-            raise ValueError(f"The joint '{name}' is {kind}; only joints that turn freely can share a gaze.")
+            raise ValueError(f"The joint '{name}' is {kind}; only ball and free joints can rotate the gaze.")
         if not share > 0:
-            raise ValueError(f"The share of '{name}' is {share:g}; it must be above 0.")
+            raise ValueError(f"The share of '{name}' is {share:g}; expected above 0.")
     if abs(sum(shares.values()) - 1.0) > 1e-6:
         raise ValueError(
-            f"The shares of the joints add up to {sum(shares.values()):g}; they must add up to 1."
+            f"The shares of the joints add up to {sum(shares.values()):g}; expected a sum of 1."
         )
     joints = [skeleton.names.index(name) for name in shares]
     for above, below in pairwise(joints):
         if above == below or not skeleton.descent[above, below]:
             raise ValueError(
-                f"The joint '{skeleton.names[below]}' does not hang on '{skeleton.names[above]}'; name joints from the "
-                "trunk to the head."
+                f"The joint '{skeleton.names[below]}' is not a descendant of '{skeleton.names[above]}'; name joints "
+                "from the trunk to the head."
             )
     if not skeleton.descent[joints[-1], line.joint]:
         raise ValueError(
-            f"The line of the gaze is of '{skeleton.names[line.joint]}', which does not hang on "
-            f"'{skeleton.names[joints[-1]]}', the last joint that turns."
+            f"The gaze line is fixed to '{skeleton.names[line.joint]}', which is not a descendant of "
+            f"'{skeleton.names[joints[-1]]}', the last joint that rotates; name joints of its chain."
         )
     dtype = skeleton.centres.dtype
     parents = [skeleton.parents[joint] for joint in joints]
@@ -190,7 +191,8 @@ def _range(motion: Motion, first: int, last: int | None) -> tuple[int, int]:
     last = len(motion) - 1 if last is None else last
     if not 0 <= first <= last < len(motion):
         raise ValueError(
-            f"Frames {first} to {last} are not in a motion of {len(motion)} frames, 0 to {len(motion) - 1}."
+            f"Frames {first} to {last} are not in a motion of {len(motion)} frames; give frames from 0 to "
+            f"{len(motion) - 1}."
         )
     return first, last
 

@@ -46,20 +46,20 @@ def line_of_vertices(
     **Raises:** `ValueError` if the body has no such vertices or joint, or both ends coincide.
     """
     ends = []
-    for name, chosen in (("back of the head", back), ("middle between the eyes", front)):
+    for name, chosen in (("back of the head", back), ("point between the eyes", front)):
         rows = np.atleast_1d(np.asarray(chosen, int))
         if rows.size == 0 or rows.min() < 0 or rows.max() >= len(body.vertices):
             raise ValueError(
                 f"The vertices {rows.tolist()} for the {name} are not all in the body, which has "
-                f"{len(body.vertices)}: 0 to {len(body.vertices) - 1}."
+                f"{len(body.vertices)} vertices; give at least one from 0 to {len(body.vertices) - 1}."
             )
         ends.append(np.asarray(body.vertices, float)[rows].mean(0))
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
     if length < 1e-6:
         raise ValueError(
-            f"The vertices {np.atleast_1d(back).tolist()} and {np.atleast_1d(front).tolist()} are in one place, so no "
-            "line goes through them."
+            f"The vertices {np.atleast_1d(back).tolist()} and {np.atleast_1d(front).tolist()} have the same mean "
+            "position, so they define no gaze line; give vertices at different positions."
         )
     dtype = body.skeleton.centres.dtype
     joint = _joint(body.skeleton, head)
@@ -110,14 +110,14 @@ def gaze_shares(skeleton: Skeleton, names: Sequence[str] | None = None) -> dict[
     heads = [joint for joint, name in enumerate(skeleton.names) if _plain(name) == "head"]
     if len(heads) != 1:
         raise ValueError(
-            f"{len(heads)} of the joints are called head; {ask}, of {', '.join(skeleton.names)}."
+            f"{len(heads)} of the joints are called head; {ask}, from {', '.join(skeleton.names)}."
         )
     neck, above = -1, skeleton.parents[heads[0]]
     while above >= 0 and "neck" in _plain(skeleton.names[above]):
         neck, above = above, skeleton.parents[above]
     if neck < 0 or above < 0:
         raise ValueError(
-            f"Above '{skeleton.names[heads[0]]}' no joint is called neck with another above it; {ask}, of "
+            f"No ancestor of '{skeleton.names[heads[0]]}' is a neck joint with a parent; {ask}, from "
             f"{', '.join(skeleton.names)}."
         )
     found = [skeleton.names[joint] for joint in (above, neck, heads[0])]
@@ -146,6 +146,7 @@ def _forward(skeleton: Skeleton, head: int) -> np.ndarray:
     front = np.cross(nearest_axis(left), nearest_axis(centres[head] - centres[root]))
     if np.linalg.norm(front) < 0.5:
         raise ValueError(
-            "Where the front of this skeleton is cannot be told from the names of its joints; give vertices of its head."
+            "The front of this skeleton cannot be determined from the names of its joints; give vertices of its "
+            "head."
         )
     return front

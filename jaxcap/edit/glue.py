@@ -49,9 +49,9 @@ def glue_scan(
 
     points, vertices, faces = np.asarray(points, float), np.asarray(vertices, float), np.asarray(faces)
     if len(faces) == 0:
-        raise ValueError("The body has no faces; a scan is glued to a surface.")
+        raise ValueError("The body has no faces; give a body with a surface.")
     if len(points) == 0:
-        raise ValueError("The scan has no points; there is nothing to glue.")
+        raise ValueError("The scan has no points; give a scan with at least one point.")
     if not (np.isfinite(points).all() and np.isfinite(vertices).all()):
         raise ValueError("Not all points and vertices are finite; remove those that are not.")
     sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
@@ -63,7 +63,7 @@ def glue_scan(
     if far.any():
         raise ValueError(
             f"{int(far.sum())} of {len(points)} points of the scan are more than {reach:g} m from the body, the furthest "
-            f"{nearest.distances.max():.3g} m; check the scan's unit, and that the body is posed in it."
+            f"{nearest.distances.max():.3g} m; check the scan's unit, and that the body has the pose of the scan."
         )
     corners = faces[nearest.triangles]
     origin, first, second = np.moveaxis(vertices[corners], 1, 0)

@@ -45,9 +45,9 @@ def resample(motion: Motion, rate: float | int) -> Motion:
     **Raises:** `ValueError` for a rate that is not above 0, or a motion without frames.
     """
     if not 0 < rate < np.inf:
-        raise ValueError(f"The rate is {rate:g}; it must be above 0 frames per second.")
+        raise ValueError(f"The rate is {rate:g}; expected above 0 frames per second.")
     if len(motion) == 0:
-        raise ValueError("The motion has no frames; there is nothing to resample.")
+        raise ValueError("The motion has no frames; give one with at least one frame.")
     count = int(np.floor((len(motion) - 1) * rate / motion.rate + 1e-9)) + 1
     times = np.minimum(np.arange(count) * (motion.rate / rate), len(motion) - 1)
     # remove rounding errors of times that are whole frames

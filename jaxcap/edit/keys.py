@@ -58,14 +58,14 @@ def find_keys(
     """
     for name, value in (("degrees", degrees), ("metres", metres)):
         if not 0 < value < np.inf:
-            raise ValueError(f"The tolerance is {value:g} {name}; it must be above 0.")
+            raise ValueError(f"The tolerance is {value:g} {name}; expected above 0.")
     count, joints = motion.poses.rotations.shape[:2]
     if joints != skeleton.num_joints:
         raise ValueError(
-            f"The motion moves {joints} joints and the skeleton has {skeleton.num_joints}; retarget it."
+            f"The motion has {joints} joints, but the skeleton has {skeleton.num_joints}; retarget the motion."
         )
     if count == 0:
-        raise ValueError("The motion has no frames; there are no keys in it.")
+        raise ValueError("The motion has no frames; give one with at least one frame.")
     paths = np.asarray(joint_paths(skeleton, motion.poses), float)
     keyed = np.zeros((count, joints), bool)
     keyed[[0, -1]] = True

@@ -26,7 +26,7 @@ def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
     joints = motion.poses.rotations.shape[1]
     if joints != skeleton.num_joints:
         raise ValueError(
-            f"The motion moves {joints} joints and the skeleton has {skeleton.num_joints}; retarget it."
+            f"The motion has {joints} joints, but the skeleton has {skeleton.num_joints}; retarget the motion."
         )
     twins, side = _twins(skeleton), _side(skeleton)
     # a reflection reverses rotations about the axes in the mirror plane
@@ -48,7 +48,8 @@ def _twins(skeleton: Skeleton) -> np.ndarray:
         twins[left], twins[right] = right, left
     if np.array_equal(twins, np.arange(len(twins))):
         raise ValueError(
-            f"No joint has a twin on the other side, by the names {', '.join(skeleton.names)}; name them as in LeftArm and RightArm."
+            f"No joint has a counterpart on the other side, by the names {', '.join(skeleton.names)}; give names as "
+            "in LeftArm and RightArm."
         )
     parents, kinds = np.array(skeleton.parents), np.array(skeleton.kinds)
     above = np.where(parents < 0, -1, twins[np.maximum(parents, 0)])
@@ -56,8 +57,8 @@ def _twins(skeleton: Skeleton) -> np.ndarray:
     if wrong.any():
         joint = int(np.argmax(wrong))
         raise ValueError(
-            f"The joints '{skeleton.names[joint]}' and '{skeleton.names[twins[joint]]}' are called alike and hang or move "
-            "differently; such a skeleton has no mirror image."
+            f"The joints '{skeleton.names[joint]}' and '{skeleton.names[twins[joint]]}' are counterparts by their "
+            "names, but have unlike parents or kinds; such a skeleton has no mirror image."
         )
     return twins
 
@@ -69,6 +70,7 @@ def _side(skeleton: Skeleton) -> Float[np.ndarray, "3"]:
     side = nearest_axis(np.abs(centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0))
     if not side.any():
         raise ValueError(
-            "Left and right joints are in one place at rest, so the sides of this skeleton cannot be told."
+            "Left and right joints have the same positions at rest, so the lateral axis of this skeleton cannot be "
+            "determined."
         )
     return side

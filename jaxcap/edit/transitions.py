@@ -35,12 +35,13 @@ def transition_distances(skeleton: Skeleton, a: Motion, b: Motion, window: int) 
     for motion in (a, b):
         if motion.poses.rotations.shape[1] != skeleton.num_joints:
             raise ValueError(
-                f"The motion moves {motion.poses.rotations.shape[1]} joints and the skeleton has "
-                f"{skeleton.num_joints}; retarget it."
+                f"The motion has {motion.poses.rotations.shape[1]} joints, but the skeleton has "
+                f"{skeleton.num_joints}; retarget the motion."
             )
         if not 1 <= window <= len(motion):
             raise ValueError(
-                f"A window of {window} frames does not fit into a motion of {len(motion)}; give fewer, at least one."
+                f"A window of {window} frames does not fit into a motion of {len(motion)} frames; give a shorter one, "
+                "of at least one frame."
             )
     (xa, ya, za), (xb, yb, zb) = (_windows(skeleton, motion, window) for motion in (a, b))
     flat = [np.sum(x**2, 1) + np.sum(z**2, 1) for x, z in ((xa, za), (xb, zb))]
@@ -79,7 +80,7 @@ def find_loops(
     if not 1 <= least <= most or least + window >= len(motion):
         raise ValueError(
             f"A loop of {least} to {most} frames with {window} before it does not fit into a motion of "
-            f"{len(motion)} frames; ask for a shorter one."
+            f"{len(motion)} frames; give a shorter one."
         )
     # the window includes the frame at which a loop begins, so it is one frame longer
     distances = transition_distances(skeleton, motion, motion, window + 1)

@@ -23,12 +23,12 @@ from .adaptation_charts import (
 )
 from .page import Markup, element, page, section, table
 
-TITLE = "A template became the actor"
+TITLE = "Adaptation of a template to an actor"
 VARIANTS = {
-    "not adapted": "the template, only made as large as the actor",
-    "first frame": "the template adapted to the first scan alone",
-    "many frames": "the adapted body, every pose found by itself",
-    "smooth": "the adapted body with its final, smooth motion",
+    "not adapted": "the template, scaled to the size of the actor",
+    "first frame": "the template, adapted to the first scan only",
+    "many frames": "the adapted body, each pose fitted independently",
+    "smooth": "the adapted body with the smoothed motion",
 }
 #: columns of the table of the objective's terms
 TERMS = (
@@ -36,8 +36,8 @@ TERMS = (
     "pairs, mm",
     "pose prior",
     "second differences, degrees",
-    "change of shape, mm",
-    "left against right, mm",
+    "shape change, mm",
+    "asymmetry, mm",
 )
 #: columns of the table of variants
 COLUMNS = (
@@ -47,25 +47,25 @@ COLUMNS = (
     "median",
     "MAD",
     "IQR",
-    "90 % within",
-    "from body to scan, median",
-    "frames lost",
+    "90 % quantile",
+    "body to scan, median",
+    "lost frames",
 )
-NOISE = """The noise of the scans is part of every distance: no body brings it to nothing."""
-MEASURES = """MAD is the median of how far distances are from their median. IQR is the distance between the quartiles:
-half of all distances are in a range so wide. From body to scan counts every vertex, also what no camera saw, and is
-never less than the gaps between points allow."""
-PLACES = """Every body at rest, from the front and from the back. Colours are the mean distance of the scanned points
-that are nearest to a place, over all frames that were measured."""
-ALONE = """How far each joint is turned from rest, about the axis that it turns about most. Poses that are found one by
-one shake with the noise of the scans."""
-SMOOTH = """ The smooth motion is to follow the movement without that."""
-SHAKE = """Shake is how far a joint is turned from the mean of the frame before and the frame after, as root mean
-square. Real movement has some, too."""
-PAIRS = """The distance that the adaptation makes small: of pairs along their normals, those far apart counting less. It
-is over other scans in some stages, so a small rise need not be a loss."""
-LOST = """Each frame is compared with what is normal for all frames, part by part: points that no part explains,
-surface that ought to be seen and has no points, and the distance from the points to the body."""
+NOISE = """Distances include the noise of the scans, so no body has zero distances."""
+MEASURES = """MAD is the median absolute deviation from the median. IQR is the interquartile range, which contains half of
+all distances. Distances from body to scan include every vertex, also those that no camera saw, and are limited from below by
+the gaps between points."""
+PLACES = """Each body at rest, from the front and the back. The colour of a vertex is the mean distance of its nearest scanned
+points over all measured frames."""
+ALONE = """The rotation angle of each joint from rest, about its main axis. Poses that are fitted independently jitter with
+the noise of the scans."""
+SMOOTH = """ The smoothed motion should follow the movement without jitter."""
+SHAKE = """Jitter is the rotation of a joint from the mean of the previous and the next frame, as root mean square. Real
+movement contributes to it, too."""
+PAIRS = """The distance that the adaptation minimises: between the points of pairs, along their normals, with lower weights
+for distant pairs. Some stages use other scans, so a small increase need not mean a worse body."""
+LOST = """Each frame is compared with the typical values of all frames for each part: unexplained points, surface that
+should be visible but has no points, and the distance from the points to the body."""
 #: largest number of lost frames that are listed
 NAMED = 20
 #: packages whose versions may affect a result
@@ -94,24 +94,24 @@ def adaptation_page(task: AdaptTask, state: AdaptState, stages: Stages, how: Map
         element("h1", TITLE),
         headline(task, state, stages),
         section(
-            "Distances from the scans",
+            "Distances between scans and body",
             variant_table(stages.variants),
             *measure_notes(task, stages),
             distance_charts(stages.variants),
         ),
-        section("Where the body is off", element("p", PLACES), heat_maps(stages.variants)),
+        section("Distances on the body", element("p", PLACES), heat_maps(stages.variants)),
     ]
     if len(stages.measured) > 1:
-        parts.append(section("When it is off", frame_chart(stages, task.rate)))
+        parts.append(section("Distances over time", frame_chart(stages, task.rate)))
     if angles is not None and len(angles.seconds) > 2:
         told = element("p", ALONE, SMOOTH if angles.after is not None else "")
         shakes = (shake_table(angles, skeleton), element("p", SHAKE, class_="soft"))
-        parts.append(section("Joints over time", told, angle_charts(angles, skeleton), *shakes))
+        parts.append(section("Joint angles over time", told, angle_charts(angles, skeleton), *shakes))
     if state.lost:
-        parts.append(section("Frames not to trust", lost_table(state), element("p", LOST, class_="soft")))
+        parts.append(section("Lost frames", lost_table(state), element("p", LOST, class_="soft")))
     every = element("details", element("summary", "All stages"), history_table(state.history, state.terms))
-    parts.append(section("How it went", element("p", PAIRS), history_chart(state.history), every))
-    parts.append(section("How it was made", how_table(task, how)))
+    parts.append(section("Convergence", element("p", PAIRS), history_chart(state.history), every))
+    parts.append(section("Settings", how_table(task, how)))
     return page(TITLE, *parts)
 
 
@@ -120,18 +120,18 @@ def headline(task: AdaptTask, state: AdaptState, stages: Stages) -> Markup:
     first, last = stages.variants[0], stages.variants[-1]
     before, after = (1000 * quantile(variant.to_body, 0.5) for variant in (first, last))
     size = (
-        "is the actor's size against the template's, before its shape was adapted. At rest the body is now "
-        f"{_height(state.body):.2f} m high, the template {_height(task.template):.2f} m."
+        "is the size ratio of actor to template, before the adaptation of shape. At rest the height of the body is now "
+        f"{_height(state.body):.2f} m, that of the template {_height(task.template):.2f} m."
     )
     nearer = (
-        "Half of all scanned points are nearer to the body than this: before, with a template that was only made as "
-        "large as the actor, and after."
+        "is the median distance of scanned points from the body: before, with the template scaled to the size of "
+        "the actor, and after."
     )
     lost = len(last.lost)
-    followed = "were followed. No frame was lost."
+    followed = "were tracked. No frame was lost."
     if lost:
         named = ", ".join(map(str, last.lost[:NAMED])) + (" and more" if lost > NAMED else "")
-        followed = f"were followed. Lost, counted from 0: {named}; what is told of them means little."
+        followed = f"were tracked. Lost, counted from 0: {named}; their figures are not reliable."
     cards = (
         (f"× {state.size:.3f}", size),
         (f"{before:.1f} mm → {after:.1f} mm", nearer),
@@ -145,7 +145,7 @@ def lost_table(state: AdaptState) -> Markup:
     """Tabulate lost frames with their reasons."""
     reasons = state.reasons or ("",) * len(state.lost)
     rows = [[str(frame), reason] for frame, reason in zip(state.lost, reasons, strict=True)]
-    return table("Lost frames, counted from 0", ("frame", "why"), rows, words=(1,))
+    return table("Lost frames, counted from 0", ("frame", "reason"), rows, words=(1,))
 
 
 def variant_table(variants: tuple[Variant, ...]) -> Markup:
@@ -162,8 +162,8 @@ def measure_notes(task: AdaptTask, stages: Stages) -> list[Markup]:
     """Describe the figures of the table."""
     kinds = "; ".join(f"{v.name}: {VARIANTS[v.name]}" for v in stages.variants if v.name in VARIANTS)
     points = int(stages.variants[0].to_body.counts.sum())
-    frames = f"Measured are {len(stages.measured)} of {task.frames} frames, with {points:,} points together."
-    notes = (f"{kinds[:1].upper()}{kinds[1:]}.", f"{frames} Lost frames are among them. {NOISE}", MEASURES)
+    frames = f"{len(stages.measured)} of {task.frames} frames were measured, with {points:,} points in total."
+    notes = (f"{kinds[:1].upper()}{kinds[1:]}.", f"{frames} Lost frames are included. {NOISE}", MEASURES)
     return [element("p", note, class_="soft") for note in notes]
 
 
@@ -176,7 +176,7 @@ def history_table(history: Sequence[tuple[str, float]], terms: Sequence[Terms]) 
         rows.append(
             [name, f"{distance:.2f}", f"{values.pose:.3g}", f"{shake:.2f}", *(f"{v:.2f}" for v in lengths)]
         )
-    return table("The terms of the objective after every stage", TERMS, rows)
+    return table("Terms of the objective after every stage", TERMS, rows)
 
 
 def how_table(task: AdaptTask, how: Mapping[str, object]) -> Markup:
@@ -190,7 +190,7 @@ def how_table(task: AdaptTask, how: Mapping[str, object]) -> Markup:
     ]
     rows += [["joints of the body", str(task.template.skeleton.num_joints)]]
     rows += [[name, _version(name)] for name in PACKAGES] + [["Python", platform.python_version()]]
-    return table("Options and versions", ["what", "value"], rows, words=(1,))
+    return table("Options and versions", ["option", "value"], rows, words=(1,))
 
 
 def _row(variant: Variant) -> list[str]:

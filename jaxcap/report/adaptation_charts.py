@@ -43,7 +43,7 @@ def distance_charts(variants: Sequence[Variant]) -> Markup:
             y_range=(0.0, 100.0),
         ),
         line_chart(
-            "Share of scanned points at a distance of the body",
+            "Share of scanned points by distance from the body",
             at,
             distance,
             f"points per {width:.2g} mm, %",
@@ -65,20 +65,20 @@ def heat_maps(variants: Sequence[Variant]) -> Markup:
         mean = f"{1000 * summary_of(variant.to_body).mean:.1f} mm"
         worst = ", ".join(f"{name} ({value:.1f} mm)" for name, value in list(part.items())[:3])
         alt = (
-            f"Body from the front and from the back, {variant.name}: {mean} on average; furthest at {worst}."
+            f"Body from the front and from the back, {variant.name}: {mean} on average; largest at {worst}."
         )
         caption = element("figcaption", element("b", variant.name), f": {mean} on average")
         figures.append(element("figure", element("img", src=picture, alt=alt), caption))
     names = list(parts[0])[:PARTS]
     rows = [[name, *(f"{part[name]:.1f}" if name in part else "–" for part in parts)] for name in names]
     by_part = table(
-        "Mean distance by part of the body, millimetres; the parts that were furthest off at first",
+        "Mean distance by part of the body, millimetres; the parts with the largest initial distances",
         ["part", *(variant.name for variant in variants)],
         rows,
     )
-    scale = colour_scale(limit, "millimetres", "Grey: no scanned point is nearest to it.")
+    scale = colour_scale(limit, "millimetres", "Grey: nearest to no scanned point.")
     grid = element("div", *figures, class_="grid")
-    return joined(grid, scale, element("details", element("summary", "The same in figures"), by_part))
+    return joined(grid, scale, element("details", element("summary", "The same as a table"), by_part))
 
 
 def mean_by_part(variant: Variant) -> dict[str, float]:
@@ -116,10 +116,10 @@ def angle_charts(angles: Angles, skeleton: Skeleton) -> Markup:
     figures, looks = [], []
     for joint in shown:
         looks = [
-            Line("every frame by itself", angles.seconds, np.degrees(angles.before[:, joint]), "c0 thin")
+            Line("independent frames", angles.seconds, np.degrees(angles.before[:, joint]), "c0 thin")
         ]
         if angles.after is not None:
-            looks.append(Line("smooth", angles.seconds, np.degrees(angles.after[:, joint]), "c3"))
+            looks.append(Line("smoothed", angles.seconds, np.degrees(angles.after[:, joint]), "c3"))
         name = skeleton.names[joint]
         chart = line_chart(f"Angle of {name} over time", looks, "seconds", "degrees")
         figures.append(_figure(chart, name))
@@ -135,9 +135,9 @@ def shake_table(angles: Angles, skeleton: Skeleton) -> Markup:
         turned = np.degrees(np.ptp(final[:, joint]))
         rows.append([skeleton.names[joint], f"{turned:.0f}", *_shakes(angles, [joint])])
     rows.append(["all joints", "", *_shakes(angles, list(range(skeleton.num_joints)))])
-    head = ["joint", "range of its angle", "shake, every frame by itself"]
+    head = ["joint", "range of its angle", "jitter, independent frames"]
     return table(
-        "Joints that turn most, degrees", head if angles.after is None else [*head, "shake, smooth"], rows
+        "Joints with the largest rotations, degrees", head if angles.after is None else [*head, "jitter, smoothed"], rows
     )
 
 
@@ -159,7 +159,7 @@ def history_chart(history: Sequence[tuple[str, float]]) -> Markup:
     line = Line("root mean square", np.arange(1.0, len(values) + 1), values, "c2")
     high = 1.06 * float(values.max())
     chart = line_chart(
-        "Distance after every stage", [line], "stage", "distance of pairs, mm", y_range=(0.0, high)
+        "Distance after every stage", [line], "stage", "pair distance, mm", y_range=(0.0, high)
     )
     return element("figure", chart, class_="single")
 

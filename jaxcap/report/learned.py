@@ -91,7 +91,7 @@ def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
             at = np.flatnonzero(own & some)
             plot.scatter(at, values[at], s=22, facecolors=face, edgecolors=colour, zorder=2)
     if hollow.any():
-        plot.scatter([], [], s=22, facecolors="white", edgecolors=INK, label="on some of the vertices")
+        plot.scatter([], [], s=22, facecolors="white", edgecolors=INK, label="on a subset of the vertices")
     if (values > 0).all():
         plot.set_yscale("log")
         plot.yaxis.set_major_formatter("{x:g}")

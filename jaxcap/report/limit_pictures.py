@@ -58,14 +58,14 @@ def draw_limits(
         drawn(plots[row], surface, primitives, places[samples])
         if surface.parent is not None:
             plots[row, 0].set_title(
-                f"where {surface.parent} is near keyframe {key}: {int(samples.sum())} samples",
+                f"{surface.parent} near keyframe {key}: {int(samples.sum())} samples",
                 fontsize=9,
                 color=INK,
             )
     coupled = "" if surface.parent is None else f", coupled to {surface.parent}"
     count = surface.centres.shape[1]
     figure.suptitle(
-        f"{surface.joint}{coupled}\n{len(places)} samples, {count} primitives, voxels from "
+        f"{surface.joint}{coupled}\n{len(places)} samples, {count} primitives, voxels of at least "
         f"{np.degrees(4 * float(surface.unit)):.2g} degrees",
         fontsize=10,
         color=INK,
@@ -120,7 +120,7 @@ def _draw_flat(plots: Any, surface: LimitSurface, primitives: Primitives, places
         plot.stairs(counts, np.degrees(2 * edges), fill=True, color=DOT, label="samples")
         # a logarithmic scale keeps small counts visible
         plot.set_yscale("symlog")
-        plot.set_xlabel("angle from the middle, degrees", fontsize=8, color=INK)
+        plot.set_xlabel("angle from the centre, degrees", fontsize=8, color=INK)
         plot.set_ylabel("number of samples", fontsize=8, color=INK)
         plot.legend(
             loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, labelcolor=INK, frameon=False

@@ -104,7 +104,7 @@ def make_take(
         poses = Pose(poses.translations[None], poses.rotations[None], poses.scale[None])
     if poses.rotations.shape[1] != skeleton.num_joints:
         raise ValueError(
-            f"{name}: the motion has {poses.rotations.shape[1]} joints and the skeleton {skeleton.num_joints}; "
+            f"{name}: the motion has {poses.rotations.shape[1]} joints, but the skeleton {skeleton.num_joints}; "
             "give the motion of this skeleton, or retarget it."
         )
     rate = motion.rate if isinstance(motion, Motion) else 30.0

@@ -34,12 +34,13 @@ def record_poses(
     at, names = header.get("pose at"), header.get("joints")
     if not isinstance(at, int) or not isinstance(names, list):
         raise InputError(
-            f"{path}: this journal does not tell where its poses are; it is of no run of jaxcap track."
+            f"{path}: this journal does not give the offset of its poses, so it is not of a run of jaxcap track; give "
+            "the folder of a run."
         )
     if tuple(names) != skeleton.names:
         raise InputError(
-            f"{path}: this run is of another body: it moves {len(names)} joints, {', '.join(names)}, and this body has "
-            f"{', '.join(skeleton.names)}; give the run's own body with --body."
+            f"{path}: this run is of another body: it has {len(names)} joints, {', '.join(names)}, and the given body "
+            f"has {', '.join(skeleton.names)}; give the body of the run with --body."
         )
     joints = skeleton.num_joints
     ends = at + np.cumsum([0, 3 * joints, 4 * joints, 1])

@@ -49,15 +49,16 @@ from .live import JOURNAL, follow_run
 
 #: files of numbers without a shape, and the command that describes each
 SHAPELESS = {
-    LIMITS: "these are limits of joints; `jaxcap info` tells what they hold, and `jaxcap limits check` how a motion keeps them",
-    PRIOR: "this is a prior of poses; `jaxcap info` tells what it holds",
+    LIMITS: "this file contains joint limits; `jaxcap info` describes them, and `jaxcap limits check` tests a motion "
+    "against them",
+    PRIOR: "this file contains a pose prior; `jaxcap info` describes it",
 }
 #: the same by suffix
 OTHERS = {
     **dict.fromkeys((".html", ".png", ".svg"), "this is a report; open it in a browser"),
-    ".cst": "these are limits of joints; give them to a verb by --cst",
-    ".vj": "this is which joint moves each vertex; give the mesh beside it by --body",
-    ".csv": "these are the statistics of a run; give its folder",
+    ".cst": "this file contains joint limits; give it to a command by --cst",
+    ".vj": "this file assigns vertices to joints; give the mesh next to it by --body",
+    ".csv": "this file contains the statistics of a run; give the folder of the run",
 }
 
 
@@ -154,7 +155,7 @@ class _Loader:
                 *MARKER_READERS,
                 ".json",
             }
-            raise wrong_kind(path, "something to look at", sorted(known))
+            raise wrong_kind(path, "a file to show", sorted(known))
 
     def folder(self, folder: Path) -> None:
         begun = (folder / JOURNAL).is_file()
@@ -199,7 +200,7 @@ class _Loader:
             self.clouds(str(path))
         else:
             self.found.told.append(
-                f"{path}: there is nothing in it that has a shape, but {', '.join(names[:8])}."
+                f"{path}: this file contains no geometry; its arrays are {', '.join(names[:8])}."
             )
 
     def skinned(self, path: Path) -> None:
@@ -219,11 +220,11 @@ class _Loader:
             self.found.cameras.extend(read_cameras(path))
         elif isinstance(content, dict) and content.get("format") == CONSTRAINTS:
             self.found.told.append(
-                f"{path}: these are constraints of a pose; `jaxcap ik --constraints` shows them."
+                f"{path}: this file contains constraints of a pose; `jaxcap ik --constraints` shows them."
             )
         else:
             self.found.told.append(
-                f"{path}: there are no cameras in it; where it is of a run, give the run's folder."
+                f"{path}: this file contains no cameras; if it belongs to a run, give the folder of the run."
             )
 
     def moving(self, path: Path) -> Take:
@@ -249,7 +250,7 @@ class _Loader:
         _check_frames(motion, path)
         if why:
             self.found.told.append(
-                f"{path}: this motion is not of {given}, so its own bones are shown: {_short(why[0], path)}"
+                f"{path}: this motion does not fit {given}, so its own bones are shown: {_short(why[0], path)}"
             )
         for kind in (self.subjects, self.skeletons):
             for _, one in self.freest(kind):
@@ -273,18 +274,18 @@ class _Loader:
                 given.append(name)
                 why.append(sentence_of(error))
         hint = (
-            f", and it is not of {', '.join(given)}: {_short(why[0], path)}"
+            f", and it does not fit {', '.join(given)}: {_short(why[0], path)}"
             if why
             else "; give its body by --body."
         )
-        raise InputError(f"{path}: this motion does not say its skeleton{hint}")
+        raise InputError(f"{path}: this motion file has no skeleton{hint}")
 
     def running(self, folder: Path) -> Take:
         """Load the take of an unfinished run."""
         if not self.bodies:
             raise InputError(
-                f"{folder}: this run is not over, and its journal does not say of which body it is; give the body "
-                "by --body, as it was given to the run."
+                f"{folder}: this run is not finished, and its journal does not name its body; give the body of the run "
+                "by --body."
             )
         why = []
         for _, body in self.freest(self.bodies):

@@ -167,7 +167,7 @@ def test_some_frames_and_no_smooth_motion(scene):
     assert last.angles.after is None
     apart = summary_of(last.variants[-1].to_body)
     assert apart.count == 3 * 700
-    assert "smooth motion" not in adaptation_page(task, state, last, {})
+    assert "smoothed motion" not in adaptation_page(task, state, last, {})
 
 
 def test_meshes_are_met_in_their_own_frames(scene):
@@ -287,7 +287,7 @@ def test_the_command_line_goes_on_to_the_report(scene, tmp_path, capsys):
     assert not verb.kept.exists()
     text = report.read_text(encoding="utf-8")
     Parsed(text)
-    assert "Measured are 2 of 5 frames" in text
+    assert "2 of 5 frames were measured" in text
 
 
 def test_what_is_refused(tmp_path, capsys):

@@ -117,4 +117,4 @@ def test_a_port_that_is_taken_is_told(folder, capsys):
         other.listen(1)
         port = other.getsockname()[1]
         sentence = fails(capsys, "ik", folder / "leg.npz", "--no-browser", "--port", port)
-    assert f"port {port}: another program listens there" in sentence
+    assert f"port {port}: another program uses this port" in sentence

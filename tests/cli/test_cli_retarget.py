@@ -46,7 +46,7 @@ def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, tmp_pat
     jc.save_motion(tmp_path / "other_rig.npz", still(source), source)
     words = ("edit", "retarget", tmp_path / "other_rig.npz", tmp_path / "sticks.npz", "-o")
     told = runs(capsys, *words, tmp_path / "matched.npz", "--write-names", tmp_path / "table.json")
-    assert "20 joints of the source match one of the target" in told and "LeftUpperLeg = LeftUpLeg" in told
+    assert "20 joints of the source match a joint of the target" in told and "LeftUpperLeg = LeftUpLeg" in told
     assert "no match in the source: Tail_1: left out" in told
     assert "no match in the target: Head: stays at rest, moved by Neck" in told
     table = read_joint_names(tmp_path / "table.json")

@@ -198,7 +198,7 @@ def test_a_mirror_swaps_sides_and_twice_is_none():
     np.testing.assert_allclose(places(mirrored), want, atol=1e-12)
     twice = mirror(SKELETON, mirrored)
     np.testing.assert_allclose(twice.poses.rotations, motion.poses.rotations, atol=0)
-    with pytest.raises(ValueError, match="No joint has a twin"):
+    with pytest.raises(ValueError, match="No joint has a counterpart"):
         mirror(
             chain_skeleton(), Motion(Pose(jnp.zeros((2, 9, 3)), jnp.ones((2, 9, 4)) / 2, jnp.ones(2)), 30.0)
         )

@@ -160,16 +160,16 @@ def test_what_cannot_look_is_told(motion):
 
     eyes = np.asarray(line.eyes) + [0, 0, 0.1]
     for call, words in (
-        (lambda: look(eyes, fade=0.0), "from between the eyes"),
+        (lambda: look(eyes, fade=0.0), "from the point between the eyes"),
         (lambda: look(shares={"Chest": 0.5, "Head": 0.4}), "add up to 0.9"),
-        (lambda: look(shares={"Head": 0.5, "Chest": 0.5}), "does not hang on"),
+        (lambda: look(shares={"Head": 0.5, "Chest": 0.5}), "is not a descendant of"),
         (lambda: look(shares={"Nose": 1.0}), "no joint 'Nose'"),
         (lambda: look(shares={"Head.end": 1.0}), "is fixed"),
         (lambda: look(first=30, last=50), "not in a motion of 40"),
-        (lambda: look(most=0.0), "most that the gaze may turn"),
-        (lambda: look(np.zeros(3), direction=True, fade=0.0), "no length"),
+        (lambda: look(most=0.0), "largest rotation of the gaze"),
+        (lambda: look(np.zeros(3), direction=True, fade=0.0), "zero length"),
         (lambda: gaze_shares(SKELETON, ["Head"]), "1 joints are named"),
-        (lambda: line_of_vertices(body, 3, 3, "Head"), "in one place"),
+        (lambda: line_of_vertices(body, 3, 3, "Head"), "the same mean position"),
         (lambda: line_of_vertices(body, 3, 10**6, "Head"), "not all in the body"),
     ):
         with pytest.raises(ValueError, match=words):

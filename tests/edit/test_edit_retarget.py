@@ -108,9 +108,9 @@ def test_bodies_that_do_not_correspond_are_told(body, motion):
         lambda b: b.vertices, body, body.vertices[:, jnp.array([1, 0, 2])] * jnp.array([1, -1, 1])
     )
     for target, words in (
-        (other, "other triangles"),
+        (other, "different triangles"),
         (fewer, "48 vertices and the target 47"),
-        (turned, "same pose"),
+        (turned, "same rest pose"),
     ):
         with pytest.raises(ValueError, match=words):
             retarget_shape(motion, body, target)
@@ -145,7 +145,7 @@ def test_points_meet_and_what_they_do_not_ask_for_stays(body, motion):
     want = 1.02 * np.asarray(joint_paths(skeleton, motion.poses))[:, hand] + 0.02 * np.array([0, 0.5, 0])
     np.testing.assert_allclose(np.asarray(joint_paths(skeleton, met.motion.poses))[:, hand], want, atol=5e-4)
     for call, words in (
-        (lambda: meet_points(motion, body, body, motion, []), "No pairs"),
+        (lambda: meet_points(motion, body, body, motion, []), "no point pairs"),
         (
             lambda: meet_points(motion, body, body, motion, [PointPair("hand", "foot")]),
             "no joint 'foot' in the target",

@@ -245,7 +245,7 @@ def test_wrong_constraints_are_told(arm):
         ([Constraint(3, place), Constraint(3, place)], "two constraints on vertex 3"),
         ([Constraint(3, (0.0, np.nan, 0.0))], "The target of vertex 3"),
         ([Constraint(3, place, -1.0)], "The weight of vertex 3 is -1"),
-        ([Constraint(3, place, 1.0, False, (1.0, 0.0, 0.0, 0.0))], "only joints take one"),
+        ([Constraint(3, place, 1.0, False, (1.0, 0.0, 0.0, 0.0))], "only joints can have one"),
         ([Constraint("wrist", place, 1.0, False, (0.0, 0.0, 0.0, 0.0))], "The orientation of joint 'wrist'"),
     ]
     for constraints, sentence in wrong:

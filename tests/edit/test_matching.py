@@ -119,12 +119,12 @@ def test_sides_without_names_are_where_the_toes_say():
     names = SCHEMES["made up"].split()
     called = dict(zip([name for name, _, _ in PERSON], names, strict=True))
     source = build([(called[n], called[p] if p else None, c) for n, p, c in blunt], sides="yx")
-    with pytest.raises(ValueError, match="In the source: No name says which limbs are left and right"):
+    with pytest.raises(ValueError, match="In the source: No joint name states left or right"):
         match_joints(source, build())
 
 
 def test_names_that_contradict_the_toes_are_refused():
-    with pytest.raises(ValueError, match="left is where by its toes the right is"):
+    with pytest.raises(ValueError, match="The joint names and the toes disagree on left and right"):
         match_joints(build(place=lambda x: x * [-1, 1, 1]), build())
 
 
@@ -144,9 +144,9 @@ def test_joints_without_a_match_are_composed_or_stay():
     assert lost["LeftArmTwist"] == "composed onto LeftArm"
     assert lost["LeftWeapon"].startswith("left out")
     assert rest["LeftShoulder"] == "stays at rest, moved by Spine1"
-    assert rest["Neck"] == "turns 50% of the way from Spine1 to Head"
+    assert rest["Neck"] == "interpolated, 50% from Spine1 to Head"
     # three joints of the source's spine for two: the lower one is between the first and the second
-    assert rest["Spine"] == "turns 50% of the way from Spine0 to Spine"
+    assert rest["Spine"] == "interpolated, 50% from Spine0 to Spine"
     said = " ".join(found.lines())
     assert all(name in said for name in [*lost, *rest])
     # the upper arm turns as its far end does
@@ -291,12 +291,12 @@ def test_a_rest_pose_of_nobody_is_replaced_by_a_frame_that_stands():
     np.testing.assert_allclose(posed(source, moving.poses)[0], posed(skeleton, motion.poses)[0], atol=1e-9)
     plan = plan_retarget(source, skeleton, None, moving)
     assert plan.matches.stands[0].frame == 0 and plan.ratio == pytest.approx(1.0)
-    assert "frame 0, in which it stands straightest" in " ".join(plan.matches.lines())
+    assert "frame 0, the most upright one" in " ".join(plan.matches.lines())
     found = retarget(moving, source, skeleton, plan=plan)
     np.testing.assert_allclose(posed(skeleton, found.poses)[0], posed(skeleton, motion.poses)[0], atol=1e-6)
-    with pytest.raises(ValueError, match="rest pose of the source is not that of somebody who stands"):
+    with pytest.raises(ValueError, match="rest pose of the source is not upright"):
         match_joints(source, skeleton)
-    with pytest.raises(ValueError, match="rest pose of the target is not that of somebody who stands"):
+    with pytest.raises(ValueError, match="rest pose of the target is not upright"):
         match_joints(skeleton, source)
-    with pytest.raises(ValueError, match="stands neither at rest nor in any frame"):
+    with pytest.raises(ValueError, match="neither at rest nor in any frame"):
         match_joints(source, skeleton, motion=still(source, 2))

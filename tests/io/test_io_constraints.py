@@ -74,7 +74,7 @@ ROW = {"vertex": 1, "target": [0, 0, 0]}
         ([{**ROW, "weight": -1}], "the weight is -1; give a number of at least 0"),
         ([{**ROW, "weight": float("nan")}], "the weight is nan; give a number"),
         ([{**ROW, "pinned": 1}], '"pinned" is 1; give true or false'),
-        ([{**ROW, "orientation": [1, 0, 0, 0]}], "only joints take one"),
+        ([{**ROW, "orientation": [1, 0, 0, 0]}], "only joints can have one"),
         (
             [{"joint": "hip", "target": [0, 0, 0], "orientation": [0, 0, 0, 0]}],
             "give a quaternion w, x, y, z",

@@ -149,7 +149,7 @@ def test_every_file_that_the_library_writes(tmp_path, body, motion, rng):
 
 
 @pytest.mark.parametrize(
-    ("kind", "why"), [(LIMITS, "limits of joints"), (PRIOR, "prior of poses"), ("", "loss")]
+    ("kind", "why"), [(LIMITS, "joint limits"), (PRIOR, "pose prior"), ("", "loss")]
 )
 def test_what_has_no_shape_gets_a_sentence(tmp_path, kind, why):
     np.savez(tmp_path / "numbers.npz", loss=np.zeros(3), **({"format": kind} if kind else {}))
@@ -243,7 +243,7 @@ def test_a_journal_tells_the_poses(tmp_path, body, motion):
     assert follower.look() and len(follower.take.motion) == 1
     with pytest.raises(InputError, match="another body"):
         record_poses(tmp_path, body.skeleton, {"joints": ["a"], "pose at": 1}, np.zeros((1, 12)))
-    with pytest.raises(InputError, match="no run of jaxcap track"):
+    with pytest.raises(InputError, match="not of a run of jaxcap track"):
         record_poses(tmp_path, body.skeleton, {}, np.zeros((1, 12)))
 
 

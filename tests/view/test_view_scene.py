@@ -44,7 +44,7 @@ def test_a_motion_of_no_body_given_is_its_own_bones(tmp_path, motion, body):
     found = load([str(tmp_path / "take.bvh"), str(tmp_path / "again.bvh")], [("far", moved)])
     assert [take.motion.body is None for take in found.takes] == [True, True, False]
     assert [len(take.motion) for take in found.takes] == [len(motion), 7, 1]
-    assert "take.bvh: this motion is not of far, so its own bones" in found.told[0]
+    assert "take.bvh: this motion does not fit far, so its own bones" in found.told[0]
     assert len(found.told) == 2 and "again.bvh" in found.told[1]
     # a skeleton file is that of a motion, and not shown at rest once more
     write_skl(tmp_path / "a.skl", other)

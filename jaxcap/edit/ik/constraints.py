@@ -124,7 +124,7 @@ def check_constraints(constraints: Sequence[Constraint], skeleton: Skeleton, num
             held = f"vertices 0 to {num_vertices - 1}" if num_vertices else "no vertices"
             raise ValueError(f"There is a constraint on {name}, but the body has {held}.")
         elif c.orientation is not None:
-            raise ValueError(f"The constraint on {name} has an orientation; only joints take one.")
+            raise ValueError(f"The constraint on {name} has an orientation; only joints can have one.")
         if c.point in seen:
             raise ValueError(f"There are two constraints on {name}; keep one of them.")
         seen.add(c.point)

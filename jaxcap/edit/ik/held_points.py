@@ -34,7 +34,7 @@ class HeldSkin(AbstractSkin):
 
     def carry(self, corners, shares, skeleton):
         """Raise `NotImplementedError`: there are no triangles between constrained points."""
-        raise NotImplementedError("Held points have no surface; carry the skin of the body that they are of.")
+        raise NotImplementedError("Constrained points have no surface; carry the skin of their body.")
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         on_bones, on_skin = (

@@ -19,10 +19,11 @@ def limit_influences(body: Body, count: int = 4) -> Body:
     **Raises:** `ValueError` if `count` is not positive or the skin does not blend linearly.
     """
     if count < 1:
-        raise ValueError(f"A vertex was to follow {count} bones; give at least 1.")
+        raise ValueError(f"The number of influences is {count}; expected at least 1.")
     if not isinstance(body.skin, LinearSkin):
         raise ValueError(
-            f"Influences are limited in a LinearSkin, and this body has a {type(body.skin).__name__}; linearise it."
+            f"The body has a {type(body.skin).__name__}, and only a LinearSkin can have limited influences; linearise "
+            "the body."
         )
     weights = strongest_weights(np.asarray(body.skin.weights), count)
     return eqx.tree_at(lambda b: b.skin, body, LinearSkin(jnp.asarray(weights)))

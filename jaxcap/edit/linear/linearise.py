@@ -78,7 +78,10 @@ def linearise(
     """
     _check(body, poses, tolerance, influences, most)
     if not isinstance(body.skin, (LinearSkin, RigidSkin, SwingTwistSkin, DualQuaternionSkin)):
-        raise ValueError(f"A body with a {type(body.skin).__name__} cannot be linearised.")
+        raise ValueError(
+            f"A body with a {type(body.skin).__name__} cannot be linearised; expected a linear, rigid, swing-twist or "
+            "dual quaternion skin."
+        )
     count = poses.rotations.shape[0]
     chosen = np.unique(np.linspace(0, count - 1, min(count, _POSES)).round().astype(int))
     blend = _start(body, influences)
@@ -119,18 +122,25 @@ def linear_motion(linearised: Linearised, motion: Motion) -> Motion:
     joints = motion.poses.rotations.shape[1]
     if joints != linearised.source.num_joints:
         raise ValueError(
-            f"The motion moves {joints} joints and the source body has {linearised.source.num_joints}."
+            f"The motion has {joints} joints, but the source body has {linearised.source.num_joints}; give a motion "
+            "of the source body."
         )
     return Motion(_all_poses(linearised, motion.poses), motion.rate)
 
 
 def _check(body: Body, poses: Pose, tolerance: float, influences: int, most: int) -> None:
     if poses.rotations.ndim != 3 or poses.rotations.shape[0] == 0:
-        raise ValueError("Linearising needs poses stacked over frames, and one at least; none was given.")
+        raise ValueError("The poses are not stacked over frames, or there are none; give at least one frame.")
     joints = poses.rotations.shape[1]
     if joints != body.skeleton.num_joints:
-        raise ValueError(f"The poses are of {joints} joints and the body has {body.skeleton.num_joints}.")
-    for name, value in (("tolerance", tolerance), ("number of influences", influences), ("most", most)):
+        raise ValueError(
+            f"The poses have {joints} joints, but the body has {body.skeleton.num_joints}; give poses of this body."
+        )
+    for name, value in (
+        ("tolerance", tolerance),
+        ("number of influences", influences),
+        ("largest number of virtual bones", most),
+    ):
         if not value > 0:
             raise ValueError(f"The {name} of a linearised body is {value}; give a positive number.")
 

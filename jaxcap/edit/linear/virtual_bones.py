@@ -55,7 +55,7 @@ def make_virtual_bones(skin: AbstractSkin, skeleton: Skeleton) -> VirtualBones:
         parents, joints = np.where(below, second, first), np.where(below, first, second)
         alone = ((weights > 0).sum(1) == 2) & (above[joints] == parents)
     else:
-        raise TypeError(f"Virtual bones follow nonlinear skins, not a {type(skin).__name__}.")
+        raise TypeError(f"The skin is a {type(skin).__name__}; expected a swing-twist or a dual quaternion skin.")
     return VirtualBones(skin, parents, joints, (alone & ~slides[joints]).astype(float))
 
 

@@ -118,4 +118,4 @@ def choose_candidates(needs: Needs, rows: Rows, count: int) -> Int[np.ndarray, "
 
 
 def _unknown(skin: AbstractSkin) -> str:
-    return f"Frames are known of swing-twist and dual quaternion skins, not of a {type(skin).__name__}."
+    return f"The skin is a {type(skin).__name__}; expected a swing-twist or a dual quaternion skin."

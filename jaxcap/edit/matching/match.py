@@ -73,8 +73,8 @@ def match_joints(
     found = JointMatches(source, target, pairs, followed, stands, ())
     if len(pairs) < LEAST:
         sentence = (
-            f"{len(pairs)} joints of the source ({', '.join(source.names)}) match one of the target "
-            f"({', '.join(target.names)}); say which do with a table of names from source to target."
+            f"{len(pairs)} joints of the source ({', '.join(source.names)}) match a joint of the target "
+            f"({', '.join(target.names)}), expected at least {LEAST}; give a table of names from source to target."
         )
         raise _refused(sentence, (source, target), (here, there), table, pairs)
     _check_chains(found, table)
@@ -118,8 +118,8 @@ def _check_chains(matches: JointMatches, table: Table) -> None:
             for above, below in pairwise(own):
                 if not matches.source.descent[above, below]:
                     raise ValueError(
-                        f"By the table of names {', '.join(names[joint] for joint in own)} are the {side} {kind}, and {names[below]} does not hang "
-                        f"on {names[above]}; mend the table."
+                        f"By the table of names, {', '.join(names[joint] for joint in own)} are the {side} {kind}, but "
+                        f"{names[below]} is not a descendant of {names[above]}; correct the table."
                     )
 
 
@@ -129,7 +129,8 @@ def _facing(matches: JointMatches, table: Table) -> list[str]:
     if not table.pairs or looks[0] == looks[1]:
         return []
     return [
-        "by the table of names the left is where by the toes the right is, so left and right of the motion are exchanged unless the file is mirrored"
+        "the table of names and the toes disagree on left and right, so left and right of the motion are exchanged "
+        "unless the file is mirrored"
     ]
 
 
@@ -162,8 +163,9 @@ def _check_limbs(matches: JointMatches, table: Table) -> list[str]:
             left = list(matches.unmatched_source)
             if left or not table.given:
                 raise _refused(
-                    f"N{sentence[1:]}, neither by names nor by the tree{' nor by the table' if table.given else ''}; joints of the source without a "
-                    f"match: {', '.join(left[:SAID]) or 'none'}; say which joints match by a table of names.",
+                    f"N{sentence[1:]}, neither by names nor by the tree{' nor by the table' if table.given else ''}; "
+                    f"joints of the source without a match: {', '.join(left[:SAID]) or 'none'}; give the matching joints "
+                    "in a table of names.",
                     (matches.source, matches.target),
                     (here, there),
                     table,

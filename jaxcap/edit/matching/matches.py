@@ -67,7 +67,7 @@ class JointMatches(NamedTuple):
             below = _next_below(children, joint, set(carried))
             onto = sorted({carried[child] for child in below}, key=self.target.names.index)
             found[name] = (
-                f"composed onto {', '.join(onto)}" if onto else "left out, as nothing below it has a match"
+                f"composed onto {', '.join(onto)}" if onto else "left out, as no descendant has a match"
             )
         return found
 
@@ -81,9 +81,9 @@ class JointMatches(NamedTuple):
             if joint in self.followed:
                 a, b, share = self.followed[joint]
                 found[name] = (
-                    f"turns with {self.source.names[a]}"
+                    f"rotates with {self.source.names[a]}"
                     if a == b
-                    else f"turns {share:.0%} of the way from {self.source.names[a]} to {self.source.names[b]}"
+                    else f"interpolated, {share:.0%} from {self.source.names[a]} to {self.source.names[b]}"
                 )
             else:
                 parent = self.target.parents[joint]
@@ -98,7 +98,7 @@ class JointMatches(NamedTuple):
         alike = [name for name, there in pairs.items() if name == there]
         other = [f"{name} = {there}" for name, there in pairs.items() if name != there]
         matched = ", ".join([*other, *([f"{len(alike)} of the same name"] if alike else [])])
-        said = [f"{len(pairs)} joints of the source match one of the target: {matched}"]
+        said = [f"{len(pairs)} joints of the source match a joint of the target: {matched}"]
         for which, found in (("source", self.unmatched_source), ("target", self.unmatched_target)):
             fates: dict[str, list[str]] = {}
             for name, fate in found.items():
@@ -107,7 +107,7 @@ class JointMatches(NamedTuple):
         frame = self.stands[0].frame
         if frame is not None:
             said.append(
-                f"the source's rest pose does not stand; frame {frame}, in which it stands straightest, takes its place"
+                f"the rest pose of the source is not upright; frame {frame}, the most upright one, replaces it"
             )
         return said
 

@@ -61,11 +61,11 @@ def find_reference(
         return _reference(person, rest, still, None, which, told)
     if motion is None or len(motion) == 0:
         raise ValueError(
-            f"The rest pose of the {which} is not that of somebody who stands, so it cannot be compared with another one; "
+            f"The rest pose of the {which} is not upright, so it cannot be compared with another one; "
             + (
-                "give a motion of it that has a frame in which it stands."
+                "give its motion, with an upright frame."
                 if which == "source"
-                else "give one whose rest pose stands."
+                else "give a skeleton with an upright rest pose."
             )
         )
     frames = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).astype(int))
@@ -74,8 +74,8 @@ def find_reference(
     best = int(np.argmax(scores))
     if scores[best] <= 0:
         raise ValueError(
-            f"The {which} stands neither at rest nor in any frame, legs below the trunk, so its rest pose cannot be compared with another "
-            "one; give a motion with a frame in which it stands."
+            f"The {which} is upright, legs below the trunk, neither at rest nor in any frame, so its rest pose cannot "
+            "be compared with another one; give a motion with an upright frame."
         )
     return _reference(person, places[best], turns[best], int(frames[best]), which, told)
 

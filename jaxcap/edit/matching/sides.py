@@ -41,15 +41,15 @@ def settle_sides(
     across = _across(person, places, up)
     if len(across) == 2 and across["leg"] @ across["arm"] < 0:
         raise UnknownSides(
-            "The left leg is on the side of the right arm, by the names of joints or by the table of names: left and right of the legs are "
-            "swapped, or those of the arms; mend the table, or say which joints match by one."
+            "By the joint names or the table of names, the left leg is on the side of the right arm; left and right "
+            "of the legs or of the arms are swapped; correct the table, or give one."
         )
     forward = _forward(person, places, up)
     named = sum((step for kind, step in across.items() if kind not in told), np.zeros(3))
     if forward is not None and named.any() and np.cross(up, forward) @ named < 0:
         raise UnknownSides(
-            "By the names of its joints this person's left is where by its toes the right is: the names are swapped, or the file is "
-            "mirrored; say which joints match by a table of names.",
+            "The joint names and the toes disagree on left and right; the names are swapped, or the file is mirrored; "
+            "give a table of names.",
             swapped=True,
         )
     if not person.sideless:
@@ -58,8 +58,8 @@ def settle_sides(
     if not left.any():
         if forward is None:
             raise UnknownSides(
-                "No name says which limbs are left and right, and no toes show where the front is; say by a table of names which joint is "
-                "which: one of a leg or of an arm is enough."
+                "No joint name states left or right, and no toes determine the front; give a table of names, in which "
+                "one joint of a leg or of an arm is enough."
             )
         left = np.cross(up, forward)
     for kind in person.sideless:

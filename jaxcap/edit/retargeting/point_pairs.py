@@ -70,17 +70,18 @@ def meet_points(
     skeleton without a surface, motions have unequal lengths, or a weight is not a number above 0.
     """
     if not pairs:
-        raise ValueError("No pairs of points are given; give one at least.")
+        raise ValueError("There are no point pairs; give at least one.")
     if len(moved) != len(motion):
         raise ValueError(
-            f"The motions have {len(moved)} and {len(motion)} frames; give the one that was retargeted."
+            f"The retargeted motion has {len(moved)} frames, and its source {len(motion)}; give two motions of the "
+            "same length."
         )
     if not 0 < ratio < np.inf:
-        raise ValueError(f"The ratio of sizes is {ratio:g}; it must be above 0.")
+        raise ValueError(f"The size ratio is {ratio:g}; expected above 0.")
     for pair in pairs:
         if not 0 < pair.weight < np.inf:
             raise ValueError(
-                f"The pair {pair.source} and {pair.target} weighs {pair.weight:g}; give more than 0."
+                f"The weight of the pair {pair.source} and {pair.target} is {pair.weight:g}; expected above 0."
             )
     here = _Points(target, [pair.target for pair in pairs], "target")
     there = _Points(source, [pair.source for pair in pairs], "source")
@@ -130,11 +131,12 @@ def _check_points(owner: Body | Skeleton, points: Sequence[int | str], which: st
                 )
         elif isinstance(owner, Skeleton):
             raise ValueError(
-                f"Vertex {point} of the {which} is asked for, which is a skeleton without a surface; name a joint."
+                f"Vertex {point} is given for the {which}, which is a skeleton without a surface; name a joint."
             )
         elif not 0 <= point < len(owner.vertices):
             raise ValueError(
-                f"There is no vertex {point} in the {which}, which has {len(owner.vertices)}: 0 to {len(owner.vertices) - 1}."
+                f"There is no vertex {point} in the {which}, which has {len(owner.vertices)} vertices; give one from 0 "
+                f"to {len(owner.vertices) - 1}."
             )
 
 

@@ -58,8 +58,8 @@ def retarget(
     """
     if motion.poses.rotations.shape[1] != source.num_joints:
         raise ValueError(
-            f"The motion moves {motion.poses.rotations.shape[1]} joints and the source skeleton has "
-            f"{source.num_joints}; give the skeleton that the motion was read with."
+            f"The motion has {motion.poses.rotations.shape[1]} joints, but the source skeleton has "
+            f"{source.num_joints}; give the skeleton of the motion."
         )
     if plan is None:
         plan = plan_retarget(source, target, names, motion)

@@ -144,27 +144,28 @@ def _check(motion: Motion, source: Body, target: Body) -> None:
     counts = len(source.vertices), len(target.vertices)
     if counts[0] != counts[1]:
         raise ValueError(
-            f"The source has {counts[0]} vertices and the target {counts[1]}; only bodies of one mesh correspond vertex by "
-            "vertex. Retarget by the names of joints."
+            f"The source has {counts[0]} vertices and the target {counts[1]}; only bodies of the same mesh have "
+            "corresponding vertices. Retarget by the names of joints."
         )
     if not np.array_equal(np.asarray(source.faces), np.asarray(target.faces)):
         raise ValueError(
-            "The source and the target have other triangles, so their vertices are not the same points of a person. "
-            "Retarget by the names of joints."
+            "The source and the target have different triangles, so their vertices do not correspond. Retarget by "
+            "the names of joints."
         )
     if len(source.faces) == 0:
         raise ValueError("The bodies have no faces; without a surface, retarget by the names of joints.")
     joints = motion.poses.rotations.shape[1]
     if joints != source.skeleton.num_joints:
         raise ValueError(
-            f"The motion moves {joints} joints and the source has {source.skeleton.num_joints}; give the body that it is of."
+            f"The motion has {joints} joints, but the source has {source.skeleton.num_joints}; give the body of the "
+            "motion."
         )
     if len(motion) == 0:
-        raise ValueError("The motion has no frames; there is nothing to retarget.")
+        raise ValueError("The motion has no frames; give one with at least one frame.")
     root = target.skeleton.kinds[0]
     if root not in ("free", "translate"):
         raise ValueError(
-            f"The target's root '{target.skeleton.names[0]}' is {root} and cannot go anywhere; make it free."
+            f"The target's root '{target.skeleton.names[0]}' is {root}, so it cannot translate; make it free."
         )
     _check_rest(source, target)
 
@@ -189,6 +190,6 @@ def _check_rest(source: Body, target: Body) -> None:
         angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
         if angle > OTHER_REST:
             raise ValueError(
-                f"At rest the surfaces around '{source.skeleton.names[bone]}' are turned by {np.degrees(angle):.0f} degrees "
-                "from each other; bodies have to rest in the same pose."
+                f"At rest, the surfaces around '{source.skeleton.names[bone]}' differ by a rotation of "
+                f"{np.degrees(angle):.0f} degrees; give bodies with the same rest pose."
             )

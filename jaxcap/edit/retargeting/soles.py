@@ -32,7 +32,9 @@ def ground(
     **Raises:** `ValueError` if there is not one height for each frame.
     """
     if len(heights) != len(motion):
-        raise ValueError(f"There are {len(heights)} heights and the motion has {len(motion)} frames.")
+        raise ValueError(
+            f"There are {len(heights)} heights, but the motion has {len(motion)} frames; give one height for each frame."
+        )
     lifts = np.asarray(heights, float) - lowest(body, motion.poses, up)
     return Motion(shift_roots(body.skeleton, motion.poses, lifts[:, None] * up), motion.rate)
 

@@ -59,7 +59,7 @@ def make_transfer(
     used[faces] = True
     if not used.all():
         raise ValueError(
-            f"{int((~used).sum())} of {count} vertices are in no face, so no triangle tells where they go; remove them."
+            f"{int((~used).sum())} of {count} vertices are in no face, so no triangle deforms them; remove them."
         )
     sides = faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
     corners = target[faces]

@@ -49,7 +49,7 @@ def draw_gaps(path: str | Path, frames: MarkerFrames, title: str = "markers") ->
     for side in plot.spines.values():
         side.set_visible(False)
     plot.set_title(
-        f"{title.replace('$', chr(92) + '$')}: {count} markers, {100 * seen.mean():.2f} % seen",
+        f"{title.replace('$', chr(92) + '$')}: {count} markers, {100 * seen.mean():.2f} % observed",
         fontsize=11,
         color=INK,
     )

@@ -77,8 +77,8 @@ def draw_skeleton(
     figure.text(
         0.5,
         0.1 / (9.6 + legend),
-        "dots: markers as seen, in the colour of their bone (grey: on none); crosses: where the subject has them; "
-        "above from the front, below from the side",
+        "dots: observed markers, in the colour of their bone (grey: on no bone); crosses: predicted positions; "
+        "top row from the front, bottom row from the side",
         ha="center",
         fontsize=7.5,
         color=INK,
@@ -147,7 +147,7 @@ def draw_residuals(
             side.set_visible(False)
     place = figure.add_axes((0.15, 0.42 / height, 0.3, 0.1 / height))
     bar = figure.colorbar(ScalarMappable(scale, heat), cax=place, orientation="horizontal", extend="max")
-    bar.set_label("from where a marker is seen to where the subject has it, millimetres (grey: not seen)", fontsize=7.5, color=INK)  # fmt: skip
+    bar.set_label("distance of the observed from the predicted position, millimetres (grey: not observed)", fontsize=7.5, color=INK)  # fmt: skip
     bar.ax.tick_params(labelsize=7, colors=INK, length=2)
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     whole = (

@@ -22,8 +22,8 @@ SOLVERS: dict[str, Solver] = {
     "Gauss-Newton": "gauss-newton",
     "Priorities": "priorities",
 }
-HELP = "Click the body to hold a point, drag its ball to move it."
-NOTHING = "no constraint is chosen"
+HELP = "Click the body to constrain a point, and drag its ball to move it."
+NOTHING = "no constraint is selected"
 
 
 class IkControls:
@@ -57,25 +57,25 @@ class IkControls:
         with gui.add_folder("Constraint"):
             self._name = gui.add_markdown(NOTHING)
             self._weight = gui.add_number(
-                "Weight", 1.0, min=0.0, step=0.1, hint="how much it counts beside others"
+                "Weight", 1.0, min=0.0, step=0.1, hint="weight relative to the other constraints"
             )
             self._pinned = gui.add_checkbox(
-                "Pinned", False, hint="hold it here, before all that are not pinned"
+                "Pinned", False, hint="fix its position, with priority over points that are not pinned"
             )
             self._arrows = gui.add_checkbox(
-                "Arrows", False, hint="drag along an axis; turn a joint by the rings"
+                "Arrows", False, hint="drag along an axis; rotate a joint by the rings"
             )
-            self._turn = gui.add_button("Free its turn", visible=False)
+            self._turn = gui.add_button("Free its orientation", visible=False)
             self._remove = gui.add_button("Remove")
-        with gui.add_folder("Hold a joint"):
+        with gui.add_folder("Constrain a joint"):
             self._joint = gui.add_dropdown("Joint", session.body.skeleton.names)
-            joint = gui.add_button("Hold")
-            skeleton = gui.add_checkbox("Show joints", False, hint="click them to hold them")
+            joint = gui.add_button("Constrain")
+            skeleton = gui.add_checkbox("Show joints", False, hint="click one to constrain it")
         with gui.add_folder("Solver"):
             self._solver = gui.add_dropdown("Solver", tuple(SOLVERS))
             self._limits = gui.add_checkbox("Joint limits", False, disabled=session.limits is None)
-            self._prior = gui.add_checkbox("Likely poses", False)
-            self._root = gui.add_checkbox("Hold the root", False)
+            self._prior = gui.add_checkbox("Pose prior", False)
+            self._root = gui.add_checkbox("Fix the root", False)
         with gui.add_folder("Edit"):
             self._undo, self._redo = gui.add_button("Undo"), gui.add_button("Redo")
             reset, clear = gui.add_button("Reset the pose"), gui.add_button("Remove all")

@@ -42,7 +42,7 @@ BALL = 12.0
 #: its minimum and maximum, relative to the body's size
 BALLS = (0.004, 0.04)
 #: the answer to a click that hits nothing
-NOTHING = "There is nothing where you clicked: click the body to hold a point, or drag a ball."
+NOTHING = "There is nothing where you clicked: click the body to constrain a point, or drag a ball."
 
 
 class Shown(NamedTuple):
@@ -150,7 +150,7 @@ class IkWindow:
             self.note = sentence_of(error)
         except Exception as error:
             # a solver or a user's energy may raise anything: the session before it is intact
-            self.note = f"This could not be done ({type(error).__name__}: {error}); the pose is as it was."
+            self.note = f"The edit failed ({type(error).__name__}: {error}); the pose is unchanged."
         return self.session
 
     def _unfinished(self) -> bool:

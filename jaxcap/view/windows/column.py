@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 else:
     SceneApi = Any
 
-PLAIN, DISTANCE, POSTERIOR = "plain", "distance to the scan", "parts of the posterior"
+PLAIN, DISTANCE, POSTERIOR = "plain", "distance to the scan", "posterior of the parts"
 #: colours of the takes side by side
 TAKES: tuple[Colour, ...] = (CLAY, (121, 178, 160), (201, 151, 166), (158, 154, 205), (200, 183, 120))
 #: colours of the bones of takes without a surface

@@ -22,7 +22,7 @@ else:
 FOLLOWING = 8.0
 PLAY, PAUSE = "Play", "Pause"
 BACK, NEXT = "Back", "Next"
-HELP = "Click a body or a bone: what it is stands here."
+HELP = "Click a body or a bone to identify it."
 
 
 class Controls:
@@ -76,7 +76,7 @@ class Controls:
         keys: tuple[tuple[str, HotkeyKey, Callable[[], None]], ...] = (
             ("Play or pause", "P", self._turn),
             ("One frame back", "B", lambda: self._step(-1)),
-            ("One frame on", "N", lambda: self._step(1)),
+            ("One frame forward", "N", lambda: self._step(1)),
             ("Look from the front", "1", lambda: see(FRONT)),
             ("Look from the side", "2", lambda: see(SIDE)),
             ("Look from the top", "3", lambda: see(TOP)),

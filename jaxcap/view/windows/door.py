@@ -38,7 +38,7 @@ LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 #: hosts that listen at every address of this machine
 EVERYWHERE = ("0.0.0.0", "::", "")
 REFUSED = (
-    "jaxcap: this is not the address of the window. Open the address that the program printed, all of it.\n"
+    "jaxcap: this is not the address of the window. Open the complete address that the program printed.\n"
 )
 #: headers of every served page
 HEADERS = {

@@ -50,7 +50,7 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
         import viser
     except ImportError:
         raise InputError(
-            'viser: the windows need it and it is not installed; run pip install "jaxcap[view]".'
+            'viser is not installed, and windows need it; run pip install "jaxcap[view]".'
         ) from None
     # viser silently tries the next port, so it gets one that we have just bound
     free = _free_port(host, port)
@@ -64,8 +64,8 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
     if server.get_port() not in door.guarded:
         close_server(server)
         raise InputError(
-            f"viser {viser.__version__}: its server opens in a way that cannot be guarded against other pages; "
-            'run pip install "jaxcap[view]" for a version that can.'
+            f"viser {viser.__version__}: the server of this version cannot be guarded against other pages; "
+            'run pip install "jaxcap[view]" for a supported version.'
         )
     if server.get_port() != free:
         close_server(server)
@@ -170,16 +170,16 @@ def _hold(host: str, port: int) -> int:
             door.listen(1)
             return door.getsockname()[1]
     except OverflowError:
-        raise InputError(f"port {port}: ports go from 0 to 65535; give one of these with --port.") from None
+        raise InputError(f"port {port}: expected 0 to 65535; give such a port with --port.") from None
     except PermissionError:
-        raise InputError(f"port {port}: this is the system's own; give one above 1023 with --port.") from None
+        raise InputError(f"port {port}: reserved for the system; give one above 1023 with --port.") from None
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise _taken(host, port) from None
         raise InputError(
-            f"host {host}: this is no address of this machine; give {HOST} or 0.0.0.0 with --host."
+            f"host {host}: not an address of this machine; give {HOST} or 0.0.0.0 with --host."
         ) from None
 
 
 def _taken(host: str, port: int) -> InputError:
-    return InputError(f"port {port}: another program listens there at {host}; give another one with --port.")
+    return InputError(f"port {port}: another program uses this port at {host}; give another one with --port.")
