@@ -201,7 +201,7 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
         ("gaze a.npz -o new.npz --target 0 1.6 3 --frames 0 9", "do not fit into frames 0 to 9"),
         ("gaze other.npz -o new.npz --target 0 1.6 3", "name chest, neck and head"),
         ("retarget a.npz other.npz -o new.npz", "give a table of names"),
-        ("retarget a.npz a.npz -o new.npz --by surface", "give it by --source"),
+        ("retarget a.npz a.npz -o new.npz --by surface", "give it with --source"),
         ("retarget a.npz a.npz -o new.npz --ground", "this is a skeleton"),
         ("retarget a.npz a.npz -o new.npz --points one.txt", "one.txt:1: this line has 1 words"),
     ],
