@@ -294,7 +294,7 @@ def _of(table: dict[str, Any], path: str | Path, what: str, done: str = "") -> A
     if suffix not in table:
         if not done:
             raise wrong_kind(path, what, tuple(table))
-        raise InputError(f"{path}: {what} cannot be {done} as '{suffix}' files; use {', '.join(table)}.")
+        raise InputError(f"{path}: {what} are not {done} as '{suffix}' files; use {', '.join(table)}.")
     return table[suffix]
 
 

@@ -68,7 +68,7 @@ def test_damaged_record_ends_what_counts(tmp_path, records):
     data[-3 * 60 + 20] ^= 1
     path.write_bytes(data)
     with (
-        pytest.warns(UserWarning, match=r"record 2, .* the 2 behind it are made anew; journal.damaged"),
+        pytest.warns(UserWarning, match=r"record 2, .* the 2 records after it are computed again.* journal.damaged"),
         resume_journal(path, HEADER, 7) as journal,
     ):
         assert same(journal.read(), records[:2])

@@ -52,7 +52,7 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
 
     path = Path(path)
     if path.suffix.lower() != ".glb":
-        raise InputError(f"{path}: skinned bodies cannot be written as '{path.suffix}' files; use .glb.")
+        raise InputError(f"{path}: skinned bodies are not written as '{path.suffix}' files; use .glb.")
     check_skin(path, body, "glTF")
     check_motion(path, body.skeleton, motion)
     document = pygltflib.GLTF2(asset=pygltflib.Asset(version="2.0", generator="jaxcap"))

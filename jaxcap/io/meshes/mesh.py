@@ -109,7 +109,7 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
             beside.write_bytes(data if isinstance(data, bytes) else str(data).encode())
     else:
         raise InputError(
-            f"{path}: meshes cannot be written as '{path.suffix}' files; use {', '.join(WRITTEN)}."
+            f"{path}: meshes are not written as '{path.suffix}' files; use {', '.join(WRITTEN)}."
         )
 
 

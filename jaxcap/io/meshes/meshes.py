@@ -179,7 +179,7 @@ def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> N
     if counts[0] != counts[1]:
         raise InputError(
             f"{path}: this mesh has {counts[0][0]} vertices and {counts[0][1]} triangles, and {first} has "
-            f"{counts[1][0]} and {counts[1][1]}; registered meshes must have one topology."
+            f"{counts[1][0]} and {counts[1][1]}; registered meshes have one topology."
         )
     if (file.faces == reference.faces).all():
         return
@@ -188,7 +188,7 @@ def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> N
     if rows[0] != rows[1]:
         raise InputError(
             f"{path}: {len(rows[0] - rows[1])} of its {counts[0][1]} triangles connect other vertices than in {first}; "
-            "registered meshes must have one topology and one vertex order."
+            "registered meshes have one topology and one vertex order."
         )
 
 

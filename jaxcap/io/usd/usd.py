@@ -42,7 +42,7 @@ def write_usd(path: str | Path, body: Body, motion: Motion | None = None) -> Non
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: USD cannot be written as '{path.suffix}' files; use {', '.join(SUFFIXES)}.")
+        raise InputError(f"{path}: USD is not written as '{path.suffix}' files; use {', '.join(SUFFIXES)}.")
     try:
         from pxr import Tf, Usd, UsdUtils
     except ImportError:

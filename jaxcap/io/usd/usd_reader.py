@@ -49,7 +49,7 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: USD cannot be read from '{path.suffix}' files; use {', '.join(SUFFIXES)}.")
+        raise InputError(f"{path}: USD is not read from '{path.suffix}' files; use {', '.join(SUFFIXES)}.")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the path.")
     try:
