@@ -59,22 +59,24 @@ def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
     content = read_json(path)
     found = content.get("format") if isinstance(content, dict) else None
     if found != KIND:
-        raise InputError(f'{path}: this is not a file of constraints; expected "format": "{KIND}" at its beginning.')
+        raise InputError(
+            f'{path}: this is not a file of constraints; expected "format": "{KIND}" at its beginning.'
+        )
     if content.get("version") != VERSION:
         raise InputError(
             f"{path}: this file has version {shortened(repr(content.get('version')))}; expected version {VERSION}."
         )
     rows = content.get("constraints")
     if not isinstance(rows, list):
-        raise InputError(
-            f'{path}: the file has no list "constraints"; write a list, which may be empty.'
-        )
+        raise InputError(f'{path}: the file has no list "constraints"; write a list, which may be empty.')
     constraints = tuple(
         _constraint(row, f"{path}: constraint {number}") for number, row in enumerate(rows, 1)
     )
     count = content.get("vertices", len(body.vertices))
     if not isinstance(count, int):
-        raise InputError(f'{path}: "vertices" is {shortened(repr(count))}; give the number of vertices of the body.')
+        raise InputError(
+            f'{path}: "vertices" is {shortened(repr(count))}; give the number of vertices of the body.'
+        )
     if count != len(body.vertices) and any(not isinstance(one.point, str) for one in constraints):
         raise InputError(
             f"{path}: these constraints belong to a body with {count} vertices, and this body has {len(body.vertices)}; "

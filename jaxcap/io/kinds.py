@@ -179,9 +179,7 @@ def wrong_kind(path: str | Path, wanted: str, suffixes: Sequence[str]) -> InputE
     if kind is None:
         named = f"the suffix '{path.suffix}' is unknown" if suffix else "the name has no suffix"
         return InputError(f"{path}: {named}; expected {wanted}: {known}.")
-    return InputError(
-        f"{path}: this is {WORDS[kind]}; expected {wanted}: {known}; {what_for(path)}."
-    )
+    return InputError(f"{path}: this is {WORDS[kind]}; expected {wanted}: {known}; {what_for(path)}.")
 
 
 def check_kind(path: str | Path, kind: str, suffixes: Sequence[str]) -> None:

@@ -95,9 +95,7 @@ def parse_floats(words: list[str], where: str, what: str) -> list[float]:
                 f"{where}: '{shortened(word)}' in {what} is not a number; write a number."
             ) from None
         if not math.isfinite(numbers[-1]):
-            raise InputError(
-                f"{where}: '{shortened(word)}' in {what} is not finite; write a finite number."
-            )
+            raise InputError(f"{where}: '{shortened(word)}' in {what} is not finite; write a finite number.")
         if abs(numbers[-1]) > LARGEST:
             raise InputError(
                 f"{where}: '{shortened(word)}' in {what} is too large; write a number of at most {LARGEST:g}."
@@ -167,11 +165,15 @@ def parse_json(text: str | bytes, where: str | Path) -> Any:
             f"{where}:{error.lineno}: this is not JSON ({error.msg}); correct this line."
         ) from None
     except UnicodeDecodeError:
-        raise InputError(f"{where}: this is not JSON, which is text in UTF-8; write the file again.") from None
+        raise InputError(
+            f"{where}: this is not JSON, which is text in UTF-8; write the file again."
+        ) from None
     except RecursionError:
         raise InputError(f"{where}: this JSON is nested too deeply; write it with fewer levels.") from None
     except ValueError:
-        raise InputError(f"{where}: this JSON has numbers of too many digits; write shorter numbers.") from None
+        raise InputError(
+            f"{where}: this JSON has numbers of too many digits; write shorter numbers."
+        ) from None
 
 
 class Words:

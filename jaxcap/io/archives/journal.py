@@ -61,7 +61,9 @@ class Journal:
         """
         data = np.asarray(record, "<f8").tobytes()
         if len(data) != 8 * self.width:
-            raise ValueError(f"The record has {len(data) // 8} numbers; expected {self.width}, as in this journal.")
+            raise ValueError(
+                f"The record has {len(data) // 8} numbers; expected {self.width}, as in this journal."
+            )
         left = memoryview(data + struct.pack("<I", zlib.crc32(data)))
         try:
             while left:

@@ -109,9 +109,7 @@ def _chart(arrays: Mapping[str, np.ndarray], start: str, path: str | Path) -> Ch
         )
     middle = get_array(arrays, f"{start}middle", path, (4,))
     if not np.linalg.norm(middle) > LEAST:
-        raise InputError(
-            f"{path}: the middle of a chart is a zero quaternion; learn the limits again."
-        )
+        raise InputError(f"{path}: the middle of a chart is a zero quaternion; learn the limits again.")
     return Chart(jnp.asarray(middle), jnp.asarray(get_array(arrays, f"{start}axes", path, (2, 3))), kind)  # pyright: ignore[reportArgumentType]
 
 
@@ -120,7 +118,9 @@ def _surface(arrays: Mapping[str, np.ndarray], start: str, joint: str, path: str
     keyframes, primitives = values["centres"].shape[:2]
     alike = values["thickness"].shape == values["counts"].shape == (keyframes, primitives)
     if not (alike and keyframes and primitives and len(values["keys"]) == keyframes):
-        raise InputError(f"{path}: the arrays of the limits of '{joint}' have inconsistent shapes; this file is damaged.")
+        raise InputError(
+            f"{path}: the arrays of the limits of '{joint}' have inconsistent shapes; this file is damaged."
+        )
     for name in ("reach", "unit", "stiffness"):
         if not values[name] > 0:
             raise InputError(

@@ -92,16 +92,16 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
     """Build the body from the arrays of `body_arrays`. Raises `InputError` if they are inconsistent."""
     kind = str(get_array(arrays, "skin", path, (), "text"))
     if kind not in SKINS:
-        raise InputError(
-            f"{path}: the skin '{shortened(kind)}' is unknown; expected {', '.join(SKINS)}."
-        )
+        raise InputError(f"{path}: the skin '{shortened(kind)}' is unknown; expected {', '.join(SKINS)}.")
     cls, names = SKINS[kind]
     skeleton = skeleton_of(arrays, path)
     vertices = get_array(arrays, "vertices", path, (None, 3), rows="vertex")
     faces = get_array(arrays, "faces", path, (None, 3), "whole")
     if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
         wrong = faces.max() if faces.min() >= 0 else faces.min()
-        raise InputError(f"{path}: a face refers to vertex {wrong}, but there are only {len(vertices)} vertices.")
+        raise InputError(
+            f"{path}: a face refers to vertex {wrong}, but there are only {len(vertices)} vertices."
+        )
     count, joints = len(vertices), skeleton.num_joints
     fields = []
     for name in names:
@@ -228,9 +228,7 @@ def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
             f"{path}: the rate is {rate}; expected {RATES[0]:g} to {RATES[1]:g} frames per second."
         )
     if not (np.linalg.norm(rotations, axis=-1) > LEAST).all():
-        raise InputError(
-            f"{path}: the array 'rotations' contains zero quaternions; write unit quaternions."
-        )
+        raise InputError(f"{path}: the array 'rotations' contains zero quaternions; write unit quaternions.")
     if not (scale > 0).all():
         raise InputError(
             f"{path}: the scale is {scale.min():g} in frame {int(scale.argmin())}; expected a number above 0."
@@ -311,9 +309,7 @@ def load_kind(
             raise wrong_arrays(path, f"not a '{kinds[0]}'")
         version = get_array(marks, "version", path, (), "whole").item() if "version" in marks else 0
         if version != VERSION:
-            raise InputError(
-                f"{path}: this file has version {version}; expected version {VERSION}."
-            )
+            raise InputError(f"{path}: this file has version {version}; expected version {VERSION}.")
         return marks | archive.load(lambda name: name not in marks and wanted(name))
 
 
@@ -351,9 +347,7 @@ def get_array(
     types, words = _CONTENTS[holds]
     # an array without elements may have any type
     if values.dtype.kind not in types and values.size:
-        raise InputError(
-            f"{path}: the array '{name}' has the type {values.dtype}; expected {words}."
-        )
+        raise InputError(f"{path}: the array '{name}' has the type {values.dtype}; expected {words}.")
     if holds != "numbers":
         return values
     _check_finite(values, name, path, rows)

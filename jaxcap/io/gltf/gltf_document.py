@@ -72,9 +72,7 @@ def read_document(path: Path) -> tuple[Part, list[bytes | None]]:
         root = Part(parse_json(head, path), str(path))
     parts, found = root.parts("buffers"), dict[str, bytes]()
     if len(parts) > MOST_BUFFERS:
-        raise InputError(
-            f"{path}: the file has {len(parts)} buffers; export it with at most {MOST_BUFFERS}."
-        )
+        raise InputError(f"{path}: the file has {len(parts)} buffers; export it with at most {MOST_BUFFERS}.")
     buffers: list[bytes | None] = []
     for number, buffer in enumerate(parts):
         uri = buffer.word("uri") if "uri" in buffer else None

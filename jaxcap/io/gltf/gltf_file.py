@@ -43,7 +43,9 @@ class GltfFile:
             raise no_skin(path)
         for name in root.values("extensionsRequired"):
             if not str(name).startswith(_HARMLESS):
-                raise InputError(f"{path}: this file requires the extension {name}; export it without compression.")
+                raise InputError(
+                    f"{path}: this file requires the extension {name}; export it without compression."
+                )
         self.meshes, self.animations = root.parts("meshes"), root.parts("animations")
         self._accessors, self._views = root.parts("accessors"), root.parts("bufferViews")
         self._room = max(ROOM, PACKED * sum(len(buffer or b"") for buffer in self.buffers))
@@ -78,7 +80,9 @@ class GltfFile:
                 f"{self.path}: {what} refers to accessor {index}, but there are only {len(self._accessors)}; export it again."
             )
         if "sparse" in accessor:
-            raise InputError(f"{accessor.where} is sparse, which is not supported; export it as a dense array.")
+            raise InputError(
+                f"{accessor.where} is sparse, which is not supported; export it as a dense array."
+            )
         place = accessor.index("bufferView", len(self._views))
         if place is None:
             raise accessor.wrong("bufferView", "the index of its buffer view")
@@ -97,12 +101,16 @@ class GltfFile:
         stride = view.whole("byteStride") or size
         start = view.whole("byteOffset") + accessor.whole("byteOffset")
         if stride < size or start + stride * max(count - 1, 0) + size * min(count, 1) > len(numbers):
-            raise InputError(f"{accessor.where} refers to data beyond the end of its buffer; the file is damaged.")
+            raise InputError(
+                f"{accessor.where} refers to data beyond the end of its buffer; the file is damaged."
+            )
         self.spend(count * width, what)
         strides = (stride, number.itemsize)
         rows = np.ndarray((count, width), number, numbers, start, strides).astype(float)
         if not (np.abs(rows) <= LARGEST).all():
-            raise InputError(f"{accessor.where} contains numbers that are not finite or too large for {what}.")
+            raise InputError(
+                f"{accessor.where} contains numbers that are not finite or too large for {what}."
+            )
         if accessor.content.get("normalized") and number.kind != "f":
             rows = np.maximum(rows / np.iinfo(number).max, -1.0)
         return rows
@@ -123,7 +131,9 @@ class GltfFile:
         sizes = np.linalg.norm(columns[:3, :3], axis=0)
         turn = columns[:3, :3] / np.where(sizes > 0, sizes, 1.0)
         if not np.linalg.det(turn) > LEAST:
-            raise InputError(f"{node.where}: its matrix is singular or mirrors; write a matrix of a rotation and a scale.")
+            raise InputError(
+                f"{node.where}: its matrix is singular or mirrors; write a matrix of a rotation and a scale."
+            )
         return {
             "translation": columns[None, :3, 3],
             "rotation": Rotation.from_matrix(turn).as_quat()[None],

@@ -79,9 +79,7 @@ class Part:
 
     def wrong(self, name: str, wanted: str) -> InputError:
         """Return the error for a value of the wrong type."""
-        return InputError(
-            f"{self.where}: '{name}' is {_quoted(self.content.get(name))}; expected {wanted}."
-        )
+        return InputError(f"{self.where}: '{name}' is {_quoted(self.content.get(name))}; expected {wanted}.")
 
     def _at(self, name: str) -> str:
         # the file's name ends with a colon, and a path in it continues with a full stop

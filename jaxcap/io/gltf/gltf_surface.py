@@ -33,7 +33,9 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
             part = _part(file, primitive, skins[skin], joints)
             parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
     if not parts:
-        raise InputError(f"{file.path}: no mesh in this file is skinned to its joints; read it as a skeleton.")
+        raise InputError(
+            f"{file.path}: no mesh in this file is skinned to its joints; read it as a skeleton."
+        )
     return sewn(joined(parts))
 
 
@@ -97,7 +99,9 @@ def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
     where = f"{part.where}.inverseBindMatrices"
     found = file.array(part.whole("inverseBindMatrices"), 16, where)
     if len(found) != count:
-        raise InputError(f"{where} has {len(found)} matrices for {count} joints; expected one for each joint.")
+        raise InputError(
+            f"{where} has {len(found)} matrices for {count} joints; expected one for each joint."
+        )
     return found.reshape(-1, 4, 4).swapaxes(1, 2)
 
 
@@ -144,11 +148,11 @@ def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[
                 "export the mesh again."
             )
         if chosen.max(initial=0) >= len(columns) or chosen.min(initial=0) < 0:
-            raise InputError(f"{where}: a vertex refers to joint {chosen.max()} of {len(columns)}; export the mesh again.")
-        if shares.min(initial=0) < 0:
             raise InputError(
-                f"{where}: a vertex has a weight below zero; export the mesh again."
+                f"{where}: a vertex refers to joint {chosen.max()} of {len(columns)}; export the mesh again."
             )
+        if shares.min(initial=0) < 0:
+            raise InputError(f"{where}: a vertex has a weight below zero; export the mesh again.")
         for numbers, share in zip(columns[chosen].T, shares.T, strict=True):
             np.add.at(weights, (rows[numbers >= 0], numbers[numbers >= 0]), share[numbers >= 0])
         place += 1

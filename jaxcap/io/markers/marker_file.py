@@ -182,7 +182,9 @@ def make_file(
     names, changed = tidy_labels(labels, places.shape[1])
     lost = np.isnan(places).any(2) | (places == 0).all(2)
     if lost.all():
-        raise InputError(f"{where}: none of its {len(names)} markers is visible in any of {len(places)} frames.")
+        raise InputError(
+            f"{where}: none of its {len(names)} markers is visible in any of {len(places)} frames."
+        )
     scale = unit_scale(unit)
     if not (np.abs(places[~lost]) * scale <= LARGEST).all():
         raise InputError(

@@ -102,7 +102,9 @@ def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
     """
     path = Path(path)
     if unit not in UNITS:
-        raise InputError(f"{path}: {unit!r} cannot be the unit of a TRC file; give one of {', '.join(UNITS)}.")
+        raise InputError(
+            f"{path}: {unit!r} cannot be the unit of a TRC file; give one of {', '.join(UNITS)}."
+        )
     wrong = [label for label in frames.labels if set(label) & set("\t\r\n\v\f\x1c\x1d\x1e\x85\u2028\u2029")]
     if wrong:
         raise InputError(
@@ -154,7 +156,9 @@ def read_places(cells: list[str], labels: list[str], where: str) -> list[float]:
 
 def _read_head(path: Path, lines: list[str]) -> _Head:
     if not lines or not lines[0].strip().startswith("PathFileType"):
-        raise InputError(f"{path}:1: this is not a TRC file; expected PathFileType at the beginning of the first line.")
+        raise InputError(
+            f"{path}:1: this is not a TRC file; expected PathFileType at the beginning of the first line."
+        )
     if len(lines) < 5:
         raise InputError(f"{path}:{len(lines)}: the file is cut short within the five lines of its header.")
     values = dict(zip(lines[1].split(), lines[2].split(), strict=False))
@@ -184,9 +188,13 @@ def _read_head(path: Path, lines: list[str]) -> _Head:
     else:
         labels = cells[0].split()[2:]
     if markers is not None and len(labels) > markers:
-        raise InputError(f"{path}:4: there are {len(labels)} labels for {markers} markers; correct the header.")
+        raise InputError(
+            f"{path}:4: there are {len(labels)} labels for {markers} markers; correct the header."
+        )
     extra = 0 if "\t" not in lines[3] else sum(bool(cell.strip()) for cell in cells[2:]) - len(labels)
     if extra > 0:
-        raise InputError(f"{path}:4: there are {len(labels) + extra} labels for {len(labels)} markers; correct the header.")
+        raise InputError(
+            f"{path}:4: there are {len(labels) + extra} labels for {len(labels)} markers; correct the header."
+        )
     labels += [""] * ((markers or 0) - len(labels))
     return _Head(rate, setting("NumFrames"), markers, values.get("Units", ""), labels)

@@ -126,7 +126,9 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
     if offsets is not None and not (
         offsets[0] == 0 and offsets[-1] == len(points) and (offsets[1:] >= offsets[:-1]).all()
     ):
-        raise InputError(f"{path}: the offsets do not increase from 0 to the number of points, {len(points)}; write the file again.")
+        raise InputError(
+            f"{path}: the offsets do not increase from 0 to the number of points, {len(points)}; write the file again."
+        )
     if faces is not None:
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
             raise InputError(

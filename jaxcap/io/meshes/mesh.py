@@ -180,7 +180,9 @@ def check_size(extent: float, where: str | Path, unit: str | float = "m") -> Non
         if likely
         else "is not a body in any known unit: check the unit"
     )
-    raise InputError(f"{where}: its longest side is {extent:.4g} m; expected 0.3 to 3 m for a body; this {hint}.")
+    raise InputError(
+        f"{where}: its longest side is {extent:.4g} m; expected 0.3 to 3 m for a body; this {hint}."
+    )
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -34,7 +34,9 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
             corners = [parse_int(word.split("/")[0], where, "a corner") for word in words[1:]]
             corners = [corner + len(vertices) if corner < 0 else corner - 1 for corner in corners]
             if len(corners) < 3 or min(corners) < 0:
-                raise InputError(f"{where}: this face has fewer than three corners, or an invalid one; expected vertex numbers from 1 on.")
+                raise InputError(
+                    f"{where}: this face has fewer than three corners, or an invalid one; expected vertex numbers from 1 on."
+                )
             triangles += [(corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1)]
     return np.array(vertices).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3), None
 

@@ -37,7 +37,9 @@ def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     num_vertices = parse_int(counts[0], f"{path}:{number}", "the number of vertices")
     num_faces = parse_int(counts[1], f"{path}:{number}", "the number of faces")
     if min(num_vertices, num_faces) < 0:
-        raise InputError(f"{path}:{number}: the header declares {num_vertices} vertices and {num_faces} faces; expected numbers of at least 0.")
+        raise InputError(
+            f"{path}:{number}: the header declares {num_vertices} vertices and {num_faces} faces; expected numbers of at least 0."
+        )
     if len(lines) < num_vertices + num_faces:
         raise InputError(
             f"{path}:{lines[-1][0] if lines else number}: the header declares {num_vertices} vertices and {num_faces} "
@@ -78,7 +80,9 @@ def _faces(lines: list[tuple[int, str]], num_vertices: int, path: Path) -> np.nd
         where = f"{path}:{number}"
         count = parse_int(words[0], where, "the number of corners")
         if not 0 <= count < len(words):
-            raise InputError(f"{where}: this face declares {count} corners and has {len(words) - 1}; correct the number.")
+            raise InputError(
+                f"{where}: this face declares {count} corners and has {len(words) - 1}; correct the number."
+            )
         corners = [parse_int(word, where, "a corner") for word in words[1 : count + 1]]
         for corner in corners:
             if not 0 <= corner < num_vertices:

@@ -73,7 +73,9 @@ def read_header(data: bytes, path: Path) -> Header:
                 elements.append(Element(name, _count(count, where, name), []))
             case ["property", *rest]:
                 if not elements or order is None:
-                    raise InputError(f"{where}: a property comes before the format or before any element; move it.")
+                    raise InputError(
+                        f"{where}: a property comes before the format or before any element; move it."
+                    )
                 elements[-1].properties.append(_property(rest, order, where))
     raise InputError(
         f"{path}: this .ply file is incomplete (its header has no line 'end_header'); write it again."
@@ -83,7 +85,9 @@ def read_header(data: bytes, path: Path) -> Header:
 def _count(word: str, where: str, name: str) -> int:
     count = parse_int(word, where, f"the number of '{shortened(name)}'")
     if count < 0:
-        raise InputError(f"{where}: the number of '{shortened(name)}' is {count}; expected a number of at least 0.")
+        raise InputError(
+            f"{where}: the number of '{shortened(name)}' is {count}; expected a number of at least 0."
+        )
     return count
 
 
@@ -91,7 +95,9 @@ def _property(words: list[str], order: str, where: str) -> Property:
     types, name = words[:-1], (words or [""])[-1]
     strange = next((word for word in types if word not in TYPES and word != "list"), None)
     if strange is not None:
-        raise InputError(f"{where}: '{shortened(strange)}' is not a number type; expected {', '.join(TYPES)}.")
+        raise InputError(
+            f"{where}: '{shortened(strange)}' is not a number type; expected {', '.join(TYPES)}."
+        )
     found = [np.dtype(order + TYPES[word]) for word in types if word != "list"]
     if types[:1] == ["list"] and len(types) == len(found) + 1 == 3 and found[0].kind in "iu":
         return Property(name, found[1], found[0])

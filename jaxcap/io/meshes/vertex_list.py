@@ -31,7 +31,9 @@ def read_vertex_list(path: str | Path) -> dict[str, int]:
             raise InputError(f"{where}: the vertex is {vertex}; expected an index of at least 0.")
         name = words[0] if len(words) == 2 else f"v{vertex}"
         if name in found:
-            raise InputError(f"{where}: the name '{shortened(name)}' occurs twice; give each marker a unique name.")
+            raise InputError(
+                f"{where}: the name '{shortened(name)}' occurs twice; give each marker a unique name."
+            )
         found[name] = vertex
     if not found:
         raise InputError(f"{path}: the file lists no vertices; write a name and a vertex on each line.")

@@ -202,7 +202,9 @@ def _skeleton(
 def _rate(path: str | Path, arrays: Mapping[str, np.ndarray]) -> float:
     found = next((arrays[name] for name in _RATES if name in arrays), None)
     if found is None:
-        raise InputError(f"{path}: the arrays '{_RATES[0]}' and '{_RATES[1]}' are missing; add one of them, as the rate is unknown.")
+        raise InputError(
+            f"{path}: the arrays '{_RATES[0]}' and '{_RATES[1]}' are missing; add one of them, as the rate is unknown."
+        )
     if found.size != 1 or found.dtype.kind not in "iuf":
         raise InputError(
             f"{path}: the frame rate has the shape {found.shape} and the type {found.dtype}; expected a number above zero."

@@ -36,7 +36,9 @@ def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
         raise InputError(f"{path}: the file has no frames; export it again.")
     counts = {name: len(dofs) for name, dofs in asf.dofs.items() if dofs}
     if not counts:
-        raise InputError(f"{path}: no bone of the .asf file has degrees of freedom; give the .asf file of this motion.")
+        raise InputError(
+            f"{path}: no bone of the .asf file has degrees of freedom; give the .asf file of this motion."
+        )
     values = _regular(rows, counts, path)
     if values is None:
         values = _irregular(rows, counts, path)
@@ -107,13 +109,17 @@ def _irregular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dic
             continue
         where = f"{path}:{number}"
         if not frames:
-            raise InputError(f"{where}: '{shortened(name)}' comes before the number of the first frame; write the number first.")
+            raise InputError(
+                f"{where}: '{shortened(name)}' comes before the number of the first frame; write the number first."
+            )
         if name not in counts:
             raise InputError(
                 f"{where}: the bone '{shortened(name)}' has no degrees of freedom in the .asf file; give the .asf file of this motion."
             )
         if name in frames[-1]:
-            raise InputError(f"{where}: the bone '{name}' occurs twice in frame {len(frames)}; remove one of its lines.")
+            raise InputError(
+                f"{where}: the bone '{name}' occurs twice in frame {len(frames)}; remove one of its lines."
+            )
         if len(words) != counts[name]:
             raise InputError(
                 f"{where}: the bone '{name}' has {len(words)} numbers; expected {counts[name]}, one for each dof."

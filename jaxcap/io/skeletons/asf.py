@@ -192,13 +192,19 @@ def _bones(lines: list[tuple[int, str]], path) -> dict[str, dict]:
         elif line == "end" and block is not None:
             fields = _fields(block, path)
             if not fields.get("name", (0, []))[1]:
-                raise InputError(f"{path}:{number}: the bone that ends on this line has no name; give it a name.")
+                raise InputError(
+                    f"{path}:{number}: the bone that ends on this line has no name; give it a name."
+                )
             name = fields["name"][1][0]
             if name in bones or name == "root":
-                raise InputError(f"{path}:{fields['name'][0]}: the bone '{shortened(name)}' occurs twice; names must be unique.")
+                raise InputError(
+                    f"{path}:{fields['name'][0]}: the bone '{shortened(name)}' occurs twice; names must be unique."
+                )
             bones[name], block = fields, None
         elif block is None:
-            raise InputError(f"{path}:{number}: '{shortened(line)}' is outside of 'begin' and 'end'; move it.")
+            raise InputError(
+                f"{path}:{number}: '{shortened(line)}' is outside of 'begin' and 'end'; move it."
+            )
         else:
             block.append((number, line))
     if block is not None:
@@ -267,10 +273,14 @@ def _hierarchy(lines: list[tuple[int, str]], bones: dict, path) -> dict[str, str
             continue
         for name in words:
             if name not in bones:
-                raise InputError(f"{path}:{number}: the bone '{shortened(name)}' is not in ':bonedata'; add it.")
+                raise InputError(
+                    f"{path}:{number}: the bone '{shortened(name)}' is not in ':bonedata'; add it."
+                )
         for child in words[1:]:
             if child in parents or child == "root":
-                raise InputError(f"{path}:{number}: the bone '{shortened(child)}' has two parents; keep one of them.")
+                raise InputError(
+                    f"{path}:{number}: the bone '{shortened(child)}' has two parents; keep one of them."
+                )
             parents[child] = words[0]
     for name in bones:
         if name != "root" and name not in parents:

@@ -203,9 +203,7 @@ class _Hierarchy:
     def take(self, wanted: str) -> tuple[int, str]:
         if self.at >= len(self.words):
             line = self.words[-1][0] if self.words else 1
-            raise InputError(
-                f"{self.path}:{line}: HIERARCHY ends before {wanted}; the file is cut short."
-            )
+            raise InputError(f"{self.path}:{line}: HIERARCHY ends before {wanted}; the file is cut short.")
         self.at += 1
         return self.words[self.at - 1][:2]
 
@@ -227,7 +225,9 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
     word = _setting(time, "frame time", f"{path}:{second}", "Frame Time: <seconds>")
     seconds = parse_floats([word], f"{path}:{second}", "the Frame Time")[0]
     if not (seconds > 0 and count >= 0):
-        raise InputError(f"{path}:{second}: there are {count} frames of {seconds:g} seconds each; expected at least 0 frames, and a time above 0.")
+        raise InputError(
+            f"{path}:{second}: there are {count} frames of {seconds:g} seconds each; expected at least 0 frames, and a time above 0."
+        )
     if not 1 / RATES[1] <= seconds <= 1 / RATES[0]:
         raise InputError(
             f"{path}:{second}: the Frame Time is {seconds:g} seconds; expected {1 / RATES[1]:g} to {1 / RATES[0]:g}."

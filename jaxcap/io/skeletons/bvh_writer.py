@@ -109,7 +109,9 @@ class BvhWriter:
         try:
             self._file = open(self.path, "r+b")  # noqa: SIM115
         except OSError as error:
-            raise InputError(f"{path}: this file cannot be continued ({error.strerror}); start a new file.") from None
+            raise InputError(
+                f"{path}: this file cannot be continued ({error.strerror}); start a new file."
+            ) from None
         size = len(self._header) + _WIDTH + len(self._time)
         start = self._file.read(size)
         same = (

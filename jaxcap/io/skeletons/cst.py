@@ -46,7 +46,9 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
     words, turn = Words(path), _radians(angle_unit)
     count = words.header("KBCST")
     if count < 0:
-        raise InputError(f"{words.where}: the header declares {count} joints; expected a number of at least 0.")
+        raise InputError(
+            f"{words.where}: the header declares {count} joints; expected a number of at least 0."
+        )
     seen: set[str] = set()
     ranges, cones, translations = {}, {}, {}
     for _ in range(count):

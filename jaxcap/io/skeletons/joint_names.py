@@ -60,7 +60,9 @@ def read_joint_names(path: str | Path) -> dict[str, str | None]:
     try:
         content = json.loads(text, object_pairs_hook=pairs)
     except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}); correct this line.") from None
+        raise InputError(
+            f"{path}:{error.lineno}: this is not JSON ({error.msg}); correct this line."
+        ) from None
     except (ValueError, RecursionError):
         raise InputError(
             f"{path}: this JSON is nested too deeply or has numbers of too many digits; expected a table of joints."

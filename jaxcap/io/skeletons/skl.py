@@ -51,7 +51,9 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
                 f"{words.where}: the joint '{shortened(name)}' has a name of {len(name)} characters; expected at most {LONGEST_NAME}."
             )
         if name in lines:
-            raise InputError(f"{words.where}: the joint '{shortened(name)}' occurs twice; names must be unique.")
+            raise InputError(
+                f"{words.where}: the joint '{shortened(name)}' occurs twice; names must be unique."
+            )
         lines[name] = words.where
         kind = words.take(f"the type of '{name}'").upper().removeprefix("KBJOINT_")
         if kind not in TYPES:
@@ -69,7 +71,9 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
                 f"{words.where}: '{shortened(name)}' is not a joint of this file; expected the coordinates of a joint."
             )
         if name in centres:
-            raise InputError(f"{words.where}: the coordinates of '{name}' occur twice; remove one of the lines.")
+            raise InputError(
+                f"{words.where}: the coordinates of '{name}' occur twice; remove one of the lines."
+            )
         number = TYPES[kinds[name]]
         values = words.floats(3 * number + 3, f"the coordinates of the {kinds[name]} joint '{name}'")
         axes[name] = _axes(np.array(values[:-3]).reshape(number, 3), values[-3:], name, words.where)
@@ -121,7 +125,9 @@ def write_skl(path: str | Path, skeleton: Skeleton, unit: str | float = "m") -> 
     metres = unit_scale(unit)
     for name in skeleton.names:
         if len(name.split()) != 1 or name == "NULL" or "#" in name:
-            raise InputError(f"{path}: the joint name '{name}' cannot be written to .skl; use one word without '#', other than NULL.")
+            raise InputError(
+                f"{path}: the joint name '{name}' cannot be written to .skl; use one word without '#', other than NULL."
+            )
     graph, coordinates = [], []
     for joint, name in enumerate(skeleton.names):
         kind, parent = skeleton.kinds[joint].upper(), skeleton.parents[joint]

@@ -81,7 +81,9 @@ def placing(
     """
     scale, size = np.cbrt(np.linalg.det(root)), np.cbrt(np.linalg.det(above))
     if not (scale > 0 and size > 0):
-        raise InputError(f"{path}: the transform above the joints has a zero scale or mirrors; export it again.")
+        raise InputError(
+            f"{path}: the transform above the joints has a zero scale or mirrors; export it again."
+        )
     check_rigid(path, above[None] / size)
     placed = np.eye(4)
     placed[:3, :3] = above / size * (1.0 if abs(scale - 1) < _EVEN else scale)

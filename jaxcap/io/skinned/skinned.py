@@ -46,7 +46,9 @@ def check_motion(path: Path, skeleton: Skeleton, motion: Motion | None) -> None:
         return
     joints = motion.poses.rotations.shape[1]
     if joints != skeleton.num_joints:
-        raise InputError(f"{path}: the motion has {joints} joints and the body has {skeleton.num_joints}; retarget it.")
+        raise InputError(
+            f"{path}: the motion has {joints} joints and the body has {skeleton.num_joints}; retarget it."
+        )
     if motion.num_frames == 0:
         raise InputError(f"{path}: the motion has no frames; expected at least one.")
     for values in (motion.poses.translations, motion.poses.rotations, motion.poses.scale):

@@ -87,11 +87,11 @@ def _check_one_of_many(path: Path, count: int) -> None:
         found = [what for what, here in many.items() if here]
         if not found:
             raise InputError(f"{path}: there is no such file; check the path.")
-        raise InputError(f"{path}: this is {found[0]} among {count} sources; give it as the only source, or give files only.")
-    if suffix == ".npz":
         raise InputError(
-            f"{path}: an .npz contains a whole sequence; give it as the only source."
+            f"{path}: this is {found[0]} among {count} sources; give it as the only source, or give files only."
         )
+    if suffix == ".npz":
+        raise InputError(f"{path}: an .npz contains a whole sequence; give it as the only source.")
     if suffix not in SUFFIXES:
         raise wrong_kind(path, "a mesh or a cloud", SUFFIXES)
 
@@ -102,7 +102,9 @@ def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
     assert match is not None
     folder, name = Path(text).parent, Path(text).name
     if "%" not in name:
-        raise InputError(f"{text}: the number is in the name of the folder; expected it in the name of the file.")
+        raise InputError(
+            f"{text}: the number is in the name of the folder; expected it in the name of the file."
+        )
     before, after = _NUMBER.split(name, maxsplit=1)
     fits = re.compile(re.escape(before) + r"(\d+)" + re.escape(after) + "$")
     there = sorted(
@@ -118,7 +120,9 @@ def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
     for number in range(start, end + 1):
         path = folder / (before + match[0] % number + after)
         if not path.is_file():
-            raise InputError(f"{path}: this file is missing in the sequence {text} from {start} to {end}; add it, or change the numbers.")
+            raise InputError(
+                f"{path}: this file is missing in the sequence {text} from {start} to {end}; add it, or change the numbers."
+            )
         paths.append(path)
     return paths
 

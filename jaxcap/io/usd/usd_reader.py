@@ -224,7 +224,9 @@ class _Skinned:
         mesh, first = UsdGeom.Mesh(target.GetPrim()), Usd.TimeCode.EarliestTime()
         points = mesh.GetPointsAttr().Get(first)
         if not mesh or points is None or not len(points):
-            raise InputError(f"{self.path}: '{target.GetPrim().GetPath()}' is not a mesh; export it as a mesh.")
+            raise InputError(
+                f"{self.path}: '{target.GetPrim().GetPath()}' is not a mesh; export it as a mesh."
+            )
         where = f"{self.path}: '{target.GetPrim().GetPath()}'"
         into, vertices = np.array(target.GetGeomBindTransform()).T, np.array(points, float)
         check_points(vertices, where)
@@ -249,10 +251,14 @@ class _Skinned:
         named = order if own is None else [str(name) for name in own]
         strange = next((name for name in named if name not in place), None)
         if strange is not None:
-            raise InputError(f"{where}: it refers to '{strange}', which is not a joint of the skeleton; export the mesh again.")
+            raise InputError(
+                f"{where}: it refers to '{strange}', which is not a joint of the skeleton; export the mesh again."
+            )
         columns = np.array([place[name] for name in named])
         if chosen.min() < 0 or chosen.max() >= len(columns):
-            raise InputError(f"{where}: a vertex refers to joint {chosen.max()} of {len(columns)}; export the mesh again.")
+            raise InputError(
+                f"{where}: a vertex refers to joint {chosen.max()} of {len(columns)}; export the mesh again."
+            )
         weights = np.zeros((len(vertices), len(order)))
         np.add.at(weights, (np.arange(len(vertices))[:, None], columns[chosen]), shares.astype(float))
         counts = np.array(mesh.GetFaceVertexCountsAttr().Get(first) or (), int)
