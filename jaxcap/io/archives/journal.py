@@ -69,7 +69,7 @@ class Journal:
             while left:
                 left = left[self._file.write(left) :]
         except OSError as error:
-            mend = "free some space there" if error.errno in FULL else "make its folder writable"
+            mend = "free some disk space" if error.errno in FULL else "make its folder writable"
             raise InputError(
                 f"{self.path}: record {self.count} cannot be written ({error.strerror}); {mend} and resume the run."
             ) from None
@@ -99,7 +99,7 @@ def begin_journal(path: str | Path, header: Mapping[str, object], width: int) ->
     try:
         return Journal(path, width, len(data))
     except OSError as error:
-        mend = "free some space there" if error.errno in FULL else "give a path in a writable folder"
+        mend = "free some disk space" if error.errno in FULL else "give a path in a writable folder"
         raise InputError(f"{path}: cannot be written ({error.strerror}); {mend}.") from None
 
 
